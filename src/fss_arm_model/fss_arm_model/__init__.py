@@ -1,0 +1,1 @@
+"""The arm and its floating base as mathematics: description, kinematics, dynamics, momentum."""

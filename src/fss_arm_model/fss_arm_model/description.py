@@ -1,0 +1,439 @@
+"""The arm and its base as data: what every other module is told about the hardware.
+
+SI units and radians throughout; `g`, the distance from joint to centre of mass, follows from the
+stored `a` and `b` (a = g + b). A description is checked when it is made, so that one in hand is a
+valid one, and `from_yaml(to_yaml(arm)) == arm` to the last bit.
+"""
+
+import json
+import math
+import operator
+import os
+import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import yaml
+
+MAX_LINKS = 12
+BASE_SIZE, LINK_SIZE = 8, 6  # numbers in Arm.vector() for the base and for each link
+
+
+class DescriptionError(ValueError):
+    """A description cannot be right: which field, its value, and what was expected."""
+
+    def __init__(self, field: str, value: Any, expected: str) -> None:
+        self.field, self.value, self.expected = field, value, expected
+        given = "missing" if value is None else repr(value)
+        if len(given) > 80:
+            given = f"{given[:77]}..."
+        super().__init__(f"{field} is {given}, expected {expected}")
+
+
+@contextmanager
+def _within(part: str) -> Iterator[None]:
+    """Name the fields of errors raised inside as fields of `part`."""
+    try:
+        yield
+    except DescriptionError as error:
+        raise DescriptionError(f"{part}: {error.field}", error.value, error.expected) from None
+
+
+def _number(value: Any) -> float:
+    if isinstance(value, bool | str) or not math.isfinite(value):
+        raise ValueError
+    return float(value)
+
+
+def _positive(value: Any) -> float:
+    if not (number := _number(value)) > 0.0:
+        raise ValueError
+    return number
+
+
+def _nonzero(value: Any) -> float:
+    if not (number := _number(value)):
+        raise ValueError
+    return number
+
+
+def _count(value: Any) -> int:
+    if isinstance(value, bool) or (number := operator.index(value)) <= 0:
+        raise ValueError
+    return number
+
+
+def _sign(value: Any) -> int:
+    if isinstance(value, bool) or value not in (-1, 1):
+        raise ValueError
+    return int(value)
+
+
+def _name(value: Any) -> str:
+    if not isinstance(value, str) or not value.strip() or not value.isprintable():
+        raise ValueError
+    return value
+
+
+def _numbers(count: int) -> Callable[[Any], tuple[float, ...]]:
+    def convert(value: Any) -> tuple[float, ...]:
+        if isinstance(value, str | dict) or len(value) != count:
+            raise ValueError
+        return tuple(_number(v) for v in value)
+
+    return convert
+
+
+def _chain(value: Any) -> "tuple[Link, ...]":
+    links = tuple(value)
+    if not all(isinstance(link, Link) for link in links):
+        raise TypeError
+    return links
+
+
+def _instance(kind: type[Any]) -> Callable[[Any], Any]:
+    def convert(value: Any) -> Any:
+        if not isinstance(value, kind):
+            raise TypeError
+        return value
+
+    return convert
+
+
+_EXPECTED: dict[Callable[[Any], Any], str] = {
+    _number: "a finite number",
+    _positive: "a positive number",
+    _nonzero: "a number other than zero",
+    _count: "a positive integer",
+    _sign: "1 or -1",
+    _name: "a printable text that is not empty",
+}
+
+
+def _is(
+    kind: Callable[[Any], Any], unit: str = "", about: str = "", expected: str = ""
+) -> dict[str, Any]:
+    """Metadata of a field: how it is checked; for the YAML file's comments, unit and meaning."""
+    expected = expected or _EXPECTED[kind] + (f" [{unit}]" if unit else "")
+    return {"kind": kind, "unit": unit, "about": about, "expected": expected}
+
+
+def _check(part: Any) -> None:
+    """Convert each field of a description's part to its type, or say what is wrong with it."""
+    for f in fields(part):
+        value = getattr(part, f.name)
+        try:
+            object.__setattr__(part, f.name, f.metadata["kind"](value))
+        except (TypeError, ValueError, OverflowError):
+            raise DescriptionError(f.name, value, f.metadata["expected"]) from None
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A link's servo: encoder, q = direction * counts * 2 pi / counts_per_turn, and its limits."""
+
+    counts_per_turn: int = field(
+        default=240_000, metadata=_is(_count, about="encoder counts a turn of the joint")
+    )
+    direction: int = field(
+        default=1, metadata=_is(_sign, about="1 if counts grow counter-clockwise, else -1")
+    )
+    torque_constant: float = field(
+        default=0.8, metadata=_is(_positive, "N m/A", "joint torque per motor current")
+    )
+    max_current: float = field(default=2.25, metadata=_is(_positive, "A"))
+    max_velocity: float = field(default=1.0, metadata=_is(_positive, "rad/s"))
+    max_acceleration: float = field(default=2.0, metadata=_is(_positive, "rad/s^2"))
+
+    def __post_init__(self) -> None:
+        _check(self)
+
+
+@dataclass(frozen=True)
+class TorqueSensor:
+    """A link's torque converter: torque = gain * (counts - zero)."""
+
+    gain: float = field(default=2.1 / 2**23, metadata=_is(_nonzero, "N m per count"))
+    zero: float = field(default=0.0, metadata=_is(_number, "counts", "reading without load"))
+
+    def __post_init__(self) -> None:
+        _check(self)
+
+
+@dataclass(frozen=True)
+class Link:
+    """One link: from its joint along x to the next joint, or to the tip for the last link."""
+
+    a: float = field(metadata=_is(_positive, "m", "from this joint to the next"))
+    theta_0: float = field(metadata=_is(_number, "rad", "true joint angle at encoder reading 0"))
+    mass: float = field(metadata=_is(_positive, "kg"))
+    inertia: float = field(metadata=_is(_positive, "kg m^2", "about the link's centre of mass"))
+    b: float = field(metadata=_is(_number, "m", "from the centre of mass to the next joint"))
+    lateral: float = field(
+        default=0.0, metadata=_is(_number, "m", "centre of mass to the left of the link's line")
+    )
+    q_min: float = field(default=-math.pi / 2, metadata=_is(_number, "rad", "lowest encoder angle"))
+    q_max: float = field(default=math.pi / 2, metadata=_is(_number, "rad", "highest encoder angle"))
+    drive: Drive = field(default_factory=Drive, metadata=_is(_instance(Drive), expected="a drive"))
+    torque_sensor: TorqueSensor = field(
+        default_factory=TorqueSensor,
+        metadata=_is(_instance(TorqueSensor), expected="a torque sensor"),
+    )
+
+    def __post_init__(self) -> None:
+        _check(self)
+        if not self.q_min < self.q_max:
+            raise DescriptionError("q_max", self.q_max, f"more than q_min = {self.q_min!r} [rad]")
+
+    @property
+    def g(self) -> float:
+        """Distance from this joint to the centre of mass along the link [m]: a - b."""
+        return self.a - self.b
+
+
+@dataclass(frozen=True)
+class Base:
+    """The spacecraft simulator in its own frame, as the motion capture system reports it."""
+
+    mass: float = field(metadata=_is(_positive, "kg"))
+    inertia: float = field(metadata=_is(_positive, "kg m^2", "about the base's centre of mass"))
+    com: tuple[float, float] = field(
+        default=(0.0, 0.0),
+        metadata=_is(_numbers(2), "m", "centre of mass (x, y)", "two finite numbers (x, y) [m]"),
+    )
+    mount: tuple[float, float, float] = field(
+        default=(0.0, 0.0, 0.0),
+        metadata=_is(
+            _numbers(3),
+            "m, m, rad",
+            "first joint (x_BJ1, y_BJ1, theta_BJ1)",
+            "three finite numbers (x_BJ1 [m], y_BJ1 [m], theta_BJ1 [rad])",
+        ),
+    )
+
+    def __post_init__(self) -> None:
+        _check(self)
+
+
+@dataclass(frozen=True)
+class Arm:
+    """A base and the n links it carries, in order from the base."""
+
+    name: str = field(metadata=_is(_name))
+    base: Base = field(metadata=_is(_instance(Base), expected="a base"))
+    links: tuple[Link, ...] = field(metadata=_is(_chain, expected="a list of links"))
+    theta_E: float = field(  # noqa: N815 (the paper's symbol)
+        default=0.0, metadata=_is(_number, "rad", "end-effector subject against the last link")
+    )
+
+    def __post_init__(self) -> None:
+        _check(self)
+        if not 1 <= len(self.links) <= MAX_LINKS:
+            raise DescriptionError("links", len(self.links), f"1 to {MAX_LINKS} links")
+        if self.links[0].theta_0 != 0.0:
+            raise DescriptionError(
+                "link 1: theta_0", self.links[0].theta_0, "0, as theta_BJ1 takes its place"
+            )
+
+    @property
+    def n(self) -> int:
+        """Number of links."""
+        return len(self.links)
+
+    def vector(self) -> npt.NDArray[np.float64]:
+        """The parameters the kernels take, (8 + 6 n,).
+
+        m_0, I_0, com_x, com_y, x_BJ1, y_BJ1, theta_BJ1, theta_E, then for each link
+        a, theta_0, mass, inertia, g, lateral.
+        """
+        base = self.base
+        numbers = [base.mass, base.inertia, *base.com, *base.mount, self.theta_E]
+        for k in self.links:
+            numbers += [k.a, k.theta_0, k.mass, k.inertia, k.g, k.lateral]
+        return np.array(numbers)
+
+    def with_kinematics(self, values: npt.ArrayLike) -> "Arm":
+        """The same arm with other kinematic parameters, (2 n + 2,) in the order of kinematic_names.
+
+        Raises:
+            DescriptionError: a value cannot be right, for example a length that is not positive.
+        """
+        xi = np.asarray(values, dtype=float).tolist()
+        if len(xi) != 2 * self.n + 2:
+            raise DescriptionError("kinematic parameters", xi, f"{2 * self.n + 2} numbers")
+        offsets = [0.0, *xi[self.n : 2 * self.n - 1]]
+        links = []
+        for i, link in enumerate(self.links):
+            with _within(f"link {i + 1}"):
+                links.append(replace(link, a=xi[i], theta_0=offsets[i]))
+        with _within("base"):
+            base = replace(self.base, mount=tuple(xi[-3:]))
+        return replace(self, base=base, links=tuple(links))
+
+
+def kinematic_names(n: int) -> tuple[str, ...]:
+    """Names of the 2 n + 2 kinematic parameters of Eq. 1; theta_BJ1 stands for theta_0_1 too."""
+    lengths = (f"a_{i}" for i in range(1, n + 1))
+    offsets = (f"theta_0_{i}" for i in range(2, n + 1))
+    return (*lengths, *offsets, "x_BJ1", "y_BJ1", "theta_BJ1")
+
+
+def kinematic_index(n: int) -> npt.NDArray[np.intp]:
+    """Where the parameters of kinematic_names(n) stand in Arm.vector(), (2 n + 2,)."""
+    links = BASE_SIZE + LINK_SIZE * np.arange(n)
+    return np.concatenate([links, links[1:] + 1, [4, 5, 6]])
+
+
+def paper_arm() -> Arm:
+    """Tables 2-4 of the paper, and a base of 10 kg and 0.25 kg m^2 (the latter not from it)."""
+    offsets = [0.0, 5.801, -3.402, -1.391]
+    lengths = [(0.3825, 0.191)] * 3 + [(0.3351, 0.168)]
+    links = tuple(
+        Link(a=a, theta_0=math.radians(offset), mass=2.88, inertia=0.034, b=b)
+        for offset, (a, b) in zip(offsets, lengths, strict=True)
+    )
+    base = Base(mass=10.0, inertia=0.25, mount=(0.2058, 0.0155, math.radians(18.211)))
+    return Arm(name="paper", base=base, links=links)
+
+
+class _Loader(yaml.SafeLoader):
+    """Safe YAML that also reads 1e-5 as a number, and refuses a key given twice."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        keys = [key.value for key, _ in node.value]
+        for key in keys:
+            if keys.count(key) > 1:
+                line = node.start_mark.line + 1
+                raise DescriptionError(str(key), "given twice", f"once (block at line {line})")
+        return super().construct_mapping(node, deep)
+
+
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float", re.compile(r"[-+]?[0-9]+[eE][-+]?[0-9]+$"), list("-+0123456789")
+)
+
+
+def _entries(kind: type[Any]) -> str:
+    return f"the entries {', '.join(f.name for f in fields(kind))}"
+
+
+def _build(kind: type[Any], given: Any) -> Any:
+    """Make a `kind` from what YAML gave; a part that is no mapping is left for `kind` to refuse."""
+    known = {f.name: f for f in fields(kind)}
+    for key, value in given.items():
+        if key not in known:
+            raise DescriptionError(str(key), value, f"only {_entries(kind)}")
+    for f in known.values():
+        required = f.default is MISSING and f.default_factory is MISSING
+        if required and f.name not in given:
+            raise DescriptionError(f.name, None, f.metadata["expected"])
+    return kind(**{key: _read(key, value) for key, value in given.items()})
+
+
+def _read(key: str, value: Any, kind: type[Any] | None = None) -> Any:
+    if key == "links" and isinstance(value, list):
+        return [_read(f"link {i}", link, Link) for i, link in enumerate(value, 1)]
+    kind = kind or {"base": Base, "drive": Drive, "torque_sensor": TorqueSensor}.get(key)
+    if kind is None or not isinstance(value, dict):
+        return value
+    with _within(key):
+        return _build(kind, value)
+
+
+def from_yaml(text: str) -> Arm:
+    """The arm that `text` describes.
+
+    Raises:
+        DescriptionError: it is not YAML, or an entry is missing, unknown, given twice or wrong.
+    """
+    try:
+        given = yaml.load(text, _Loader)
+    except DescriptionError:
+        raise
+    except yaml.MarkedYAMLError as error:
+        line = f"line {error.problem_mark.line + 1}" if error.problem_mark else "text"
+        raise DescriptionError(line, error.problem, "YAML") from None
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        raise DescriptionError("text", str(error).splitlines()[0], "YAML") from None
+    if not isinstance(given, dict):
+        raise DescriptionError("arm", given, _entries(Arm))
+    arm: Arm = _build(Arm, given)
+    return arm
+
+
+def load(path: str | os.PathLike[str]) -> Arm:
+    """Read a description.
+
+    Raises:
+        OSError: the file cannot be read.
+        DescriptionError: what it says cannot be right; the message names the file and the field.
+    """
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise DescriptionError(f"{path}: byte {error.start}", error.reason, "UTF-8") from None
+    with _within(str(path)):
+        return from_yaml(text)
+
+
+def _scalar(value: Any) -> str:
+    """YAML of a value, exact: the shortest decimals that read back as the same float."""
+    if isinstance(value, tuple):
+        return f"[{', '.join(map(_scalar, value))}]"
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False)
+    text = repr(value)
+    return text.replace("e", ".0e") if "e" in text and "." not in text else text
+
+
+def _lines(part: Any, indent: str) -> Iterator[str]:
+    """The entries of a description's part, each with its unit and meaning as a comment."""
+    for f in fields(part):
+        value = getattr(part, f.name)
+        if is_dataclass(value):
+            yield f"{indent}{f.name}:"
+            yield from _lines(value, indent + "  ")
+        elif f.name == "links":
+            yield f"{indent}links:"
+            for i, link in enumerate(value, 1):
+                yield f"{indent}  # link {i}"
+                first, *others = _lines(link, indent + "    ")
+                yield f"{indent}  - {first.strip()}"
+                yield from others
+        else:
+            yield f"{indent}{f.name}: {_scalar(value)}{_comment(f, value)}"
+
+
+def _comment(f: Field[Any], value: Any) -> str:
+    unit, about = f.metadata["unit"], f.metadata["about"]
+    angle = value[-1] if isinstance(value, tuple) else value
+    if unit.split(", ")[-1] == "rad":
+        unit += f" = {math.degrees(angle):.6g} deg"
+    words = f"{f'[{unit}] ' if unit else ''}{about}".strip()
+    return f"  # {words}" if words else ""
+
+
+def to_yaml(arm: Arm) -> str:
+    """The description as YAML, from which from_yaml makes an equal one."""
+    head = "# An arm and its base. SI units and radians; degrees in comments are not read.\n"
+    return head + "\n".join(_lines(arm, "")) + "\n"
+
+
+def save(arm: Arm, path: str | os.PathLike[str]) -> None:
+    """Write the description; a reader sees the old file or the new one, never a part.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    path = Path(path)
+    part = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        part.write_text(to_yaml(arm), encoding="utf-8")
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)

@@ -1,0 +1,108 @@
+"""What a free-floating system conserves, and what its arm can do under that law.
+
+Arguments everywhere: p (..., 8 + 6 n) is Arm.vector(), q and qd (..., 3 + n) the state and its
+rate. Leading dimensions broadcast. The notation is kinematics.py's.
+"""
+
+import numpy as np
+import numpy.typing as npt
+
+from ._cache import Floats, kernel
+from .dynamics import _join
+from .kinematics import _THREE, _TWO, _chain, _cross, _dot, _mass, _moment, checked
+
+
+@kernel("(p),(m),(w)->(w)")
+def _system_com(p: Floats, q: Floats, _w: Floats, out: Floats) -> None:
+    d, e = np.empty((2, q.size - 2), np.complex128)
+    _chain(p, q, d, e)
+    M, S, r = 0.0, 0j, 0j
+    for k in range(d.size):
+        m = _mass(p, k)
+        M += m
+        S += m * (r + e[k])
+        r += d[k]
+    out[0], out[1] = q[0] + S.real / M, q[1] + S.imag / M
+
+
+@kernel("(p),(m),(m),(t)->(t)")
+def _momentum(p: Floats, q: Floats, qd: Floats, _t: Floats, out: Floats) -> None:
+    d, e = np.empty((2, q.size - 2), np.complex128)
+    _chain(p, q, d, e)
+    r, v, omega = 0j, complex(qd[0], qd[1]), 0.0  # of pivot k, seen from the base's origin
+    M, S, P, L = 0.0, 0j, 0j, 0.0
+    for k in range(d.size):
+        omega += qd[2 + k]
+        m, c = _mass(p, k), r + e[k]
+        f = m * (v + 1j * omega * e[k])
+        M += m
+        S += m * c
+        P += f
+        L += _cross(c, f) + _moment(p, k) * omega
+        r += d[k]
+        v += 1j * omega * d[k]
+    out[0], out[1], out[2] = P.real, P.imag, L - _cross(S / M, P)
+
+
+@kernel("(p),(m),(t),(n)->(t,n)")
+def _generalized_jacobian(p: Floats, q: Floats, _t: Floats, _n: Floats, J: Floats) -> None:
+    d, e = np.empty((2, q.size - 2), np.complex128)
+    _chain(p, q, d, e)
+    tip, M, S, K = 0j, 0.0, 0j, 0.0
+    for k in range(d.size - 1, -1, -1):
+        M, S, K = _join(p, k, d, e, M, S, K)
+        tip += d[k]
+        if k > 0:
+            J[0, k - 1], J[1, k - 1], J[2, k - 1] = S.real, S.imag, K
+    com = S / M
+    moment = K - _dot(com, S)  # of the whole about its centre of mass
+    r = 0j
+    for k in range(1, d.size):
+        r += d[k - 1]
+        S_k, K_k = complex(J[0, k - 1], J[1, k - 1]), J[2, k - 1]
+        omega = -(K_k + _dot(r - com, S_k)) / moment  # of the base, as no momentum may arise
+        v = -1j * (omega * com + S_k / M)
+        v += 1j * (omega * tip + tip - r)
+        J[0, k - 1], J[1, k - 1], J[2, k - 1] = v.real, v.imag, omega + 1.0
+
+
+def system_com(p: npt.ArrayLike, q: npt.ArrayLike) -> Floats:
+    """Centre of mass of base and arm in the world, (..., 2) [m].
+
+    Raises:
+        ValueError: shapes do not fit.
+    """
+    p, q, _ = checked(p, q)
+    return _system_com(p, q, _TWO)
+
+
+def momentum(p: npt.ArrayLike, q: npt.ArrayLike, qd: npt.ArrayLike) -> Floats:
+    """Momentum (px, py, L) with L about the system's centre of mass, (..., 3) [N s, N m s].
+
+        P = sum m_k v_k,   L = sum (c_k - c) x m_k v_k + I_k omega_k
+
+    All three stay constant while no external force acts.
+
+    Raises:
+        ValueError: shapes do not fit.
+    """
+    p, q, _ = checked(p, q)
+    return _momentum(p, q, qd, _THREE)
+
+
+def generalized_jacobian(p: npt.ArrayLike, q: npt.ArrayLike) -> Floats:
+    """Jacobian from joint rates to tip twist when the base floats and all momentum is zero.
+
+        J* = J_m - J_b H_b^-1 H_bm                                (Umetani & Yoshida 1989)
+
+    H_b is inverted in closed form: with H taken about the system's centre of mass it is diagonal.
+
+    Returns:
+        (..., 3, n), the twist (vx, vy, omega) in world axes. It tends to J_m as the base's mass
+        and inertia grow.
+
+    Raises:
+        ValueError: shapes do not fit.
+    """
+    p, q, n = checked(p, q)
+    return _generalized_jacobian(p, q, _THREE, np.empty(n))

@@ -1,0 +1,180 @@
+"""The dynamics against Pinocchio and MuJoCo, and against Lagrange's equations."""
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+import pytest
+from fss_arm_model.description import Arm
+from model_arms import random_arm, random_states
+from numpy.testing import assert_allclose
+
+from fss_arm_model import dynamics, kinematics
+
+RELATIVE = 1e-9
+STATES = 125  # for each of n = 1 .. 8: 1,000
+
+
+def pinocchio_model(arm: Arm) -> pin.Model:
+    model = pin.Model()
+    model.gravity.setZero()
+    joint = 0
+    for slide in (pin.JointModelPX(), pin.JointModelPY()):
+        joint = model.addJoint(joint, slide, pin.SE3.Identity(), "")
+    place, body = pin.SE3.Identity(), (arm.base.mass, arm.base.inertia, *arm.base.com)
+    x, y, turn = arm.base.mount
+    for link in arm.links:
+        joint = add_body(model, joint, place, body)
+        place = pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, turn + link.theta_0), np.array([x, y, 0.0]))
+        body = (link.mass, link.inertia, link.g, link.lateral)
+        x, y, turn = link.a, 0.0, 0.0
+    joint = add_body(model, joint, place, body)
+    tip = pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, arm.theta_E), np.array([x, 0.0, 0.0]))
+    model.addFrame(pin.Frame("tip", joint, tip, pin.FrameType.OP_FRAME))
+    return model
+
+
+def add_body(model, parent, place, body):
+    mass, inertia, x, y = body
+    joint = model.addJoint(parent, pin.JointModelRZ(), place, "")
+    about_com = pin.Inertia(mass, np.array([x, y, 0.0]), np.eye(3) * inertia)
+    model.appendBodyToJoint(joint, about_com, pin.SE3.Identity())
+    return joint
+
+
+def mujoco_model(arm: Arm) -> mujoco.MjModel:
+    def body(name, place, joints, mass, inertia, x, y, inner):
+        return (
+            f'<body name="{name}" {place}>{joints}<inertial pos="{x!r} {y!r} 0" mass="{mass!r}" '
+            f'diaginertia="{inertia!r} {inertia!r} {inertia!r}"/>{inner}</body>'
+        )
+
+    hinge = '<joint type="hinge" axis="0 0 1"/>'
+    inner = ""
+    for i in reversed(range(arm.n)):
+        link = arm.links[i]
+        x, y, turn = arm.base.mount if i == 0 else (arm.links[i - 1].a, 0.0, 0.0)
+        place = f'pos="{x!r} {y!r} 0" euler="0 0 {turn + link.theta_0!r}"'
+        inner = body(
+            f"link_{i + 1}", place, hinge, link.mass, link.inertia, link.g, link.lateral, inner
+        )
+    slides = '<joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 1 0"/>'
+    base = body("base", "", slides + hinge, arm.base.mass, arm.base.inertia, *arm.base.com, inner)
+    return mujoco.MjModel.from_xml_string(
+        '<mujoco><compiler angle="radian"/><option gravity="0 0 0"/>'
+        f"<worldbody>{base}</worldbody></mujoco>"
+    )
+
+
+def assert_alike(ours, theirs):
+    assert np.abs(ours - theirs).max() <= RELATIVE * np.abs(theirs).max()
+
+
+@pytest.mark.parametrize("n", range(1, 9))
+def test_against_pinocchio(n):
+    rng = np.random.default_rng(n)
+    arm = random_arm(n, rng)
+    model, p = pinocchio_model(arm), arm.vector()
+    data = model.createData()
+    batch = random_states(n, STATES, rng)
+    H, h = dynamics.inertia_matrix(p, batch[0]), dynamics.bias(p, batch[0], batch[1])
+    qdd = dynamics.forward_dynamics(p, *batch)
+    J, tip = kinematics.tip_jacobian(p, batch[0]), kinematics.tip_pose(p, batch[0])
+    for i, (q, qd, tau) in enumerate(zip(*batch, strict=True)):
+        assert_alike(qdd[i], pin.aba(model, data, q, qd, tau))
+        upper = np.triu(pin.crba(model, data, q))
+        assert_alike(H[i], upper + np.triu(upper, 1).T)
+        assert_alike(h[i], pin.nle(model, data, q, qd))
+        frame = model.getFrameId("tip")
+        axes = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        assert_alike(J[i], pin.computeFrameJacobian(model, data, q, frame, axes)[[0, 1, 5]])
+        place = data.oMf[frame]
+        assert_alike(tip[i, :2], place.translation[:2])
+        assert_allclose(place.rotation[:2, 0], [np.cos(tip[i, 2]), np.sin(tip[i, 2])], atol=1e-12)
+
+
+@pytest.mark.parametrize("n", range(1, 9))
+def test_against_mujoco(n):
+    rng = np.random.default_rng(n)
+    arm = random_arm(n, rng)
+    model, p = mujoco_model(arm), arm.vector()
+    data = mujoco.MjData(model)
+    batch = random_states(n, STATES, rng)
+    H, h = dynamics.inertia_matrix(p, batch[0]), dynamics.bias(p, batch[0], batch[1])
+    qdd = dynamics.forward_dynamics(p, *batch)
+    theirs = np.empty((3 + n, 3 + n))
+    for i, (q, qd, tau) in enumerate(zip(*batch, strict=True)):
+        data.qpos, data.qvel, data.qfrc_applied = q, qd, tau
+        mujoco.mj_forward(model, data)
+        mujoco.mj_fullM(model, data, theirs)
+        assert_alike(H[i], theirs)
+        assert_alike(h[i], data.qfrc_bias)
+        assert_alike(qdd[i], data.qacc)
+
+
+@pytest.mark.parametrize("n", [1, 3, 6])
+def test_bias_follows_from_kinetic_energy(n):
+    """h = dH/dt qd - grad T, by central differences."""
+    rng = np.random.default_rng(n)
+    p, step = random_arm(n, rng).vector(), 1e-6
+    steps = step * np.eye(3 + n)
+    for q, qd, _ in zip(*random_states(n, 10, rng), strict=True):
+        ahead, behind = (dynamics.inertia_matrix(p, q + s * qd) for s in (step, -step))
+        up, down = (dynamics.kinetic_energy(p, q + s, qd) for s in (steps, -steps))
+        lagrange = ((ahead - behind) @ qd - (up - down)) / (2.0 * step)
+        assert_allclose(dynamics.bias(p, q, qd), lagrange, atol=1e-6)
+
+
+@pytest.mark.parametrize("n", [1, 4, 12, 32])
+def test_inverse_and_forward_dynamics_and_the_inertia_matrix_agree(n):
+    rng = np.random.default_rng(n)
+    p = np.concatenate([random_arm(1, rng).vector()] + [random_arm(2, rng).vector()[14:]] * (n - 1))
+    q, qd, tau = random_states(n, 20, rng)
+    qdd = dynamics.forward_dynamics(p, q, qd, tau)
+    assert_allclose(dynamics.inverse_dynamics(p, q, qd, qdd), tau, atol=1e-9 * np.abs(qdd).max())
+    H, h = dynamics.inertia_matrix(p, q), dynamics.bias(p, q, qd)
+    assert_allclose(np.einsum("...ij,...j->...i", H, qdd) + h, tau, atol=1e-9 * np.abs(qdd).max())
+    assert (np.linalg.eigvalsh(H) > 0.0).all()
+
+
+def test_kinetic_energy_is_half_the_inertia_matrix_between_rates():
+    rng = np.random.default_rng(0)
+    p, (q, qd, _) = random_arm(5, rng).vector(), random_states(5, 50, rng)
+    T = 0.5 * np.einsum("...i,...ij,...j", qd, dynamics.inertia_matrix(p, q), qd)
+    assert_allclose(dynamics.kinetic_energy(p, q, qd), T, rtol=1e-12)
+
+
+def test_power_changes_the_kinetic_energy():
+    rng = np.random.default_rng(0)
+    p, step = random_arm(4, rng).vector(), 1e-6
+    for q, qd, tau in zip(*random_states(4, 10, rng), strict=True):
+        qdd = dynamics.forward_dynamics(p, q, qd, tau)
+        ahead, behind = (
+            dynamics.kinetic_energy(p, q + s * qd + 0.5 * s * s * qdd, qd + s * qdd)
+            for s in (step, -step)
+        )
+        assert (ahead - behind) / (2.0 * step) == pytest.approx(qd @ tau, rel=1e-6, abs=1e-6)
+
+
+def test_arms_and_states_broadcast():
+    rng = np.random.default_rng(0)
+    p = np.array([random_arm(3, rng).vector() for _ in range(2)])[:, None]
+    q, qd, tau = random_states(3, 5, rng)
+    for function, states, shape in [
+        (dynamics.inertia_matrix, (q,), (6, 6)),
+        (dynamics.bias, (q, qd), (6,)),
+        (dynamics.inverse_dynamics, (q, qd, tau), (6,)),
+        (dynamics.forward_dynamics, (q, qd, tau), (6,)),
+        (dynamics.kinetic_energy, (q, qd), ()),
+    ]:
+        batch = function(p, *states)
+        assert batch.shape == (2, 5, *shape)
+        single = function(p[1, 0], *(s[3] for s in states))
+        assert_allclose(batch[1, 3], single, rtol=0, atol=0)
+
+
+def test_shapes_that_do_not_fit_are_refused():
+    p = random_arm(2, np.random.default_rng(0)).vector()
+    with pytest.raises(ValueError, match="p and q have the shapes"):
+        dynamics.forward_dynamics(p, np.zeros(7), np.zeros(7), np.zeros(7))
+    with pytest.raises(ValueError, match="mismatch"):
+        dynamics.bias(p, np.zeros(5), np.zeros(6))
