@@ -1,0 +1,1 @@
+"""What every node needs and no node owns: settings, QoS, conversions, bags."""

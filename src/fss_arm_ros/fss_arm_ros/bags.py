@@ -1,0 +1,296 @@
+"""Reading bags as one stream in order of receipt, whatever became of their recorder.
+
+A bag is a folder with metadata.yaml or a single file. A folder of bags, as `record` fills it
+(bag_0, bag_1, ...), counts as one. A bag whose recorder was killed has no index and no
+metadata.yaml: its whole chunks are first copied into a sound bag in a temporary folder.
+"""
+
+from collections.abc import Collection, Iterable, Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+from os import PathLike, link
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple, cast
+
+from mcap.exceptions import InvalidMagic
+from mcap.records import Channel, Chunk, McapRecord, Message, Schema
+from mcap.stream_reader import StreamReader, breakup_chunk
+from rosbags.highlevel import AnyReader, AnyReaderError
+from rosbags.interfaces import Connection, ConnectionExtRosbag2, Qos
+from rosbags.rosbag2 import Reader, StoragePlugin, Writer
+from rosbags.rosbag2.metadata import parse_qos
+from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
+
+AnyPath = str | PathLike[str]
+
+
+class BagError(ValueError):
+    """A bag cannot be read; the message names the file and what is wrong with it."""
+
+
+class Topic(NamedTuple):
+    """What the bags hold of one topic."""
+
+    msgtype: str
+    messages: int
+    qos: list[Qos]  # as offered by its publishers
+    hash: str  # RIHS01 of the type; empty: not known
+
+
+@dataclass(frozen=True)
+class Recovered:
+    """What could be saved of a damaged bag."""
+
+    path: Path
+    messages: int
+    lost: int  # bytes that belong to no whole record
+
+    def __str__(self) -> str:
+        return (
+            f"{self.path}: has no index; {self.messages} messages recovered, "
+            f"{self.lost} bytes at damaged places lost"
+        )
+
+
+class Bags:
+    """Several bags read as one; made by `open_bags`, a context manager."""
+
+    def __init__(self, paths: Iterable[Path]) -> None:
+        self.paths = [bag for path in paths for bag in find(path)]
+        if not self.paths:
+            raise BagError("no bag is given")
+        self.recovered: list[Recovered] = []
+        self._stack = ExitStack()
+        try:
+            self._reader = AnyReader([self._sound(path) for path in self.paths])
+            self._stack.enter_context(self._reader)
+        except (AnyReaderError, OSError) as error:
+            self._stack.close()
+            raise BagError(f"{_list(self.paths)}: {error}") from None
+        except BaseException:
+            self._stack.close()
+            raise
+
+    def _sound(self, path: Path) -> Path:
+        """The bag itself, or its copy without damage."""
+        if is_sound(path):
+            return path
+        folder = Path(self._stack.enter_context(TemporaryDirectory(prefix="fss_arm_bag_")))
+        copy = folder / path.name
+        self.recovered.append(recover(path, copy))
+        return copy
+
+    def __enter__(self) -> "Bags":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the bags and remove what was recovered."""
+        self._stack.close()
+
+    @property
+    def topics(self) -> dict[str, Topic]:
+        """The topics by name."""
+        topics: dict[str, Topic] = {}
+        for c in sorted(self._reader.connections, key=lambda c: c.topic):
+            _, count, qos, _ = topics.get(c.topic, Topic("", 0, [], ""))
+            qos = qos + cast(ConnectionExtRosbag2, c.ext).offered_qos_profiles
+            topics[c.topic] = Topic(c.msgtype, count + c.msgcount, qos, c.digest)
+        return topics
+
+    def raw(self, topics: Collection[str] | None = None) -> Iterator[tuple[str, str, int, bytes]]:
+        """Topic, message type, time of receipt [ns] and serialized message, in order of receipt.
+
+        Args:
+            topics: names of those to read; all by default.
+
+        Raises:
+            BagError: damage is met on the way.
+        """
+        wanted = [c for c in self._reader.connections if topics is None or c.topic in topics]
+        if not wanted:
+            return
+        try:
+            for connection, receipt, data in self._reader.messages(wanted):
+                yield connection.topic, connection.msgtype, receipt, data
+        except OSError:
+            raise
+        except Exception as error:  # rosbags parses damaged bytes as they come
+            raise BagError(f"{_list(self.paths)}: damaged, try doctor --repair: {error}") from None
+
+    def messages(
+        self, topics: Collection[str] | None = None
+    ) -> Iterator[tuple[str, str, int, Any]]:
+        """As `raw`, with the messages deserialized into rosbags' classes."""
+        for topic, msgtype, receipt, data in self.raw(topics):
+            yield topic, msgtype, receipt, self._reader.deserialize(data, msgtype)
+
+
+def open_bags(paths: AnyPath | Iterable[AnyPath]) -> Bags:
+    """Open one or several bags, or folders of bags, to be read as one.
+
+    Raises:
+        BagError: there is no bag, or one that cannot be read.
+    """
+    several = [paths] if isinstance(paths, str | PathLike) else list(paths)
+    return Bags([Path(path) for path in several])
+
+
+def find(path: Path) -> list[Path]:
+    """The bags that a path names, numbered ones in the order of their numbers.
+
+    Raises:
+        BagError: there is none.
+    """
+    if not path.exists():
+        raise BagError(f"{path}: no such file or folder")
+    if path.is_file() or (path / "metadata.yaml").exists() or _storage_files(path):
+        return [path]
+    inner = [p for p in path.iterdir() if p.is_dir() and not p.name.startswith(".")]
+    bags = [p for p in inner if (p / "metadata.yaml").exists() or _storage_files(p)]
+    if not bags:
+        raise BagError(f"{path}: holds no bag")
+    return sorted(bags, key=lambda p: (len(p.name), p.name))
+
+
+def is_sound(path: Path) -> bool:
+    """Whether a bag has its index and metadata.
+
+    Raises:
+        BagError: it is of a kind that cannot be told, or of which nothing can be recovered.
+    """
+    try:
+        with Reader(path):
+            return True
+    except Exception as error:  # rosbags parses damaged bytes as they come
+        files = _storage_files(path)
+        if not files or any(file.suffix != ".mcap" for file in files):
+            raise BagError(f"{path}: {error}") from None
+        return False
+
+
+def recover(path: Path, copy: Path) -> Recovered:
+    """Write the whole chunks of a damaged MCAP bag to `copy`, a sound bag.
+
+    Raises:
+        BagError: a file is not MCAP or has messages without a definition.
+    """
+    messages = lost = 0
+    with Writer(copy, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connections: dict[tuple[str, str], Connection] = {}
+        for file in _storage_files(path):
+            records = _Records(file)
+            schemas: dict[int, Schema] = {}
+            channels: dict[int, Connection] = {}
+            for record in records:
+                if isinstance(record, Schema):
+                    schemas[record.id] = record
+                elif isinstance(record, Channel):
+                    schema = schemas[record.schema_id]
+                    key = (record.topic, schema.name)
+                    if key not in connections:
+                        connections[key] = _connect(writer, file, record, schema)
+                    channels[record.id] = connections[key]
+                elif isinstance(record, Message):
+                    writer.write(channels[record.channel_id], record.log_time, record.data)
+                    messages += 1
+            lost += records.lost
+    return Recovered(path, messages, lost)
+
+
+def repair(path: Path) -> Recovered | None:
+    """Replace a damaged bag by what can be recovered of it; None: it was sound.
+
+    The damaged files stay beside it with `.damaged` appended to their names.
+
+    Raises:
+        BagError: nothing can be recovered.
+        OSError: the result cannot be written.
+    """
+    if is_sound(path):
+        return None
+    bag = path.parent if path.is_file() else path
+    with TemporaryDirectory(dir=bag, prefix=".repair_") as folder:
+        copy = Path(folder, path.stem if path.is_file() else path.resolve().name)
+        recovered = recover(path, copy)
+        for file in _storage_files(path):
+            link(file, file.with_name(f"{file.name}.damaged"))
+        for file in _storage_files(path)[1:]:
+            file.unlink()
+        if path.is_file():
+            (copy / f"{copy.name}.mcap").replace(path)
+            return recovered
+        for file in copy.iterdir():
+            file.replace(bag / file.name)
+    return recovered
+
+
+class _Records:
+    """The schemas, channels and messages in the whole chunks of an MCAP file."""
+
+    def __init__(self, file: Path) -> None:
+        self.file = file
+        self.lost = 0  # bytes met that belong to no whole record
+
+    def __iter__(self) -> Iterator[McapRecord]:
+        size = self.file.stat().st_size
+        with self.file.open("rb") as stream:
+            end = 0  # of the last whole record
+            records = iter(StreamReader(stream, emit_chunks=True, record_size_limit=size).records)
+            while True:
+                try:
+                    record = next(records)
+                except (StopIteration, InvalidMagic) as stop:
+                    if isinstance(stop, InvalidMagic) and end == 0:
+                        raise BagError(f"{self.file}: is not an MCAP file") from None
+                    break
+                except OSError:
+                    raise
+                except Exception:  # the parser takes damaged bytes as they come
+                    break
+                start, end = end, stream.tell()
+                if not isinstance(record, Chunk):
+                    yield record
+                    continue
+                try:
+                    inner = breakup_chunk(record, validate_crc=True)
+                except Exception:  # as above
+                    self.lost += end - start
+                    continue
+                yield from inner
+        self.lost += size - end
+
+
+def _connect(writer: Writer, file: Path, channel: Channel, schema: Schema) -> Connection:
+    """Begin a topic in `writer` as it was in `file`."""
+    try:
+        if schema.encoding != "ros2msg":
+            raise TypesysError(f"definition in {schema.encoding!r} is not understood")
+        text = schema.data.decode()
+        store = get_typestore(Stores.EMPTY)
+        store.register(get_types_from_msg(text, schema.name))
+        digest = store.hash_rihs01(schema.name)
+    except (TypesysError, UnicodeDecodeError) as error:
+        raise BagError(f"{file}: {channel.topic} of type {schema.name}: {error}") from None
+    return writer.add_connection(
+        channel.topic,
+        schema.name,
+        msgdef=text,
+        rihs01=digest,
+        offered_qos_profiles=parse_qos(channel.metadata.get("offered_qos_profiles", "")),
+    )
+
+
+def _storage_files(path: Path) -> list[Path]:
+    """The storage files of a bag, in the order in which they were written."""
+    if path.is_file():
+        return [path]
+    files = [p for p in path.iterdir() if p.suffix in (".mcap", ".db3")]
+    return sorted(files, key=lambda p: (len(p.name), p.name))
+
+
+def _list(paths: Iterable[Path]) -> str:
+    return ", ".join(map(str, paths))

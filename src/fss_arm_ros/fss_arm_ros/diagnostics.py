@@ -1,0 +1,52 @@
+"""A node's health on /diagnostics, once a second."""
+
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+
+OK = DiagnosticStatus.OK
+WARN = DiagnosticStatus.WARN
+ERROR = DiagnosticStatus.ERROR
+
+
+class Health(NamedTuple):
+    """What a node says about itself: OK, WARN or ERROR, a sentence, and counts by name."""
+
+    level: bytes
+    message: str
+    values: Mapping[str, Any] = {}
+
+
+class Diagnostics:
+    """Publishes what `health()` returns as one status named as the node, at 1 Hz of real time.
+
+    The first goes out at once: make it last in a node's constructor.
+    """
+
+    def __init__(self, node: Node, health: Callable[[], Health], hardware_id: str = "") -> None:
+        self.node, self.health, self.hardware_id = node, health, hardware_id
+        self.publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        # Real time: a simulated clock that stands still is something to report.
+        node.create_timer(1.0, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.publish()
+
+    def publish(self) -> None:
+        """Publish now, out of turn."""
+        level, message, values = self.health()
+        status = DiagnosticStatus(
+            level=level,
+            name=self.node.get_name(),
+            message=message,
+            hardware_id=self.hardware_id,
+            values=[KeyValue(key=key, value=_text(value)) for key, value in values.items()],
+        )
+        array = DiagnosticArray(status=[status])
+        array.header.stamp = self.node.get_clock().now().to_msg()
+        self.publisher.publish(array)
+
+
+def _text(value: Any) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,70 @@
+"""The QoS profiles of the workspace, and a subscription that matches any publisher of a sensor."""
+
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.duration import Duration
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
+
+#: Publishers of measurements: bursts must not be lost, and a stalled reader must not stall them.
+SENSOR = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
+
+#: Results and descriptions: who comes late gets the last one.
+LATCHED = QoSProfile(
+    depth=1,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+
+
+def command(time_to_live: float) -> QoSProfile:
+    """Commands: only the last one, and none that is older than its time to live [s]."""
+    return QoSProfile(
+        depth=1,
+        reliability=ReliabilityPolicy.RELIABLE,
+        lifespan=Duration(seconds=time_to_live),
+    )
+
+
+COMMAND = command(1.0)
+
+
+def sensor(*, keep_all: bool = False, best_effort: bool = False) -> QoSProfile:
+    """Subscription to measurements; `keep_all` makes a reliable publisher that keeps all wait."""
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_ALL if keep_all else HistoryPolicy.KEEP_LAST,
+        depth=1000,
+        reliability=ReliabilityPolicy.BEST_EFFORT if best_effort else ReliabilityPolicy.RELIABLE,
+    )
+
+
+def subscribe_sensor(
+    node: Node,
+    kind: type,
+    topic: str,
+    callback: Callable[[Any], None],
+    *,
+    keep_all: bool = False,
+) -> None:
+    """Subscribe reliably, and turn best effort once a publisher shows up that offers no more.
+
+    Best effort matches reliable publishers too, so after the turn all are heard.
+    """
+
+    def turn(event: Any) -> None:
+        if event.last_policy_kind != QoSPolicyKind.RELIABILITY:
+            node.get_logger().warning(f"a publisher of {topic} is not compatible and not heard")
+            return
+        node.get_logger().info(f"{topic} is published best effort: messages may get lost")
+        node.destroy_subscription(reliable)
+        node.create_subscription(kind, topic, callback, sensor(keep_all=keep_all, best_effort=True))
+
+    reliable = node.create_subscription(
+        kind,
+        topic,
+        callback,
+        sensor(keep_all=keep_all),
+        event_callbacks=SubscriptionEventCallbacks(incompatible_qos=turn),
+    )

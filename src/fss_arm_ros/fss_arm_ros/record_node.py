@@ -1,0 +1,125 @@
+"""Records every topic into a rosbag2 (MCAP) bag."""
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
+from rosbags.interfaces import Connection
+
+from .definitions import NotInstalledError, message_class
+from .diagnostics import OK, WARN, Diagnostics, Health
+from .recording import Recording
+from .run import run
+from .settings import declare, setting
+
+
+@dataclass(frozen=True)
+class RecordSettings:
+    """The parameters of a RecordNode."""
+
+    output: str = setting("", "folder of the bags; the next of bag_0, bag_1, ... is written")
+    topics: tuple[str, ...] = setting((), "names of the topics to record; none: all there are")
+
+    def __post_init__(self) -> None:
+        if not self.output:
+            raise ValueError("output is empty, expected the folder of the bags: -p output:=DIR")
+
+
+class RecordNode(Node):
+    """Records topics, as they come up, into the next bag of a folder.
+
+    Hidden topics (a part of the name begins with `_`, as those of actions) are left out.
+    At most the last second is lost when it is killed. The time of receipt is the node's:
+    with use_sim_time it is /clock's, and nothing is recorded before the first /clock.
+    """
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__("record", **options)
+        settings = declare(self, RecordSettings)
+        self.topics = {self.resolve_topic_name(topic) for topic in settings.topics}
+        self.recording = Recording(Path(settings.output))
+        self.heard: dict[str, Subscription] = {}
+        self.connections: dict[str, Connection] = {}
+        self.refused: set[str] = set()
+        self.counts: Counter[str] = Counter()
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(0.2, self.discover, clock=steady)
+        self.create_timer(0.5, partial(self.attempt, self.recording.flush), clock=steady)
+        self.get_logger().info(f"recording to {self.recording.path}")
+        Diagnostics(self, self.health)
+
+    def discover(self) -> None:
+        """Listen to topics that are new, or whose publishers ask for another subscription."""
+        for topic, (msgtype, *_) in self.get_topic_names_and_types():
+            if topic in self.refused or "/_" in topic or (self.topics and topic not in self.topics):
+                continue
+            offered = [info.qos_profile for info in self.get_publishers_info_by_topic(topic)]
+            present = [self.heard[topic].qos_profile] if topic in self.heard else []
+            if offered and match(offered + present) not in present:
+                self.listen(topic, msgtype, offered + present)
+
+    def listen(self, topic: str, msgtype: str, offered: list[QoSProfile]) -> None:
+        """Subscribe to a topic, in place of a subscription that not all publishers match."""
+        try:
+            kind = message_class(msgtype)
+            if topic not in self.connections:
+                self.connections[topic] = self.recording.add(topic, msgtype, offered)
+        except NotInstalledError as error:
+            self.refused.add(topic)
+            self.get_logger().warning(f"{topic} is not recorded: {error}")
+            return
+        if topic in self.heard:
+            self.destroy_subscription(self.heard[topic])
+        take = partial(self.take, self.connections[topic])
+        self.heard[topic] = self.create_subscription(kind, topic, take, match(offered), raw=True)
+
+    def take(self, connection: Connection, data: bytes) -> None:
+        """Keep one serialized message."""
+        receipt = self.get_clock().now().nanoseconds
+        if receipt > 0:  # simulated time stands at 0 before the first /clock
+            self.attempt(self.recording.write, connection, receipt, data)
+            self.counts[connection.topic] += 1
+
+    def attempt(self, step: Callable[..., None], *args: Any) -> None:
+        """Do a step of the recording; end the process if the disk refuses it."""
+        try:
+            step(*args)
+        except OSError as error:
+            self.recording.abort()
+            raise SystemExit(
+                f"cannot write {self.recording.path}: {error.strerror}; what it has is kept"
+            ) from None
+
+    def health(self) -> Health:
+        """Where the recording goes and how much it has, by topic."""
+        values = {"bag": self.recording.path, "messages": self.counts.total(), **self.counts}
+        if self.get_clock().now().nanoseconds == 0:
+            return Health(WARN, "waiting for /clock", values)
+        return Health(OK, f"recording {len(self.connections)} topics", values)
+
+    def close(self) -> None:
+        """End the bag."""
+        self.attempt(self.recording.close)
+
+
+def match(offered: list[QoSProfile]) -> QoSProfile:
+    """The most that all of them grant; KEEP_ALL, so that a replay waits for the recorder."""
+    latched = all(o.durability == DurabilityPolicy.TRANSIENT_LOCAL for o in offered)
+    reliable = all(o.reliability == ReliabilityPolicy.RELIABLE for o in offered)
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_ALL,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+    )
+
+
+def main() -> int:
+    """Entry point."""
+    return run(RecordNode, RecordSettings)

@@ -1,0 +1,106 @@
+"""What every node's `main` does: --help, start, spin, and an end that tells what went wrong."""
+
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import fields
+from inspect import getdoc
+from textwrap import indent
+from typing import Any
+
+import rclpy
+from rclpy.exceptions import ParameterException
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.utilities import remove_ros_args
+
+# rclpy keeps these classes in its extension and offers no public names for them.
+from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError  # isort: skip
+
+
+def run(
+    make_node: Callable[..., Node | Sequence[Node]],
+    settings: type | None = None,
+    args: Sequence[str] | None = None,
+    takes: str = "",
+    executor: Callable[[], Any] = SingleThreadedExecutor,
+) -> int:
+    """Make a node, spin it until it is told to stop or ends by itself, and clean up.
+
+    A node ends by itself by raising SystemExit in a callback, with a code or a reason. A node
+    that has a `close()` is closed before it is destroyed, however it ends.
+
+    Args:
+        make_node: the node's class, or a function that makes one or several; called with the
+            plain arguments.
+        settings: the dataclass that the node declares itself from, for --help.
+        args: the command line; sys.argv by default.
+        takes: what the plain arguments are, as `BAG...`; without it there may be none.
+        executor: makes the executor to spin in.
+
+    Returns:
+        The exit code: 0 after SIGINT, SIGTERM or shutdown, 1 when the node cannot be made (its
+        ValueError or OSError is printed in one line), 2 for a wrong command line.
+    """
+    argv = list(sys.argv if args is None else args)
+    name = argv[0].rsplit("/", 1)[-1]
+    try:
+        plain = remove_ros_args(argv)[1:]
+    except (RCLError, UnknownROSArgsError) as error:
+        return _failed(name, str(error).split(", at /")[0], 2)  # the rest: places in rcl's source
+    if {"-h", "--help"} & set(plain):
+        print(usage(name, make_node, settings, takes))
+        return 0
+    if plain and not takes:
+        return _failed(name, f"{plain[0]!r} is not understood; try --help", 2)
+    nodes: Sequence[Node] = ()
+    try:
+        rclpy.init(args=argv)
+        made = make_node(*plain)
+        nodes = made if isinstance(made, Sequence) else [made]
+        spinner = executor()
+        for node in nodes:
+            spinner.add_node(node)
+        spinner.spin()
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    except SystemExit as end:
+        if isinstance(end.code, str):
+            return _failed(name, end.code, 1)
+        return end.code or 0
+    except RCLError as error:
+        # A context shut down by a signal shows as this error in whatever call it meets.
+        if not nodes:
+            return _failed(name, error, 2)
+        if rclpy.ok():
+            raise
+    except (ValueError, OSError, ParameterException) as error:
+        if nodes:
+            raise
+        return _failed(name, error, 1)
+    finally:
+        for node in nodes:
+            getattr(node, "close", lambda: None)()
+            node.destroy_node()
+        rclpy.try_shutdown()
+    return 0
+
+
+def usage(name: str, make_node: Callable[..., Any], settings: type | None, takes: str) -> str:
+    """One screen of help: what the node does, its parameters with their defaults."""
+    lines = [f"{name} {takes}".strip() + " [--ros-args -p PARAMETER:=VALUE ...]", ""]
+    lines += [getdoc(make_node) or "", ""]
+    for f in fields(settings) if settings else ():
+        lines.append(f"  {f.name} (default {_shown(f.default)})")
+        lines.append(indent(f.metadata["about"], "      "))
+    return "\n".join(lines).rstrip()
+
+
+def _shown(default: Any) -> str:
+    if isinstance(default, tuple):
+        return f"[{', '.join(map(_shown, default))}]"
+    return str(default).lower() if isinstance(default, bool) else str(default) or "''"
+
+
+def _failed(name: str, reason: object, code: int) -> int:
+    print(f"{name}: {' '.join(str(reason).split())}", file=sys.stderr)
+    return code

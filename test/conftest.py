@@ -1,0 +1,159 @@
+"""Fixtures that all tests share.
+
+Every test process has a ROS domain of its own, so that runs side by side do not hear each other,
+and field checks on: without them rclpy publishes nonsense for a value of the wrong type.
+"""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+
+def claim_domain() -> tuple[int, socket.socket]:
+    """A ROS domain that no other test process on this machine has, and the socket that holds it.
+
+    Names of abstract sockets are unique within the network namespace, as domains are, and go
+    with the process.
+    """
+    for domain in range(101, 65, -1):  # above 101 DDS ports meet the system's ephemeral ports
+        holder = socket.socket(socket.AF_UNIX)
+        try:
+            holder.bind(f"\0fss_arm_test_domain_{domain}")
+        except OSError:
+            holder.close()
+            continue
+        return domain, holder
+    raise RuntimeError("no free ROS domain from 66 to 101: too many test processes")
+
+
+DOMAIN, _HOLDER = claim_domain()
+
+# Before anything imports rclpy.
+os.environ["ROS_DOMAIN_ID"] = str(DOMAIN)
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--slow", action="store_true", help="run the tests that take minutes, too")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    if config.getoption("--slow"):
+        return
+    for item in items:
+        if "slow" in item.keywords:
+            item.add_marker(pytest.mark.skip(reason="needs --slow"))
+
+
+@pytest.fixture(scope="session", autouse=True)
+def ros_log_dir(tmp_path_factory: pytest.TempPathFactory) -> None:
+    os.environ["ROS_LOG_DIR"] = str(tmp_path_factory.mktemp("ros_log"))
+
+
+@pytest.fixture(scope="session")
+def domain() -> int:
+    """The ROS domain of this process and of those it starts."""
+    return DOMAIN
+
+
+@pytest.fixture
+def ros() -> Iterator[None]:
+    """rclpy, initialized for one test."""
+    import rclpy
+    from rclpy.signals import SignalHandlerOptions
+
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    yield
+    rclpy.try_shutdown()
+
+
+def wait_until(until: Callable[[], Any], timeout: float, step: Callable[[], Any]) -> Any:
+    """Call `step` until `until()` is true and return that; fail at the deadline [s]."""
+    deadline = time.monotonic() + timeout
+    while not (got := until()):
+        if time.monotonic() > deadline:
+            pytest.fail(f"not within {timeout} s")
+        step()
+    return got
+
+
+@pytest.fixture
+def spin(ros: None) -> Iterator[Callable[..., Any]]:
+    """spin(nodes, until, timeout=10.0): run nodes in this thread until `until()` holds.
+
+    Returns what `until()` returned; fails at the deadline. Nodes once given are closed (if they
+    have a `close`) and destroyed after the test.
+    """
+    from rclpy.executors import SingleThreadedExecutor
+
+    executor = SingleThreadedExecutor()
+
+    def run(nodes: Any, until: Callable[[], Any], timeout: float = 10.0) -> Any:
+        for node in nodes if isinstance(nodes, Iterable) else [nodes]:
+            executor.add_node(node)  # adding it again changes nothing
+        return wait_until(until, timeout, lambda: executor.spin_once(timeout_sec=0.02))
+
+    yield run
+    for node in executor.get_nodes():
+        getattr(node, "close", lambda: None)()
+        executor.remove_node(node)
+        node.destroy_node()
+    executor.shutdown()
+
+
+class Program:
+    """A process of ours under test: its output so far, and how it ended."""
+
+    def __init__(self, module: str, args: tuple[Any, ...], log: Path, env: dict[str, str]) -> None:
+        code = f"import sys; from {module} import main; sys.exit(main())"
+        self.log = log
+        with log.open("wb") as output:
+            self.process = subprocess.Popen(
+                [sys.executable, "-c", code, *map(str, args)],
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                stdin=subprocess.DEVNULL,
+                env={**os.environ, **env},
+            )
+
+    @property
+    def output(self) -> str:
+        return self.log.read_text(errors="replace")
+
+    def wait(self, timeout: float = 20.0) -> int:
+        """Wait for the end and return the exit code."""
+        try:
+            return self.process.wait(timeout)
+        except subprocess.TimeoutExpired:
+            pytest.fail(f"still running after {timeout} s:\n{self.output}")
+
+    def stop(self, how: int = signal.SIGTERM, timeout: float = 20.0) -> int:
+        """Send a signal and return the exit code (negative: the signal killed it)."""
+        self.process.send_signal(how)
+        return self.wait(timeout)
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Iterator[Callable[..., Program]]:
+    """start(module, *args, **env): run the `main` of a module as a process of its own."""
+    programs: list[Program] = []
+
+    def begin(module: str, *args: Any, **env: str) -> Program:
+        log = tmp_path / f"{len(programs)}_{module.rsplit('.', 1)[-1]}.log"
+        programs.append(Program(module, args, log, env))
+        return programs[-1]
+
+    yield begin
+    for program in programs:
+        if program.process.poll() is None:
+            program.process.kill()
+            program.process.wait()

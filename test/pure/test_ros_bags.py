@@ -1,0 +1,215 @@
+"""Bags: written, read by others, cut anywhere, and read again."""
+
+import shutil
+
+import pytest
+from fss_arm_ros.bags import BagError, find, is_sound, open_bags, repair
+from fss_arm_ros.definitions import definition
+from fss_arm_ros.doctor import main as doctor
+from fss_arm_ros.qos import SENSOR
+from fss_arm_ros.recording import Recording, bag_qos, next_bag
+from mcap.reader import make_reader
+from ros_bags import SECOND, START, fill, joint_state, make_bag, make_killed_bag, states
+from rosbags.highlevel import AnyReader
+from rosbags.interfaces import QosDurability
+from rosbags.rosbag2 import Reader
+
+
+def test_rosbags_reads_what_was_written(tmp_path):
+    bag = make_bag(tmp_path)
+    with AnyReader([bag]) as reader:  # which checks the type hashes against the definitions
+        by_topic = {c.topic: c for c in reader.connections}
+        assert by_topic["/joint_states"].msgcount == 100
+        assert by_topic["/joint_states"].digest == definition("sensor_msgs/msg/JointState").hash
+        assert by_topic["/joint_states"].ext.offered_qos_profiles == [bag_qos(SENSOR)]
+        text = by_topic["/robot_description"].ext.offered_qos_profiles[0]
+        assert text.durability == QosDurability.TRANSIENT_LOCAL
+        got = [
+            (t, reader.deserialize(raw, c.msgtype))
+            for c, t, raw in reader.messages([by_topic["/joint_states"]])
+        ]
+    for k, (t, message) in enumerate(got):
+        sent = joint_state(k)
+        assert t == START + k * SECOND // 100
+        assert message.header.stamp.nanosec == sent.header.stamp.nanosec
+        assert message.name == sent.name
+        assert message.position.tolist() == sent.position.tolist()
+        assert message.effort.tolist() == sent.effort.tolist()
+
+
+def test_the_mcap_library_reads_what_was_written(tmp_path):
+    bag = make_bag(tmp_path)
+    with (bag / "bag_0.mcap").open("rb") as stream:
+        reader = make_reader(stream)
+        assert reader.get_summary().statistics.message_count == 101
+        assert sum(1 for _ in reader.iter_messages()) == 101
+
+
+def test_bags_are_numbered_on(tmp_path):
+    assert [make_bag(tmp_path, 1).name for _ in range(3)] == ["bag_0", "bag_1", "bag_2"]
+    (tmp_path / "bag_11").mkdir()
+    (tmp_path / "bag_old").mkdir()
+    assert next_bag(tmp_path).name == "bag_12"
+
+
+def test_a_bag_is_no_folder_for_bags(tmp_path):
+    with pytest.raises(FileExistsError, match="is a bag itself"):
+        Recording(make_bag(tmp_path))
+
+
+def test_numbered_bags_are_one_whatever_became_of_them(tmp_path):
+    for number in range(12):
+        make = make_killed_bag if number % 3 == 1 else make_bag
+        make(tmp_path, 10, first=10 * number)
+    with open_bags(tmp_path) as bags:
+        assert [path.name for path in bags.paths] == [f"bag_{n}" for n in range(12)]
+        assert len(bags.recovered) == 4
+        assert states(bags.messages(["/joint_states"])) == list(range(120))
+        assert bags.topics["/joint_states"].messages == 120
+        receipts = [receipt for _, _, receipt, _ in bags.raw()]
+    assert receipts == sorted(receipts)
+
+
+def test_several_paths_are_one(tmp_path):
+    late, early = make_bag(tmp_path / "a", 10, first=10), make_bag(tmp_path / "b", 10)
+    with open_bags([late, early / "bag_0.mcap"]) as bags:
+        assert states(bags.messages()) == list(range(20))
+
+
+def test_a_topic_that_is_not_there_gives_nothing(tmp_path):
+    with open_bags(make_bag(tmp_path)) as bags:
+        assert list(bags.raw(["/no_such"])) == []
+
+
+def test_a_bag_without_messages(tmp_path):
+    Recording(tmp_path).close()
+    Recording(tmp_path).abort()
+    with open_bags(tmp_path) as bags:
+        assert bags.topics == {}
+        assert list(bags.messages()) == []
+
+
+def chunk_ends(path):
+    """Places in the file behind each whole chunk with its index, and all between records."""
+    data, at, ends, chunks = path.read_bytes(), 8, [8], []
+    while at < len(data) - 8:
+        length = int.from_bytes(data[at + 1 : at + 9], "little")
+        if data[at] == 6:
+            chunks.append(at + 9 + length)
+        at += 9 + length
+        ends.append(at)
+    return ends, chunks
+
+
+def test_a_file_cut_anywhere_gives_all_its_whole_chunks(tmp_path):
+    whole = make_bag(tmp_path / "whole", 40)
+    data = (whole / "bag_0.mcap").read_bytes()
+    ends, chunks = chunk_ends(whole / "bag_0.mcap")
+    assert len(chunks) == 4
+    around = {end + d for end in ends for d in (-9, -1, 0, 1, 5, 9, 30) if 0 <= end + d < len(data)}
+    for cut in sorted({0, 1, 7, *around, *range(8, len(data), 997)}):
+        bag = tmp_path / f"cut_{cut}"
+        bag.mkdir()
+        (bag / "bag_0.mcap").write_bytes(data[:cut])
+        with open_bags(bag) as bags:
+            assert states(bags.messages()) == list(range(10 * sum(c <= cut for c in chunks)))
+            assert len(bags.recovered) == 1
+        shutil.rmtree(bag)
+
+
+def test_zeros_at_the_end_as_after_a_loss_of_power(tmp_path):
+    bag = make_killed_bag(tmp_path)
+    with (bag / "bag_0.mcap").open("ab") as stream:
+        stream.write(bytes(4096))
+    with open_bags(bag) as bags:
+        assert states(bags.messages()) == list(range(100))
+
+
+def test_repair_makes_a_bag_that_ordinary_readers_take_and_keeps_the_damaged_file(tmp_path):
+    bag = make_killed_bag(tmp_path)
+    before = (bag / "bag_0.mcap").read_bytes()
+    assert not is_sound(bag)
+    recovered = repair(bag)
+    assert recovered is not None
+    assert recovered.messages == 101
+    assert (bag / "bag_0.mcap.damaged").read_bytes() == before
+    assert sorted(p.name for p in bag.iterdir()) == [
+        "bag_0.mcap",
+        "bag_0.mcap.damaged",
+        "metadata.yaml",
+    ]
+    with Reader(bag) as reader:
+        assert reader.message_count == 101
+        assert [c.ext.offered_qos_profiles for c in reader.connections if "joint" in c.topic] == [
+            [bag_qos(SENSOR)]
+        ]
+    assert repair(bag) is None
+    with open_bags(tmp_path) as bags:
+        assert states(bags.messages()) == list(range(100))
+
+
+def test_repair_of_a_single_file(tmp_path):
+    file = make_killed_bag(tmp_path) / "bag_0.mcap"
+    repair(file)
+    with Reader(file) as reader:
+        assert reader.message_count == 101
+
+
+def test_what_is_no_bag_is_named(tmp_path):
+    text = tmp_path / "text.mcap"
+    text.write_text("this is not a bag, whatever its name says")
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    other = tmp_path / "text.txt"
+    other.write_text("neither is this")
+    for path, wrong in [
+        (tmp_path / "none", "no such file"),
+        (empty, "holds no bag"),
+        (text, "not an MCAP file"),
+        (other, "text.txt"),
+    ]:
+        with pytest.raises(BagError, match=wrong) as error:
+            open_bags(path)
+        assert str(path) in str(error.value)
+    with pytest.raises(BagError, match="no bag is given"):
+        open_bags([])
+
+
+def test_damage_within_is_an_error_and_not_less_data(tmp_path):
+    bag = make_bag(tmp_path)
+    file = bag / "bag_0.mcap"
+    data = bytearray(file.read_bytes())
+    _, chunks = chunk_ends(file)
+    data[chunks[0] + 200 : chunks[2]] = bytes(chunks[2] - chunks[0] - 200)
+    file.write_bytes(data)
+    with open_bags(bag) as bags, pytest.raises(BagError, match="doctor --repair"):
+        list(bags.raw())
+
+
+def test_find_takes_numbers_as_numbers(tmp_path):
+    for name in ("bag_10", "bag_9"):
+        shutil.copytree(make_bag(tmp_path / "made", 1), tmp_path / "all" / name)
+    assert [p.name for p in find(tmp_path / "all")] == ["bag_9", "bag_10"]
+
+
+def test_doctor_tells_and_its_exit_code_is_true(tmp_path, capsys):
+    good, bad = make_bag(tmp_path / "good"), make_killed_bag(tmp_path / "bad")
+    assert doctor([str(good)]) == 0
+    said = capsys.readouterr().out
+    assert "101 messages, 0.990 s" in said
+    assert "/joint_states" in said
+    assert "100.00" in said
+    assert doctor([str(good), str(bad)]) == 1
+    assert "101 messages recovered" in capsys.readouterr().out
+    assert doctor([str(bad), "--repair"]) == 0
+    assert doctor([str(bad)]) == 0
+    assert doctor([str(tmp_path / "none")]) == 2
+    assert "no such file" in capsys.readouterr().err
+
+
+def test_a_bag_still_being_recorded_reads_as_far_as_it_is(tmp_path):
+    recording = Recording(tmp_path)
+    fill(recording, 45)
+    with open_bags(recording.path) as bags:
+        assert states(bags.messages()) == list(range(40))
+    recording.close()

@@ -1,0 +1,56 @@
+"""Conversions between messages and plain values, for rclpy's and rosbags' classes alike."""
+
+from math import nan, pi
+
+import pytest
+from fss_arm_ros.convert import PoseError, planar_pose, pose_stamped, seconds, stamp_ns, to_time
+from geometry_msgs.msg import Pose
+from hypothesis import given
+from hypothesis import strategies as st
+from rclpy.serialization import serialize_message
+from rosbags.typesys import Stores, get_typestore
+
+
+@given(st.integers(0, 2**31 * 10**9 - 1))
+def test_times_survive_to_the_nanosecond(ns):
+    assert stamp_ns(to_time(ns)) == ns
+
+
+def test_seconds():
+    assert seconds(1_500_000_000) == 1.5
+
+
+@given(st.floats(-4, 4), st.floats(-4, 4), st.floats(-pi, pi, exclude_min=True))
+def test_a_planar_pose_survives(x, y, heading):
+    got = planar_pose(pose_stamped(0, "world", (x, y, heading)).pose)
+    assert got == (x, y, pytest.approx(heading, abs=1e-15))
+
+
+def test_a_pose_of_rosbags_reads_the_same():
+    store = get_typestore(Stores.ROS2_JAZZY)
+    message = pose_stamped(12_345_678_901, "world", (0.1, -0.2, 2.0), z=0.3)
+    read = store.deserialize_cdr(serialize_message(message), "geometry_msgs/msg/PoseStamped")
+    assert planar_pose(read.pose) == planar_pose(message.pose)
+    assert stamp_ns(read.header.stamp) == 12_345_678_901
+
+
+def test_a_tilt_does_not_disturb_the_heading():
+    pose = Pose()
+    pose.orientation.x, pose.orientation.w = 0.6, 0.8  # rolled about the x axis, which stays
+    assert planar_pose(pose)[2] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "said"),
+    [
+        ("orientation", (0.0, 0.0, 0.0, 0.0), "occluded"),
+        ("orientation", (0.0, 0.0, nan, 1.0), "finite"),
+        ("position", (nan, 0.0, 0.0), "finite"),
+    ],
+)
+def test_poses_that_say_nothing_are_refused(field, value, said):
+    pose = Pose()
+    for axis, number in zip("xyzw", value, strict=False):
+        setattr(getattr(pose, field), axis, number)
+    with pytest.raises(PoseError, match=said):
+        planar_pose(pose)

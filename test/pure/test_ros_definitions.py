@@ -1,0 +1,41 @@
+"""Definitions from the installed .msg files."""
+
+import pytest
+from fss_arm_ros.definitions import NotInstalledError, definition, message_class
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+JAZZY = get_typestore(Stores.ROS2_JAZZY)
+
+
+@pytest.mark.parametrize(
+    "msgtype",
+    [
+        "sensor_msgs/msg/JointState",
+        "sensor_msgs/msg/Imu",
+        "geometry_msgs/msg/PoseStamped",
+        "diagnostic_msgs/msg/DiagnosticArray",
+        "nav_msgs/msg/OccupancyGrid",
+        "visualization_msgs/msg/MarkerArray",
+        "rcl_interfaces/msg/ParameterEvent",
+        "std_msgs/msg/Empty",
+    ],
+)
+def test_hash_is_that_of_the_distribution(msgtype):
+    assert definition(msgtype).hash == JAZZY.hash_rihs01(msgtype)
+
+
+def test_the_text_is_the_installed_one_with_its_comments_and_defines_all():
+    text = definition("fss_arm_msgs/msg/KinematicObservations").text
+    assert "# Every rest seen so far" in text
+    assert "MSG: fss_arm_msgs/KinematicObservation\n" in text
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg(text, "fss_arm_msgs/msg/KinematicObservations"))
+    assert "builtin_interfaces/msg/Time" in store.fielddefs
+
+
+@pytest.mark.parametrize("msgtype", ["no_such_msgs/msg/A", "std_msgs/msg/NoSuch"])
+def test_what_is_not_installed_is_named(msgtype):
+    with pytest.raises(NotInstalledError, match=msgtype):
+        definition(msgtype)
+    with pytest.raises(NotInstalledError, match=msgtype):
+        message_class(msgtype)

@@ -1,0 +1,54 @@
+"""Bags made for tests."""
+
+from pathlib import Path
+from typing import Any
+
+from builtin_interfaces.msg import Time
+from fss_arm_ros.qos import LATCHED, SENSOR
+from fss_arm_ros.recording import Recording
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+
+SECOND = 1_000_000_000
+START = 1_700_000_000 * SECOND
+
+
+def joint_state(k: int) -> JointState:
+    """A message that is like no other."""
+    message = JointState(name=[f"joint_{k % 4 + 1}"], position=[0.001 * k], effort=[-0.5 * k])
+    message.header.stamp = Time(sec=k, nanosec=k)
+    return message
+
+
+def fill(recording: Recording, count: int, first: int = 0, chunk: int = 10) -> None:
+    """Record `count` joint states 10 ms apart, and a latched text at the beginning."""
+    text = recording.add("/robot_description", "std_msgs/msg/String", [LATCHED])
+    states = recording.add("/joint_states", "sensor_msgs/msg/JointState", [SENSOR])
+    recording.write(text, START + first * SECOND // 100, serialize_message(String(data="arm")))
+    for k in range(first, first + count):
+        recording.write(states, START + k * SECOND // 100, serialize_message(joint_state(k)))
+        if (k + 1) % chunk == 0:
+            recording.flush()
+
+
+def make_bag(folder: Path, count: int = 100, first: int = 0) -> Path:
+    """A whole bag, the next one in `folder`."""
+    recording = Recording(folder)
+    fill(recording, count, first)
+    recording.close()
+    return recording.path
+
+
+def make_killed_bag(folder: Path, count: int = 100, first: int = 0) -> Path:
+    """A bag as a killed recorder leaves it: whole chunks, no index, no metadata."""
+    recording = Recording(folder)
+    fill(recording, count, first)
+    recording.flush()
+    recording.abort()
+    return recording.path
+
+
+def states(messages: Any) -> list[int]:
+    """The numbers k of the joint states among messages as `Bags.messages` gives them."""
+    return [m.header.stamp.sec for topic, _, _, m in messages if topic == "/joint_states"]
