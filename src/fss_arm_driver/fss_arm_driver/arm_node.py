@@ -1,0 +1,259 @@
+"""The node of the whole arm: moves of all joints together, and one answer for all links."""
+
+import sys
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from fss_arm_model.description import Arm, load, paper_arm
+from fss_arm_ros.convert import SECOND
+from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
+from fss_arm_ros.qos import command, subscribe_sensor
+from fss_arm_ros.run import run
+from fss_arm_ros.settings import declare, setting
+from rclpy.action import ActionServer, CancelResponse
+from rclpy.action.server import ServerGoalHandle
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.task import Future
+from std_msgs.msg import Empty
+from std_srvs.srv import SetBool
+
+from fss_arm_driver.move import Move, MoveError, Profile, plan
+from fss_arm_driver.scale import Scale
+from fss_arm_msgs.action import MoveArm
+from fss_arm_msgs.msg import LinkCommand, LinkTelemetry
+
+ANSWER = 4.0  # a link's driver has answered by then [s]
+
+
+@dataclass(frozen=True)
+class ArmSettings:
+    """The parameters of an ArmNode."""
+
+    arm: str = setting("", "file of the arm's description; empty: the paper's arm")
+    rate: float = setting(5.0, "commands sent to each link a second during a move [1/s]")
+    time_to_live: float = setting(1.0, "of a command, and of what a link reported [s]")
+    tolerance: float = setting(0.005, "a joint nearer to its goal has reached it [rad]")
+    still: float = setting(0.01, "a joint slower than this is at rest [rad/s]")
+    patience: float = setting(5.0, "time that a move may take beyond what was planned [s]")
+
+    def __post_init__(self) -> None:
+        for name in ("rate", "time_to_live", "tolerance", "still", "patience"):
+            if not 0.0 < (value := getattr(self, name)) < 1e6:
+                raise ValueError(f"{name} is {value}, expected a positive number")
+
+    def description(self) -> Arm:
+        """The arm to move."""
+        return load(self.arm) if self.arm else paper_arm()
+
+
+@dataclass(frozen=True)
+class LinkState:
+    """What one link reported last."""
+
+    heard: int  # [ns]
+    q: float  # [rad]
+    qd: float  # [rad/s]
+    armed: bool
+
+
+class ArmNode(Node):
+    """Moves all joints to given angles so that they arrive together; arms and disarms all links."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__("arm", **options)
+        self.settings = declare(self, ArmSettings)
+        self.arm = self.settings.description()
+        self.numbers = range(1, self.arm.n + 1)
+        self.links: dict[int, LinkState] = {}
+        self.moving, self.stopped = False, False
+        self.ticked: Future = Future()
+
+        lifespan = command(self.settings.time_to_live)
+        self.commands = [
+            self.create_publisher(LinkCommand, f"link_{i}/command", lifespan) for i in self.numbers
+        ]
+        waits = ReentrantCallbackGroup()  # moves and answers take their time; all else goes on
+        self.armers = [
+            self.create_client(SetBool, f"link_{i}/arm", callback_group=waits) for i in self.numbers
+        ]
+        for i, link in enumerate(self.arm.links, 1):
+            self.listen(i, Scale(link))
+        self.create_subscription(Empty, "arm/stop", self.on_stop, 10)
+        self.create_service(SetBool, "arm/arm", self.on_arm, callback_group=waits)
+        self.create_timer(1.0 / self.settings.rate, self.tick)
+        self.mover = ActionServer(
+            self,
+            MoveArm,
+            "arm/move",
+            self.on_move,
+            cancel_callback=lambda _: CancelResponse.ACCEPT,
+            callback_group=waits,
+        )
+        self.diagnostics = Diagnostics(self, self.health)
+
+    def listen(self, number: int, scale: Scale) -> None:
+        """Keep the state of one link."""
+
+        def take(message: LinkTelemetry) -> None:
+            q, qd = scale.position(message.position), scale.velocity(message.velocity)
+            self.links[number] = LinkState(self.now(), q, qd, message.armed)
+
+        subscribe_sensor(self, LinkTelemetry, f"link_{number}/telemetry", take)
+
+    def now(self) -> int:
+        """The node's clock [ns]."""
+        return int(self.get_clock().now().nanoseconds)
+
+    def tick(self) -> None:
+        """Let a move under way go on."""
+        self.ticked, ticked = Future(), self.ticked
+        ticked.set_result(None)
+
+    def on_stop(self, _: Empty) -> None:
+        """The links' drivers stop by themselves; a move ends."""
+        self.stopped = True
+
+    async def on_move(self, handle: ServerGoalHandle) -> MoveArm.Result:
+        """Execute `arm/move`."""
+        message = ""
+        try:
+            await self.move(handle)
+        except MoveError as error:
+            message = str(error)
+        if not message:
+            handle.succeed()
+        elif handle.is_cancel_requested:
+            handle.canceled()
+        else:
+            self.get_logger().warning(f"move ended: {message}")
+            handle.abort()
+        return MoveArm.Result(reached=not message, message=message, q=self.q())
+
+    async def move(self, handle: ServerGoalHandle) -> None:
+        """Send the links where they shall go until they are there.
+
+        Raises:
+            MoveError: it cannot be begun, or ended before.
+        """
+        if self.moving:
+            raise MoveError("another move is under way")
+        self.stopped = False
+        self.check(handle)
+        goal = tuple(handle.request.q)
+        move, begun = plan(self.arm, self.q(), goal, handle.request.duration), self.now()
+        self.moving = True
+        try:
+            while not self.reached(move):
+                elapsed = (self.now() - begun) / SECOND
+                if elapsed > move.duration + self.settings.patience:
+                    raise MoveError(f"not reached within {elapsed:.1f} s, {self.farthest(move)}")
+                self.send(map(position, move.profiles))
+                remaining = max(0.0, move.duration - elapsed)
+                handle.publish_feedback(MoveArm.Feedback(q=self.q(), remaining=remaining))
+                await self.ticked
+                self.check(handle)
+        except MoveError:
+            self.send([LinkCommand(mode=LinkCommand.VELOCITY)] * self.arm.n)  # come to rest
+            raise
+        finally:
+            self.moving = False
+
+    def check(self, handle: ServerGoalHandle) -> None:
+        """Raise MoveError if the arm cannot move or shall not any more."""
+        if handle.is_cancel_requested:
+            raise MoveError("cancelled")
+        if self.stopped:
+            raise MoveError("stopped")
+        for i, trouble in self.troubles().items():
+            raise MoveError(f"link {i} {trouble}")
+
+    def troubles(self) -> dict[int, str]:
+        """What keeps each link from moving, if anything does."""
+        oldest = self.now() - self.settings.time_to_live * SECOND
+        silent = {
+            i: "is silent"
+            for i in self.numbers
+            if i not in self.links or self.links[i].heard < oldest
+        }
+        return silent or {i: "is not armed" for i in self.numbers if not self.links[i].armed}
+
+    def q(self) -> tuple[float, ...]:
+        """Present readings (n) [rad]; () while a link has never been heard."""
+        return tuple(self.links[i].q for i in self.numbers if len(self.links) == self.arm.n)
+
+    def reached(self, move: Move) -> bool:
+        """Whether all joints are at their goals and at rest."""
+        return all(
+            abs(self.links[i].q - part.target) <= self.settings.tolerance
+            and abs(self.links[i].qd) <= self.settings.still
+            for i, part in enumerate(move.profiles, 1)
+        )
+
+    def farthest(self, move: Move) -> str:
+        """The joint that is farthest from its goal, in words."""
+        off = [abs(q - part.target) for q, part in zip(self.q(), move.profiles, strict=True)]
+        return f"joint {off.index(max(off)) + 1} is off by {max(off):.4f} rad"
+
+    def send(self, messages: Iterable[LinkCommand]) -> None:
+        """Send each link its command, given now."""
+        stamp = self.get_clock().now().to_msg()
+        for publisher, message in zip(self.commands, messages, strict=True):
+            message.header.stamp = stamp
+            message.time_to_live = self.settings.time_to_live
+            publisher.publish(message)
+
+    async def on_arm(self, request: SetBool.Request, response: SetBool.Response) -> Any:
+        """Pass the request on to all links at once; succeed if all do."""
+        pending = [self.ask(client, request) for client in self.armers]
+        answers = [await answer for answer in pending]
+        texts = [
+            f"link {i} did not answer" if answer is None else answer.message
+            for i, answer in enumerate(answers, 1)
+            if answer is None or not answer.success
+        ]
+        words = "armed" if request.data else "disarmed"
+        response.success = not texts
+        response.message = "; ".join(texts) or f"all {self.arm.n} links are {words}"
+        return response
+
+    def ask(self, client: Any, request: SetBool.Request) -> Future:
+        """The answer to a request, or None when it has not come in time or nobody is there."""
+        if not client.service_is_ready():
+            nobody = Future()
+            nobody.set_result(None)
+            return nobody
+        answer = client.call_async(request)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        timer = self.create_timer(ANSWER, answer.cancel, clock=steady)
+        answer.add_done_callback(lambda _: self.destroy_timer(timer))
+        return answer
+
+    def health(self) -> Health:
+        """For diagnostics."""
+        troubles = self.troubles()
+        values = {f"link {i}": troubles.get(i, "armed") for i in self.numbers}
+        if troubles:
+            return Health(WARN, "; ".join(f"link {i} {why}" for i, why in troubles.items()), values)
+        return Health(OK, "moving" if self.moving else "ready", values)
+
+
+def position(part: Profile) -> LinkCommand:
+    """One joint's part in a move as a command."""
+    return LinkCommand(
+        mode=LinkCommand.POSITION,
+        set_point=part.target,
+        max_velocity=part.velocity,
+        max_acceleration=part.acceleration,
+    )
+
+
+def main() -> int:
+    """Run as `ros2 run fss_arm_driver arm`."""
+    return run(ArmNode, ArmSettings)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

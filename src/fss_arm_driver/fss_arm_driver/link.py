@@ -1,0 +1,381 @@
+"""The driver's side of one link as a state machine: datagrams in and out, no I/O and no clock.
+
+Which telemetry is believed, when the link counts as lost and is adopted again, and what it is told
+meanwhile, is as docs/protocol.md says. All times are the caller's, in integer nanoseconds.
+"""
+
+from collections import Counter, deque
+from dataclasses import dataclass
+from enum import Enum
+from math import inf, nan
+
+from fss_arm_model.description import Link
+
+from fss_arm_driver.clock import LinkClock
+from fss_arm_driver.protocol import (
+    Command,
+    FrameError,
+    Mode,
+    Order,
+    Refusal,
+    Slow,
+    State,
+    Telemetry,
+    decode,
+    encode,
+    newer,
+)
+from fss_arm_driver.scale import CommandError, Scale, SetPoint
+
+SECOND = 1_000_000_000  # [ns]
+EARLY = SECOND // 10  # delays vary: a frame may seem to come from the future by so much
+MEMORY = 10 * SECOND  # how long a lost link and its clock are remembered
+PATIENCE = 2 * SECOND  # a link that has not armed by then is left disarmed
+SHORTEST_PERIOD = 1000  # of telemetry, in the link's clock [us]
+CANDIDATES = 16  # more than one, so that noise cannot displace a link that begins to talk
+STAMPS_KEPT = 1024  # of commands sent, which an echo may name
+
+
+class Arming(Enum):
+    """What the driver wants of the link, and how far that has come."""
+
+    DISARMED = "disarmed"
+    ARMING = "arming"
+    ARMED = "armed"
+    STOPPED = "stopped"
+
+
+class Verdict(Enum):
+    """How a frame compares with an earlier one of the same link."""
+
+    FOLLOWS = "follows"
+    STALE = "stale"
+    REPEATED = "repeated"
+    REORDERED = "reordered"
+    JUMP = "jump"
+
+
+#: What may happen to a telemetry frame but to be believed.
+TROUBLES = (
+    *(reason.value for reason in Refusal),
+    *("foreign", "impossible", "stale", "repeated", "reordered", "candidates", "missed"),
+)
+COUNTS = (
+    *("received", "believed", *TROUBLES, "adopted", "lost"),
+    *("sent", "commands_clamped", "commands_refused"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """A telemetry frame that is believed, in host time and SI units."""
+
+    frame: Telemetry
+    stamp: int  # host time of the measurement [ns]
+    deviation: float  # of the stamp, 1 sigma [s]; infinite before a round trip
+    round_trip: float  # [s]; NaN before a round trip
+    position: float  # [rad]
+    velocity: float  # [rad/s]
+    torque: float  # [N m]
+    slow: dict[Slow, int]  # the last report of each slow field
+    armed: bool
+
+
+@dataclass(frozen=True, slots=True)
+class _Track:
+    """The last frame of a link, the clock that its frames are timed by, and their usual period."""
+
+    frame: Telemetry
+    clock: LinkClock
+    period: float = 0.0  # in the link's clock [us]; 0: not known yet
+
+    def then(self, frame: Telemetry) -> "_Track":
+        """The track with its next frame; a single late one hardly changes the usual period."""
+        steps = (frame.sequence - self.frame.sequence) & 0xFFFFFFFF
+        last = (frame.clock - self.frame.clock) / steps
+        if self.period:
+            last = self.period + (min(last, 2.0 * self.period) - self.period) / 8
+        return _Track(frame, self.clock, last)
+
+
+class LinkSession:
+    """What the driver knows and wants of one link.
+
+    Args:
+        number: of the link, as in its frames.
+        description: its units and limits.
+        timeout: silence after which the link is lost [s].
+        watchdog: silence after which the link shall disarm itself [s].
+        resolution: step of the clock that the caller reads [s].
+    """
+
+    def __init__(
+        self,
+        number: int,
+        description: Link,
+        timeout: float = 1.0,
+        watchdog: float = 2.0,
+        resolution: float = 0.0,
+    ) -> None:
+        self.number = number
+        self.scale = Scale(description)
+        self.counts = Counter(dict.fromkeys(COUNTS, 0))
+        self.arming = Arming.DISARMED
+        self.lost = True
+        self._timeout = round(timeout * SECOND)
+        self._watchdog = round(watchdog * 1000)  # [ms]
+        self._resolution = round(resolution * SECOND)
+        self._now = 0
+        self._heard = 0  # when a frame was last believed
+        self._track: _Track | None = None  # believed; remembered for a while when lost
+        self._candidates: deque[_Track] = deque(maxlen=CANDIDATES)  # on probation
+        self._slow: dict[Slow, int] = {}
+        self._stamp = 0  # of the last sample
+        self._order: SetPoint | None = None
+        self._expiry = 0  # of the order
+        self._arm_asked = 0  # when
+        self._sequence = 0
+        self._sent: dict[int, int] = {}  # low 32 bits of a command's stamp: when it was sent
+
+    @property
+    def armed(self) -> bool:
+        """Whether the link may move: this driver armed it, and it says so itself."""
+        return self.arming is Arming.ARMED
+
+    @property
+    def frame(self) -> Telemetry | None:
+        """The last frame believed; None while the link is lost."""
+        return self._track.frame if self._track and not self.lost else None
+
+    @property
+    def round_trip(self) -> float:
+        """Time under way, there and back, of the exchange that maps the clock [s], or NaN."""
+        return self._track.clock.round_trip if self._track else nan
+
+    def deviation(self, now: int) -> float:
+        """Standard deviation of a stamp [s]; infinite before a round trip."""
+        return self._track.clock.deviation(now) if self._track else inf
+
+    def silence(self, now: int) -> float:
+        """Time since a frame was last believed [s]; infinite if none ever was."""
+        return 1e-9 * (now - self._heard) if self.counts["believed"] else inf
+
+    def arm(self, now: int) -> None:
+        """Ask the link to arm, also after a stop; `arming` tells how far that has come.
+
+        Raises:
+            CommandError: the link is lost.
+        """
+        self.tick(now)
+        if self.lost:
+            silence = self.silence(now)
+            past = "not heard yet" if silence == inf else f"silent for {silence:.1f} s"
+            raise CommandError(f"link {self.number} is lost: {past}")
+        if self.arming is not Arming.ARMED:
+            self.arming, self._arm_asked = Arming.ARMING, now
+
+    def disarm(self) -> None:
+        """Let the joint come to rest and switch the drive off. A stop stays latched."""
+        self._order = None
+        if self.arming is not Arming.STOPPED:
+            self.arming = Arming.DISARMED
+
+    def stop(self) -> None:
+        """Stop now and stay so until armed anew."""
+        self._order = None
+        self.arming = Arming.STOPPED
+
+    def set(
+        self,
+        mode: int,
+        value: float,
+        velocity: float,
+        acceleration: float,
+        expiry: int,
+        now: int,
+    ) -> None:
+        """Take a command in SI units, in force until host time `expiry`.
+
+        Raises:
+            CommandError: it cannot be followed; what was in force stays.
+        """
+        self.tick(now)
+        try:
+            if not self.armed:
+                raise CommandError(f"link {self.number} is {self.arming.value}, not armed")
+            if expiry <= now:
+                raise CommandError(f"the command expired {1e-9 * (now - expiry):.3f} s ago")
+            order = self.scale.set_point(mode, value, velocity, acceleration)
+        except CommandError:
+            self.counts["commands_refused"] += 1
+            raise
+        self._order, self._expiry = order, expiry
+        self.counts["commands_clamped"] += order.clamped
+
+    def tick(self, now: int) -> None:
+        """Let time pass: loss, expiry, arming that came to nothing, a clock that was set back."""
+        if now < self._now - EARLY:  # by less: a clock that is being corrected
+            self._lose()
+            self._track = None
+            self._candidates.clear()
+            self._sent.clear()
+            self._heard, self._stamp = now, 0
+        self._now = now
+        if not self.lost and now - self._heard > self._timeout:
+            self._lose()
+        if self.lost and now - self._heard > MEMORY:
+            self._track = None
+        if self._order and now > self._expiry:
+            self._order = None
+        if self.arming is Arming.ARMING and now - self._arm_asked > PATIENCE:
+            self.arming = Arming.DISARMED
+
+    def command(self, now: int) -> bytes:
+        """The frame to send now."""
+        self.tick(now)
+        clock = now // 1000
+        self._sent[clock & 0xFFFFFFFF] = now
+        if len(self._sent) > STAMPS_KEPT:
+            del self._sent[next(iter(self._sent))]
+        self._sequence = (self._sequence + 1) & 0xFFFFFFFF
+        self.counts["sent"] += 1
+        flags, expiry, order = self._wanted(now)
+        frame = self.frame
+        return encode(
+            Command(
+                link=self.number,
+                flags=flags,
+                boot=frame.boot if frame else 0,
+                sequence=self._sequence,
+                clock=clock,
+                expiry=self._track.clock.to_link(expiry) if self._track and expiry else 0,
+                mode=order.mode if order else Mode.OFF,
+                watchdog=self._watchdog,
+                set_point=order.value if order else 0,
+                velocity=order.velocity if order else 0,
+                acceleration=order.acceleration if order else 0,
+            )
+        )
+
+    def _wanted(self, now: int) -> tuple[int, int, SetPoint | None]:
+        """Flags, host time of expiry and set point of the next command."""
+        frame = self.frame
+        if self.arming is Arming.STOPPED:
+            return Order.STOP, 0, None
+        if frame is None or self.arming is Arming.DISARMED:
+            return 0, 0, None
+        if self.arming is Arming.ARMING and frame.flags & (State.STOPPED | State.WATCHDOG):
+            return 0, 0, None  # latches are cleared by a frame that does not arm
+        if self._order is None or self.scale.outward(self._order, frame.position):
+            return Order.ARM | Order.HOLD, now + self._timeout, None
+        return Order.ARM, self._expiry, self._order
+
+    def feed(self, data: bytes, now: int) -> Sample | None:
+        """Take a datagram; return what it says if it is to be believed."""
+        self.tick(now)
+        self.counts["received"] += 1
+        if (frame := self._decode(data)) is None:
+            return None
+        verdict = self._compare(self._track, frame, now, late=self._timeout)
+        if self._track and verdict is Verdict.FOLLOWS:
+            return self._believe(self._track, frame, now)
+        if verdict is not Verdict.JUMP:
+            self.counts[verdict.value] += 1
+            return None
+        for track in self._candidates if self.lost else ():
+            if self._compare(track, frame, now, late=EARLY) is Verdict.FOLLOWS:
+                return self._believe(track, frame, now)
+        self.counts["candidates"] += 1
+        self._candidates.append(_Track(frame, LinkClock(frame.clock, now, self._resolution)))
+        return None
+
+    def _decode(self, data: bytes) -> Telemetry | None:
+        """The telemetry of this link that these bytes are, or None, counted."""
+        try:
+            frame = decode(data)
+        except FrameError as error:
+            self.counts[error.reason.value] += 1
+            return None
+        if not isinstance(frame, Telemetry) or frame.link != self.number:
+            self.counts["foreign"] += 1
+            return None
+        if not self.scale.possible(frame):
+            self.counts["impossible"] += 1
+            return None
+        return frame
+
+    def _compare(self, track: _Track | None, frame: Telemetry, now: int, late: int) -> Verdict:
+        """Whether `frame` follows from `track` and is at most `late` [ns] older than it seems."""
+        if track is None or frame.boot != track.frame.boot:
+            return Verdict.JUMP
+        age = now - track.clock.to_host(frame.clock)
+        if age > late:
+            return Verdict.STALE
+        if frame.sequence == track.frame.sequence:
+            return Verdict.REPEATED
+        if not newer(frame.sequence, track.frame.sequence):
+            return Verdict.REORDERED
+        period = frame.clock - track.frame.clock
+        steps = (frame.sequence - track.frame.sequence) & 0xFFFFFFFF
+        turned = frame.position - track.frame.position
+        known_to = track.clock.half_width(now)
+        early = EARLY + (known_to if known_to < self._timeout else 0)
+        if age < -early or period < steps * max(SHORTEST_PERIOD, track.period / 2):
+            return Verdict.JUMP
+        return Verdict.FOLLOWS if self.scale.reachable(turned, period) else Verdict.JUMP
+
+    def _believe(self, track: _Track, frame: Telemetry, now: int) -> Sample:
+        """Take `frame`, which follows from `track`, as the link's state."""
+        if self.lost:
+            self._adopt(frame)
+        self.counts["believed"] += 1
+        self.counts["missed"] += ((frame.sequence - track.frame.sequence) & 0xFFFFFFFF) - 1
+        # A link that was silent may not have counted meanwhile: its period is learned anew.
+        self._track = _Track(frame, track.clock) if self.lost else track.then(frame)
+        self._candidates.clear()
+        self._heard, self.lost = now, False
+        self._slow[Slow(frame.slow_id)] = frame.slow_value
+        echoed = self._sent.get(frame.echo) if frame.echo else None
+        self._follow_arming(frame, echoed)
+        return self._sample(frame, echoed, now)
+
+    def _adopt(self, frame: Telemetry) -> None:
+        """A link that was not followed until now: nothing is wanted of it."""
+        self.counts["adopted"] += 1
+        self.disarm()
+        if self._track is None or frame.boot != self._track.frame.boot:
+            self._slow = {}
+
+    def _lose(self) -> None:
+        self.counts["lost"] += not self.lost
+        self.lost = True
+        self.disarm()
+
+    def _follow_arming(self, frame: Telemetry, echoed: int | None) -> None:
+        """Arming is done when the link says so in answer to what was sent since it was asked."""
+        armed = bool(frame.flags & State.ARMED)
+        if self.arming is Arming.ARMED and not armed:
+            self.disarm()
+        elif self.arming is Arming.ARMING and armed and echoed and echoed >= self._arm_asked:
+            self.arming = Arming.ARMED
+
+    def _sample(self, frame: Telemetry, echoed: int | None, now: int) -> Sample:
+        assert self._track is not None
+        clock = self._track.clock
+        if echoed is None:
+            clock.one_way(frame.clock, now)
+        else:
+            clock.exchange(echoed, frame.turnaround, frame.clock, now)
+        # A better estimate of the clock never turns the stamps back.
+        self._stamp = max(clock.to_host(frame.clock), self._stamp + 1)
+        return Sample(
+            frame=frame,
+            stamp=self._stamp,
+            deviation=clock.deviation(now),
+            round_trip=clock.round_trip,
+            position=self.scale.position(frame.position),
+            velocity=self.scale.velocity(frame.velocity),
+            torque=self.scale.torque(frame.torque),
+            slow=dict(self._slow),
+            armed=self.armed,
+        )

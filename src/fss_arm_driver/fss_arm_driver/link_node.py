@@ -1,0 +1,301 @@
+"""The node of one link: its telemetry to topics, commands to its electronics.
+
+A thread waits for datagrams and wakes the executor, so that one is taken the moment it comes and
+an idle node does nothing; all else happens in the executor.
+"""
+
+import sys
+from dataclasses import dataclass
+from threading import Event, Thread
+from typing import Any
+
+from fss_arm_model.description import Arm, load, paper_arm
+from fss_arm_ros.convert import stamp_ns, to_time
+from fss_arm_ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
+from fss_arm_ros.qos import COMMAND, SENSOR
+from fss_arm_ros.run import run
+from fss_arm_ros.settings import declare, setting
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.task import Future
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Empty
+from std_srvs.srv import SetBool
+
+from fss_arm_driver.link import SECOND, TROUBLES, Arming, LinkSession, Sample
+from fss_arm_driver.protocol import Slow, State
+from fss_arm_driver.scale import CommandError
+from fss_arm_driver.transport import Transport, open_transport
+from fss_arm_msgs.msg import LinkCommand, LinkTelemetry
+
+SIMULATED_STEP = 0.01  # of /clock [s]
+LATCHED_WORDS = {State.STOPPED: "the link is stopped", State.WATCHDOG: "its watchdog tripped"}
+
+
+@dataclass(frozen=True)
+class LinkSettings:
+    """The parameters of a LinkNode."""
+
+    link: int = setting(1, "number of the link, as in its frames; 1 beside the base")
+    url: str = setting("udp://127.0.0.1:5001?bind=6001", "where the link's electronics are")
+    urls: tuple[str, ...] = setting((), "urls of links 1, 2, ... to host all in one process")
+    rate: float = setting(5.0, "command frames sent a second [1/s]")
+    timeout: float = setting(1.0, "silence after which the link counts as lost [s]")
+    watchdog: float = setting(2.0, "silence after which the link disarms itself [s]")
+    arm: str = setting("", "file of the arm's description; empty: the paper's arm")
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.link <= 255:
+            raise ValueError(f"link is {self.link}, expected 1 to 255")
+        if not 0.1 <= self.rate <= 1000.0:
+            raise ValueError(f"rate is {self.rate} 1/s, expected 0.1 to 1000")
+        if not 0.0 < self.timeout <= 3600.0:
+            raise ValueError(f"timeout is {self.timeout} s, expected above 0 to 3600")
+        if not 0.001 <= self.watchdog <= 65.535:
+            raise ValueError(f"watchdog is {self.watchdog} s, expected 0.001 to 65.535")
+
+    def description(self) -> Arm:
+        """The arm that the link is part of."""
+        return load(self.arm) if self.arm else paper_arm()
+
+
+class LinkNode(Node):
+    """Publishes what one link measures, as it comes, and sends it commands at a steady rate.
+
+    Args:
+        number: of the link.
+        url: where its electronics are.
+        transport: instead of `url`.
+    """
+
+    def __init__(
+        self, number: int = 1, url: str = "", transport: Transport | None = None, **options: Any
+    ) -> None:
+        overrides = [Parameter("link", value=number), *options.pop("parameter_overrides", ())]
+        if url:
+            overrides.append(Parameter("url", value=url))
+        super().__init__(f"link_{number}", parameter_overrides=overrides, **options)
+        self.settings = settings = declare(self, LinkSettings)
+        arm = settings.description()
+        if number > arm.n:
+            raise ValueError(f"link is {number}, expected 1 to {arm.n}, as arm {arm.name!r} has")
+        simulated = self.get_parameter("use_sim_time").value
+        self.session = LinkSession(
+            number,
+            arm.links[number - 1],
+            settings.timeout,
+            settings.watchdog,
+            SIMULATED_STEP if simulated else 0.0,
+        )
+        self.transport = transport or open_transport(settings.url)
+        self.name = f"link_{number}"
+        self.warned = ""
+        self.reported = dict(self.session.counts), 0
+        self.waiting: list[Future] = []
+
+        self.joint_states = self.create_publisher(JointState, "joint_states", SENSOR)
+        self.telemetry = self.create_publisher(LinkTelemetry, f"{self.name}/telemetry", SENSOR)
+        self.create_subscription(LinkCommand, f"{self.name}/command", self.on_command, COMMAND)
+        self.create_subscription(Empty, "arm/stop", self.on_stop, 10)
+        group = ReentrantCallbackGroup()  # the answer waits for the link's; all else goes on
+        self.create_service(SetBool, f"{self.name}/arm", self.on_arm, callback_group=group)
+        self.create_timer(1.0 / settings.rate, self.send)
+        self.waker = Waker(self.transport, self.create_guard_condition(self.poll))
+        self.diagnostics = Diagnostics(self, self.health, self.settings.url)
+
+    def now(self) -> int:
+        """The node's clock [ns]; 0 before the first /clock if that is followed."""
+        return int(self.get_clock().now().nanoseconds)
+
+    def poll(self) -> None:
+        """Take what has come. Without a clock yet nothing can be stamped: it is dropped."""
+        datagrams, now = self.transport.receive(), self.now()
+        self.waker.taken()
+        for data in datagrams if now else ():
+            if sample := self.session.feed(data, now):
+                self.joint_states.publish(joint_state(self.session.number, sample))
+                self.telemetry.publish(telemetry(sample))
+        self.answer_arming()
+
+    def send(self) -> None:
+        """Send the command of the moment."""
+        self.transport.send(self.session.command(self.now()))
+        self.answer_arming()
+
+    def on_command(self, message: LinkCommand) -> None:
+        """Take a command, from the time that its stamp says it was given."""
+        now = self.now()
+        given = min(stamp_ns(message.header.stamp) or now, now)
+        try:
+            if not 0.0 < message.time_to_live <= 3600.0:
+                raise CommandError(f"time_to_live is {message.time_to_live} s, expected above 0")
+            self.session.set(
+                message.mode,
+                message.set_point,
+                message.max_velocity,
+                message.max_acceleration,
+                given + round(message.time_to_live * SECOND),
+                now,
+            )
+        except CommandError as error:
+            self.warn(f"command refused: {error}")
+
+    def on_stop(self, _: Empty) -> None:
+        """Stop at once."""
+        self.session.stop()
+        self.send()
+
+    async def on_arm(self, request: SetBool.Request, response: SetBool.Response) -> Any:
+        """Arm or disarm; answer when the link has."""
+        if not request.data:
+            self.session.disarm()
+            self.send()
+            response.success, response.message = True, f"{self.name} is {self.session.arming.value}"
+            return response
+        try:
+            self.session.arm(self.now())
+            self.waiting.append(settled := Future())
+            self.send()
+            await settled
+            response.success, response.message = self.session.armed, self.state()
+        except CommandError as error:
+            response.success, response.message = False, str(error)
+        return response
+
+    def answer_arming(self) -> None:
+        """Once arming has ended, let those who asked for it know."""
+        while self.waiting and self.session.arming is not Arming.ARMING:
+            self.waiting.pop().set_result(None)
+
+    def state(self) -> str:
+        """In words, for people."""
+        frame = self.session.frame
+        flags = frame.flags if frame else 0
+        latches = [words for latch, words in LATCHED_WORDS.items() if flags & latch]
+        return ": ".join([f"{self.name} is {self.session.arming.value}", *latches])
+
+    def warn(self, text: str) -> None:
+        """Log a warning once in a row, as commands are repeated."""
+        if text != self.warned:
+            self.get_logger().warning(text)
+        self.warned = text
+
+    def health(self) -> Health:
+        """For diagnostics."""
+        session, now = self.session, self.now()
+        session.tick(now)
+        (before, then), counts = self.reported, dict(session.counts)
+        self.reported = counts, now
+        values = {
+            "state": session.arming.value,
+            "age [s]": session.silence(now),
+            "round trip [s]": session.round_trip,
+            "clock deviation [s]": session.deviation(now),
+            **counts,
+            **self.transport.counts,
+        }
+        if now == then:
+            return Health(WARN, "the clock stands still", values)
+        if session.lost:
+            return Health(ERROR, f"{self.name} is lost", values)
+        if any(counts[key] > before[key] for key in TROUBLES):
+            return Health(WARN, f"{self.state()}; frames were lost or refused", values)
+        return Health(OK, self.state(), values)
+
+    def close(self) -> None:
+        """Give the port back."""
+        self.waker.close()
+        self.transport.close()
+
+
+class Waker(Thread):
+    """Triggers a guard condition when datagrams have come, once until they are taken."""
+
+    def __init__(self, transport: Transport, guard: Any) -> None:
+        super().__init__(daemon=True)
+        self.transport, self.guard = transport, guard
+        self.closing, self._taken = False, Event()
+        self.start()
+
+    def run(self) -> None:
+        """Wait, wake, wait until taken."""
+        while not self.closing:
+            if self.transport.wait(0.2):
+                self._taken.clear()
+                self.guard.trigger()
+                self._taken.wait()
+
+    def taken(self) -> None:
+        """Wake again for whatever comes from now on."""
+        self._taken.set()
+
+    def close(self) -> None:
+        """End the thread."""
+        self.closing = True
+        self._taken.set()
+        self.join()
+
+
+def joint_state(number: int, sample: Sample) -> JointState:
+    """A sample as the joint's state at the time of the measurement."""
+    message = JointState(
+        name=[f"joint_{number}"],
+        position=[sample.position],
+        velocity=[sample.velocity],
+        effort=[sample.torque],
+    )
+    message.header.stamp = to_time(sample.stamp)
+    return message
+
+
+def telemetry(sample: Sample) -> LinkTelemetry:
+    """A sample with everything that the link reported, raw."""
+    frame, slow = sample.frame, sample.slow
+    message = LinkTelemetry(
+        link=frame.link,
+        boot=frame.boot,
+        sequence=frame.sequence,
+        clock=frame.clock,
+        clock_deviation=sample.deviation,
+        round_trip=sample.round_trip,
+        position=frame.position,
+        velocity=frame.velocity,
+        current=frame.current,
+        torque=frame.torque,
+        torque_age=frame.torque_age,
+        mode=frame.mode,
+        flags=frame.flags,
+        status=frame.status,
+        temperature=slow.get(Slow.TEMPERATURE, 0),
+        armed=sample.armed,
+        **{
+            field.name.lower(): slow.get(field, 0) & 0xFFFFFFFF
+            for field in Slow
+            if field is not Slow.TEMPERATURE
+        },
+    )
+    message.header.stamp = to_time(sample.stamp)
+    message.header.frame_id = f"link_{frame.link}"
+    return message
+
+
+def make_nodes() -> list[LinkNode]:
+    """The nodes that the parameters ask for: one link, or all of `urls`."""
+    probe = Node("link", enable_rosout=False, start_parameter_services=False)
+    try:
+        settings = declare(probe, LinkSettings)
+    finally:
+        probe.destroy_node()
+    if not settings.urls:
+        return [LinkNode(settings.link, settings.url)]
+    return [LinkNode(number, url) for number, url in enumerate(settings.urls, 1)]
+
+
+def main() -> int:
+    """Run as `ros2 run fss_arm_driver link`."""
+    return run(make_nodes, LinkSettings)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,76 @@
+"""A move in which all joints begin and arrive together: one trapezoid, scaled joint by joint.
+
+With s from 0 to 1 as the common path, joint i turns by d_i s(t): its profile velocity is
+|d_i| V and its acceleration |d_i| A for the rate V and acceleration A of s, the largest that no
+joint's limits forbid. The drives run the profiles by themselves.
+"""
+
+from dataclasses import dataclass
+from math import inf, isfinite, sqrt
+
+from fss_arm_model.description import Arm
+
+STILL = 1e-9  # [rad], a way not worth a profile
+
+
+class MoveError(ValueError):
+    """A move that must not be begun; the message says which joint, value and limits."""
+
+
+@dataclass(frozen=True)
+class Profile:
+    """One joint's part in a move."""
+
+    target: float  # [rad]
+    velocity: float  # [rad/s]
+    acceleration: float  # [rad/s^2]
+
+
+@dataclass(frozen=True)
+class Move:
+    """A planned move."""
+
+    profiles: tuple[Profile, ...]
+    duration: float  # [s]
+
+
+def plan(arm: Arm, q: tuple[float, ...], goal: tuple[float, ...], duration: float = 0.0) -> Move:
+    """Plan the move of all joints from `q` to `goal`, both (n) readings [rad].
+
+    Args:
+        arm: the limits.
+        q: where the joints are, at rest.
+        goal: where they shall be.
+        duration: how long it shall take [s]; one shorter than the limits allow, as 0, means as
+            fast as they do.
+
+    Raises:
+        MoveError: wrong number of joints, a number that is not finite, or a goal beyond a limit.
+    """
+    if len(goal) != arm.n:
+        raise MoveError(f"q has {len(goal)} joints, expected {arm.n}")
+    if not (isfinite(duration) and duration >= 0.0):
+        raise MoveError(f"duration is {duration} s, expected 0 or more")
+    for i, (link, angle) in enumerate(zip(arm.links, goal, strict=True), 1):
+        if not link.q_min <= angle <= link.q_max:
+            raise MoveError(
+                f"q of joint {i} is {angle} rad, expected {link.q_min:.6g} to {link.q_max:.6g}"
+            )
+    way = [d if (d := abs(b - a)) > STILL else 0.0 for a, b in zip(q, goal, strict=True)]
+    drives = [link.drive for link in arm.links]
+    rate = min((k.max_velocity / d for k, d in zip(drives, way, strict=True) if d), default=inf)
+    gain = min((k.max_acceleration / d for k, d in zip(drives, way, strict=True) if d), default=inf)
+    fastest = _duration(rate, gain)
+    slower = max(1.0, duration / fastest) if fastest else 1.0
+    profiles = tuple(
+        Profile(angle, d * rate / slower, d * gain / slower**2) if d else Profile(angle, 0.0, 0.0)
+        for angle, d in zip(goal, way, strict=True)
+    )  # a profile of 0 leaves it to the link's limits
+    return Move(profiles, max(fastest, duration) if fastest else 0.0)
+
+
+def _duration(rate: float, gain: float) -> float:
+    """Time that a path of length 1 takes [s]; it may be too short to reach its rate."""
+    if rate * rate < gain:
+        return 1.0 / rate + rate / gain
+    return 2.0 / sqrt(gain)

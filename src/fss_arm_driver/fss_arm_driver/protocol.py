@@ -1,0 +1,262 @@
+"""The links' wire protocol, version 1: telemetry and command frames to bytes and back.
+
+The layout and what both sides do with it are in docs/protocol.md. No I/O and no state here, and
+raw counts only: whoever holds the arm's description turns them into SI units.
+"""
+
+import struct
+from dataclasses import dataclass, field, fields
+from enum import Enum, IntEnum, IntFlag
+from typing import Any
+from zlib import crc32
+
+FRAME_SIZE = 72  # the Wi-Fi shields drop longer datagrams
+MAGIC = 0x4653
+VERSION = 1
+
+VELOCITY_UNIT = 0.1  # [counts/s]
+ACCELERATION_UNIT = 10.0  # [counts/s^2]
+CURRENT_UNIT = 0.01  # [A]
+
+
+def _unsigned(bits: int) -> Any:
+    return field(metadata={"range": (0, (1 << bits) - 1)})
+
+
+def _signed(bits: int) -> Any:
+    return field(metadata={"range": (-(1 << bits - 1), (1 << bits - 1) - 1)})
+
+
+class Mode(IntEnum):
+    """What the servo drive controls, by the drive's own numbers."""
+
+    OFF = 0
+    CURRENT = 1
+    VELOCITY = 11
+    POSITION = 21
+
+
+class State(IntFlag):
+    """Flags of a telemetry frame."""
+
+    ARMED = 1
+    STOPPED = 2  # latched until a command frame with neither arm nor stop
+    WATCHDOG = 4  # commands ceased; disarmed for that reason
+    REFERENCED = 8  # the encoder's zero is known
+
+
+class Order(IntFlag):
+    """Flags of a command frame."""
+
+    ARM = 1  # absent: disarm
+    STOP = 2  # disarm and latch it
+    HOLD = 4  # decelerate and hold where the joint comes to rest
+    CLEAR_FAULTS = 8
+
+
+class Slow(IntEnum):
+    """Fields that change slowly and take turns in `Telemetry.slow_value`."""
+
+    FAULTS = 1
+    SUPPLY = 2
+    BATTERY = 3
+    TEMPERATURE = 4
+    FIRMWARE = 5
+    HOMINGS = 6
+    REFUSED = 7
+
+
+@dataclass(frozen=True, slots=True)
+class Telemetry:
+    """What a link reports: one measurement, in the servo drive's and torque converter's counts."""
+
+    link: int = _unsigned(8)  # 1 beside the base
+    flags: int = _unsigned(8)  # State
+    boot: int = _unsigned(16)  # counts the starts of the link's electronics, from 1
+    sequence: int = _unsigned(32)  # counts the frames since the start, modulo 2^32
+    clock: int = _unsigned(64)  # the link's own clock at the measurement [us since its start]
+    echo: int = _unsigned(32)  # low 32 bits of the `clock` of the last command taken; 0: none yet
+    turnaround: int = _unsigned(32)  # from that command's arrival to the measurement [us]
+    position: int = _signed(32)  # [counts]
+    velocity: int = _signed(32)  # [0.1 counts/s]
+    current: int = _signed(16)  # [0.01 A]
+    mode: int = _unsigned(8)  # Mode
+    slow_id: int = _unsigned(8)  # Slow
+    status: int = _unsigned(32)  # the servo drive's status word
+    torque: int = _signed(24)  # 24 bits, two's complement [counts]
+    torque_age: int = _unsigned(8)  # of the torque sample at the measurement [ms]; 255: or more
+    slow_value: int = _signed(32)  # of the field `slow_id`
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """What a link shall do until `expiry` or the next command."""
+
+    link: int = _unsigned(8)
+    flags: int = _unsigned(8)  # Order
+    boot: int = _unsigned(16)  # of the link that is meant; 0: not known yet, never with ARM
+    sequence: int = _unsigned(32)  # counts the frames of one host session, modulo 2^32
+    clock: int = _unsigned(64)  # the host's stamp, echoed by the link [us]
+    expiry: int = _unsigned(64)  # in the link's clock [us]; 0: none, never with ARM
+    mode: int = _unsigned(8)  # Mode
+    watchdog: int = _unsigned(16)  # silence after which the link disarms itself [ms], 1 or more
+    set_point: int = _signed(32)  # [0.01 A], [0.1 counts/s] or [counts], by mode
+    velocity: int = _signed(32)  # of the profile [0.1 counts/s]
+    acceleration: int = _signed(32)  # of the profile [10 counts/s^2]
+
+
+class Refusal(Enum):
+    """Why bytes are not a frame, in the order of the checks."""
+
+    LENGTH = "length"
+    MAGIC = "magic"
+    VERSION = "version"
+    KIND = "kind"
+    CRC = "crc"
+    SIGNATURE = "signature"
+    FIELD = "field"
+
+
+class FrameError(ValueError):
+    """These bytes are not a frame, or these values do not make one; `reason` says why."""
+
+    def __init__(self, reason: Refusal, message: str) -> None:
+        super().__init__(message)
+        self.reason = reason
+
+
+_TELEMETRY, _COMMAND = 1, 2
+_HEAD = "<HBBBBHIQ"  # magic, version, kind, link, flags, boot, sequence, clock
+_TELEMETRY_BODY = struct.Struct(_HEAD + "IIiihBBIIi")  # torque and its age share one word
+_COMMAND_BODY = struct.Struct(_HEAD + "QBBHiii8s")
+_TAIL = struct.Struct("<I16s")  # CRC-32, signature
+_CRC_AT = FRAME_SIZE - _TAIL.size
+_UNSIGNED = bytes(16)
+_RESERVED = bytes(8)
+
+_MODES = frozenset(Mode)
+_STATES, _ORDERS = sum(State), sum(Order)
+_SLOW_IDS = frozenset(Slow)
+
+
+def newer(sequence: int, than: int) -> bool:
+    """Whether `sequence` comes after `than`, modulo 2^32 (RFC 1982)."""
+    return 0 < (sequence - than) & 0xFFFFFFFF < 0x80000000
+
+
+def encode(frame: Telemetry | Command) -> bytes:
+    """The 72 bytes of `frame`.
+
+    Raises:
+        FrameError: a value does not fit its field or its meaning; the message names it.
+    """
+    _check_ranges(frame)
+    _check_meaning(frame)
+    kind = _TELEMETRY if isinstance(frame, Telemetry) else _COMMAND
+    head = (MAGIC, VERSION, kind, frame.link, frame.flags, frame.boot, frame.sequence, frame.clock)
+    if isinstance(frame, Telemetry):
+        body = _pack_telemetry(head, frame)
+    else:
+        body = _pack_command(head, frame)
+    return body + _TAIL.pack(crc32(body), _UNSIGNED)
+
+
+def decode(data: bytes) -> Telemetry | Command:
+    """The frame that these bytes are.
+
+    Raises:
+        FrameError: they are none; nothing else is ever raised, whatever the bytes.
+    """
+    if len(data) != FRAME_SIZE:
+        raise FrameError(Refusal.LENGTH, f"{len(data)} bytes, expected {FRAME_SIZE}")
+    magic, version, kind = struct.unpack_from("<HBB", data)
+    if magic != MAGIC:
+        raise FrameError(Refusal.MAGIC, f"magic is {magic:#06x}, expected {MAGIC:#06x}")
+    if version != VERSION:
+        raise FrameError(Refusal.VERSION, f"version is {version}, expected {VERSION}")
+    if kind not in (_TELEMETRY, _COMMAND):
+        raise FrameError(Refusal.KIND, f"kind is {kind}, expected {_TELEMETRY} or {_COMMAND}")
+    crc, signature = _TAIL.unpack_from(data, _CRC_AT)
+    if crc != crc32(data[:_CRC_AT]):
+        raise FrameError(Refusal.CRC, f"CRC is {crc:#010x}, which does not fit the bytes")
+    if signature != _UNSIGNED:
+        raise FrameError(Refusal.SIGNATURE, "signature is not zero in an unsigned frame")
+    frame = _telemetry(data) if kind == _TELEMETRY else _command(data)
+    _check_meaning(frame)
+    return frame
+
+
+def _pack_telemetry(head: tuple[int, ...], frame: Telemetry) -> bytes:
+    return _TELEMETRY_BODY.pack(
+        *head, frame.echo, frame.turnaround, frame.position, frame.velocity, frame.current,
+        frame.mode, frame.slow_id, frame.status, (frame.torque & 0xFFFFFF) | frame.torque_age << 24,
+        frame.slow_value,
+    )  # fmt: skip
+
+
+def _telemetry(data: bytes) -> Telemetry:
+    *values, word, slow_value = _TELEMETRY_BODY.unpack_from(data)[3:]
+    torque = (word & 0xFFFFFF) - ((word & 0x800000) << 1)
+    values += torque, word >> 24, slow_value
+    return Telemetry(*values)
+
+
+def _pack_command(head: tuple[int, ...], frame: Command) -> bytes:
+    return _COMMAND_BODY.pack(
+        *head, frame.expiry, frame.mode, 0, frame.watchdog, frame.set_point, frame.velocity,
+        frame.acceleration, _RESERVED,
+    )  # fmt: skip
+
+
+def _command(data: bytes) -> Command:
+    values = _COMMAND_BODY.unpack_from(data)[3:]
+    if values[7] or values[-1] != _RESERVED:
+        raise FrameError(Refusal.FIELD, "reserved bytes of a command are not zero")
+    return Command(*values[:7], *values[8:-1])
+
+
+def _check_ranges(frame: Telemetry | Command) -> None:
+    for f in fields(frame):
+        value, (low, high) = getattr(frame, f.name), f.metadata["range"]
+        if not low <= value <= high:
+            raise FrameError(Refusal.FIELD, f"{f.name} is {value}, expected {low} to {high}")
+
+
+def _check_meaning(frame: Telemetry | Command) -> None:
+    if frame.link == 0:
+        raise FrameError(Refusal.FIELD, "link is 0, expected 1 to 255")
+    if frame.mode not in _MODES:
+        raise FrameError(Refusal.FIELD, f"mode is {frame.mode}, expected one of {list(_MODES)}")
+    if isinstance(frame, Telemetry):
+        _check_telemetry(frame)
+    else:
+        _check_command(frame)
+
+
+def _check_telemetry(frame: Telemetry) -> None:
+    if frame.flags & ~_STATES:
+        raise FrameError(Refusal.FIELD, f"flags are {frame.flags:#x}, expected only {_STATES:#x}")
+    if frame.boot == 0:
+        raise FrameError(Refusal.FIELD, "boot is 0, expected 1 or more")
+    if frame.slow_id not in _SLOW_IDS:
+        raise FrameError(Refusal.FIELD, f"slow_id is {frame.slow_id}, expected 1 to 7")
+
+
+def _check_command(frame: Command) -> None:
+    if frame.flags & ~_ORDERS:
+        raise FrameError(Refusal.FIELD, f"flags are {frame.flags:#x}, expected only {_ORDERS:#x}")
+    if frame.watchdog == 0:
+        raise FrameError(Refusal.FIELD, "watchdog is 0 ms, expected 1 or more")
+    if frame.velocity < 0 or frame.acceleration < 0:
+        raise FrameError(
+            Refusal.FIELD,
+            f"profile is {frame.velocity}, {frame.acceleration}, expected none negative",
+        )
+    if not frame.flags & Order.ARM:
+        return
+    if frame.flags & Order.STOP:
+        raise FrameError(Refusal.FIELD, "flags hold both arm and stop")
+    if frame.boot == 0:
+        raise FrameError(Refusal.FIELD, "boot is 0 in a command that arms")
+    if frame.expiry == 0:
+        raise FrameError(Refusal.FIELD, "expiry is 0 in a command that arms")

@@ -1,0 +1,147 @@
+"""Between a link's raw counts and SI units, by its description, and the limits that it states."""
+
+from math import isfinite, pi
+from typing import NamedTuple
+
+from fss_arm_model.description import Link
+
+from fss_arm_driver.protocol import (
+    ACCELERATION_UNIT,
+    CURRENT_UNIT,
+    VELOCITY_UNIT,
+    Mode,
+    Telemetry,
+)
+
+# Telemetry beyond these is not believed. A disarmed arm may be moved by hand, faster than its
+# drive's limit; an encoder that has lost its reference may be off by up to half a turn.
+SPEED_MARGIN = 3.0
+CURRENT_MARGIN = 2.0
+POSITION_MARGIN = pi  # [rad]
+REACH_MARGIN = 0.01  # [rad], whatever the time between two frames
+
+
+class CommandError(ValueError):
+    """A command that this link must not be given; the message names field, value and limits."""
+
+
+class SetPoint(NamedTuple):
+    """A command in the protocol's units."""
+
+    mode: Mode
+    value: int
+    velocity: int
+    acceleration: int
+    clamped: bool  # a velocity, an acceleration or a current was above the link's limit
+
+
+class Scale:
+    """One link's units and limits.
+
+    Raises:
+        ValueError: a limit does not fit the protocol's 32 bits.
+    """
+
+    def __init__(self, link: Link) -> None:
+        self.link = link
+        drive = link.drive
+        self.radians_per_count = 2.0 * pi / (drive.direction * drive.counts_per_turn)
+        counts_per_radian = abs(1.0 / self.radians_per_count)
+        self._fastest = SPEED_MARGIN * drive.max_velocity * counts_per_radian  # [counts/s]
+        self._reach_margin = REACH_MARGIN * counts_per_radian
+        self._largest_velocity = self._fastest / VELOCITY_UNIT
+        farthest = counts_per_radian * (max(abs(link.q_min), abs(link.q_max)) + POSITION_MARGIN)
+        if max(farthest, self._largest_velocity) >= 2.0**31:
+            raise ValueError(
+                f"counts_per_turn is {drive.counts_per_turn}: with it the limits of position "
+                "or velocity do not fit the 32 bits of a frame"
+            )
+        self._largest_current = CURRENT_MARGIN * drive.max_current / CURRENT_UNIT
+
+    def position(self, counts: int) -> float:
+        """Joint angle q [rad]."""
+        return self.radians_per_count * counts
+
+    def velocity(self, raw: int) -> float:
+        """Joint rate [rad/s]."""
+        return self.radians_per_count * VELOCITY_UNIT * raw
+
+    def torque(self, counts: int) -> float:
+        """What the torque sensor measures [N m]."""
+        sensor = self.link.torque_sensor
+        return sensor.gain * (counts - sensor.zero)
+
+    def possible(self, frame: Telemetry) -> bool:
+        """Whether this link could report this at all."""
+        link = self.link
+        return (
+            abs(frame.velocity) <= self._largest_velocity
+            and abs(frame.current) <= self._largest_current
+            and link.q_min - POSITION_MARGIN
+            <= self.position(frame.position)
+            <= link.q_max + POSITION_MARGIN
+        )
+
+    def reachable(self, counts: int, microseconds: int) -> bool:
+        """Whether the joint can turn by so many counts in this time."""
+        return abs(counts) <= self._fastest * 1e-6 * microseconds + self._reach_margin
+
+    def outward(self, order: SetPoint, counts: int) -> bool:
+        """Whether a current or a velocity pushes a joint on that is at its limit or beyond.
+
+        The drive's own soft limits act at once; this one waits for the next telemetry.
+        """
+        q, push = self.position(counts), order.value * self.radians_per_count
+        return order.mode != Mode.POSITION and (
+            (q >= self.link.q_max and push > 0.0) or (q <= self.link.q_min and push < 0.0)
+        )
+
+    def set_point(
+        self, mode: int, value: float, velocity: float = 0.0, acceleration: float = 0.0
+    ) -> SetPoint:
+        """A command of the joint in SI units as the link takes it.
+
+        A current, velocity or acceleration above the link's limit is clamped to it; a profile
+        velocity or acceleration of 0 means the limit.
+
+        Raises:
+            CommandError: no such mode, a number that is not finite or has the wrong sign, or a
+                target position outside the limits.
+        """
+        if mode not in (Mode.CURRENT, Mode.VELOCITY, Mode.POSITION):
+            raise CommandError(f"mode is {mode}, expected 1, 11 or 21")
+        numbers = {"set_point": value, "max_velocity": velocity, "max_acceleration": acceleration}
+        for name, number in numbers.items():
+            if not isfinite(number):
+                raise CommandError(f"{name} is {number}, expected a finite number")
+        drive, count = self.link.drive, abs(self.radians_per_count)
+        speed = _profile("max_velocity", velocity, drive.max_velocity)
+        gain = _profile("max_acceleration", acceleration, drive.max_acceleration)
+        target, clamped = self._target(Mode(mode), value)
+        return SetPoint(
+            Mode(mode),
+            target,
+            max(1, round(speed / count / VELOCITY_UNIT)),
+            max(1, round(gain / count / ACCELERATION_UNIT)),
+            clamped or velocity > speed or acceleration > gain,
+        )
+
+    def _target(self, mode: Mode, value: float) -> tuple[int, bool]:
+        """The set point in the protocol's units, and whether it was clamped."""
+        drive = self.link.drive
+        if mode == Mode.POSITION:
+            low, high = self.link.q_min, self.link.q_max
+            if not low <= value <= high:
+                raise CommandError(f"set_point is {value} rad, expected {low:.6g} to {high:.6g}")
+            return round(value / self.radians_per_count), False
+        if mode == Mode.VELOCITY:
+            limit, unit = drive.max_velocity, self.radians_per_count * VELOCITY_UNIT
+        else:
+            limit, unit = drive.max_current, drive.direction * CURRENT_UNIT
+        return round(max(-limit, min(value, limit)) / unit), abs(value) > limit
+
+
+def _profile(name: str, value: float, limit: float) -> float:
+    if value < 0.0:
+        raise CommandError(f"{name} is {value}, expected 0 (the limit) or more")
+    return min(value or limit, limit)

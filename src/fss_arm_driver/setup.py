@@ -1,0 +1,20 @@
+from setuptools import setup
+
+setup(
+    name="fss_arm_driver",
+    version="0.1.0",
+    packages=["fss_arm_driver"],
+    package_data={"fss_arm_driver": ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/fss_arm_driver"]),
+        ("share/fss_arm_driver", ["package.xml"]),
+    ],
+    description="The link's wire protocol, its transports, and the nodes that drive the arm.",
+    license="Apache-2.0",
+    entry_points={
+        "console_scripts": [
+            "link = fss_arm_driver.link_node:main",
+            "arm = fss_arm_driver.arm_node:main",
+        ],
+    },
+)

@@ -1,0 +1,327 @@
+"""The node of one link: a link behind a fake transport or a UDP port, and real topics."""
+
+import socket
+import subprocess
+import sys
+import time
+from collections import Counter, deque
+from math import inf, nan
+from threading import Condition
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from driver_link import SECOND, FakeLink
+from fss_arm_driver.link_node import LinkNode
+from fss_arm_driver.protocol import FRAME_SIZE, Mode, Order, State
+from fss_arm_ros.convert import stamp_ns, to_time
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Empty
+from std_srvs.srv import SetBool
+
+from fss_arm_msgs.msg import LinkCommand, LinkTelemetry
+
+RATE = 20.0  # faster than a real link, for short tests
+
+
+class FakeTransport:
+    """A link at the other end that measures once for each command frame, at its steady rate."""
+
+    def __init__(self, clock=time.time_ns):
+        self.counts = Counter()
+        self.clock = clock
+        self.link = FakeLink(boot=5, born=clock() - 100 * SECOND)
+        self.talks = self.hears = True
+        self.last = 0
+        self.datagrams, self.arrival = deque(), Condition()
+
+    def send(self, data):
+        now = self.clock()
+        if self.hears:
+            self.link.take(data, now)
+        if self.talks and now - self.last > 0.8 * SECOND / RATE:
+            self.last = now
+            self.put(self.link.telemetry(now))
+
+    def put(self, data):
+        with self.arrival:
+            self.datagrams.append(data)
+            self.arrival.notify()
+
+    def receive(self):
+        with self.arrival:
+            got = list(self.datagrams)
+            self.datagrams.clear()
+        return got
+
+    def wait(self, timeout):
+        with self.arrival:
+            return self.arrival.wait_for(lambda: self.datagrams, timeout)
+
+    def close(self):
+        pass
+
+
+class User(Node):
+    """Hears all that a link's node publishes, and asks of it."""
+
+    def __init__(self):
+        super().__init__("user")
+        self.joints, self.telemetry, self.health = [], [], []
+        self.create_subscription(JointState, "joint_states", self.joints.append, 100)
+        self.create_subscription(LinkTelemetry, "link_1/telemetry", self.telemetry.append, 100)
+        self.create_subscription(DiagnosticArray, "/diagnostics", self.health.append, 10)
+        self.command = self.create_publisher(LinkCommand, "link_1/command", 1)
+        self.stop = self.create_publisher(Empty, "arm/stop", 10)
+        self.arm = self.create_client(SetBool, "link_1/arm")
+
+    def level(self):
+        return self.health[-1].status[0].level if self.health else None
+
+    def values(self):
+        return {pair.key: pair.value for pair in self.health[-1].status[0].values}
+
+
+def options(**parameters):
+    parameters = {"rate": RATE, "timeout": 0.5, **parameters}
+    return {"parameter_overrides": [Parameter(name, value=v) for name, v in parameters.items()]}
+
+
+@pytest.fixture
+def bench(spin):
+    """A link's node, its user, and what they need to meet."""
+    transport = FakeTransport()
+    node, user = LinkNode(1, transport=transport, **options()), User()
+
+    def until(condition, timeout=10.0):
+        return spin([node, user], condition, timeout)
+
+    until(lambda: user.telemetry and user.joints and user.health)
+    until(lambda: user.arm.service_is_ready() and user.command.get_subscription_count())
+    until(lambda: user.stop.get_subscription_count())
+    return node, user, transport, until
+
+
+def arm(user, until, data=True):
+    answer = user.arm.call_async(SetBool.Request(data=data))
+    until(answer.done)
+    return answer.result()
+
+
+def order(user, **fields):
+    fields = {"mode": Mode.POSITION, "time_to_live": 1.0, **fields}
+    message = LinkCommand(**fields)
+    message.header.stamp = user.get_clock().now().to_msg()
+    user.command.publish(message)
+
+
+def test_each_frame_is_a_joint_state_and_a_telemetry(bench):
+    _, user, transport, until = bench
+    transport.link.position = 10_000
+    until(lambda: user.telemetry[-1].position == 10_000 and user.joints[-1].position[0] > 0.0)
+    joint = user.joints[-1]
+    assert joint.name == ["joint_1"]
+    assert joint.position[0] == pytest.approx(0.2617993877991494)
+    assert (list(joint.velocity), list(joint.effort)) == ([0.0], [0.0])
+    message = user.telemetry[-1]
+    assert (message.link, message.boot, message.supply) == (1, 5, 240)
+    assert message.header.frame_id == "link_1"
+    assert message.clock_deviation < 0.05
+    assert message.round_trip < 0.05
+    assert not message.armed
+    stamps = [stamp_ns(m.header.stamp) for m in user.telemetry]
+    assert stamps == sorted(set(stamps))
+    assert abs(stamps[-1] - transport.link.born - 1000 * message.clock) < 0.05 * SECOND
+
+
+def test_one_message_for_each_valid_frame_and_none_for_others(bench):
+    _, user, transport, until = bench
+    transport.talks = False
+    damaged = bytearray(transport.link.telemetry(time.time_ns()))
+    damaged[28] ^= 1
+    for data in (b"", bytes(72), bytes(damaged), bytes(damaged) * 2):
+        transport.put(data)
+    until(lambda: user.level() == DiagnosticStatus.ERROR)
+    values = user.values()
+    assert int(values["believed"]) == len(user.joints) == len(user.telemetry)
+    assert int(values["length"]) == 2
+    assert int(values["magic"]) == 1
+    assert int(values["crc"]) == 1
+
+
+def test_a_silent_link_shows_as_an_error_and_comes_back_disarmed(bench):
+    node, user, transport, until = bench
+    until(lambda: user.level() == DiagnosticStatus.OK)
+    assert arm(user, until).success
+    transport.talks = False
+    until(lambda: user.level() == DiagnosticStatus.ERROR)
+    heard = len(user.joints)
+    refusal = arm(user, until)
+    assert not refusal.success
+    assert "link 1 is lost: silent for" in refusal.message
+    assert len(user.joints) == heard
+    transport.talks = True
+    until(lambda: len(user.joints) > heard)
+    assert not node.session.armed
+    until(lambda: not user.telemetry[-1].armed)
+    assert arm(user, until).success
+
+
+def test_commands_move_an_armed_link_only(bench):
+    _, user, transport, until = bench
+    order(user, set_point=0.5)
+    until(lambda: transport.link.taken.sequence > 10)
+    assert transport.link.position == 0
+    assert arm(user, until).message == "link_1 is armed"
+    until(lambda: user.telemetry[-1].armed)
+    order(user, set_point=0.5, max_velocity=0.1)
+    until(lambda: user.joints[-1].position[0] == pytest.approx(0.5, abs=1e-4))
+    assert transport.link.taken.velocity == 38197
+    until(lambda: transport.link.taken.flags & Order.HOLD)  # the command has expired
+    assert arm(user, until, data=False).success
+    until(lambda: not user.telemetry[-1].armed)
+    assert transport.link.flags == State(0)
+
+
+def test_refused_commands_change_nothing_and_are_said_once(bench, monkeypatch):
+    node, user, transport, until = bench
+    said = []
+    monkeypatch.setattr(node.get_logger(), "warning", said.append)
+    arm(user, until)
+
+    def refused(count, **fields):
+        order(user, **fields)
+        until(lambda: len(said) == count)
+
+    refused(1, set_point=2.0)
+    assert said[0] == "command refused: set_point is 2.0 rad, expected -1.5708 to 1.5708"
+    refused(2, set_point=nan)
+    refused(3, set_point=0.1, time_to_live=0.0)
+    assert said[2] == "command refused: time_to_live is 0.0 s, expected above 0"
+    order(user, set_point=0.1, time_to_live=inf)
+    order(user, set_point=0.1, time_to_live=inf)
+    until(lambda: len(said) == 4)
+    late = LinkCommand(mode=Mode.POSITION, set_point=0.1, time_to_live=0.5)
+    late.header.stamp = to_time(time.time_ns() - 2 * SECOND)
+    user.command.publish(late)
+    until(lambda: len(said) == 5)
+    assert "expired" in said[4]
+    until(lambda: transport.link.taken.flags == Order.ARM | Order.HOLD)
+    assert transport.link.position == 0
+
+
+def test_stop_goes_out_at_once_and_latches(bench):
+    node, user, transport, until = bench
+    arm(user, until)
+    user.stop.publish(Empty())
+    until(lambda: transport.link.flags == State.STOPPED)
+    assert not node.session.armed
+    order(user, set_point=0.5)
+    until(lambda: node.session.counts["commands_refused"])
+    assert transport.link.position == 0
+    assert arm(user, until).success
+    until(lambda: transport.link.flags == State.ARMED)
+
+
+def test_arming_a_link_that_does_not_hear_fails_in_words(bench):
+    _, user, transport, until = bench
+    transport.hears = False
+    answer = arm(user, until)
+    assert not answer.success
+    assert answer.message == "link_1 is disarmed"
+
+
+def test_simulated_time_is_waited_for_and_followed(spin):
+    simulated = 0
+    transport = FakeTransport(clock=lambda: simulated)
+    node = LinkNode(1, transport=transport, **options(use_sim_time=True))
+    user = User()
+    clock = user.create_publisher(Clock, "/clock", 10)
+    for _ in range(3):
+        transport.put(transport.link.telemetry(SECOND))
+    spin([node, user], lambda: user.health and clock.get_subscription_count())
+    assert user.health[-1].status[0].message == "the clock stands still"
+    assert not node.session.counts["received"]
+    simulated = 50 * SECOND
+
+    def tick():
+        nonlocal simulated
+        simulated += SECOND // 100
+        clock.publish(Clock(clock=to_time(simulated)))
+        return len(user.telemetry) > 5
+
+    spin([node, user], tick)
+    stamps = [stamp_ns(m.header.stamp) for m in user.telemetry]
+    assert all(50 * SECOND < stamp < simulated + SECOND // 10 for stamp in stamps)
+    spin([node, user], lambda: user.health[-1].status[0].message == "the clock stands still")
+
+
+def test_udp_and_a_link_that_starts_later(spin):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    node, user = LinkNode(1, f"udp://127.0.0.1:{port}?bind=0", **options()), User()
+    spin([node, user], lambda: node.session.counts["sent"] > 3)  # to a port that is not open
+    link = FakeLink(boot=2, born=time.time_ns() - SECOND)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as peer:
+        peer.bind(("127.0.0.1", port))
+        peer.setblocking(False)
+
+        def serve():
+            try:
+                data, source = peer.recvfrom(100)
+            except BlockingIOError:
+                return user.telemetry and user.joints
+            assert len(data) == FRAME_SIZE
+            link.take(data, time.time_ns())
+            peer.sendto(link.telemetry(time.time_ns()), source)
+            return False
+
+        spin([node, user], serve)
+    assert user.telemetry[-1].boot == 2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("-p", "url:=tcp://x:1"), "url is 'tcp://x:1', expected udp://HOST:PORT?bind=PORT"),
+        (("-p", "link:=5"), "link is 5, expected 1 to 4, as arm 'paper' has"),
+        (("-p", "timeout:=0.0"), "timeout is 0.0 s, expected above 0"),
+        (("-p", "watchdog:=100.0"), "watchdog is 100.0 s"),
+        (("-p", "arm:=/no/such.yaml"), "/no/such.yaml"),
+        (("-p", "urls:=['udp://127.0.0.1:9', 'nonsense']"), "url is 'nonsense'"),
+    ],
+)
+def test_what_cannot_run_says_so_in_one_line(start, arguments, words):
+    program = start("fss_arm_driver.link_node", "--ros-args", *arguments)
+    assert program.wait() == 1
+    assert words in program.output
+    assert program.output.count("\n") == 1
+
+
+def test_one_process_hosts_all_links_and_is_up_soon(start, spin):
+    user = Node("user")
+    heard = {}
+
+    def take(message):
+        heard.setdefault(message.status[0].name, time.monotonic())
+
+    user.create_subscription(DiagnosticArray, "/diagnostics", take, 100)
+    spin([user], lambda: True)
+    urls = ", ".join(["'udp://127.0.0.1:9?bind=0'"] * 4)
+    program = start("fss_arm_driver.link_node", "--ros-args", "-p", f"urls:=[{urls}]")
+    spin([user], lambda: len(heard) == 4)
+    assert set(heard) == {"link_1", "link_2", "link_3", "link_4"}
+    assert program.stop() == 0
+    assert program.output == ""
+
+
+def test_the_driver_loads_no_compiler():
+    code = """if True:
+        import sys
+        import fss_arm_driver.arm_node, fss_arm_driver.link_node
+        sys.exit({"numba", "scipy"} & set(sys.modules) != set())
+    """
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

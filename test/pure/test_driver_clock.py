@@ -1,0 +1,91 @@
+"""The link's clock on the host's time line: against a simulated link and network."""
+
+import random
+from math import inf, isnan, sqrt
+
+import pytest
+from fss_arm_driver.clock import LinkClock
+
+SECOND = 1_000_000_000
+START = 1_700_000_000 * SECOND  # host time at which the link's clock is 0
+
+
+def link_us(host, drift=0.0):
+    return round((host - START) * (1.0 + drift)) // 1000
+
+
+def exchange(clock, sent, there, turnaround, back, drift=0.0, step=1):
+    """One round trip over delays [ns]; the host reads a clock that moves in steps."""
+    measured = sent + there + turnaround
+    received = measured + back
+    arrived_us, measured_us = link_us(sent + there, drift), link_us(measured, drift)
+    clock.exchange(
+        sent // step * step, measured_us - arrived_us, measured_us, received // step * step
+    )
+    return received
+
+
+def test_before_a_round_trip_the_least_delayed_frame_stands_in():
+    clock = LinkClock(100, START + 100_000 + 7_000_000)
+    clock.one_way(200, START + 200_000 + 5_000_000)
+    clock.one_way(300, START + 300_000 + 9_000_000)
+    assert clock.offset == START + 5_000_000
+    assert clock.deviation(START) == inf
+    assert isnan(clock.round_trip)
+
+
+def test_equal_delays_give_the_offset_exactly():
+    clock = LinkClock(0, START + SECOND)
+    now = exchange(clock, START + SECOND, 3_000_000, 150_000_000, 3_000_000)
+    assert clock.offset == START
+    assert clock.round_trip == pytest.approx(6e-3)
+    assert clock.deviation(now) == pytest.approx(3e-3 / sqrt(3))
+    assert clock.to_host(clock.to_link(now)) == now
+
+
+def test_a_short_round_trip_wins_until_drift_makes_it_worse():
+    clock = LinkClock(0, START + SECOND)
+    exchange(clock, START + SECOND, 1_000_000, 0, 1_000_000)
+    best = clock.offset
+    exchange(clock, START + 2 * SECOND, 40_000_000, 0, 2_000_000)
+    assert clock.offset == best
+    exchange(clock, START + 60 * SECOND, 3_000_000, 0, 5_000_000)
+    assert clock.offset == START + 1_000_000  # half of the ways' difference
+
+
+def test_an_exchange_that_takes_less_than_no_time_is_ignored():
+    clock = LinkClock(0, START)
+    clock.exchange(START, 2_000_000, 2_000_000, START + SECOND)
+    assert clock.deviation(START) == inf
+
+
+def test_the_interval_holds_the_truth_and_the_deviation_is_honest():
+    """50 +- 40 ms each way, an oscillator 50 ppm fast, a fifth of the frames lost."""
+    rng = random.Random(1)
+    drift, errors, stated = 50e-6, [], []
+    clock = LinkClock(0, START + 50_000_000)
+    for k in range(1, 3000):
+        sent = START + k * SECOND // 5
+        if rng.random() < 0.36:
+            continue
+        there, back = (int(1e6 * rng.uniform(10, 90)) for _ in range(2))
+        now = exchange(clock, sent, there, 120_000_000, back, drift)
+        error = clock.to_host(link_us(now, drift)) - now
+        assert abs(error) <= clock.half_width(now) + 2000  # clocks of whole microseconds
+        if k > 300:
+            errors.append(1e-9 * error)
+            stated.append(clock.deviation(now))
+    rms = sqrt(sum(e * e for e in errors) / len(errors))
+    assert rms < 5e-3
+    assert rms < 1.5 * sum(stated) / len(stated)
+
+
+@pytest.mark.parametrize("delay", [0, 400_000, 12_000_000])
+def test_a_clock_in_steps_of_10_ms_is_allowed_for(delay):
+    step, rng = 10_000_000, random.Random(2)
+    clock = LinkClock(0, START, resolution=step)
+    for k in range(1, 200):
+        sent = START + k * SECOND // 5 + rng.randrange(SECOND // 5)
+        now = exchange(clock, sent, delay, 77_000_000, delay, step=step)
+        assert abs(clock.to_host(link_us(now)) - now) <= clock.half_width(now) + 2000
+    assert clock.half_width(now) < delay + 7_000_000

@@ -1,0 +1,396 @@
+"""The session with one link: what is believed, what is told, loss and adoption."""
+
+from dataclasses import replace
+from math import inf, isnan, nan, pi
+
+import pytest
+from driver_link import MILLISECOND, SECOND, FakeLink
+from fss_arm_driver.link import Arming, LinkSession
+from fss_arm_driver.protocol import Mode, Order, Slow, State, decode, encode
+from fss_arm_driver.scale import CommandError
+from fss_arm_model.description import Drive, TorqueSensor, paper_arm
+
+PERIOD = SECOND // 5
+TURN = 50 * MILLISECOND  # from the command to the measurement
+DELAY = 2 * MILLISECOND
+START = 1_700_000_000 * SECOND
+LINK = paper_arm().links[0]
+COUNTS_PER_RADIAN = 240_000 / (2 * pi)
+
+
+class Bench:
+    """A session and a link, with time."""
+
+    def __init__(self, description=LINK, **options):
+        self.session = LinkSession(1, description, **options)
+        self.now = START
+        self.restart(boot=7)
+
+    def restart(self, boot, **options):
+        self.link = FakeLink(boot=boot, born=self.now - SECOND, **options)
+
+    def step(self, up=True, down=True, **changes):
+        """One period: a command down, telemetry up; the sample, if any."""
+        self.now += PERIOD - TURN - DELAY
+        data = self.session.command(self.now)
+        if down:
+            self.link.take(data, self.now + DELAY)
+        frame = self.link.telemetry(self.now + TURN, **changes)
+        return self.feed(frame if up else b"", TURN + DELAY)
+
+    def feed(self, data, later=0):
+        self.now += later
+        return self.session.feed(data, self.now)
+
+    def told(self):
+        return decode(self.session.command(self.now))
+
+    def set(self, mode, value, velocity=0.0, acceleration=0.0, time_to_live=1.0):
+        expiry = self.now + round(time_to_live * SECOND)
+        self.session.set(mode, value, velocity, acceleration, expiry, self.now)
+
+
+@pytest.fixture
+def bench():
+    return Bench()
+
+
+@pytest.fixture
+def heard(bench):
+    while bench.step() is None:
+        pass
+    return bench
+
+
+@pytest.fixture
+def armed(heard):
+    heard.now += PERIOD // 2
+    heard.session.arm(heard.now)
+    while not heard.session.armed:
+        assert heard.step()
+    return heard
+
+
+def test_the_second_frame_in_a_row_is_believed(bench):
+    assert bench.session.lost
+    assert bench.step() is None
+    sample = bench.step()
+    assert sample.frame == bench.link.frame
+    assert not bench.session.lost
+    assert bench.session.counts["adopted"] == 1
+
+
+def test_a_sample_is_in_si_units_and_host_time():
+    sensor = TorqueSensor(gain=2.1 / 2**23, zero=1000.0)
+    bench = Bench(replace(LINK, drive=Drive(direction=-1), torque_sensor=sensor))
+    reading = {"position": 60_000, "velocity": -24_000, "torque": 1000 + 2**22}
+    bench.step(**reading)
+    sample = bench.step(**reading)
+    assert sample.position == pytest.approx(-pi / 2, rel=1e-15)
+    assert sample.velocity == pytest.approx(2400 * 2 * pi / 240_000)
+    assert sample.torque == pytest.approx(1.05)
+    measured = bench.now - DELAY
+    assert abs(sample.stamp - measured) <= DELAY + 1000
+    assert (
+        abs(bench.step(**reading).stamp - measured - PERIOD) <= 1000
+    )  # equal delays: a clock of 1 us
+    assert bench.session.round_trip == pytest.approx(2e-9 * DELAY, abs=2e-6)
+
+
+def test_without_a_round_trip_the_stamp_says_so(bench):
+    bench.step(down=False)
+    sample = bench.step(down=False)
+    assert sample.deviation == inf
+    assert isnan(sample.round_trip)
+
+
+def test_slow_fields_are_kept(heard):
+    heard.step(slow_id=Slow.TEMPERATURE, slow_value=-3)
+    assert heard.step().slow == {Slow.TEMPERATURE: -3, Slow.SUPPLY: 240}
+
+
+def test_damage_repetition_and_disorder_are_counted_and_published_never(heard):
+    one = heard.link.telemetry(heard.now + 1 * PERIOD)
+    two = heard.link.telemetry(heard.now + 2 * PERIOD)
+    assert heard.feed(two, 2 * PERIOD + DELAY)
+    counts = heard.session.counts
+    before = counts.copy()
+    foreign = encode(replace(decode(two), link=2))
+    for data in (two, one, two[:-1], b"", two + b"\0", foreign, heard.session.command(heard.now)):
+        assert heard.feed(data) is None
+    flipped = bytearray(two)
+    flipped[30] ^= 4
+    assert heard.feed(bytes(flipped)) is None
+    assert counts["repeated"] - before["repeated"] == 1
+    assert counts["reordered"] - before["reordered"] == 1
+    assert counts["length"] - before["length"] == 3
+    assert counts["foreign"] - before["foreign"] == 2
+    assert counts["crc"] - before["crc"] == 1
+    assert counts["missed"] == before["missed"]
+    assert counts["believed"] == before["believed"]
+
+
+def test_missed_frames_are_counted(heard):
+    heard.step(up=False)
+    heard.step(up=False)
+    assert heard.step()
+    assert heard.session.counts["missed"] == 2
+
+
+def test_a_delayed_burst_is_taken_in_order_with_its_true_stamps(heard):
+    begin = heard.now
+    frames = [heard.link.telemetry(begin + k * PERIOD) for k in range(1, 4)]
+    heard.now += 3 * PERIOD + DELAY
+    stamps = [heard.feed(frame).stamp for frame in frames]
+    for k, stamp in enumerate(stamps, 1):
+        assert abs(stamp - begin - k * PERIOD) < 1000
+    assert not heard.session.lost
+
+
+def test_a_frame_older_than_the_timeout_is_stale(heard):
+    old = heard.link.telemetry(heard.now + 60 * MILLISECOND)
+    for _ in range(3):
+        heard.step(up=False)
+    heard.now += SECOND
+    assert heard.feed(old) is None
+    assert heard.session.counts["stale"] == 1
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"velocity": round(3.1 * COUNTS_PER_RADIAN * 10)},
+        {"current": 460},
+        {"position": -round(4.8 * COUNTS_PER_RADIAN)},
+    ],
+)
+def test_what_the_link_cannot_do_is_refused(heard, changes):
+    assert heard.step(**changes) is None
+    assert heard.session.counts["impossible"] == 1
+    assert heard.step()
+
+
+@pytest.mark.parametrize(
+    "jump",
+    [
+        {"position": round(1.5 * COUNTS_PER_RADIAN)},
+        {"boot": 8},
+        {"clock": 1 << 60},
+        {"sequence": 1 << 30},
+    ],
+)
+def test_a_single_jump_is_never_believed(heard, jump):
+    assert heard.step(**jump) is None
+    assert heard.session.counts["candidates"] == 2
+    assert heard.step().frame.boot == 7
+    assert heard.session.counts["adopted"] == 1
+
+
+def test_a_stranger_cannot_displace_a_link_that_talks(heard):
+    stranger = FakeLink(boot=9, born=heard.now - 5 * SECOND)
+    for _ in range(20):
+        assert heard.feed(stranger.telemetry(heard.now), DELAY) is None
+        assert heard.step().frame.boot == 7
+
+
+def test_sequence_numbers_wrap():
+    bench = Bench()
+    bench.restart(boot=7, sequence=0xFFFFFFFD)
+    bench.step()
+    assert [bench.step().frame.sequence for _ in range(3)] == [0xFFFFFFFF, 0, 1]
+    assert bench.session.counts["missed"] == 0
+
+
+def test_a_silent_link_is_lost_and_returns_disarmed(armed):
+    armed.set(Mode.POSITION, 0.2)
+    for _ in range(6):
+        armed.step(up=False)
+    assert armed.session.lost
+    assert armed.session.arming is Arming.DISARMED
+    told = armed.told()
+    assert (told.flags, told.boot, told.mode) == (0, 0, Mode.OFF)
+    assert armed.step().armed is False
+    assert armed.session.counts["lost"] == 1
+    assert armed.session.counts["adopted"] == 2
+    assert not armed.told().flags & Order.ARM
+    with pytest.raises(CommandError, match="not armed"):
+        armed.set(Mode.POSITION, 0.2)
+
+
+def test_a_link_lost_for_long_is_adopted_by_its_second_frame(heard):
+    heard.now += 60 * SECOND
+    assert heard.step() is None
+    assert heard.step()
+
+
+def test_a_rebooted_link_is_adopted_disarmed(armed):
+    armed.step(slow_id=Slow.BATTERY)
+    armed.set(Mode.POSITION, 0.2)
+    armed.restart(boot=8)
+    armed.link.take(replace_boot(armed.session.command(armed.now), 0), armed.now)
+    silent = 0
+    while not (sample := armed.step(down=False)):
+        silent += 1
+    assert silent == 5  # not before the link it was is lost
+    assert sample.frame.boot == 8
+    assert not sample.armed
+    assert sample.slow == {Slow.SUPPLY: 240}
+    assert armed.told().boot == 8
+    assert armed.session.arming is Arming.DISARMED
+
+
+def replace_boot(data, boot):
+    return encode(replace(decode(data), boot=boot, flags=0, expiry=0))
+
+
+def test_a_link_that_reuses_its_boot_number_comes_back(heard):
+    heard.restart(boot=7)
+    heard.now += 2 * SECOND
+    for _ in range(60):
+        if heard.step(down=False):
+            break
+    assert heard.session.frame == heard.link.frame
+
+
+@pytest.mark.parametrize("leap", [-30 * SECOND, 3600 * SECOND])
+def test_a_host_clock_that_leaps_costs_seconds_not_a_restart(armed, leap):
+    stamps = []
+    armed.now += leap
+    armed.link.born += leap
+    armed.link.arrived += leap
+    for _ in range(60):
+        sample = armed.step()
+        stamps += [armed.now - sample.stamp] if sample else []
+    assert not armed.session.lost
+    assert not armed.session.armed
+    assert abs(stamps[-1] - DELAY) < DELAY
+
+
+def test_arming_is_told_held_and_confirmed(heard):
+    heard.session.arm(heard.now)
+    told = heard.told()
+    assert told.flags == Order.ARM | Order.HOLD
+    assert told.boot == 7
+    assert told.expiry >= heard.link.clock(heard.now + SECOND - DELAY)
+    assert heard.session.arming is Arming.ARMING
+    heard.step()
+    assert heard.session.armed
+
+
+def test_a_lost_link_cannot_be_armed(bench):
+    with pytest.raises(CommandError, match="link 1 is lost: not heard yet"):
+        bench.session.arm(bench.now)
+
+
+def test_arming_that_comes_to_nothing_ends(heard):
+    heard.session.arm(heard.now)
+    for _ in range(12):
+        heard.step(down=False)
+    assert heard.session.arming is Arming.DISARMED
+
+
+def test_an_old_confirmation_does_not_arm(armed):
+    armed.session.disarm()
+    armed.session.arm(armed.now)
+    armed.step(down=False)
+    assert armed.session.arming is Arming.ARMING
+
+
+def test_a_command_is_told_in_the_drives_units_until_it_expires(armed):
+    armed.set(Mode.POSITION, -0.5, velocity=0.5, acceleration=1.0, time_to_live=0.5)
+    told = armed.told()
+    assert told.flags == Order.ARM
+    assert told.mode == Mode.POSITION
+    assert told.set_point == round(-0.5 * COUNTS_PER_RADIAN)
+    assert told.velocity == round(0.5 * COUNTS_PER_RADIAN * 10)
+    assert told.acceleration == round(1.0 * COUNTS_PER_RADIAN / 10)
+    assert abs(told.expiry - armed.link.clock(armed.now + SECOND // 2)) <= DELAY // 1000
+    armed.now += SECOND // 2 + 1
+    assert armed.told().flags == Order.ARM | Order.HOLD
+
+
+@pytest.mark.parametrize(
+    ("mode", "value", "set_point"),
+    [
+        (Mode.VELOCITY, 5.0, round(COUNTS_PER_RADIAN * 10)),
+        (Mode.VELOCITY, -0.1, -round(COUNTS_PER_RADIAN)),
+        (Mode.CURRENT, -9.0, -225),
+        (Mode.CURRENT, 0.4, 40),
+    ],
+)
+def test_velocity_and_current_are_clamped(armed, mode, value, set_point):
+    armed.set(mode, value)
+    assert armed.told().set_point == set_point
+    assert armed.session.counts["commands_clamped"] == (abs(value) > 1.0)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ((Mode.POSITION, 1.6), "set_point is 1.6 rad, expected -1.5708 to 1.5708"),
+        ((Mode.POSITION, nan), "set_point is nan, expected a finite number"),
+        ((Mode.VELOCITY, inf), "set_point is inf"),
+        ((Mode.POSITION, 0.1, -1.0), "max_velocity is -1.0, expected 0"),
+        ((Mode.POSITION, 0.1, 0.0, nan), "max_acceleration is nan"),
+        ((Mode.OFF, 0.0), "mode is 0, expected 1, 11 or 21"),
+        ((7, 0.0), "mode is 7"),
+        ((Mode.POSITION, 0.1, 0.0, 0.0, -0.1), "expired 0.100 s ago"),
+    ],
+)
+def test_commands_that_must_not_be_given_are_refused(armed, arguments, words):
+    armed.set(Mode.POSITION, 0.3)
+    with pytest.raises(CommandError, match=words):
+        armed.set(*arguments)
+    assert armed.told().set_point == round(0.3 * COUNTS_PER_RADIAN)
+    assert armed.session.counts["commands_refused"] == 1
+
+
+def test_a_joint_at_its_limit_is_not_pushed_on(armed):
+    for q in (0.5, 1.0, 1.58):
+        armed.link.position = round(q * COUNTS_PER_RADIAN)
+        armed.step()
+    armed.set(Mode.VELOCITY, 0.5)
+    assert armed.told().flags & Order.HOLD
+    armed.set(Mode.VELOCITY, -0.5)
+    assert not armed.told().flags & Order.HOLD
+
+
+def test_a_stop_latches_until_armed_anew(armed):
+    armed.set(Mode.POSITION, 0.2)
+    armed.session.stop()
+    assert armed.told().flags == Order.STOP
+    armed.step()
+    assert armed.link.flags == State.STOPPED
+    armed.session.disarm()
+    assert armed.told().flags == Order.STOP
+    with pytest.raises(CommandError, match="link 1 is stopped, not armed"):
+        armed.set(Mode.POSITION, 0.2)
+    armed.session.arm(armed.now)
+    while not armed.session.armed:
+        armed.step()
+    assert armed.told().flags == Order.ARM | Order.HOLD
+
+
+def test_a_link_that_disarmed_itself_is_not_armed_again(armed):
+    armed.set(Mode.POSITION, 0.2)
+    armed.link.flags = State.WATCHDOG
+    armed.step(down=False)
+    assert armed.session.arming is Arming.DISARMED
+    assert armed.told().flags == 0
+    armed.step()
+    assert armed.link.flags == State(0)
+
+
+def test_a_clock_in_steps_is_stamped_with_its_uncertainty():
+    bench = Bench(resolution=0.01)
+    step = 10 * MILLISECOND
+    for k in range(50):
+        bench.now += PERIOD + k * MILLISECOND
+        told = bench.session.command(bench.now // step * step)
+        bench.link.take(told, bench.now + DELAY)
+        measured = bench.now + 61 * MILLISECOND
+        received = (measured + DELAY) // step * step
+        sample = bench.session.feed(bench.link.telemetry(measured), received)
+        if sample and sample.deviation < inf:
+            assert abs(sample.stamp - measured) < 4 * 1e9 * sample.deviation
+    assert sample.deviation < 0.006

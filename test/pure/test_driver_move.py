@@ -1,0 +1,60 @@
+"""Moves in which all joints arrive together."""
+
+from dataclasses import replace
+from math import inf, nan
+
+import pytest
+from fss_arm_driver.move import MoveError, plan
+from fss_arm_model.description import Drive, paper_arm
+from hypothesis import given
+from hypothesis import strategies as st
+
+ARM = paper_arm()
+ANGLE = st.floats(-1.5, 1.5)
+
+
+def time_of(way, velocity, acceleration):
+    """Duration of a trapezoid from rest to rest."""
+    if velocity**2 < way * acceleration:
+        return way / velocity + velocity / acceleration
+    return 2.0 * (way / acceleration) ** 0.5
+
+
+@given(st.tuples(*[ANGLE] * 4), st.tuples(*[ANGLE] * 4), st.floats(0.0, 60.0))
+def test_all_joints_take_the_same_time_within_their_limits(q, goal, duration):
+    move = plan(ARM, q, goal, duration)
+    if any(abs(a - b) > 1e-9 for a, b in zip(q, goal, strict=True)):
+        assert move.duration >= duration
+    for a, part in zip(q, move.profiles, strict=True):
+        assert part.velocity <= 1.0 + 1e-12
+        assert part.acceleration <= 2.0 + 1e-12
+        if part.velocity:
+            way = abs(part.target - a)
+            assert time_of(way, part.velocity, part.acceleration) == pytest.approx(move.duration)
+
+
+def test_the_slowest_joint_sets_the_pace():
+    links = (replace(ARM.links[0], drive=Drive(max_velocity=0.1)), *ARM.links[1:])
+    move = plan(replace(ARM, links=links), (0.0,) * 4, (0.5, 1.0, -1.5, 0.0))
+    assert [part.target for part in move.profiles] == [0.5, 1.0, -1.5, 0.0]
+    assert [part.velocity for part in move.profiles] == pytest.approx([0.1, 0.2, 0.3, 0.0])
+    assert move.duration == pytest.approx(5.0 + 0.3 / 2.0)
+
+
+def test_no_way_takes_no_time():
+    assert plan(ARM, (0.1,) * 4, (0.1,) * 4).duration == 0.0
+
+
+@pytest.mark.parametrize(
+    ("goal", "duration", "words"),
+    [
+        ((0.0,) * 3, 0.0, "q has 3 joints, expected 4"),
+        ((0.0, 0.0, 1.7, 0.0), 0.0, "q of joint 3 is 1.7 rad, expected -1.5708 to 1.5708"),
+        ((0.0, nan, 0.0, 0.0), 0.0, "q of joint 2 is nan"),
+        ((0.0,) * 4, -1.0, "duration is -1.0 s"),
+        ((0.0,) * 4, inf, "duration is inf s"),
+    ],
+)
+def test_moves_that_must_not_be_begun_are_refused(goal, duration, words):
+    with pytest.raises(MoveError, match=words):
+        plan(ARM, (0.0,) * 4, goal, duration)
