@@ -1,0 +1,224 @@
+"""The node `experiment`: moves the arm from posture to posture and sees that each is observed."""
+
+import sys
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from fss_arm_model.description import load, paper_arm
+from fss_arm_ros.convert import SECOND, stamp_ns
+from fss_arm_ros.diagnostics import OK, Diagnostics, Health
+from fss_arm_ros.qos import LATCHED
+from fss_arm_ros.run import run
+from fss_arm_ros.settings import declare, setting
+from rclpy.action import ActionClient
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.task import Future
+
+from fss_arm_msgs.action import MoveArm
+from fss_arm_msgs.msg import KinematicObservations
+
+from . import state
+from .kinematic import Floats
+from .postures import default
+
+
+@dataclass(frozen=True)
+class ExperimentSettings:
+    """The parameters of an ExperimentNode."""
+
+    arm: str = setting("", "description YAML of the arm; empty: the paper's arm")
+    postures: tuple[float, ...] = setting(
+        (), "joint readings of each posture, row after row [rad]; empty: chosen for the arm"
+    )
+    tolerance: float = setting(0.0175, "a posture observed this close is the one wanted [rad]")
+    rest: float = setting(3.0, "rest at each posture if nobody observes [s]")
+    patience: float = setting(20.0, "longest wait for an observation [s]")
+    retry: float = setting(1.0, "wait before a move that failed is asked for again [s]")
+    silence: float = setting(3.0, "a move without feedback for this long is lost [s]")
+    state_file: str = setting("", "progress is kept here across restarts; empty: nowhere")
+
+    def __post_init__(self) -> None:
+        for name in ("tolerance", "rest", "patience", "retry", "silence"):
+            if not getattr(self, name) > 0.0:
+                raise ValueError(f"{name} is {getattr(self, name)}, must be positive")
+
+
+@dataclass
+class Progress:
+    """How far the experiment is."""
+
+    begun: int = 0  # stamp [ns], 0: not yet; what was observed before does not count
+    done: int = 0  # postures
+
+
+class ExperimentNode(Node):
+    """Takes the arm through a list of postures and ends when all of them are done.
+
+    Each posture is left when it has been observed, or after a rest if nobody observes. It never
+    arms a link: until somebody has, as after any failed or lost move, it asks for the move again.
+    """
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__("experiment", **options)
+        s = self.settings = declare(self, ExperimentSettings)
+        self.postures = postures(s)
+        self.progress = self.restore()
+        self.mover = ActionClient(self, MoveArm, "arm/move")
+        self.observed: list[tuple[int, tuple[float, ...]]] = []  # end [ns], readings [rad]
+        self.observer = False  # somebody observes
+        self.create_subscription(
+            KinematicObservations, "calibration/observations", self.on_observations, LATCHED
+        )
+        self.phase: Callable[[int], None] = self.go
+        self.since = 0  # start of the phase, or of the last sign of life in it [ns]
+        self.goal, self.outcome = Future(), Future()
+        self.said = ""
+        self.create_timer(0.1, self.tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.diagnostics = Diagnostics(self, self.health)
+
+    def restore(self) -> Progress:
+        """Where a run before this one came to."""
+        path = self.settings.state_file
+        try:
+            progress = Progress(**state.read(path, {})) if path else Progress()
+        except TypeError as error:
+            raise state.StateError(f"{path} holds no progress: {error}") from None
+        if progress.done:
+            self.get_logger().info(f"goes on after {progress.done} postures")
+        return progress
+
+    def on_observations(self, message: KinematicObservations) -> None:
+        """What has been observed so far."""
+        self.observed = [(stamp_ns(o.end), tuple(o.q)) for o in message.observations if o.used]
+
+    def tick(self) -> None:
+        """Ten times a second, go on with whatever is next."""
+        now = self.now()
+        if not now:
+            return  # simulated time has not begun
+        self.progress.begun = self.progress.begun or now
+        self.observer = self.observer or bool(self.count_publishers("calibration/observations"))
+        if self.progress.done >= len(self.postures):
+            self.get_logger().info(f"all {len(self.postures)} postures done")
+            raise SystemExit(0)
+        self.phase(now)
+
+    def go(self, now: int) -> None:
+        """Ask for the move to the next posture."""
+        if not self.waited(now, self.settings.retry):
+            return
+        if not self.mover.server_is_ready():
+            self.say("waiting for arm/move")
+            return
+        goal = MoveArm.Goal(q=self.postures[self.progress.done].tolist())
+        self.goal = self.mover.send_goal_async(goal, feedback_callback=self.on_feedback)
+        self.goal.add_done_callback(self.on_answer)
+        self.outcome = Future()
+        self.enter(self.move, now)
+
+    def on_answer(self, answer: Future) -> None:
+        """The goal is accepted: its result will come."""
+        if answer is self.goal and answer.result().accepted:
+            self.outcome = answer.result().get_result_async()
+
+    def on_feedback(self, _: Any) -> None:
+        """The move is under way."""
+        self.since = self.now()
+        degrees = np.degrees(self.postures[self.progress.done]).round().astype(int)
+        self.say(f"{self.title}: moving to {degrees.tolist()} degrees")
+
+    def move(self, now: int) -> None:
+        """Await the end of the move."""
+        if self.outcome.done():
+            result = self.outcome.result().result
+            if result.reached:
+                self.enter(self.watch, now)
+            else:
+                self.say(f"waiting to move: {result.message}")
+                self.enter(self.go, now)
+        elif self.waited(now, self.settings.silence):
+            self.say("the move is lost, asking again")
+            self.enter(self.go, now)
+
+    def watch(self, now: int) -> None:
+        """Await the observation."""
+        posture = self.postures[self.progress.done]
+        if any(
+            end >= self.progress.begun and np.abs(posture - q).max() <= self.settings.tolerance
+            for end, q in self.observed
+        ):
+            self.leave("observed")
+        elif self.observer and self.waited(now, self.settings.patience):
+            self.get_logger().warning(f"{self.title}: not observed")
+            self.leave("left")
+        elif not self.observer and self.waited(now, self.settings.rest):
+            self.leave("done, nobody observes")
+
+    def leave(self, how: str) -> None:
+        """Go on to the next posture."""
+        self.say(f"{self.title}: {how}")
+        self.progress.done += 1
+        if self.settings.state_file:
+            state.write(self.settings.state_file, asdict(self.progress))
+        self.enter(self.go, 0)
+
+    def enter(self, phase: Callable[[int], None], now: int) -> None:
+        """Begin a phase; a start of 0 makes any wait be over."""
+        self.phase, self.since = phase, now
+
+    def waited(self, now: int, seconds: float) -> bool:
+        """Whether the phase lasts longer than that, or time has jumped back."""
+        return not 0 <= now - self.since < seconds * SECOND
+
+    def now(self) -> int:
+        """The node's clock [ns]; 0 before simulated time begins."""
+        return int(self.get_clock().now().nanoseconds)
+
+    @property
+    def title(self) -> str:
+        """Which posture it is."""
+        return f"posture {self.progress.done + 1} of {len(self.postures)}"
+
+    def say(self, text: str) -> None:
+        """Log what is new."""
+        if text != self.said:
+            self.said = text
+            self.get_logger().info(text)
+
+    def health(self) -> Health:
+        """For diagnostics."""
+        return Health(OK, self.said or "starting", {"postures done": self.progress.done})
+
+
+def postures(settings: ExperimentSettings) -> Floats:
+    """The postures to go through, (s, n) [rad].
+
+    Raises:
+        ValueError: they do not suit the arm.
+    """
+    arm = load(settings.arm) if settings.arm else paper_arm()
+    if not settings.postures:
+        return default(arm)
+    if len(settings.postures) % arm.n:
+        raise ValueError(f"postures has {len(settings.postures)} numbers, expected {arm.n} a row")
+    q = np.array(settings.postures).reshape(-1, arm.n)
+    for i, link in enumerate(arm.links):
+        outside = (q[:, i] < link.q_min) | (q[:, i] > link.q_max) | ~np.isfinite(q[:, i])
+        if outside.any():
+            raise ValueError(
+                f"postures: joint {i + 1} at {q[outside, i][0]:.4g} rad, "
+                f"expected {link.q_min:.4g} to {link.q_max:.4g}"
+            )
+    return q
+
+
+def main() -> int:
+    """Run as `ros2 run fss_arm_calib experiment`."""
+    return run(ExperimentNode, ExperimentSettings)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,127 @@
+"""Calibrate from bags, without any ROS process: the command `from_bag`."""
+
+import argparse
+import sys
+from collections.abc import Iterable, Sequence
+from dataclasses import fields
+from os import PathLike
+from typing import NoReturn
+
+from fss_arm_model.description import Arm, from_yaml, load, paper_arm, save
+from fss_arm_ros.bags import BagError, Bags, open_bags
+from rich.console import Console
+
+from . import report
+from .messages import feed_joints, feed_pose
+from .rests import BASE, TIP, Observation, RestFinder
+from .settings import CalibrationSettings
+from .verdict import FAIL, NOT_EVALUATED, PASS, Calibration, calibrate
+
+EXIT_CODES = {PASS: 0, FAIL: 2, NOT_EVALUATED: 3}
+USER_ERROR = 1
+
+EPILOG = "Exit codes: 0 pass, 1 the command cannot be carried out, 2 fail, 3 not evaluated."
+
+
+def solve_bag(
+    paths: str | PathLike[str] | Iterable[str | PathLike[str]],
+    settings: CalibrationSettings | None = None,
+) -> Calibration:
+    """Find the rests in one or several bags, and calibrate, as the node does on live topics.
+
+    Raises:
+        BagError: a bag cannot be read or lacks a topic.
+        ValueError: a setting is impossible, or the description is.
+        OSError: a file cannot be read.
+    """
+    settings = settings or CalibrationSettings()
+    arm = load(settings.arm) if settings.arm else paper_arm()
+    with open_bags(paths) as bags:
+        return calibrate(observations(bags, arm.n, settings), arm, settings)
+
+
+def observations(bags: Bags, n: int, settings: CalibrationSettings) -> list[Observation]:
+    """What the finder makes of the bags' messages.
+
+    Raises:
+        BagError: a topic is missing or of another type.
+    """
+    joints, base, tip = (
+        f"/{topic.lstrip('/')}"
+        for topic in (settings.joints_topic, settings.base_topic, settings.tip_topic)
+    )
+    for topic, kind in (
+        (joints, "sensor_msgs/msg/JointState"),
+        (base, "geometry_msgs/msg/PoseStamped"),
+        (tip, "geometry_msgs/msg/PoseStamped"),
+    ):
+        if topic not in bags.topics:
+            there = ", ".join(bags.topics) or "no topics"
+            raise BagError(f"no {topic} in {', '.join(map(str, bags.paths))}, which has {there}")
+        if bags.topics[topic].msgtype != kind:
+            raise BagError(f"{topic} is of type {bags.topics[topic].msgtype}, expected {kind}")
+    finder = RestFinder(n, settings)
+    found: list[Observation] = []
+    for topic, _, _, message in bags.messages({joints, base, tip}):
+        if topic == joints:
+            found += feed_joints(finder, message)
+        else:
+            found += feed_pose(finder, BASE if topic == base else TIP, message)
+    return found + finder.close()
+
+
+class _Parser(argparse.ArgumentParser):
+    """Complains in one line, and not with the exit code of a failed calibration."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(USER_ERROR, f"{self.prog}: {message}\n")
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line: the bags, what to write, and each setting that the node has, too."""
+    p = _Parser("from_bag", description=__doc__, epilog=EPILOG)
+    p.add_argument("bags", nargs="+", metavar="BAG", help="bag, or folder of bags")
+    p.add_argument("--output", metavar="YAML", help="write the calibrated description if it passes")
+    p.add_argument("--plot", metavar="PNG", help="draw residuals and postures")
+    p.add_argument("--truth", metavar="YAML", help="description to compare with, in the table only")
+    for f in fields(CalibrationSettings):
+        p.add_argument(
+            f"--{f.name.replace('_', '-')}",
+            type=type(f.default),
+            default=f.default,
+            metavar=f.name.split("_")[-1].upper(),
+            help=f"{f.metadata['about']} (default: {f.default or 'none'})",
+        )
+    return p
+
+
+def calibrated(options: argparse.Namespace, console: Console) -> Calibration:
+    """Solve, show and write what was asked for."""
+    names = [f.name for f in fields(CalibrationSettings)]
+    truth: Arm | None = load(options.truth) if options.truth else None
+    settings = CalibrationSettings(**{name: getattr(options, name) for name in names})
+    calibration = solve_bag(options.bags, settings)
+    console.print(report.table(calibration, truth))
+    if options.plot:
+        report.plot(calibration, options.plot)
+        console.print(f"residuals and postures drawn in {options.plot}")
+    if options.output and calibration.verdict == PASS:
+        save(from_yaml(calibration.description), options.output)
+        console.print(f"calibrated description written to {options.output}")
+    elif options.output:
+        console.print(f"{options.output} not written, as the verdict is {calibration.verdict}")
+    return calibration
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run as `ros2 run fss_arm_calib from_bag`."""
+    options = parser().parse_args(args)
+    try:
+        return EXIT_CODES[calibrated(options, report.console()).verdict]
+    except (ValueError, OSError) as error:
+        print(f"from_bag: {' '.join(str(error).split())}", file=sys.stderr)
+        return USER_ERROR
+
+
+if __name__ == "__main__":
+    sys.exit(main())

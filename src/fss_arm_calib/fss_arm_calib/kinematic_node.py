@@ -1,0 +1,128 @@
+"""The node `kinematic`: finds rests in live or replayed topics and calibrates the arm from them."""
+
+import sys
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+from fss_arm_model.description import from_yaml, load, paper_arm, save
+from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
+from fss_arm_ros.qos import LATCHED, subscribe_sensor
+from fss_arm_ros.run import run
+from fss_arm_ros.settings import declare
+from geometry_msgs.msg import PoseStamped
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
+
+from fss_arm_msgs.msg import KinematicCalibration, KinematicObservations
+
+from .messages import feed_joints, feed_pose, observations_message, to_message
+from .rests import BASE, TIP, Observation, RestFinder
+from .settings import CalibrationSettings, setting
+from .state import read_observations, write_observations
+from .verdict import PASS, calibrate
+
+
+@dataclass(frozen=True)
+class KinematicSettings(CalibrationSettings):
+    """The parameters of a KinematicNode."""
+
+    base_frame: str = setting("fss", "frame id of the results")
+    state_file: str = setting("", "observations are kept here across restarts; empty: nowhere")
+    output: str = setting("", "description YAML to write whenever a calibration passes")
+
+
+class KinematicNode(Node):
+    """Publishes each rest of the arm as an observation, and the calibration from all of them.
+
+    Subscribes joint_states and the two VICON topics; nobody needs to say when the arm rests.
+    `~/solve` closes the present rest and solves.
+    """
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__("kinematic", **options)
+        s = self.settings = declare(self, KinematicSettings)
+        self.arm = load(s.arm) if s.arm else paper_arm()
+        kept = read_observations(s.state_file, self.arm.n) if s.state_file else []
+        self.observations: list[Observation] = kept
+        self.calibration = calibrate(self.observations, self.arm, s)
+        resting_at = kept[-1].q if kept and kept[-1].used else None
+        self.finder = RestFinder(self.arm.n, s, resting_at)
+        self.observed = self.create_publisher(
+            KinematicObservations, "calibration/observations", LATCHED
+        )
+        self.calibrated = self.create_publisher(
+            KinematicCalibration, "calibration/kinematic", LATCHED
+        )
+        subscribe_sensor(self, JointState, s.joints_topic, self.on_joints, keep_all=True)
+        for subject, topic in ((BASE, s.base_topic), (TIP, s.tip_topic)):
+            subscribe_sensor(
+                self, PoseStamped, topic, partial(self.on_pose, subject), keep_all=True
+            )
+        self.create_service(Trigger, "~/solve", self.on_solve)
+        if kept:
+            self.get_logger().info(f"goes on with {len(kept)} observations of {s.state_file}")
+            self.publish()
+        self.diagnostics = Diagnostics(self, self.health)
+
+    def on_joints(self, message: JointState) -> None:
+        """Readings of one link or more."""
+        self.take(feed_joints(self.finder, message))
+
+    def on_pose(self, subject: str, message: PoseStamped) -> None:
+        """A pose of the base or the end effector."""
+        self.take(feed_pose(self.finder, subject, message))
+
+    def on_solve(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Close the present rest and solve; succeeds if the calibration passes."""
+        if not self.take(self.finder.close()):
+            self.publish()
+        response.success = self.calibration.verdict == PASS
+        response.message = f"{self.calibration.verdict}: {self.calibration.reason}"
+        return response
+
+    def take(self, found: list[Observation]) -> bool:
+        """Keep, save and publish new observations and solve again; False if there are none."""
+        if not found:
+            return False
+        self.observations += found
+        if self.settings.state_file:
+            write_observations(self.settings.state_file, self.observations)
+        self.calibration = calibrate(self.observations, self.arm, self.settings)
+        self.publish()
+        for o in found:
+            what = f"averaged {o.vicon_frames} frames" if o.used else f"not used: {o.reason}"
+            self.get_logger().info(f"observation {len(self.observations)}: {what}")
+        self.get_logger().info(f"{self.calibration.verdict}: {self.calibration.reason}")
+        return True
+
+    def publish(self) -> None:
+        """Publish observations and calibration; write the description if it passes."""
+        s = self.settings
+        self.observed.publish(observations_message(self.observations, s.base_frame, TIP))
+        self.calibrated.publish(to_message(self.calibration, s.base_frame))
+        if s.output and self.calibration.verdict == PASS:
+            save(from_yaml(self.calibration.description), s.output)
+
+    def health(self) -> Health:
+        """For diagnostics."""
+        values = {
+            "observations": len(self.observations),
+            "verdict": self.calibration.verdict,
+            "samples refused": self.finder.refused,
+            "samples repeated": self.finder.repeated,
+        }
+        silent = self.finder.silent()
+        if silent:
+            return Health(WARN, f"waiting for {', '.join(silent)}", values)
+        return Health(OK, f"{len(self.observations)} observations", values)
+
+
+def main() -> int:
+    """Run as `ros2 run fss_arm_calib kinematic`."""
+    return run(KinematicNode, KinematicSettings)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

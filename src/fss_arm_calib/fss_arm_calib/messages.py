@@ -1,0 +1,63 @@
+"""Between the calibration and ROS messages, by attribute: rclpy's and rosbags' both pass."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from fss_arm_ros.convert import PoseError, planar_pose, stamp_ns, to_time
+
+from fss_arm_msgs.msg import KinematicCalibration, KinematicObservation, KinematicObservations
+
+from .rests import Observation, RestFinder
+from .verdict import Calibration
+
+
+def feed_joints(finder: RestFinder, message: Any) -> list[Observation]:
+    """Give a sensor_msgs/JointState to the finder; joints are told by their names, joint_<i>."""
+    t, found = stamp_ns(message.header.stamp), []
+    for name, q in zip(message.name, message.position, strict=False):
+        number = name.removeprefix("joint_")
+        if number.isdecimal() and 1 <= int(number) <= len(finder.joints):
+            found += finder.joint(int(number), t, float(q))
+    return found
+
+
+def feed_pose(finder: RestFinder, subject: str, message: Any) -> list[Observation]:
+    """Give a geometry_msgs/PoseStamped of a subject to the finder."""
+    try:
+        pose = planar_pose(message.pose)
+    except PoseError:
+        pose = None
+    return finder.pose(subject, stamp_ns(message.header.stamp), pose)
+
+
+def to_message(calibration: Calibration, frame_id: str) -> KinematicCalibration:
+    """What a calibration concludes, as it is published."""
+    message = KinematicCalibration()
+    message.header.stamp = to_time(calibration.stamp)
+    message.header.frame_id = frame_id
+    for name in set(message.get_fields_and_field_types()) - {"header"}:
+        setattr(message, name, _plain(getattr(calibration, name)))
+    return message
+
+
+def observations_message(
+    observations: Sequence[Observation], frame_id: str, subject: str
+) -> KinematicObservations:
+    """All observations so far, as they are published."""
+    message = KinematicObservations(subject=subject)
+    message.header.frame_id = frame_id
+    message.header.stamp = to_time(observations[-1].end if observations else 0)
+    for observation in observations:
+        one = KinematicObservation()
+        for name in one.get_fields_and_field_types():
+            value = getattr(observation, name)
+            setattr(one, name, to_time(value) if name in ("start", "end") else _plain(value))
+        message.observations.append(one)
+    return message
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return value.ravel().tolist()
+    return list(value) if isinstance(value, tuple) else value

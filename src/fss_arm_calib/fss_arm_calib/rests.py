@@ -1,0 +1,376 @@
+"""Observations out of streams: where the arm rested, and the average of each rest.
+
+An arm rests while every joint's readings stay within `still` of each other; once it has settled,
+the first interval of `longest` without a gap in any stream becomes one Observation, or, if the arm
+moves on earlier, the longest such interval of at least `shortest`. There is one observation for
+each rest, whoever moved the arm.
+
+Streams arrive each in its own order and rate, and interleaved at will: samples are merged by their
+stamps, and nothing is decided before every stream has passed the moment in question. What is found
+is therefore a function of the data alone, the same live, replayed and read from a file, as long as
+no stream lags another by more than `horizon`.
+"""
+
+from array import array
+from bisect import bisect_left, bisect_right
+from collections import deque
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from math import inf, isfinite, nan
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from .kinematic import wrap
+from .settings import RestSettings
+
+BASE, TIP = "fss", "end_effector"  # the two subjects, as the motion capture system names them
+
+_SECOND = 1_000_000_000  # [ns]
+_CLEANING = 1000  # samples between two looks at what may be forgotten
+
+
+@dataclass(frozen=True)
+class Observation:
+    """One rest of the arm: the end effector seen from the base, and the joints' readings."""
+
+    start: int  # of the averaged interval [ns]
+    end: int
+    q: tuple[float, ...]  # (n) averaged readings [rad]
+    tip: tuple[float, ...] = (nan, nan, nan)  # end effector in the base's frame [m, m, rad]
+    scatter: tuple[float, ...] = (nan, nan, nan)  # of single frames about tip, 1 sigma
+    joint_samples: int = 0  # fewest readings of one joint averaged
+    vicon_frames: int = 0  # pairs of poses averaged
+    used: bool = True
+    reason: str = ""  # why it is not used
+
+
+def spoiled(observations: Sequence[Observation], tolerance: float) -> list[Observation]:
+    """The unused ones whose posture has not been observed otherwise within `tolerance` [rad]."""
+    seen = [np.array(o.q) for o in observations if o.used]
+    return [
+        o
+        for o in observations
+        if not o.used and not any(np.all(np.abs(q - o.q) <= tolerance) for q in seen)
+    ]
+
+
+class _Hole(NamedTuple):
+    start: int
+    end: int
+    who: str
+
+
+class _Rest(NamedTuple):
+    """All joints still, the settling time left out; samples of each joint; gaps in them."""
+
+    begin: int
+    end: int
+    readings: list[tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]]
+    holes: list[_Hole]
+
+
+class _Joint:
+    """One joint's readings: those that wait for the others, and its current run of still ones."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.newest = -1
+        self.waiting: deque[tuple[int, float]] = deque()
+        self.t: list[int] = []
+        self.q: list[float] = []
+        self.holes: list[_Hole] = []
+        self.start = self.last = -1
+        self.low, self.high = inf, -inf
+
+    def begin(self, t: int, q: float) -> None:
+        self.t, self.q, self.holes = [t], [q], []
+        self.start = self.last = t
+        self.low = self.high = q
+
+    def extend(self, t: int, q: float, gap: float) -> None:
+        if t - self.last > gap:
+            self.holes.append(_Hole(self.last, t, self.name))
+        self.t.append(t)
+        self.q.append(q)
+        self.last = t
+        self.low, self.high = min(self.low, q), max(self.high, q)
+
+    def still_with(self, q: float, tolerance: float) -> bool:
+        return max(self.high, q) - min(self.low, q) <= tolerance
+
+    def forget(self, before: float) -> None:
+        k = bisect_left(self.t, before)
+        del self.t[:k], self.q[:k]
+
+
+class _Poses:
+    """One subject's poses by stamp."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.first = self.newest = -1
+        self.t = array("q")
+        self.xyh = array("d")
+
+    def append(self, t: int, pose: Iterable[float]) -> None:
+        if self.first < 0:
+            self.first = t
+        self.newest = t
+        self.t.append(t)
+        self.xyh.extend(pose)
+
+    def slice(self, begin: int, end: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
+        """Stamps and poses of an interval, with the last one before and the first one after it."""
+        a = max(bisect_right(self.t, begin) - 1, 0)
+        b = bisect_left(self.t, end) + 1
+        return np.array(self.t[a:b]), np.array(self.xyh[3 * a : 3 * b]).reshape(-1, 3)
+
+    def holes(self, begin: int, end: int, gap: float) -> list[_Hole]:
+        """Silences longer than `gap` that reach into an interval."""
+        t = self.slice(begin, end)[0]
+        # Poses missing at either end: forgotten, or the stream has ended.
+        before = [begin] if not len(t) or t[0] > begin else []
+        after = [end] if not len(t) or t[-1] < end else []
+        t = np.concatenate([before, t, after]).astype(np.int64)
+        late = np.flatnonzero(np.diff(t) > gap)
+        return [_Hole(int(t[k]), int(t[k + 1]), self.name) for k in late]
+
+    def forget(self, before: float) -> None:
+        k = max(bisect_right(self.t, before) - 1, 0)
+        del self.t[:k], self.xyh[: 3 * k]
+
+
+class RestFinder:
+    """Fed samples of n joints and two subjects, returns the observations that they complete.
+
+    Each feeding method returns the observations found by it, in order of time. Stamps are integer
+    nanoseconds; a sample that is not newer than its stream's last one is dropped.
+
+    Args:
+        n: number of joints.
+        settings: what counts as a rest.
+        resting_at: (n) posture of the last observation made before the finder was started; if the
+            arm has not moved since, it is not observed again.
+    """
+
+    def __init__(
+        self,
+        n: int,
+        settings: RestSettings | None = None,
+        resting_at: Sequence[float] | None = None,
+    ) -> None:
+        self.settings = settings or RestSettings()
+        self.joints = [_Joint(f"joint_{i}") for i in range(1, n + 1)]
+        self.subjects = {name: _Poses(name) for name in (BASE, TIP)}
+        self.refused = 0  # samples that say nothing: occluded, not finite
+        self.repeated = 0  # samples that are not newer than the one before
+        self._pending: list[_Rest] = []
+        self._settled = 0  # when the present rest began to count
+        self._confirmed = -1  # up to when all joints are known to rest
+        self._observed = False  # the present rest is done with
+        self._resting_at = resting_at
+        self._until_cleaning = _CLEANING
+
+    def joint(self, i: int, t: int, q: float) -> list[Observation]:
+        """A reading q [rad] of joint i, 1 to n."""
+        joint = self.joints[i - 1]
+        if not isfinite(q):
+            self.refused += 1
+        elif t <= joint.newest:
+            self.repeated += 1
+        else:
+            joint.newest = t
+            joint.waiting.append((t, q))
+            self._merge()
+        return self._collect()
+
+    def pose(
+        self, subject: str, t: int, pose: tuple[float, float, float] | None
+    ) -> list[Observation]:
+        """A pose x [m], y [m], heading [rad] of a subject; None: it was not visible."""
+        poses = self.subjects[subject]
+        if pose is None or not all(map(isfinite, pose)):
+            self.refused += 1
+        elif t <= poses.newest:
+            self.repeated += 1
+        else:
+            poses.append(t, pose)
+            self._until_cleaning -= 1
+        return self._collect()
+
+    def close(self) -> list[Observation]:
+        """What can be said with no more samples to come: the last rest, if long enough."""
+        while any(joint.waiting for joint in self.joints):
+            self._take_oldest()
+        found = [self._observe(rest, over=True) for rest in self._pending]
+        self._pending.clear()
+        newest = max(joint.newest for joint in self.joints)
+        if not self._done() and (rest := self._rest(newest)):
+            found.append(self._observe(rest, over=True))
+            self._observed = found[-1] is not None
+        return [observation for observation in found if observation]
+
+    def silent(self) -> list[str]:
+        """Names of the streams that have not been heard yet."""
+        streams: list[_Joint | _Poses] = [*self.joints, *self.subjects.values()]
+        return [stream.name for stream in streams if stream.newest < 0]
+
+    def _merge(self) -> None:
+        while all(joint.waiting for joint in self.joints):
+            self._take_oldest()
+
+    def _take_oldest(self) -> None:
+        joint = min((j for j in self.joints if j.waiting), key=lambda j: j.waiting[0][0])
+        t, q = joint.waiting.popleft()
+        if joint.last >= 0 and joint.still_with(q, self.settings.still):
+            joint.extend(t, q, self.settings.joint_gap * _SECOND)
+        else:
+            if joint.last >= 0:  # it moved
+                if not self._done() and (rest := self._rest(t)):
+                    self._pending.append(rest)
+                self._observed, self._resting_at = False, None
+            joint.begin(t, q)
+            start = max(j.start for j in self.joints)
+            self._settled = start + round(self.settings.settle * _SECOND)
+        self._confirmed = min(j.last for j in self.joints)
+
+    def _done(self) -> bool:
+        """Whether the present rest needs no observation any more."""
+        return self._observed or (
+            self._resting_at is not None
+            and all(
+                joint.still_with(q, 2.0 * self.settings.still)
+                for joint, q in zip(self.joints, self._resting_at, strict=True)
+            )
+        )
+
+    def _rest(self, until: int | None = None) -> _Rest | None:
+        """The present rest as far as all joints confirm it.
+
+        With `until`, the moment at which it ended, a joint silent for long then is a gap up to it.
+        """
+        begin, end = self._settled, self._confirmed
+        if end <= begin:
+            return None
+        holes = [hole for j in self.joints for hole in j.holes]
+        if until is not None:
+            gap = self.settings.joint_gap * _SECOND
+            late = [_Hole(j.last, until, j.name) for j in self.joints if until - j.last > gap]
+            holes += late
+            end = until if late else end
+        readings = [(np.array(j.t), np.array(j.q)) for j in self.joints]
+        return _Rest(begin, end, readings, holes)
+
+    def _collect(self) -> list[Observation]:
+        """Observations that every stream has passed by now."""
+        seen = min(self.subjects[BASE].newest, self.subjects[TIP].newest)
+        found = []
+        while self._pending and self._pending[0].end <= seen:
+            found.append(self._observe(self._pending.pop(0), over=True))
+        if not self._pending and self._long_enough(seen) and (rest := self._rest()):
+            found.append(self._observe(rest._replace(end=min(rest.end, seen)), over=False))
+            self._observed = found[-1] is not None
+        if self._until_cleaning <= 0:
+            self._forget()
+        return [observation for observation in found if observation]
+
+    def _long_enough(self, seen: int) -> bool:
+        """Whether the present rest may hold an interval of full length, told without arrays."""
+        least = self.settings.longest * _SECOND
+        return min(seen, self._confirmed) - self._settled >= least and not self._done()
+
+    def _observe(self, rest: _Rest, over: bool) -> Observation | None:
+        """The observation of a rest; None if it is too short, or may yet become longer."""
+        shortest, longest = (
+            round(s * _SECOND) for s in (self.settings.shortest, self.settings.longest)
+        )
+        # A stream that has not begun is no gap.
+        begin = max(rest.begin, *(poses.first for poses in self.subjects.values()))
+        if rest.end - begin < shortest or any(p.first < 0 for p in self.subjects.values()):
+            return None
+        holes = [hole for hole in rest.holes if hole.end > begin and hole.start < rest.end]
+        for poses in self.subjects.values():
+            holes += poses.holes(begin, rest.end, self.settings.vicon_gap * _SECOND)
+        pieces = _pieces(begin, rest.end, holes)
+        whole = [(a, a + longest) for a, b in pieces if b - a >= longest]
+        if not whole and over:
+            best = max(pieces, key=lambda piece: piece[1] - piece[0], default=(0, 0))
+            whole = [best] if best[1] - best[0] >= shortest else []
+        if whole:
+            return self._average(rest, *whole[0])
+        if not over:
+            return None
+        widest = max(holes, key=lambda hole: hole.end - hole.start)
+        length = (widest.end - widest.start) / _SECOND
+        return _unused(rest, f"{widest.who} silent for {length:.2f} s")
+
+    def _average(self, rest: _Rest, begin: int, end: int) -> Observation:
+        inside = [q[(t >= begin) & (t <= end)] for t, q in rest.readings]
+        for joint, q in zip(self.joints, inside, strict=True):
+            if not len(q):
+                return _unused(rest, f"no reading of {joint.name}")
+        t, tip = self.subjects[TIP].slice(begin, end)
+        t_base, base = self.subjects[BASE].slice(begin, end)
+        paired = (t >= max(begin, t_base[0])) & (t <= min(end, t_base[-1]))
+        if np.count_nonzero(paired) < 2:
+            return _unused(rest, "fewer than 2 pairs of poses")
+        seen = _in_base(_interpolated(t[paired] - begin, t_base - begin, base), tip[paired])
+        mean = np.array([*seen[:, :2].mean(axis=0), np.angle(np.mean(np.exp(1j * seen[:, 2])))])
+        away = seen - mean
+        away[:, 2] = wrap(away[:, 2])
+        return Observation(
+            start=begin,
+            end=end,
+            q=tuple(float(q.mean()) for q in inside),
+            tip=tuple(mean.tolist()),
+            scatter=tuple(np.sqrt(np.sum(away**2, axis=0) / (len(away) - 1)).tolist()),
+            joint_samples=min(map(len, inside)),
+            vicon_frames=len(seen),
+        )
+
+    def _forget(self) -> None:
+        """Drop what no observation will ask for: the past, and what lies beyond the horizon."""
+        self._until_cleaning = _CLEANING
+        streams: list[_Joint | _Poses] = [*self.joints, *self.subjects.values()]
+        past = self._confirmed
+        if self._pending:
+            past = min(past, self._pending[0].begin)
+        if not self._observed:
+            past = min(past, max(j.start for j in self.joints))
+        horizon = max(stream.newest for stream in streams) - self.settings.horizon * _SECOND
+        for stream in streams:
+            stream.forget(max(past, horizon))
+
+
+def _pieces(begin: int, end: int, holes: list[_Hole]) -> list[tuple[int, int]]:
+    """What holes leave of an interval."""
+    edges = [begin]
+    for hole in sorted(holes):
+        edges += [max(edges[-1], hole.start), max(edges[-1], hole.end)]
+    edges.append(max(edges[-1], end))
+    return [(a, b) for a, b in list(pairwise(edges))[::2] if b > a]
+
+
+def _unused(rest: _Rest, reason: str) -> Observation:
+    q = tuple(float(np.mean(q)) if len(q) else nan for _, q in rest.readings)
+    return Observation(rest.begin, rest.end, q, used=False, reason=reason)
+
+
+def _interpolated(
+    t: npt.NDArray[np.int64], stamps: npt.NDArray[np.int64], poses: npt.NDArray[np.float64]
+) -> npt.NDArray[np.float64]:
+    """Poses at other times, exactly those given where the stamps are equal."""
+    columns = [poses[:, 0], poses[:, 1], np.unwrap(poses[:, 2])]
+    return np.column_stack([np.interp(t, stamps, column) for column in columns])
+
+
+def _in_base(
+    base: npt.NDArray[np.float64], tip: npt.NDArray[np.float64]
+) -> npt.NDArray[np.float64]:
+    """Poses seen from the base's frame, (k, 3)."""
+    away = (tip[:, 0] - base[:, 0]) + 1j * (tip[:, 1] - base[:, 1])
+    away *= np.exp(-1j * base[:, 2])
+    return np.column_stack([away.real, away.imag, wrap(tip[:, 2] - base[:, 2])])

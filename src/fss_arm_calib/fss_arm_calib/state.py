@@ -1,0 +1,80 @@
+"""What a node must not forget when it is killed: JSON files, replaced whole."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+from .rests import Observation
+
+
+class StateError(ValueError):
+    """A state file cannot be understood; the message names it."""
+
+
+def write(path: str | Path, state: Any) -> None:
+    """Replace the file: a reader, or the next start, finds the old state or the new one.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    path = Path(path)
+    part = path.with_name(f".{path.name}.part")
+    part.write_text(json.dumps(state, indent=1), encoding="utf-8")
+    part.replace(path)
+
+
+def read(path: str | Path, default: Any) -> Any:
+    """The state in the file, `default` if there is none.
+
+    Raises:
+        StateError: it is not JSON.
+        OSError: it cannot be read.
+    """
+    try:
+        return json.loads(Path(path).read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return default
+    except ValueError as error:
+        raise StateError(f"{path} is not a state file: {error}") from None
+
+
+def write_observations(path: str | Path, observations: Sequence[Observation]) -> None:
+    """Save observations; numbers come back to the last bit, NaN as null in between.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    write(path, [{k: _null(v) for k, v in asdict(o).items()} for o in observations])
+
+
+def read_observations(path: str | Path, n: int) -> list[Observation]:
+    """Observations of an arm of n links, none if there is no such file.
+
+    Raises:
+        StateError: the file holds something else.
+        OSError: it cannot be read.
+    """
+    saved = read(path, [])
+    try:
+        observations = [Observation(**{k: _nan(v) for k, v in o.items()}) for o in saved]
+    except (AttributeError, TypeError, ValueError) as error:
+        raise StateError(f"{path} holds no observations: {error}") from None
+    for observation in observations:
+        if len(observation.q) != n:
+            raise StateError(f"{path} is of {len(observation.q)} joints, expected {n}")
+    return observations
+
+
+def _null(value: Any) -> Any:
+    if isinstance(value, tuple):
+        return [v if isfinite(v) else None for v in value]
+    return value
+
+
+def _nan(value: Any) -> Any:
+    if isinstance(value, list):
+        return tuple(float("nan") if v is None else float(v) for v in value)
+    return value

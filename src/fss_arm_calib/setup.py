@@ -1,0 +1,21 @@
+from setuptools import setup
+
+setup(
+    name="fss_arm_calib",
+    version="0.1.0",
+    packages=["fss_arm_calib"],
+    package_data={"fss_arm_calib": ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/fss_arm_calib"]),
+        ("share/fss_arm_calib", ["package.xml"]),
+    ],
+    description="Calibration of the arm's parameters, live and from bags.",
+    license="Apache-2.0",
+    entry_points={
+        "console_scripts": [
+            "kinematic = fss_arm_calib.kinematic_node:main",
+            "experiment = fss_arm_calib.experiment_node:main",
+            "from_bag = fss_arm_calib.from_bag:main",
+        ],
+    },
+)

@@ -1,0 +1,197 @@
+"""The solver on the truth ladder: perfect guess, perturbed guess, noise, degenerate data."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from fss_arm_calib.kinematic import (
+    EQUAL,
+    FULL,
+    KinematicProblem,
+    NotIdentifiable,
+    quantization_bound,
+    solve,
+    wrap,
+)
+from fss_arm_calib.postures import DEFAULT
+from fss_arm_model.description import Arm, Link, kinematic_names, paper_arm
+from fss_arm_model.kinematics import tip_in_base
+
+HALF_COUNT = np.pi / 240_000
+
+
+def arm_of(n: int) -> Arm:
+    """An arm of n unlike links (alike but for the last for n > 2 would be `equal`)."""
+    links = [
+        Link(a=0.3 + 0.02 * i, theta_0=0.05 * i, mass=2.0, inertia=0.03, b=0.15) for i in range(n)
+    ]
+    return replace(paper_arm(), links=tuple(links))
+
+
+def postures(n: int, count: int, seed: int = 1) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(-1.5, 1.5, (count, n))
+
+
+def problem(arm: Arm, q: np.ndarray, parametrization: str, guess: Arm | None = None, **known):
+    tip = tip_in_base(arm.vector(), q)
+    tip[:, 2] = wrap(tip[:, 2])
+    return KinematicProblem(q, tip, guess or arm, parametrization, **known)
+
+
+def perturbed(arm: Arm, rng: np.random.Generator, length: float, angle: float) -> Arm:
+    """A guess off by up to so much [m, rad] in every parameter."""
+    names = kinematic_names(arm.n)
+    size = np.where([name.startswith("theta") for name in names], angle, length)
+    values = problem(arm, postures(arm.n, 1), FULL).initial
+    return arm.with_kinematics(values + size * rng.uniform(-1.0, 1.0, len(names)))
+
+
+@pytest.mark.parametrize("n", range(1, 9))
+def test_a_perfect_guess_stays(n):
+    exact = problem(arm_of(n), postures(n, 3 * n + 4), FULL)
+    result = solve(exact)
+    assert result.converged
+    assert np.abs(result.values - exact.initial).max() < 1e-9
+    assert np.abs(result.residuals).max() < 1e-9
+
+
+@pytest.mark.parametrize("n", range(1, 9))
+def test_the_truth_comes_back_from_a_wrong_guess(n):
+    truth, rng = arm_of(n), np.random.default_rng(n)
+    for _ in range(20):
+        guess = perturbed(truth, rng, length=0.1, angle=0.5)
+        result = solve(problem(truth, postures(n, 3 * n + 4), FULL, guess))
+        assert result.converged
+        assert result.calibrated().base.mount == pytest.approx(truth.base.mount, abs=1e-9)
+        for found, link in zip(result.calibrated().links, truth.links, strict=True):
+            assert (found.a, found.theta_0) == pytest.approx((link.a, link.theta_0), abs=1e-9)
+
+
+@pytest.mark.parametrize("parametrization", [FULL, EQUAL])
+def test_the_iteration_alone_converges_where_the_closed_form_has_too_few_postures(parametrization):
+    """Four postures: 12 equations for 10 parameters, but the positions alone do not suffice."""
+    truth, rng = paper_arm(), np.random.default_rng(3)
+    q = np.radians([[10, -50, 70, 20], [-60, 80, -30, 60], [75, 35, 45, -80], [-20, -70, -65, -40]])
+    for _ in range(200):
+        guess = perturbed(truth, rng, length=0.03, angle=0.2)
+        try:
+            result = solve(problem(truth, q, parametrization, guess), max_condition=1e5)
+        except NotIdentifiable:
+            assert parametrization == FULL
+            continue
+        assert result.converged
+        assert np.abs(result.values - problem(truth, q, parametrization).initial).max() < 1e-9
+
+
+def test_equal_is_full_for_up_to_two_links():
+    for n in (1, 2):
+        q = postures(n, 8)
+        full, equal = (problem(arm_of(n), q, kind) for kind in (FULL, EQUAL))
+        assert full.names == equal.names
+        assert np.array_equal(solve(full).values, solve(equal).values)
+
+
+def test_parameters_are_counted_and_named_as_the_paper_does():
+    q = postures(4, 13)
+    assert len(problem(paper_arm(), q, FULL).names) == 2 * 4 + 2
+    equal = problem(paper_arm(), q, EQUAL)
+    assert equal.names == (
+        "a", "a_4", "theta_0_2", "theta_0_3", "theta_0_4", "x_BJ1", "y_BJ1", "theta_BJ1"
+    )  # fmt: skip
+    assert equal.units == ("m", "m", "rad", "rad", "rad", "m", "m", "rad")
+    assert equal.initial[:2] == pytest.approx([0.3825, 0.3351], abs=1e-15)
+
+
+def test_headings_beyond_half_a_turn_are_wrapped():
+    """theta_BJ1 of 3 rad puts most headings across the cut."""
+    truth = paper_arm()
+    truth = replace(truth, base=replace(truth.base, mount=(0.2, 0.0, 3.0)))
+    guess = replace(truth, base=replace(truth.base, mount=(0.2, 0.0, -3.0)))
+    result = solve(problem(truth, postures(4, 13), FULL, guess))
+    assert result.values[-1] == pytest.approx(3.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("parametrization", [FULL, EQUAL])
+def test_errors_are_as_large_as_the_covariance_says(parametrization):
+    """Normalized estimation error squared over 1,000 trials, and the paper's residuals."""
+    rng = np.random.default_rng(2016)
+    truth = paper_arm()
+    guess = perturbed(truth, rng, length=0.02, angle=0.15)
+    exact = problem(truth, DEFAULT, parametrization)
+    squares, position, heading = [], [], []
+    for _ in range(1000):
+        noise = rng.normal(size=exact.tip.shape) * exact.sigma
+        noisy = replace(exact, tip=exact.tip + noise, arm=guess)
+        result = solve(noisy)
+        assert result.converged
+        error = result.values - exact.initial
+        squares.append(error @ np.linalg.solve(result.covariance, error))
+        position.append(result.position_residual)
+        heading.append(result.heading_residual)
+    assert np.mean(squares) == pytest.approx(len(exact.names), rel=0.05)
+    if parametrization == EQUAL:
+        assert np.mean(position) == pytest.approx(0.015, abs=0.0005)
+        assert np.degrees(np.mean(heading)) == pytest.approx(0.683, abs=0.02)
+
+
+ONE = postures(4, 1)
+
+
+@pytest.mark.parametrize(
+    ("q", "named", "not_named"),
+    [
+        # one posture, however often, gives three numbers
+        (np.repeat(ONE, 13, axis=0), ("a_1", "a_4", "theta_0_2", "x_BJ1", "theta_BJ1"), ()),
+        (ONE, ("a_1", "a_4", "theta_0_2", "x_BJ1", "theta_BJ1"), ()),
+        # a joint that never moves makes its two links one
+        (postures(4, 13) * [0, 1, 1, 1], ("a_1", "x_BJ1", "y_BJ1", "theta_BJ1"), ("a_3", "a_4")),
+        (postures(4, 13) * [1, 0, 1, 1], ("a_1", "a_2", "theta_BJ1"), ("a_4", "x_BJ1", "y_BJ1")),
+        (postures(4, 13) * [1, 1, 0, 1], ("a_2", "a_3"), ("a_1", "a_4", "x_BJ1", "y_BJ1")),
+        (postures(4, 13) * [1, 1, 1, 0], ("a_3", "a_4"), ("a_1", "a_2", "x_BJ1", "y_BJ1")),
+        (postures(4, 3), ("a_1", "a_4", "x_BJ1"), ()),
+    ],
+)
+@pytest.mark.parametrize("jitter", [0.0, HALF_COUNT])
+def test_what_cannot_be_told_apart_is_named(q, named, not_named, jitter):
+    q = q + jitter * np.random.default_rng(5).uniform(-1.0, 1.0, q.shape)
+    with pytest.raises(NotIdentifiable) as caught:
+        solve(problem(paper_arm(), q, FULL))
+    assert set(named) <= set(caught.value.parameters)
+    assert not set(not_named) & set(caught.value.parameters)
+    assert named[0] in str(caught.value)
+
+
+@pytest.mark.parametrize("parametrization", [FULL, EQUAL])
+def test_counted_readings_stay_within_the_bound(parametrization):
+    """Readings rounded to encoder counts; poses exact. The worst signs reach the bound."""
+    exact = problem(paper_arm(), DEFAULT, parametrization)
+    bound = quantization_bound(exact, HALF_COUNT)
+    rng = np.random.default_rng(8)
+    for _ in range(20):
+        q = exact.q + rng.uniform(-1.0, 1.0, exact.q.shape) * 0.1
+        true = problem(paper_arm(), q, parametrization)
+        counted = replace(true, q=np.round(q / (2 * HALF_COUNT)) * 2 * HALF_COUNT)
+        error = np.abs(solve(counted).values - true.initial)
+        assert np.all(error <= quantization_bound(counted, HALF_COUNT) * 1.001)
+    worst = np.zeros_like(bound)
+    for _ in range(300):
+        signs = rng.choice([-HALF_COUNT, HALF_COUNT], exact.q.shape)
+        error = np.abs(solve(replace(exact, q=exact.q + signs)).values - exact.initial)
+        worst = np.maximum(worst, error)
+    assert np.all(worst <= bound * 1.001)
+    assert np.all(worst >= 0.25 * bound)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"q": np.zeros((13, 3))}, r"q has shape \(13, 3\), expected \(s, 4\)"),
+        ({"tip": np.zeros((12, 3))}, r"tip has shape \(12, 3\), expected \(13, 3\)"),
+        ({"tip": np.full((13, 3), np.nan)}, "not finite"),
+        ({"parametrization": "half"}, "parametrization is 'half', expected 'full' or 'equal'"),
+        ({"position_deviation": 0.0}, "position_deviation is 0.0, must be positive"),
+    ],
+)
+def test_an_impossible_problem_is_refused(change, message):
+    with pytest.raises(ValueError, match=message):
+        replace(problem(paper_arm(), postures(4, 13), FULL), **change)

@@ -1,0 +1,61 @@
+"""The postures to observe: informative, clear of each other, and in an order of short moves."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from fss_arm_calib.kinematic import FULL, KinematicProblem, solve
+from fss_arm_calib.postures import APART, DEFAULT, MARGIN, clearance, default, design
+from fss_arm_model.description import Arm, paper_arm
+from fss_arm_model.kinematics import tip_in_base
+
+
+def arm_of(n: int) -> Arm:
+    arm = paper_arm()
+    return replace(arm, links=(*arm.links, *arm.links[1:] * 3)[:n])
+
+
+def solution(arm: Arm, q: np.ndarray):
+    return solve(KinematicProblem(q, tip_in_base(arm.vector(), q), arm, FULL))
+
+
+def test_the_table_is_what_the_design_finds():
+    found = solution(paper_arm(), design(paper_arm(), seed=5))
+    table = solution(paper_arm(), DEFAULT)
+    assert np.linalg.slogdet(table.covariance)[1] <= np.linalg.slogdet(found.covariance)[1] + 0.5
+    assert table.condition_number < 20.0
+
+
+def test_the_table_is_more_informative_than_chance():
+    rng = np.random.default_rng(0)
+    chance = [solution(paper_arm(), rng.uniform(-1.5, 1.5, (13, 4))).covariance for _ in range(50)]
+    volumes = [np.linalg.slogdet(covariance)[1] for covariance in chance]
+    assert np.linalg.slogdet(solution(paper_arm(), DEFAULT).covariance)[1] < min(volumes)
+
+
+def test_the_table_can_be_run():
+    assert len(DEFAULT) == 13
+    assert np.abs(DEFAULT).max() <= np.pi / 2
+    assert np.abs(DEFAULT[0]).max() < 0.2
+    moves = np.abs(np.diff(DEFAULT, axis=0)).max(axis=1)
+    assert moves.sum() / 0.8 < 45.0  # seconds of travel at 0.8 rad/s
+    share = np.linspace(0.0, 1.0, 101)[:, None]
+    for here, there in pairwise(DEFAULT):
+        assert clearance(paper_arm(), here + share * (there - here)).min() >= MARGIN
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 6])
+def test_any_arm_gets_postures_that_identify_it(n):
+    arm = arm_of(n)
+    q = default(arm)
+    assert q.shape == (max(13, 2 * n + 2), n)
+    assert solution(arm, q).condition_number < 60.0
+    apart = [np.abs(a - b).max() for k, a in enumerate(q) for b in q[:k]]
+    assert min(apart) >= (APART if n > 2 else np.radians(4.0))
+
+
+def test_a_folded_arm_is_not_clear():
+    assert clearance(paper_arm(), np.zeros(4)) > MARGIN
+    assert clearance(paper_arm(), np.radians([0.0, 90.0, 90.0, 85.0])) < MARGIN
+    assert clearance(paper_arm(), np.radians([0.0, 80.0, 130.0, 60.0])) == 0.0

@@ -1,0 +1,254 @@
+"""The finder on synthetic streams: any interleaving, gaps, occlusions, repeats, motion."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from calib_rig import ARM, COUNT, POSTURES, START, Rig, Sample, at
+from fss_arm_calib.rests import BASE, TIP, Observation, RestFinder, RestSettings, spoiled
+from fss_arm_model.kinematics import tip_in_base
+from fss_arm_ros.convert import SECOND
+
+
+def find(samples, close=True, finder=None, **known):
+    finder = finder or RestFinder(4, RestSettings(**known))
+    found = []
+    for t, stream, value in samples:
+        if isinstance(stream, str):
+            found += finder.pose(stream, t, value)
+        else:
+            found += finder.joint(stream, t, value)
+    return found + (finder.close() if close else [])
+
+
+def without(samples, streams, begin, end):
+    """The samples less those of some streams within an interval [s]."""
+    return [s for s in samples if s.stream not in streams or not at(begin) < s.t < at(end)]
+
+
+def postures_of(found):
+    return np.array([o.q for o in found if o.used])
+
+
+def test_each_rest_becomes_one_observation():
+    found = find(Rig().samples())
+    assert len(found) == 3
+    assert np.abs(postures_of(found) - POSTURES).max() <= COUNT / 2
+    for observation, posture in zip(found, POSTURES, strict=True):
+        assert observation.used
+        assert observation.end - observation.start == 2 * SECOND
+        assert observation.joint_samples >= 10
+        assert observation.vicon_frames in (200, 201)
+        assert observation.tip == pytest.approx(tip_in_base(ARM.vector(), posture), abs=1e-9)
+
+
+def test_an_observation_appears_during_the_rest():
+    samples = Rig(rest=4.0).samples()
+    seen = [s for s in samples if s.t < at(3.3)]
+    assert len(find(seen, close=False)) == 1
+    assert len(find(samples, close=False)) == 3
+
+
+@pytest.mark.parametrize("lag", [1, 3_000_000, 5_000_000])
+def test_subjects_with_stamps_of_their_own_are_paired(lag):
+    """The base drifts at 5 mm/s and 0.1 degrees/s: unpaired poses would be off by up to 25 um."""
+    for observation, posture in zip(find(Rig().samples(lag)), POSTURES, strict=True):
+        assert observation.tip == pytest.approx(tip_in_base(ARM.vector(), posture), abs=1e-9)
+
+
+def test_headings_across_the_cut_are_averaged_on_the_circle():
+    posture = np.array([[np.pi - ARM.vector()[6], 0.0, 0.0, 0.0]])
+    (observation,) = find(Rig(posture, noise=0.3).samples())
+    truth = tip_in_base(ARM.vector(), posture[0])[2]
+    assert abs(np.angle(np.exp(1j * (observation.tip[2] - truth)))) < 0.1
+    assert observation.scatter[2] == pytest.approx(0.3, rel=0.2)
+
+
+@pytest.mark.parametrize("joints_late", [0.0, 0.9])
+@pytest.mark.parametrize("seed", range(12))
+def test_the_order_of_arrival_does_not_matter(seed, joints_late):
+    """Any interleaving that keeps each stream's own order, gaps and an occlusion included."""
+    samples = without(Rig().samples(3_000_000), {TIP}, 1.2, 1.6)
+    samples = without(samples, {2}, 7.0, 8.4)
+    k = next(k for k, s in enumerate(samples) if s.t > at(13.0) and s.stream == BASE)
+    samples[k] = samples[k]._replace(value=None)
+    expected = find(samples)
+    assert len(expected) == 3
+    streams: dict[int | str, list[Sample]] = {}
+    for s in samples:
+        streams.setdefault(s.stream, []).append(s)
+    rng, mixed = np.random.default_rng(seed), []
+    while streams:
+        names = sorted(streams, key=str)
+        name = names[rng.integers(len(names))]
+        if isinstance(name, int) and {BASE, TIP} & set(names) and rng.random() < joints_late:
+            continue
+        burst = int(rng.integers(1, 300))
+        mixed += streams[name][:burst]
+        streams[name] = streams[name][burst:]
+        if not streams[name]:
+            del streams[name]
+    assert find(mixed) == expected
+
+
+def test_repeated_samples_change_nothing():
+    samples = Rig().samples()
+    finder = RestFinder(4)
+    assert find([s for s in samples for _ in range(2)], finder=finder) == find(samples)
+    assert finder.repeated == len(samples)
+
+
+def test_occluded_and_senseless_samples_are_counted_and_ignored():
+    samples, bad = Rig().samples(), []
+    for k, s in enumerate(samples):
+        if k % 50 == 0:
+            bad.append(s._replace(t=s.t - 1, value=None if isinstance(s.stream, str) else np.nan))
+        bad.append(s)
+    finder = RestFinder(4)
+    assert find(bad, finder=finder) == find(samples)
+    assert finder.refused == len(bad) - len(samples)
+
+
+def test_a_short_rest_is_averaged_over_what_there_is():
+    found = find(Rig(rest=1.6).samples())
+    assert len(found) == 3
+    assert all(0.5 * SECOND <= o.end - o.start < 2 * SECOND for o in found[:2])
+    assert np.abs(postures_of(found) - POSTURES).max() <= COUNT / 2
+
+
+def test_a_passing_stop_is_no_rest():
+    assert len(find(Rig(rest=0.8).samples())) <= 1  # the last one rests on to the end of the data
+
+
+def test_there_is_one_observation_for_a_long_rest():
+    assert len(find(Rig(POSTURES[:1], rest=60.0).samples())) == 1
+
+
+def test_slow_motion_is_no_rest():
+    """A joint creeping at 0.003 rad/s stays within the tolerance for a third of a second only."""
+    samples = [
+        s._replace(value=s.value + 0.003 * (s.t - START) / SECOND) if s.stream == 3 else s
+        for s in Rig(POSTURES[:1], rest=20.0).samples()
+    ]
+    assert find(samples) == []
+
+
+@pytest.mark.parametrize("streams", [{TIP}, {BASE}, {TIP, BASE}, {2}, {1, 2, 3, 4}])
+def test_a_gap_that_leaves_enough_of_a_rest_does_no_harm(streams):
+    """Posture 2 rests from 12 to 18 s; the silence ends at 14.2 s."""
+    found = find(without(Rig().samples(), streams, 12.7, 14.2))
+    assert [o.used for o in found] == [True] * 3
+    assert found[2].start >= at(14.2 if streams & {TIP, BASE} else 12.5)
+
+
+@pytest.mark.parametrize("streams", [{TIP}, {BASE}, {TIP, BASE}])
+def test_a_rest_that_vicon_missed_is_reported(streams):
+    """Posture 1 rests from 6 to 10 s."""
+    found = find(without(Rig().samples(), streams, 5.0, 10.5))
+    assert [o.used for o in found] == [True, False, True]
+    assert "silent for" in found[1].reason
+    assert any(name in found[1].reason for name in streams)
+    assert np.abs(np.array(found[1].q) - POSTURES[1]).max() <= 1e-3
+    assert np.isnan(found[1].tip).all()
+    assert spoiled(found, 0.02) == [found[1]]
+
+
+@pytest.mark.parametrize("streams", [{2}, {1, 2, 3, 4}])
+def test_a_rest_that_a_silent_joint_cut_off_is_reported(streams):
+    found = find(without(Rig().samples(), streams, 6.9, 11.0))
+    assert [o.used for o in found] == [True, False, True]
+    assert "joint_" in found[1].reason
+
+
+@pytest.mark.parametrize("streams", [{TIP}, {2}, {1, 2, 3, 4}])
+def test_a_gap_in_motion_spoils_nothing(streams):
+    found = find(without(Rig().samples(), streams, 4.2, 5.8))
+    assert [o.used for o in found] == [True] * 3
+
+
+def test_a_spoiled_posture_observed_again_is_no_loss():
+    rig = Rig(np.array([*POSTURES, POSTURES[1] + 0.01]))
+    found = find(without(rig.samples(), {TIP}, 5.0, 10.5))
+    assert [o.used for o in found] == [True, False, True, True]
+    assert spoiled(found, np.radians(1.0)) == []
+    assert len(spoiled(found, np.radians(0.1))) == 1
+
+
+def test_streams_that_begin_late_or_end_early():
+    samples = Rig().samples()
+    late = [s for s in samples if s.stream != TIP or s.t > at(7.5)]
+    assert [o.used for o in find(late)] == [True, True]
+    early = [s for s in samples if s.stream != TIP or s.t < at(8.0)]
+    assert [o.used for o in find(early)] == [True, True, False]
+    assert find(early, close=False) == find(early)[:1]
+    assert find([s for s in samples if s.stream != TIP]) == []
+    assert RestFinder(2).silent() == ["joint_1", "joint_2", BASE, TIP]
+
+
+def test_closing_takes_the_last_rest_once():
+    samples = [s for s in Rig().samples() if s.t < at(13.4)]
+    finder = RestFinder(4)
+    found = find(samples, close=False, finder=finder)
+    assert len(found) == 2
+    (last,) = finder.close()
+    assert last.used
+    assert 0.5 * SECOND <= last.end - last.start <= 1.0 * SECOND
+    assert finder.close() == []
+    rest = [s for s in Rig().samples() if s.t >= at(13.4)]
+    assert find(rest, finder=finder) == []
+
+
+def test_closing_too_early_loses_nothing():
+    finder = RestFinder(4)
+    samples = Rig().samples()
+    assert find([s for s in samples if s.t < at(0.9)], finder=finder) == []
+    assert find([s for s in samples if s.t >= at(0.9)], finder=finder) == find(samples)
+
+
+def test_after_a_restart_the_present_rest_is_not_observed_again():
+    samples = [s for s in Rig().samples() if s.t > at(8.0)]
+    resumed = find(samples, finder=RestFinder(4, resting_at=POSTURES[1]))
+    assert np.abs(postures_of(resumed) - POSTURES[2:]).max() <= COUNT
+    elsewhere = find(samples, finder=RestFinder(4, resting_at=POSTURES[0]))
+    assert np.abs(postures_of(elsewhere) - POSTURES[1:]).max() <= COUNT
+
+
+def test_a_live_finder_forgets():
+    """Two minutes at rest, and two minutes without a joint."""
+    finder = RestFinder(4)
+    rig = Rig(POSTURES[:1], rest=120.0)
+    samples = rig.samples()
+    find(samples, close=False, finder=finder)
+    assert all(len(poses.t) < 2500 for poses in finder.subjects.values())
+    assert all(len(joint.t) < 50 for joint in finder.joints)
+    dead = RestFinder(4)
+    find(without(samples, {2}, 1.0, 700.0), close=False, finder=dead)
+    assert all(len(poses.t) < 8000 for poses in dead.subjects.values())
+
+
+def test_observations_come_in_order_of_time():
+    rig = Rig(np.array([*POSTURES] * 3), rest=3.0)
+    found = find(rig.samples())
+    assert len(found) == 9
+    assert all(a.end <= b.start for a, b in pairwise(found))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"still": 0.0}, "still is 0.0, must be positive"),
+        ({"settle": -1.0}, "settle is -1.0 s, must not be negative"),
+        ({"shortest": 3.0}, "longest is 2.0 s, must be at least 3.0 s"),
+        ({"vicon_gap": float("nan")}, "vicon_gap is nan, must be positive"),
+    ],
+)
+def test_impossible_settings_are_refused(change, message):
+    with pytest.raises(ValueError, match=message):
+        RestSettings(**change)
+
+
+def test_spoiled_needs_all_joints_close():
+    used = Observation(0, 1, (0.0, 0.0))
+    unused = Observation(2, 3, (0.0, 0.1), used=False, reason="gap")
+    assert spoiled([used, unused], 0.05) == [unused]
+    assert spoiled([unused, used], 0.2) == []

@@ -1,0 +1,176 @@
+"""What is concluded: pass, fail and not_evaluated, each with its reason; reports; kept state."""
+
+import json
+from dataclasses import replace
+from math import isnan, nan
+
+import numpy as np
+import pytest
+from fss_arm_calib.kinematic import FULL, KinematicProblem, solve
+from fss_arm_calib.postures import DEFAULT
+from fss_arm_calib.rests import Observation
+from fss_arm_calib.settings import CalibrationSettings, Criteria
+from fss_arm_calib.state import StateError, read_observations, write_observations
+from fss_arm_calib.verdict import FAIL, NOT_EVALUATED, PASS, calibrate
+from fss_arm_model.description import from_yaml, paper_arm
+from fss_arm_model.kinematics import tip_in_base
+
+from fss_arm_calib import report
+
+SETTINGS = CalibrationSettings()
+
+
+def observe(q=DEFAULT, seed=1, noise=1.0, arm=None):
+    """Observations of an arm with the errors that the settings assume."""
+    tips = tip_in_base((arm or paper_arm()).vector(), q)
+    sigma = [SETTINGS.position_deviation] * 2 + [SETTINGS.heading_deviation]
+    tips = tips + noise * np.random.default_rng(seed).normal(size=tips.shape) * sigma
+    return [
+        Observation(k * 10**9, k * 10**9 + 1, tuple(a), tuple(b), (0.0, 0.0, 0.0), 10, 200)
+        for k, (a, b) in enumerate(zip(q.tolist(), tips.tolist(), strict=True))
+    ]
+
+
+def test_a_good_calibration_passes_and_gives_the_next_description():
+    calibration = calibrate(observe(), paper_arm())
+    assert calibration.verdict == PASS
+    assert "13 observations (at least 6)" in calibration.reason
+    assert "probability" in calibration.reason
+    arm = from_yaml(calibration.description)
+    assert [link.a for link in arm.links[:3]] == [calibration.values[0]] * 3
+    assert calibration.degrees_of_freedom == 31
+    assert calibration.stamp == 12 * 10**9 + 1
+
+
+def test_every_number_can_be_recomputed_from_what_is_told():
+    c = calibrate(observe(), paper_arm(), replace(SETTINGS, parametrization=FULL))
+    known = c.parametrization, c.position_deviation, c.heading_deviation
+    again = solve(KinematicProblem(c.q, c.tip, paper_arm(), *known))
+    assert np.array_equal(again.values, c.values)
+    assert np.array_equal(again.covariance, c.covariance)
+    assert again.chi_square == c.chi_square
+
+
+def test_residuals_larger_than_assumed_fail():
+    calibration = calibrate(observe(noise=3.0), paper_arm())
+    assert calibration.verdict == FAIL
+    assert "residuals are larger than the assumed deviations allow" in calibration.reason
+    assert calibration.description == ""
+
+
+def test_one_wrong_observation_fails():
+    observations = observe()
+    wrong = replace(observations[4], tip=(0.5, 0.5, 0.0))
+    calibration = calibrate([*observations[:4], wrong, *observations[5:]], paper_arm())
+    assert calibration.verdict == FAIL
+
+
+def test_exact_observations_pass():
+    assert calibrate(observe(noise=0.0), paper_arm()).verdict == PASS
+
+
+@pytest.mark.parametrize("count", [0, 1, 5])
+def test_too_few_observations_are_not_evaluated_and_have_no_numbers(count):
+    calibration = calibrate(observe()[:count], paper_arm())
+    assert calibration.verdict == NOT_EVALUATED
+    assert f"{count} observation" in calibration.reason
+    assert "at least 6 needed for a, a_4, theta_0_2" in calibration.reason
+    assert np.isnan(calibration.values).all()
+    assert isnan(calibration.position_residual)
+    assert calibration.covariance.size == calibration.residuals.size == 0
+    assert calibration.observations_used == count
+
+
+def test_parameters_that_cannot_be_told_apart_are_named_with_the_joint():
+    q = DEFAULT.copy()
+    q[:, 1] = 0.1
+    settings = replace(SETTINGS, parametrization=FULL)
+    calibration = calibrate(observe(q), paper_arm(), settings)
+    assert calibration.verdict == NOT_EVALUATED
+    for words in ("a_1, a_2, ", "cannot be told apart", "joint_2 hardly moved"):
+        assert words in calibration.reason
+    assert np.isnan(calibration.values).all()
+
+
+def test_a_spoiled_posture_is_not_evaluated_until_it_is_observed():
+    observations = observe()
+    spoiled = Observation(
+        0, 1, tuple(np.add(observations[5].q, 0.3)), used=False, reason="fss silent for 0.40 s"
+    )
+    lacking = calibrate([*observations, spoiled], paper_arm())
+    assert lacking.verdict == NOT_EVALUATED
+    assert "1 rest spoiled (fss silent for 0.40 s)" in lacking.reason
+    assert lacking.description == ""
+    assert lacking.gaps == lacking.observations_refused == 1
+    assert np.isfinite(lacking.values).all()
+    again = replace(spoiled, q=tuple(np.add(observations[5].q, 0.01)))
+    assert calibrate([*observations, again], paper_arm()).verdict == PASS
+
+
+def test_the_hash_is_of_what_was_used():
+    some, others = observe(), observe(seed=2)
+    hashes = {calibrate(o, paper_arm()).observations_hash for o in (some, some, others)}
+    assert len(hashes) == 2
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"min_observations": 0}, "min_observations is 0, must be at least 1"),
+        ({"max_condition": 1.0}, r"max_condition is 1.0, must be more than 1"),
+        ({"min_probability": 1.0}, r"min_probability is 1.0, must be in \[0, 1\)"),
+        ({"same_posture": 0.0}, "same_posture is 0.0 rad, must be positive"),
+    ],
+)
+def test_impossible_criteria_are_refused(change, message):
+    with pytest.raises(ValueError, match=message):
+        Criteria(**change)
+
+
+def printed(calibration, truth=None):
+    console = report.console()
+    with console.capture() as capture:
+        console.print(report.table(calibration, truth))
+    return " ".join(capture.get().split())
+
+
+def test_the_table_compares_with_the_paper_and_the_truth():
+    text = printed(calibrate(observe(), paper_arm()), paper_arm())
+    for words in ("a_1 .. a_3", "0.3825", "5.801", "18.211", "0.0150", "0.683", "truth", "pass"):
+        assert words in text
+    text = printed(calibrate(observe()[:3], paper_arm()))
+    assert "not evaluated: 3 observations" in text
+    assert "truth" not in text
+
+
+def test_the_drawing_is_a_png(tmp_path):
+    report.plot(calibrate(observe(), paper_arm()), tmp_path / "a.png")
+    assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
+    with pytest.raises(ValueError, match="no residuals to draw: 3 observations"):
+        report.plot(calibrate(observe()[:3], paper_arm()), tmp_path / "b.png")
+
+
+def test_observations_are_kept_to_the_last_bit(tmp_path):
+    unused = Observation(0, 1, (0.1, nan, 0.0, 0.0), used=False, reason="gap")
+    kept = [*observe(), unused]
+    write_observations(tmp_path / "state.json", kept)
+    restored = read_observations(tmp_path / "state.json", 4)
+    assert restored[:-1] == kept[:-1]
+    assert repr(restored[-1]) == repr(unused)
+    assert read_observations(tmp_path / "none.json", 4) == []
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{", "is not a state file"),
+        ('[{"what": 1}]', "holds no observations"),
+        ("[3]", "holds no observations"),
+        (json.dumps([{"start": 0, "end": 1, "q": [0.0]}]), "is of 1 joints, expected 4"),
+    ],
+)
+def test_a_wrong_state_file_is_named(tmp_path, text, message):
+    path = tmp_path / "state.json"
+    path.write_text(text)
+    with pytest.raises(StateError, match=message):
+        read_observations(path, 4)
