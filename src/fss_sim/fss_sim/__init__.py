@@ -1,0 +1,1 @@
+"""The free-floating test bed, simulated: plant, sensors, link electronics."""

@@ -1,0 +1,76 @@
+"""The parameters of the test-bed node, and what they amount to."""
+
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+
+from fss_arm_model.description import Arm, load, paper_arm
+from fss_arm_ros.settings import setting
+
+from fss_sim.sensors import PRESETS, RATE, Noise
+from fss_sim.testbed import State
+
+
+@dataclass(frozen=True)
+class TestbedSettings:
+    """The parameters of a TestbedNode."""
+
+    arm: str = setting("", "file of the true arm's description; empty: the paper's arm")
+    host: str = setting("127.0.0.1", "address that the links' UDP ports are opened on")
+    ports: tuple[int, ...] = setting((), "the links' UDP ports, 0: any; empty: 5001, 5002, ...")
+    telemetry_rate: float = setting(5.0, "telemetry frames of each link [1/s]")
+    seed: int = setting(1, "of all the sensors' errors")
+    preset: str = setting("default", f"of the sensors' errors: {', '.join(PRESETS)}")
+    position_noise: float = setting(-1.0, "of a VICON frame, 1 sigma [m]; < 0: the preset's")
+    heading_noise: float = setting(-1.0, "of a VICON frame, 1 sigma [rad]; < 0: the preset's")
+    rest_position_error: float = setting(
+        -1.0, "of the end effector seen from the base, each rest, 1 sigma [m]; < 0: the preset's"
+    )
+    rest_heading_error: float = setting(-1.0, "likewise [rad]; < 0: the preset's")
+    gyro_noise: float = setting(-1.0, "of a FOG sample, 1 sigma [rad/s]; < 0: the preset's")
+    gyro_bias: float = setting(-1.0, "of the FOG, each run, 1 sigma [rad/s]; < 0: the preset's")
+    base: tuple[float, ...] = setting((0.0, 0.0, 0.0), "pose at the begin: x, y [m], heading [rad]")
+    q: tuple[float, ...] = setting((), "joint angles at the begin [rad]; empty: all 0")
+    keep_clock: bool = setting(False, "publish /clock; else the stamps are ROS time as it is")
+    speed: float = setting(1.0, "of the clock kept, in multiples of real time")
+    state_file: str = setting("", "where the state is kept to resume from; empty: nowhere")
+    world_frame: str = setting("world", "frame_id of the VICON poses")
+    base_frame: str = setting("fss", "frame_id of the FOG")
+
+    def __post_init__(self) -> None:
+        if self.preset not in PRESETS:
+            raise ValueError(f"preset is {self.preset!r}, expected one of {', '.join(PRESETS)}")
+        if self.seed < 0:
+            raise ValueError(f"seed is {self.seed}, expected 0 or more")
+        if not 0.0 < self.telemetry_rate <= RATE:
+            raise ValueError(f"telemetry_rate is {self.telemetry_rate}, expected above 0 to {RATE}")
+        if not 0.01 <= self.speed <= 100.0 or (self.speed != 1.0 and not self.keep_clock):
+            raise ValueError(
+                f"speed is {self.speed}, expected 0.01 to 100, and 1 without keep_clock"
+            )
+        if len(self.base) != 3:
+            raise ValueError(f"base has {len(self.base)} numbers, expected 3")
+
+    def description(self) -> Arm:
+        """The true arm."""
+        return load(self.arm) if self.arm else paper_arm()
+
+    def noise(self) -> Noise:
+        """The preset's deviations, with those given in their places."""
+        given = {f.name: getattr(self, f.name) for f in fields(Noise)}
+        return replace(PRESETS[self.preset], **{k: v for k, v in given.items() if v >= 0.0})
+
+    def link_ports(self, n: int) -> tuple[int, ...]:
+        """One port for each link."""
+        ports = self.ports or tuple(range(5001, 5001 + n))
+        if len(ports) != n or not all(0 <= port <= 65535 for port in ports):
+            raise ValueError(f"ports is {list(ports)}, expected {n} of 0 to 65535")
+        return ports
+
+    def begin(self, n: int) -> State:
+        """The state to begin with: the file's, else the one given."""
+        if self.state_file and Path(self.state_file).exists():
+            return State.load(Path(self.state_file), n).resumed()
+        q = self.q or n * (0.0,)
+        if len(q) != n:
+            raise ValueError(f"q has {len(q)} angles, expected {n}")
+        return State(frame=0, boots=1, rests=0, q=(*self.base, *q), qd=(3 + n) * (0.0,))
