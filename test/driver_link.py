@@ -1,8 +1,12 @@
-"""A link's electronics in a few lines, for the driver's tests: it turns as it is told, at once."""
+"""A link's electronics in a few lines, for the driver's tests: it turns as fast as it is told."""
 
+import time
+from collections import Counter, deque
 from dataclasses import replace
+from threading import Condition
 
 from fss_arm_driver.protocol import (
+    VELOCITY_UNIT,
     Command,
     Mode,
     Order,
@@ -16,6 +20,7 @@ from fss_arm_driver.protocol import (
 
 SECOND = 1_000_000_000
 MILLISECOND = 1_000_000
+RATE = 20.0  # of telemetry [1/s]: faster than a real link, for short tests
 SAMPLE = Telemetry(
     link=1, flags=0, boot=1, sequence=0, clock=0, echo=0, turnaround=0, position=0, velocity=0,
     current=0, mode=Mode.OFF, slow_id=Slow.SUPPLY, status=0, torque=0, torque_age=0,
@@ -32,7 +37,9 @@ class FakeLink:
         self.taken: Command | None = None
         self.arrived = 0
         self.flags = State(0)
-        self.position = 0
+        self.position = self.target = 0
+        self.speed = 0.0  # [counts/s]
+        self.measured = 0
 
     def clock(self, now: int) -> int:
         return (now - self.born) // 1000
@@ -52,11 +59,17 @@ class FakeLink:
         elif not latches:
             self.flags = State.ARMED
             if command.mode == Mode.POSITION:
-                self.position = command.set_point
+                self.target, self.speed = command.set_point, VELOCITY_UNIT * command.velocity
+            else:
+                self.speed = 0.0
 
     def telemetry(self, now: int, **changes: int) -> bytes:
         """The next frame, measured at host time `now`."""
         taken = self.taken
+        way = self.target - self.position if self.speed and self.flags & State.ARMED else 0
+        most = round(self.speed * 1e-9 * (now - self.measured))
+        self.measured, turned = now, max(-most, min(way, most))
+        self.position += turned
         self.frame = replace(
             self.frame,
             flags=int(self.flags),
@@ -65,5 +78,44 @@ class FakeLink:
             echo=taken.clock & 0xFFFFFFFF if taken else 0,
             turnaround=self.clock(now) - self.clock(self.arrived) if taken else 0,
             position=self.position,
+            velocity=round(self.speed / VELOCITY_UNIT) if turned else 0,
         )
         return encode(replace(self.frame, **changes))
+
+
+class FakeTransport:
+    """A link at the other end that measures once for each command frame, at its steady rate."""
+
+    def __init__(self, number=1, clock=time.time_ns):
+        self.counts = Counter()
+        self.clock = clock
+        self.link = FakeLink(number, boot=5, born=clock() - 100 * SECOND)
+        self.talks = self.hears = True
+        self.last = 0
+        self.datagrams, self.arrival = deque(), Condition()
+
+    def send(self, data):
+        now = self.clock()
+        if self.hears:
+            self.link.take(data, now)
+        if self.talks and now - self.last > 0.8 * SECOND / RATE:
+            self.last = now
+            self.put(self.link.telemetry(now))
+
+    def put(self, data):
+        with self.arrival:
+            self.datagrams.append(data)
+            self.arrival.notify()
+
+    def receive(self):
+        with self.arrival:
+            got = list(self.datagrams)
+            self.datagrams.clear()
+        return got
+
+    def wait(self, timeout):
+        with self.arrival:
+            return self.arrival.wait_for(lambda: self.datagrams, timeout)
+
+    def close(self):
+        pass

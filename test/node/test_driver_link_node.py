@@ -4,13 +4,11 @@ import socket
 import subprocess
 import sys
 import time
-from collections import Counter, deque
 from math import inf, nan
-from threading import Condition
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from driver_link import SECOND, FakeLink
+from driver_link import RATE, SECOND, FakeLink, FakeTransport
 from fss_arm_driver.link_node import LinkNode
 from fss_arm_driver.protocol import FRAME_SIZE, Mode, Order, State
 from fss_arm_ros.convert import stamp_ns, to_time
@@ -22,46 +20,6 @@ from std_msgs.msg import Empty
 from std_srvs.srv import SetBool
 
 from fss_arm_msgs.msg import LinkCommand, LinkTelemetry
-
-RATE = 20.0  # faster than a real link, for short tests
-
-
-class FakeTransport:
-    """A link at the other end that measures once for each command frame, at its steady rate."""
-
-    def __init__(self, clock=time.time_ns):
-        self.counts = Counter()
-        self.clock = clock
-        self.link = FakeLink(boot=5, born=clock() - 100 * SECOND)
-        self.talks = self.hears = True
-        self.last = 0
-        self.datagrams, self.arrival = deque(), Condition()
-
-    def send(self, data):
-        now = self.clock()
-        if self.hears:
-            self.link.take(data, now)
-        if self.talks and now - self.last > 0.8 * SECOND / RATE:
-            self.last = now
-            self.put(self.link.telemetry(now))
-
-    def put(self, data):
-        with self.arrival:
-            self.datagrams.append(data)
-            self.arrival.notify()
-
-    def receive(self):
-        with self.arrival:
-            got = list(self.datagrams)
-            self.datagrams.clear()
-        return got
-
-    def wait(self, timeout):
-        with self.arrival:
-            return self.arrival.wait_for(lambda: self.datagrams, timeout)
-
-    def close(self):
-        pass
 
 
 class User(Node):

@@ -1,0 +1,282 @@
+"""Run the main job on a simulated test bed and show its result.
+
+Stands for the person in the laboratory: starts the nodes, arms the links, starts again what
+died, closes the experiment, reads the bag back and compares.
+"""
+
+import argparse
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from datetime import datetime
+from pathlib import Path
+from types import TracebackType
+
+import rclpy
+from ament_index_python.packages import get_package_prefix
+from fss_arm_calib import report
+from fss_arm_calib.from_bag import solve_bag
+from fss_arm_calib.settings import CalibrationSettings
+from fss_arm_model import description
+from fss_arm_msgs.msg import KinematicCalibration, KinematicObservations, LinkTelemetry
+from fss_arm_ros.qos import LATCHED, SENSOR
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from std_srvs.srv import SetBool, Trigger
+
+CONFIG = Path(__file__).resolve().parent.parent / "config"
+LINKS = 4
+STARTS_AT_MOST = 5  # of one node; a node that dies more often has a fault of its own
+
+
+class DemoError(RuntimeError):
+    """The demo cannot go on; the message says why and where to look."""
+
+
+class Nodes:
+    """The node processes, each with its log; stops them all on leaving."""
+
+    def __init__(self, logs: Path, say: Callable[[str], None]) -> None:
+        self.logs = logs
+        self.say = say
+        self.commands: dict[str, list[str]] = {}
+        self.processes: dict[str, subprocess.Popen[bytes]] = {}
+        self.starts: dict[str, int] = {}
+        logs.mkdir(parents=True)
+
+    def start(self, name: str, package: str, executable: str, **parameters: object) -> None:
+        """Start `executable` as `ros2 run` does, under the name `name`."""
+        path = Path(get_package_prefix(package), "lib", package, executable)
+        command = [str(path), "--ros-args"]
+        for key, value in parameters.items():
+            command += ["-p", f"{key}:={value}"]
+        self.commands[name] = command
+        self._start(name)
+
+    def _start(self, name: str) -> None:
+        self.starts[name] = self.starts.get(name, 0) + 1
+        with (self.logs / f"{name}.log").open("ab") as log:
+            # A session of its own: Ctrl-C is for this script, which then stops them in order.
+            self.processes[name] = subprocess.Popen(
+                self.commands[name], stdout=log, stderr=log, stdin=subprocess.DEVNULL,
+                start_new_session=True,
+            )
+
+    def restart_dead(self) -> None:
+        """Start again each node that was killed; one that gave up by itself ends the demo.
+
+        Raises:
+            DemoError: a node ended with an error of its own, or was killed too often.
+        """
+        for name, process in self.processes.items():
+            code = process.poll()
+            if code is None or code == 0:
+                continue
+            if code > 0 or self.starts[name] >= STARTS_AT_MOST:
+                raise DemoError(f"node {name} ended with {code}: {self.last_words(name)}")
+            self.say(f"node {name} was killed ({signal.Signals(-code).name}), starting it again")
+            self._start(name)
+
+    def last_words(self, name: str) -> str:
+        """The last line of the node's log, and where the rest is."""
+        log = self.logs / f"{name}.log"
+        lines = log.read_text(errors="replace").splitlines() or ["(nothing said)"]
+        return f"{lines[-1]} (see {log})"
+
+    def ended(self, name: str) -> bool:
+        """Whether the node has finished its work."""
+        return self.processes[name].poll() == 0
+
+    def stop(self, name: str, patience: float = 10.0) -> None:
+        """Interrupt one node and wait until it is gone."""
+        process = self.processes.pop(name)
+        if process.poll() is None:
+            process.send_signal(signal.SIGINT)
+        try:
+            process.wait(patience)
+        except subprocess.TimeoutExpired:
+            self.say(f"node {name} does not stop, killing it")
+            process.kill()
+            process.wait()
+
+    def __enter__(self) -> "Nodes":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        for name in reversed(list(self.processes)):
+            self.stop(name)
+
+
+class Operator(Node):
+    """What the person does: looks at the links, arms them, asks for the solution."""
+
+    def __init__(self, clock: bool) -> None:
+        super().__init__(
+            "operator", parameter_overrides=[Parameter("use_sim_time", value=clock)]
+        )
+        self.armed = dict.fromkeys(range(1, LINKS + 1), False)
+        self.observed = 0
+        self.result: KinematicCalibration | None = None
+        for i in self.armed:
+            self.create_subscription(LinkTelemetry, f"link_{i}/telemetry", self.on_link, SENSOR)
+        self.create_subscription(
+            KinematicObservations, "calibration/observations", self.on_observations, LATCHED
+        )
+        self.create_subscription(
+            KinematicCalibration, "calibration/kinematic", self.on_result, LATCHED
+        )
+        self.arm = self.create_client(SetBool, "arm/arm")
+        self.solve = self.create_client(Trigger, "kinematic/solve")
+
+    def on_link(self, message: LinkTelemetry) -> None:
+        self.armed[message.link] = message.armed
+
+    def on_observations(self, message: KinematicObservations) -> None:
+        self.observed = sum(o.used for o in message.observations)
+
+    def on_result(self, message: KinematicCalibration) -> None:
+        self.result = message
+
+    def service(self, client, request, deadline: float = 10.0):  # type: ignore[no-untyped-def]
+        """The service's answer, or None when it does not answer in time."""
+        if not client.service_is_ready():
+            return None
+        future = client.call_async(request)
+        rclpy.spin_until_future_complete(self, future, timeout_sec=deadline)
+        return future.result() if future.done() else None
+
+
+def run(options: argparse.Namespace, out: Path, console: Console) -> KinematicCalibration:
+    """Start the graph, see the experiment through, close the last rest; return the result.
+
+    Raises:
+        DemoError: a node gave up, or the experiment took too long.
+    """
+    clock = options.speed != 1.0
+    ports = free_ports(2 * LINKS)
+    common = {"use_sim_time": str(clock).lower()}
+    with Nodes(out / "logs", console.print) as nodes, progress(console) as bar:
+        nodes.start("testbed", "fss_sim", "testbed", arm=CONFIG / "truth.yaml", seed=options.seed,
+                    preset="paper", ports=str(ports[:LINKS]), keep_clock=str(clock).lower(),
+                    speed=float(options.speed), state_file=out / "testbed.json")
+        nodes.start("record", "fss_arm_ros", "record", output=out / "bag", **common)
+        for i in range(1, LINKS + 1):
+            nodes.start(f"link_{i}", "fss_arm_driver", "link", link=i, **common,
+                        url=f"udp://127.0.0.1:{ports[i - 1]}?bind={ports[LINKS + i - 1]}")
+        nodes.start("arm", "fss_arm_driver", "arm", **common)
+        nodes.start("kinematic", "fss_arm_calib", "kinematic", arm=CONFIG / "cad.yaml", **common,
+                    parametrization="equal", state_file=out / "observations.json",
+                    output=out / "arm.yaml")
+        nodes.start("experiment", "fss_arm_calib", "experiment", **common,
+                    state_file=out / "experiment.json")
+        operator = Operator(clock)
+        task = bar.add_task("postures observed", total=13)
+        give_up = time.monotonic() + options.deadline
+        while not nodes.ended("experiment"):
+            if time.monotonic() > give_up:
+                raise DemoError(f"not done after {options.deadline:.0f} s, see {nodes.logs}")
+            nodes.restart_dead()
+            rclpy.spin_once(operator, timeout_sec=0.1)
+            bar.update(task, completed=operator.observed)
+            if not all(operator.armed.values()):
+                operator.service(operator.arm, SetBool.Request(data=True), 2.0)
+        operator.result = None
+        while operator.result is None:
+            if time.monotonic() > give_up:
+                raise DemoError(f"no solution: {nodes.last_words('kinematic')}")
+            nodes.restart_dead()
+            operator.service(operator.solve, Trigger.Request())
+            rclpy.spin_once(operator, timeout_sec=0.5)
+        bar.update(task, completed=operator.observed)
+        result = operator.result
+        operator.destroy_node()
+    return result
+
+
+def progress(console: Console) -> Progress:
+    return Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
+                    TimeElapsedColumn(), console=console)
+
+
+def free_ports(count: int) -> list[int]:
+    """UDP ports of the loopback that nobody has at this moment."""
+    sockets = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(count)]
+    for s in sockets:
+        s.bind(("127.0.0.1", 0))
+    ports = [s.getsockname()[1] for s in sockets]
+    for s in sockets:
+        s.close()
+    return ports
+
+
+def from_bag(bag: Path, live: KinematicCalibration) -> str:
+    """Solve again from the bag alone, and say how well that agrees with the live result."""
+    settings = CalibrationSettings(arm=str(CONFIG / "cad.yaml"), parametrization="equal")
+    again = solve_bag(bag, settings)
+    if len(again.tip) != len(live.tip) // 3:
+        return f"the bag lacks data: {len(again.tip)} observations, live {len(live.tip) // 3}"
+    worst = float(abs(again.values - live.values).max())
+    return f"solved again from the bag: {again.verdict}, parameters differ by at most {worst:.1e}"
+
+
+def use_free_domain() -> None:
+    """Keep to a ROS domain of its own, unless one is asked for."""
+    for domain in range(1, 102):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            try:
+                probe.bind(("", 7410 + 250 * domain))  # of the domain's first participant
+            except OSError:
+                continue
+        os.environ.setdefault("ROS_DOMAIN_ID", str(domain))
+        return
+
+
+def arguments() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser("demo.sh", description=__doc__)
+    parser.add_argument("--speed", type=float, default=1.0, help="multiple of real time (default 1)")
+    parser.add_argument("--seed", type=int, default=1, help="of the simulated errors (default 1)")
+    parser.add_argument("--out", type=Path, help="folder for the results (default out/demo-TIME)")
+    parser.add_argument("--deadline", type=float, default=600.0, help="give up after [s]")
+    return parser
+
+
+def main() -> int:
+    options = arguments().parse_args()
+    out = (options.out or CONFIG.parent / "out" / f"demo-{datetime.now():%Y%m%d-%H%M%S}").absolute()
+    if out.exists():
+        print(f"demo: {out} is there already, give another --out", file=sys.stderr)
+        return 1
+    console = report.console()
+    use_free_domain()
+    console.print(f"starting simulator, {LINKS} drivers over UDP, recorder and calibration")
+    rclpy.init()
+    try:
+        result = run(options, out, console)
+        console.print(report.table(result, description.load(CONFIG / "truth.yaml")))
+        console.print(from_bag(out / "bag", result))
+        report.plot(result, out / "calibration.png")
+    except (DemoError, ValueError, OSError) as error:
+        print(f"demo: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("demo: interrupted", file=sys.stderr)
+        return 130
+    finally:
+        rclpy.try_shutdown()
+    for name, what in (("bag", "recording"), ("arm.yaml", "calibrated description"),
+                       ("calibration.png", "residuals and postures"), ("logs", "of the nodes")):
+        console.print(f"{what:>24}  {out / name}", soft_wrap=True)
+    return 0 if result.verdict == KinematicCalibration.PASS else 2
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,251 @@
+#!/usr/bin/env bash
+# Makes all that the workspace needs: .venv, the colcon build, the compiled kernels.
+# What stands already, and was made from the same inputs, is left alone.
+# usage: setup.sh [--dev]     --dev adds what the tests need
+set -euo pipefail
+
+root=$(cd -- "$(dirname -- "${BASH_SOURCE[0]}")/.." && pwd -P)
+venv=$root/.venv
+
+say() { printf 'setup: %s\n' "$*" >&2; }
+die() { say "$*"; exit 1; }
+digest() { sha256sum -- "$@" | sha256sum | cut -c -16; }
+current() { [[ -f $1 && $(<"$1") == "$2" ]]; }   # current STAMP KEY
+
+dev=
+case "$*" in
+  '') ;;
+  --dev) dev=-dev ;;
+  *) die "unknown argument '$*'; usage: scripts/setup.sh [--dev]" ;;
+esac
+[[ $root != *[[:space:]]* ]] ||
+  die "colcon does not support spaces in paths; move the workspace out of '$root'"
+[[ -w $root ]] || die "cannot write to $root"
+
+# What another Python left in the environment must not reach this one.
+unset PYTHONHOME PYTHONDONTWRITEBYTECODE _ROS_WHEELS_BOOTSTRAP_COMPLETE
+
+exec 9<"$root/scripts"
+flock -n 9 || { say "waiting for another set-up of this workspace"; flock 9; }
+
+# --- ROS 2: a sourced Jazzy, else wheels ---------------------------------------------------------
+
+PROBE='
+import importlib.util, os, sys, sysconfig
+if sys.version_info[:2] not in ((3, 11), (3, 12)):
+    sys.exit(1)
+header = os.path.join(sysconfig.get_path("include"), "Python.h")
+lacks = [] if os.path.exists(header) else ["headers"]
+if not all(importlib.util.find_spec(name) for name in ("venv", "ensurepip")):
+    lacks.append("venv")
+print(getattr(sys, "_base_executable", sys.executable), *lacks)
+'
+
+# Prints each Python 3.11 or 3.12 and what it lacks. A name proves nothing, as a version manager's
+# stand-in may have no such version behind it: each is run.
+pythons() {
+  local name names=(python3 /usr/bin/python3)
+  [[ $ros == jazzy ]] || names+=(python3.1{2,1} /usr/bin/python3.1{2,1})
+  for name in "${names[@]}"; do
+    [[ $ros == wheels ]] || "$name" -c 'import rclpy' 2>/dev/null || continue
+    "$name" -c "$PROBE" 2>/dev/null || true
+  done
+}
+
+choose_ros() {
+  local distro=${ROS_DISTRO:-}
+  ros=jazzy
+  [[ $distro != jazzy || -z $(pythons) ]] || return 0
+  ros=wheels
+  unset PYTHONPATH   # packages from elsewhere must not mix with the wheels
+  case $distro in
+    '') ;;
+    jazzy) say "ROS_DISTRO is jazzy, but no Python here can import rclpy: using wheels" ;;
+    *) die "ROS 2 $distro is sourced; begin in a shell with ROS 2 Jazzy, or with none" ;;
+  esac
+}
+
+# --- what the system must have -------------------------------------------------------------------
+
+# Sets `python`, and fills the arrays `missing` (in words) and `packages` (as apt names them).
+look_for_needs() {
+  local found version name
+  missing=() packages=()
+  if ! { c++ --version && cc --version; } >/dev/null 2>&1; then
+    missing+=("a C++ compiler") packages+=(g++)
+  fi
+  if ! make --version >/dev/null 2>&1; then
+    missing+=(make) packages+=(make)
+  fi
+  version=$(cmake --version 2>/dev/null | sed -n 's/^cmake version //p') || true
+  if [[ $(printf '%s\n' 3.20 "${version:-0}" | sort -V | head -n 1) != 3.20 ]]; then
+    missing+=("CMake 3.20 or later") packages+=(cmake)
+  fi
+  found=$(pythons)
+  python=$(awk 'NF == 1 { print; exit }' <<<"$found")
+  if [[ $found && ! $python ]]; then
+    name=$("${found%% *}" -c 'import sys; print("python%d.%d" % sys.version_info[:2])')
+    missing+=("the headers or venv of $name") packages+=("$name-dev" "$name-venv")
+  elif [[ ! $found ]]; then
+    missing+=("Python 3.11 or 3.12") packages+=(python3-dev python3-venv)
+  fi
+  [[ $ros == jazzy ]] || return 0
+  for name in ament_cmake rosidl_default_generators common_interfaces; do
+    ament_has "$name" || { missing+=("$name") packages+=("ros-jazzy-${name//_/-}"); }
+  done
+}
+
+ament_has() {
+  local prefix
+  while read -r -d : prefix; do
+    [[ ! -e $prefix/share/ament_index/resource_index/packages/$1 ]] || return 0
+  done <<<"$AMENT_PREFIX_PATH:"
+  return 1
+}
+
+supply_needs() {
+  local words command version
+  look_for_needs
+  [[ ${#missing[@]} -gt 0 ]] || return 0
+  words=$(printf ', %s' "${missing[@]}") words=${words:2}
+  command="apt-get install -y --no-install-recommends ${packages[*]}"
+  version=$(/usr/bin/python3 --version 2>/dev/null || true)
+  if [[ " ${packages[*]} " == *" python3-dev "* && $version ]]; then
+    die "missing: $words; this system's is $version, which has no ROS wheels: add one of them"
+  fi
+  command -v apt-get >/dev/null || die "missing: $words; install with your system's package manager"
+  [[ $(id -u) == 0 ]] || die "missing: $words; install with: sudo apt-get update && sudo $command"
+  say "missing: $words; installing with: $command"
+  # shellcheck disable=SC2086  # the command is words
+  if ! { apt-get update && DEBIAN_FRONTEND=noninteractive $command; } >"$log" 2>&1; then
+    ! grep -q 'No space left' "$log" || die "the disk is full"
+    die "apt-get failed (no network?); try: apt-get update && $command"
+  fi
+  look_for_needs
+  [[ ${#missing[@]} == 0 ]] || die "after the installation still missing: ${missing[*]}"
+}
+
+# --- .venv ---------------------------------------------------------------------------------------
+
+# pip's own words are kept to one line, and without addresses.
+pip() {
+  "$venv/bin/python" -m pip --quiet --no-input --disable-pip-version-check install --no-deps \
+    --only-binary :all: --no-binary empy --no-build-isolation "$@" >"$log" 2>&1 && return
+  local where package
+  where="$("$venv/bin/python" -c 'import platform as p
+print("Python", p.python_version(), "on", p.machine())')"
+  package=$(sed -n 's/.*No matching distribution found for \([^ ]*\).*/\1/p' "$log" | head -n 1)
+  if grep -q 'No space left' "$log"; then die "the disk is full"; fi
+  if grep -q 'CERTIFICATE_VERIFY_FAILED' "$log"; then
+    die "the package index's certificate is not trusted; name yours in PIP_CERT"
+  fi
+  if grep -qE 'Retrying|[Cc]onnection|[Tt]imeout|timed out|resolve host|ProxyError|SSLError' "$log"
+  then die "the package index cannot be reached: is there a network (and pip's proxy set)?"; fi
+  [[ -z $package ]] || die "there is no wheel of $package for $where"
+  die "pip failed: $(grep -v '^ *$' "$log" | tail -n 1 |
+    sed -E "s#[a-z+]+://[^ ]*#(address)#g; s#host='[^']*'#host#g")"
+}
+
+# The wheels' CMake files name the folders of the machine that built them, and ament looks for a
+# prefix's local_setup scripts.
+repair_wheels() {
+  local include numpy shell
+  include=$("$venv/bin/python" -c 'import sysconfig; print(sysconfig.get_path("include"))')
+  numpy=$("$venv/bin/python" -c 'import numpy; print(numpy.get_include())')
+  grep -rlE --include='*.cmake' '/opt/python/cp' "$venv/share" | xargs sed -i -E \
+    -e "s#/opt/python/cp[0-9]+-cp[0-9]+/include/python3\.[0-9]+#$include#g" \
+    -e "s#[^\";]*/site-packages/numpy/_core/include#$numpy#g"
+  for shell in sh bash zsh; do
+    cat >"$venv/local_setup.$shell" <<END
+# Makes this venv an ament prefix.
+case ":\${AMENT_PREFIX_PATH:-}:" in *":$venv:"*) ;; *)
+  export AMENT_PREFIX_PATH="$venv\${AMENT_PREFIX_PATH:+:\$AMENT_PREFIX_PATH}" ;;
+esac
+case ":\${CMAKE_PREFIX_PATH:-}:" in *":$venv:"*) ;; *)
+  export CMAKE_PREFIX_PATH="$venv\${CMAKE_PREFIX_PATH:+:\$CMAKE_PREFIX_PATH}" ;;
+esac
+END
+  done
+}
+
+make_venv() {
+  local free needed options=()
+  needed=$([[ $dev ]] && echo 3000 || echo 2000)
+  [[ $ros == jazzy || $(uname -sm) == "Linux x86_64" ]] ||
+    die "the ROS wheels are for Linux on x86_64; here, source a ROS 2 Jazzy first"
+  free=$(df -Pk "$root" | awk 'NR == 2 { print int($4 / 1024) }')
+  ((free > needed)) || die "too little disk: $free MB are free at $root, $needed MB are needed"
+  supply_needs
+  [[ $ros == wheels ]] || options=(--system-site-packages)
+  say "making .venv with $("$python" --version) ($ros; takes a minute or two)"
+  rm -rf "$venv"
+  "$python" -m venv "${options[@]}" "$venv" >"$log" 2>&1 ||
+    die "$python -m venv failed: $(tail -n 1 "$log")"
+  # setuptools goes first, as it builds the one package that has no wheel.
+  pip "$(grep '^setuptools==' "$requirements.txt")"
+  pip -r "$requirements.txt" ${dev:+-r "$requirements-dev.txt"}
+  [[ $ros == jazzy ]] || repair_wheels
+  [[ -z $dev ]] || echo "$dev_key" >"$venv/.stamp-dev"
+  echo "$venv_key" >"$venv/.stamp"
+}
+
+# --- the build -----------------------------------------------------------------------------------
+
+build() {
+  supply_needs
+  say "building with colcon"
+  mkdir -p "$root/log"
+  (
+    cd "$root"
+    # shellcheck disable=SC2030  # meant for the subshell alone
+    export PATH=$venv/bin:$PATH VIRTUAL_ENV=$venv
+    if [[ $ros == wheels ]]; then
+      unset COLCON_PREFIX_PATH
+      export AMENT_PREFIX_PATH=$venv CMAKE_PREFIX_PATH=$venv
+    fi
+    colcon build --symlink-install --base-paths src
+  ) >"$log" 2>&1 || { tail -n 25 "$log" >&2; die "the build failed; its log is in $root/log"; }
+  echo "$build_key $(readlink "$root/log/latest_build")" >"$root/install/.stamp"
+}
+
+# --- in order ------------------------------------------------------------------------------------
+
+log=$(mktemp)
+trap 'rm -f "$log"' EXIT
+
+choose_ros
+requirements=$root/scripts/requirements
+[[ $ros == wheels ]] || requirements+=-jazzy
+venv_key="$ros $(digest "$requirements.txt") $root"
+dev_key=$(digest "$requirements-dev.txt")
+
+if ! current "$venv/.stamp" "$venv_key" || ! "$venv/bin/python" -c '' 2>/dev/null; then
+  # What was built against another .venv is worth nothing.
+  rm -rf "$root/build" "$root/install"
+  make_venv
+elif [[ $dev ]] && ! current "$venv/.stamp-dev" "$dev_key"; then
+  say "adding what the tests need to .venv"
+  pip -r "$requirements-dev.txt"
+  echo "$dev_key" >"$venv/.stamp-dev"
+fi
+
+# Python files are linked to, so only what shapes the packages asks for a build. A build by hand may
+# have copied them: then the build's log is not the one that the stamp names.
+shape=$(cd "$root" && find src colcon.meta -type f ! -path '*/.*' ! -name '*.pyc' \
+  ! \( -path 'src/*/*/*' -name '*.py' \) -exec sha256sum {} + | sort | sha256sum | cut -c -16)
+build_key="$shape $venv_key"
+current "$root/install/.stamp" \
+  "$build_key $(readlink "$root/log/latest_build" 2>/dev/null || true)" || build
+
+kernels=$(cd "$root" && sha256sum src/fss_arm_model/fss_arm_model/*.py | cat - <(echo "$venv_key") |
+  sha256sum | cut -c -16)
+home=~
+caches=${NUMBA_CACHE_DIR:-${XDG_CACHE_HOME:-$home/.cache}/fss_arm}
+if [[ ! -e $caches/warm-$kernels ]]; then
+  say "compiling the kernels"
+  # shellcheck source=scripts/env.sh
+  ( . "$root/scripts/env.sh" && python -m fss_arm_model.warm ) >"$log" 2>&1 ||
+    { tail -n 25 "$log" >&2; die "the kernels did not compile"; }
+  mkdir -p "$caches"
+  touch "$caches/warm-$kernels"
+fi

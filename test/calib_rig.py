@@ -1,0 +1,86 @@
+"""An arm that goes from posture to posture, as its streams of readings and poses."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from fss_arm_calib.rests import BASE, TIP
+from fss_arm_model.description import paper_arm
+from fss_arm_model.kinematics import tip_in_base
+from fss_arm_ros.convert import SECOND, pose_stamped, to_time
+from sensor_msgs.msg import JointState
+
+START = 1_700_000_000 * SECOND
+ARM = paper_arm()
+COUNT = 2 * np.pi / 240_000
+POSTURES = np.array([[0.0, 0.1, -0.1, 0.2], [0.5, -0.4, 0.8, -0.2], [-0.7, -0.4, 0.3, 1.0]])
+TOPICS = {BASE: "vicon/fss/fss", TIP: "vicon/end_effector/end_effector"}
+
+
+class Sample(NamedTuple):
+    t: int
+    stream: int | str  # joint number or subject
+    value: float | tuple[float, float, float] | None
+
+
+class Rig:
+    """An arm that rests at postures for `rest` s, moving for 2 s between, on a drifting base."""
+
+    def __init__(self, postures=POSTURES, rest=4.0, seed=0, noise=0.0, rate=100.0):
+        self.postures, self.rest, self.noise = np.asarray(postures), rest, noise
+        self.rate = rate
+        self.rng = np.random.default_rng(seed)
+        self.length = len(postures) * (rest + 2.0)
+
+    def q(self, t):
+        """Readings at time t [s], (..., n): rest first, then a smooth move to the next posture."""
+        t = np.asarray(t, dtype=float)
+        k = np.clip((t // (self.rest + 2.0)).astype(int), 0, len(self.postures) - 1)
+        share = np.clip((t - k * (self.rest + 2.0) - self.rest) / 2.0, 0.0, 1.0)
+        share = (3.0 * share**2 - 2.0 * share**3)[..., None]
+        there = self.postures[np.minimum(k + 1, len(self.postures) - 1)]
+        return self.postures[k] + share * (there - self.postures[k])
+
+    def base(self, t):
+        t = np.asarray(t, dtype=float)
+        return np.stack([0.3 + 0.004 * t, 1.0 - 0.003 * t, 3.13 + 0.002 * t], axis=-1)
+
+    def tip(self, t):
+        seen, base = tip_in_base(ARM.vector(), self.q(t)), self.base(t)
+        c, s = np.cos(base[..., 2]), np.sin(base[..., 2])
+        x = base[..., 0] + c * seen[..., 0] - s * seen[..., 1]
+        y = base[..., 1] + s * seen[..., 0] + c * seen[..., 1]
+        heading = base[..., 2] + seen[..., 2] + self.rng.normal(size=np.shape(t)) * self.noise
+        return np.stack([x, y, np.angle(np.exp(1j * heading))], axis=-1)
+
+    def samples(self, lag=0):
+        """All streams: each joint at 5 Hz in its own phase, both subjects at `rate` Hz.
+
+        The end effector's stamps are `lag` ns after the base's.
+        """
+        found = []
+        for i in range(1, 5):
+            t = np.arange(0.03 * i, self.length, 0.2)
+            q = np.round(self.q(t)[:, i - 1] / COUNT) * COUNT
+            found += [Sample(at(a), i, float(b)) for a, b in zip(t, q, strict=True)]
+        t = np.arange(0.0, self.length, 1.0 / self.rate)
+        for name, late, poses in ((BASE, 0, self.base(t)), (TIP, lag, self.tip(t + lag / SECOND))):
+            found += [Sample(at(a) + late, name, tuple(p)) for a, p in zip(t, poses, strict=True)]
+        return sorted(found, key=lambda s: s.t)
+
+
+def at(t: float) -> int:
+    """The stamp [ns] of a time [s] since the start."""
+    return START + round(t * SECOND)
+
+
+def message(sample: Sample) -> tuple[str, Any]:
+    """A sample's topic and message; occluded poses are zero throughout."""
+    t, stream, value = sample
+    if not isinstance(stream, str):
+        state = JointState(name=[f"joint_{stream}"], position=[value], velocity=[0.0], effort=[0.0])
+        state.header.stamp = to_time(t)
+        return "joint_states", state
+    pose = pose_stamped(t, "world", value or (0.0, 0.0, 0.0))
+    if value is None:
+        pose.pose.orientation.w = 0.0
+    return TOPICS[stream], pose

@@ -1,0 +1,182 @@
+"""The node of the whole arm, with the nodes of its links and links behind fake transports."""
+
+from dataclasses import replace
+
+import pytest
+from action_msgs.msg import GoalStatus
+from driver_link import RATE, FakeTransport
+from fss_arm_driver.arm_node import ArmNode
+from fss_arm_driver.link_node import LinkNode
+from fss_arm_driver.protocol import State
+from fss_arm_model.description import paper_arm, save
+from rclpy.action import ActionClient
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from std_msgs.msg import Empty
+from std_srvs.srv import SetBool
+
+from fss_arm_msgs.action import MoveArm
+
+
+def overrides(**parameters):
+    return [Parameter(name, value=value) for name, value in parameters.items()]
+
+
+class Bench:
+    """Two links, their nodes, the arm's node, and a user of it."""
+
+    def __init__(self, spin, file):
+        self.transports = [FakeTransport(i) for i in (1, 2)]
+        links = overrides(rate=RATE, timeout=0.5, arm=str(file))
+        self.links = [
+            LinkNode(i, transport=transport, parameter_overrides=links)
+            for i, transport in enumerate(self.transports, 1)
+        ]
+        arm = overrides(rate=RATE, arm=str(file), time_to_live=0.5, patience=1.0)
+        self.arm = ArmNode(parameter_overrides=arm)
+        self.user = Node("user")
+        self.mover = ActionClient(self.user, MoveArm, "arm/move")
+        self.armer = self.user.create_client(SetBool, "arm/arm")
+        self.stopper = self.user.create_publisher(Empty, "arm/stop", 10)
+        self.feedback = []
+        self.spin = spin
+        self.until(lambda: len(self.arm.links) == 2 and self.mover.server_is_ready())
+        self.until(lambda: self.armer.service_is_ready())
+        self.until(lambda: all(client.service_is_ready() for client in self.arm.armers))
+        self.until(lambda: self.stopper.get_subscription_count() == 3)
+
+    def until(self, condition, timeout=10.0):
+        return self.spin([*self.links, self.arm, self.user], condition, timeout)
+
+    def after(self, future):
+        self.until(future.done)
+        return future.result()
+
+    def enable(self, data=True):
+        answer = self.after(self.armer.call_async(SetBool.Request(data=data)))
+        self.until(lambda: all(link.armed == data for link in self.arm.links.values()))
+        return answer
+
+    def begin(self, *q, duration=0.0):
+        goal = MoveArm.Goal(q=q, duration=duration)
+        return self.after(self.mover.send_goal_async(goal, self.feedback.append))
+
+    def end(self, handle):
+        return self.after(handle.get_result_async())
+
+    def move(self, *q, duration=0.0):
+        return self.end(self.begin(*q, duration=duration))
+
+
+@pytest.fixture
+def bench(spin, tmp_path):
+    arm = paper_arm()
+    save(replace(arm, links=arm.links[:2]), tmp_path / "arm.yaml")
+    bench = Bench(spin, tmp_path / "arm.yaml")
+    yield bench
+    bench.mover.destroy()
+    bench.arm.mover.destroy()
+
+
+def test_all_links_arm_move_together_and_disarm(bench):
+    answer = bench.enable()
+    assert (answer.success, answer.message) == (True, "all 2 links are armed")
+    done = bench.move(0.4, -0.2)
+    assert done.status == GoalStatus.STATUS_SUCCEEDED
+    assert done.result.reached
+    assert list(done.result.q) == pytest.approx([0.4, -0.2], abs=0.005)
+    taken = [transport.link.speed for transport in bench.transports]
+    assert taken[0] == pytest.approx(2.0 * taken[1], rel=1e-4)
+    remaining = [f.feedback.remaining for f in bench.feedback]
+    assert len(remaining) > 5
+    assert remaining == sorted(remaining, reverse=True)
+    assert bench.enable(data=False).success
+
+
+def test_a_longer_duration_is_kept(bench):
+    bench.enable()
+    begun = bench.arm.now()
+    assert bench.move(0.2, 0.1, duration=1.5).result.reached
+    assert 1.0 < 1e-9 * (bench.arm.now() - begun) < 2.5
+
+
+@pytest.mark.parametrize(
+    ("q", "words"),
+    [
+        ((0.1,), "q has 1 joints, expected 2"),
+        ((0.1, 2.0), "q of joint 2 is 2.0 rad, expected -1.5708 to 1.5708"),
+        ((float("nan"), 0.0), "q of joint 1 is nan"),
+    ],
+)
+def test_moves_that_must_not_be_begun_are_answered(bench, q, words):
+    bench.enable()
+    done = bench.move(*q)
+    assert done.status == GoalStatus.STATUS_ABORTED
+    assert words in done.result.message
+    assert not done.result.reached
+
+
+def test_a_disarmed_arm_does_not_move(bench):
+    assert bench.move(0.1, 0.1).result.message == "link 1 is not armed"
+    assert [transport.link.position for transport in bench.transports] == [0, 0]
+
+
+def test_a_second_move_is_refused_and_the_first_can_be_cancelled(bench):
+    bench.enable()
+    first = bench.begin(0.5, 0.5, duration=20.0)
+    bench.until(lambda: bench.feedback)
+    assert bench.move(0.1, 0.1).result.message == "another move is under way"
+    bench.after(first.cancel_goal_async())
+    done = bench.end(first)
+    assert done.status == GoalStatus.STATUS_CANCELED
+    assert done.result.message == "cancelled"
+    bench.until(lambda: all(transport.link.speed == 0.0 for transport in bench.transports))
+    assert bench.arm.links[1].armed
+    assert bench.move(0.0, 0.0).result.reached
+
+
+def test_a_stop_ends_the_move_and_stops_all_links(bench):
+    bench.enable()
+    move = bench.begin(0.5, 0.5, duration=20.0)
+    bench.until(lambda: bench.feedback)
+    bench.stopper.publish(Empty())
+    done = bench.end(move)
+    assert done.result.message in ("stopped", "link 1 is not armed", "link 2 is not armed")
+    bench.until(lambda: all(t.link.flags == State.STOPPED for t in bench.transports))
+    assert bench.move(0.1, 0.1).result.message.endswith("is not armed")
+    assert bench.enable().success
+    assert bench.move(0.0, 0.0).result.reached
+
+
+def test_a_lost_link_ends_the_move(bench):
+    bench.enable()
+    move = bench.begin(0.5, 0.5, duration=20.0)
+    bench.until(lambda: bench.feedback)
+    bench.transports[1].talks = False
+    assert bench.end(move).result.message == "link 2 is silent"
+    answer = bench.after(bench.armer.call_async(SetBool.Request(data=True)))
+    assert not answer.success
+    assert answer.message.startswith("link 2 is lost: silent for")
+
+
+def test_a_move_that_is_blocked_ends_in_time(bench):
+    bench.enable()
+    move = bench.begin(0.2, 0.1)
+    bench.transports[0].hears = False
+    message = bench.end(move).result.message
+    assert message.startswith("not reached within") or message == "link 1 is not armed"
+
+
+def test_without_drivers_arming_says_whose_are_missing(spin):
+    arm, user = ArmNode(), Node("user")
+    armer = user.create_client(SetBool, "arm/arm")
+    spin([arm, user], armer.service_is_ready)
+    answer = armer.call_async(SetBool.Request(data=True))
+    spin([arm, user], answer.done)
+    assert answer.result().message == "; ".join(f"link {i} did not answer" for i in (1, 2, 3, 4))
+
+
+def test_settings_are_checked(start):
+    program = start("fss_arm_driver.arm_node", "--ros-args", "-p", "tolerance:=0.0")
+    assert program.wait() == 1
+    assert program.output.strip().endswith("tolerance is 0.0, expected a positive number")
