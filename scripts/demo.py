@@ -18,11 +18,12 @@ from types import TracebackType
 
 import rclpy
 from ament_index_python.packages import get_package_prefix
+from diagnostic_msgs.msg import DiagnosticArray
 from fss_arm_calib import report
 from fss_arm_calib.from_bag import solve_bag
 from fss_arm_calib.settings import CalibrationSettings
 from fss_arm_model import description
-from fss_arm_msgs.msg import KinematicCalibration, KinematicObservations, LinkTelemetry
+from fss_arm_msgs.msg import KinematicCalibration, LinkTelemetry
 from fss_arm_ros.qos import LATCHED, SENSOR
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -32,6 +33,7 @@ from std_srvs.srv import SetBool, Trigger
 
 CONFIG = Path(__file__).resolve().parent.parent / "config"
 LINKS = 4
+POSTURES = 13
 STARTS_AT_MOST = 5  # of one node; a node that dies more often has a fault of its own
 
 
@@ -124,13 +126,11 @@ class Operator(Node):
             "operator", parameter_overrides=[Parameter("use_sim_time", value=clock)]
         )
         self.armed = dict.fromkeys(range(1, LINKS + 1), False)
-        self.observed = 0
+        self.done = 0  # postures
         self.result: KinematicCalibration | None = None
         for i in self.armed:
             self.create_subscription(LinkTelemetry, f"link_{i}/telemetry", self.on_link, SENSOR)
-        self.create_subscription(
-            KinematicObservations, "calibration/observations", self.on_observations, LATCHED
-        )
+        self.create_subscription(DiagnosticArray, "/diagnostics", self.on_diagnostics, 10)
         self.create_subscription(
             KinematicCalibration, "calibration/kinematic", self.on_result, LATCHED
         )
@@ -140,8 +140,10 @@ class Operator(Node):
     def on_link(self, message: LinkTelemetry) -> None:
         self.armed[message.link] = message.armed
 
-    def on_observations(self, message: KinematicObservations) -> None:
-        self.observed = sum(o.used for o in message.observations)
+    def on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            if status.name == "experiment":
+                self.done = int(status.values[0].value)
 
     def on_result(self, message: KinematicCalibration) -> None:
         self.result = message
@@ -179,14 +181,14 @@ def run(options: argparse.Namespace, out: Path, console: Console) -> KinematicCa
         nodes.start("experiment", "fss_arm_calib", "experiment", **common,
                     state_file=out / "experiment.json")
         operator = Operator(clock)
-        task = bar.add_task("postures observed", total=13)
+        task = bar.add_task("postures observed", total=POSTURES)
         give_up = time.monotonic() + options.deadline
         while not nodes.ended("experiment"):
             if time.monotonic() > give_up:
                 raise DemoError(f"not done after {options.deadline:.0f} s, see {nodes.logs}")
             nodes.restart_dead()
             rclpy.spin_once(operator, timeout_sec=0.1)
-            bar.update(task, completed=operator.observed)
+            bar.update(task, completed=operator.done)
             if not all(operator.armed.values()):
                 operator.service(operator.arm, SetBool.Request(data=True), 2.0)
         operator.result = None
@@ -196,7 +198,7 @@ def run(options: argparse.Namespace, out: Path, console: Console) -> KinematicCa
             nodes.restart_dead()
             operator.service(operator.solve, Trigger.Request())
             rclpy.spin_once(operator, timeout_sec=0.5)
-        bar.update(task, completed=operator.observed)
+        bar.update(task, completed=POSTURES)
         result = operator.result
         operator.destroy_node()
     return result

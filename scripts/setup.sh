@@ -152,7 +152,7 @@ repair_wheels() {
   local include numpy shell
   include=$("$venv/bin/python" -c 'import sysconfig; print(sysconfig.get_path("include"))')
   numpy=$("$venv/bin/python" -c 'import numpy; print(numpy.get_include())')
-  grep -rlE --include='*.cmake' '/opt/python/cp' "$venv/share" | xargs sed -i -E \
+  { grep -rlE --include='*.cmake' '/opt/python/cp' "$venv/share" || true; } | xargs -r sed -i -E \
     -e "s#/opt/python/cp[0-9]+-cp[0-9]+/include/python3\.[0-9]+#$include#g" \
     -e "s#[^\";]*/site-packages/numpy/_core/include#$numpy#g"
   for shell in sh bash zsh; do
@@ -170,23 +170,30 @@ END
 
 make_venv() {
   local free needed options=()
-  needed=$([[ $dev ]] && echo 3000 || echo 2000)
   [[ $ros == jazzy || $(uname -sm) == "Linux x86_64" ]] ||
     die "the ROS wheels are for Linux on x86_64; here, source a ROS 2 Jazzy first"
+  needed=$([[ $dev ]] && echo 3000 || echo 2000)
   free=$(df -Pk "$root" | awk 'NR == 2 { print int($4 / 1024) }')
   ((free > needed)) || die "too little disk: $free MB are free at $root, $needed MB are needed"
   supply_needs
   [[ $ros == wheels ]] || options=(--system-site-packages)
-  say "making .venv with $("$python" --version) ($ros; takes a minute or two)"
-  rm -rf "$venv"
+  say "making .venv with $("$python" --version)"
+  # What was built against another .venv is worth nothing.
+  rm -rf "$venv" "$root/build" "$root/install"
   "$python" -m venv "${options[@]}" "$venv" >"$log" 2>&1 ||
     die "$python -m venv failed: $(tail -n 1 "$log")"
   # setuptools goes first, as it builds the one package that has no wheel.
   pip "$(grep '^setuptools==' "$requirements.txt")"
+  echo "$kind" >"$venv/.stamp"
+}
+
+add_packages() {
+  say "installing the pinned packages for $ros${dev:+ and those of the tests} (a minute or two)"
+  rm -f "$venv/.stamp-packages"
   pip -r "$requirements.txt" ${dev:+-r "$requirements-dev.txt"}
   [[ $ros == jazzy ]] || repair_wheels
-  [[ -z $dev ]] || echo "$dev_key" >"$venv/.stamp-dev"
-  echo "$venv_key" >"$venv/.stamp"
+  echo "$pins" >"$venv/.stamp-packages"
+  [[ -z $dev ]] || echo "$dev_pins" >"$venv/.stamp-dev"
 }
 
 # --- the build -----------------------------------------------------------------------------------
@@ -216,28 +223,31 @@ trap 'rm -f "$log"' EXIT
 choose_ros
 requirements=$root/scripts/requirements
 [[ $ros == wheels ]] || requirements+=-jazzy
-venv_key="$ros $(digest "$requirements.txt") $root"
-dev_key=$(digest "$requirements-dev.txt")
+kind="$ros $root"
+pins=$(digest "$requirements.txt")
+dev_pins=$(digest "$requirements-dev.txt")
 
-if ! current "$venv/.stamp" "$venv_key" || ! "$venv/bin/python" -c '' 2>/dev/null; then
-  # What was built against another .venv is worth nothing.
-  rm -rf "$root/build" "$root/install"
+if ! current "$venv/.stamp" "$kind" || ! "$venv/bin/python" -c '' 2>/dev/null; then
   make_venv
-elif [[ $dev ]] && ! current "$venv/.stamp-dev" "$dev_key"; then
-  say "adding what the tests need to .venv"
-  pip -r "$requirements-dev.txt"
-  echo "$dev_key" >"$venv/.stamp-dev"
+fi
+if ! current "$venv/.stamp-packages" "$pins" ||
+  { [[ $dev ]] && ! current "$venv/.stamp-dev" "$dev_pins"; }
+then
+  add_packages
 fi
 
 # Python files are linked to, so only what shapes the packages asks for a build. A build by hand may
 # have copied them: then the build's log is not the one that the stamp names.
 shape=$(cd "$root" && find src colcon.meta -type f ! -path '*/.*' ! -name '*.pyc' \
   ! \( -path 'src/*/*/*' -name '*.py' \) -exec sha256sum {} + | sort | sha256sum | cut -c -16)
-build_key="$shape $venv_key"
-current "$root/install/.stamp" \
-  "$build_key $(readlink "$root/log/latest_build" 2>/dev/null || true)" || build
+build_key="$shape $pins $kind"
+if ! current "$root/install/.stamp" \
+  "$build_key $(readlink "$root/log/latest_build" 2>/dev/null || true)"
+then
+  build
+fi
 
-kernels=$(cd "$root" && sha256sum src/fss_arm_model/fss_arm_model/*.py | cat - <(echo "$venv_key") |
+kernels=$({ cat "$root"/src/fss_arm_model/fss_arm_model/*.py && echo "$pins $kind"; } |
   sha256sum | cut -c -16)
 home=~
 caches=${NUMBA_CACHE_DIR:-${XDG_CACHE_HOME:-$home/.cache}/fss_arm}

@@ -16,7 +16,11 @@ START = 1_700_000_000 * SECOND
 
 def joint_state(k: int) -> JointState:
     """A message that is like no other."""
-    message = JointState(name=[f"joint_{k % 4 + 1}"], position=[0.001 * k], effort=[-0.5 * k])
+    # Without empty lists at the end: serialize_message would leave more behind them than a
+    # publisher does, and rosbags refuses it.
+    message = JointState(
+        name=[f"joint_{k % 4 + 1}"], position=[0.001 * k], velocity=[0.1], effort=[-0.5 * k]
+    )
     message.header.stamp = Time(sec=k, nanosec=k)
     return message
 

@@ -134,8 +134,8 @@ def test_commands_move_an_armed_link_only(bench):
     assert transport.link.position == 0
     assert arm(user, until).message == "link_1 is armed"
     until(lambda: user.telemetry[-1].armed)
-    order(user, set_point=0.5, max_velocity=0.1)
-    until(lambda: user.joints[-1].position[0] == pytest.approx(0.5, abs=1e-4))
+    order(user, set_point=0.05, max_velocity=0.1)
+    until(lambda: user.joints[-1].position[0] == pytest.approx(0.05, abs=1e-4))
     assert transport.link.taken.velocity == 38197
     until(lambda: transport.link.taken.flags & Order.HOLD)  # the command has expired
     assert arm(user, until, data=False).success

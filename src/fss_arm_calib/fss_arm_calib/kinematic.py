@@ -32,6 +32,9 @@ HEADING_DEVIATION = float(np.radians(0.715))
 #: A parameter's share in the undetermined directions from which on it is named.
 NOTICEABLE = 1e-3
 
+#: A step below this changes a parameter by no more than rounding does [m, rad].
+ROUNDING = 1e-13
+
 
 def wrap(angle: npt.ArrayLike) -> Floats:
     """The same angle [rad] in [-pi, pi)."""
@@ -243,7 +246,8 @@ def solve(
         residuals = (problem.residuals(xi) / problem.sigma).ravel()
         step = basis.step(residuals, damping)
         update = float(np.max(np.abs(step) / np.sqrt(np.diag(basis.covariance()))))
-        converged = damping == 0.0 and update < tolerance
+        negligible = update < tolerance or float(np.max(np.abs(step))) < ROUNDING
+        converged = damping == 0.0 and negligible
         next_cost = _weighted_squares(problem, xi + step)
         # Rounding may raise the sum of squares by as much once the step is tiny.
         if converged or next_cost <= cost * (1.0 + 1e-12):

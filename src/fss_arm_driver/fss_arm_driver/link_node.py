@@ -224,7 +224,8 @@ class Waker(Thread):
             if self.transport.wait(0.2):
                 self._taken.clear()
                 self.guard.trigger()
-                self._taken.wait()
+                while not (self._taken.wait(0.2) or self.closing):
+                    pass
 
     def taken(self) -> None:
         """Wake again for whatever comes from now on."""
@@ -233,7 +234,6 @@ class Waker(Thread):
     def close(self) -> None:
         """End the thread."""
         self.closing = True
-        self._taken.set()
         self.join()
 
 

@@ -6,7 +6,7 @@ joint's limits forbid. The drives run the profiles by themselves.
 """
 
 from dataclasses import dataclass
-from math import inf, isfinite, sqrt
+from math import isfinite, sqrt
 
 from fss_arm_model.description import Arm
 
@@ -19,7 +19,7 @@ class MoveError(ValueError):
 
 @dataclass(frozen=True)
 class Profile:
-    """One joint's part in a move."""
+    """One joint's part in a move; 0 and 0 for a joint that stays, which leaves it to the link."""
 
     target: float  # [rad]
     velocity: float  # [rad/s]
@@ -58,19 +58,15 @@ def plan(arm: Arm, q: tuple[float, ...], goal: tuple[float, ...], duration: floa
             )
     way = [d if (d := abs(b - a)) > STILL else 0.0 for a, b in zip(q, goal, strict=True)]
     drives = [link.drive for link in arm.links]
-    rate = min((k.max_velocity / d for k, d in zip(drives, way, strict=True) if d), default=inf)
-    gain = min((k.max_acceleration / d for k, d in zip(drives, way, strict=True) if d), default=inf)
-    fastest = _duration(rate, gain)
-    slower = max(1.0, duration / fastest) if fastest else 1.0
+    if not any(way):
+        return Move(tuple(Profile(angle, 0.0, 0.0) for angle in goal), 0.0)
+    gain = min(k.max_acceleration / d for k, d in zip(drives, way, strict=True) if d)
+    rate = min(k.max_velocity / d for k, d in zip(drives, way, strict=True) if d)
+    rate = min(rate, sqrt(gain))  # a short way ends before its limit is reached
+    fastest = 1.0 / rate + rate / gain
+    slower = max(1.0, duration / fastest)
     profiles = tuple(
-        Profile(angle, d * rate / slower, d * gain / slower**2) if d else Profile(angle, 0.0, 0.0)
+        Profile(angle, d * rate / slower, d * gain / slower**2)
         for angle, d in zip(goal, way, strict=True)
-    )  # a profile of 0 leaves it to the link's limits
-    return Move(profiles, max(fastest, duration) if fastest else 0.0)
-
-
-def _duration(rate: float, gain: float) -> float:
-    """Time that a path of length 1 takes [s]; it may be too short to reach its rate."""
-    if rate * rate < gain:
-        return 1.0 / rate + rate / gain
-    return 2.0 / sqrt(gain)
+    )
+    return Move(profiles, max(fastest, duration))
