@@ -19,17 +19,18 @@ from types import TracebackType
 import rclpy
 from ament_index_python.packages import get_package_prefix
 from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from std_srvs.srv import SetBool, Trigger
+
 from fss_arm_calib import report
 from fss_arm_calib.from_bag import solve_bag
 from fss_arm_calib.settings import CalibrationSettings
 from fss_arm_model import description
 from fss_arm_msgs.msg import KinematicCalibration, LinkTelemetry
 from fss_arm_ros.qos import LATCHED, SENSOR
-from rclpy.node import Node
-from rclpy.parameter import Parameter
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-from std_srvs.srv import SetBool, Trigger
 
 CONFIG = Path(__file__).resolve().parent.parent / "config"
 LINKS = 4
@@ -66,7 +67,10 @@ class Nodes:
         with (self.logs / f"{name}.log").open("ab") as log:
             # A session of its own: Ctrl-C is for this script, which then stops them in order.
             self.processes[name] = subprocess.Popen(
-                self.commands[name], stdout=log, stderr=log, stdin=subprocess.DEVNULL,
+                self.commands[name],
+                stdout=log,
+                stderr=log,
+                stdin=subprocess.DEVNULL,
                 start_new_session=True,
             )
 
@@ -111,7 +115,9 @@ class Nodes:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None,
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
         for name in reversed(list(self.processes)):
@@ -122,9 +128,7 @@ class Operator(Node):
     """What the person does: looks at the links, arms them, asks for the solution."""
 
     def __init__(self, clock: bool) -> None:
-        super().__init__(
-            "operator", parameter_overrides=[Parameter("use_sim_time", value=clock)]
-        )
+        super().__init__("operator", parameter_overrides=[Parameter("use_sim_time", value=clock)])
         self.armed = dict.fromkeys(range(1, LINKS + 1), False)
         self.done = 0  # postures
         self.result: KinematicCalibration | None = None
@@ -138,14 +142,17 @@ class Operator(Node):
         self.solve = self.create_client(Trigger, "kinematic/solve")
 
     def on_link(self, message: LinkTelemetry) -> None:
+        """Whether the link is armed."""
         self.armed[message.link] = message.armed
 
     def on_diagnostics(self, message: DiagnosticArray) -> None:
+        """How far the experiment is."""
         for status in message.status:
             if status.name == "experiment":
                 self.done = int(status.values[0].value)
 
     def on_result(self, message: KinematicCalibration) -> None:
+        """The newest result."""
         self.result = message
 
     def service(self, client, request, deadline: float = 10.0):  # type: ignore[no-untyped-def]
@@ -167,19 +174,46 @@ def run(options: argparse.Namespace, out: Path, console: Console) -> KinematicCa
     ports = free_ports(2 * LINKS)
     common = {"use_sim_time": str(clock).lower()}
     with Nodes(out / "logs", console.print) as nodes, progress(console) as bar:
-        nodes.start("testbed", "fss_sim", "testbed", arm=CONFIG / "truth.yaml", seed=options.seed,
-                    preset="paper", ports=str(ports[:LINKS]), keep_clock=str(clock).lower(),
-                    speed=float(options.speed), state_file=out / "testbed.json")
+        nodes.start(
+            "testbed",
+            "fss_sim",
+            "testbed",
+            arm=CONFIG / "truth.yaml",
+            seed=options.seed,
+            preset=options.preset,
+            ports=str(ports[:LINKS]),
+            keep_clock=str(clock).lower(),
+            speed=float(options.speed),
+            state_file=out / "testbed.json",
+        )
         nodes.start("record", "fss_arm_ros", "record", output=out / "bag", **common)
         for i in range(1, LINKS + 1):
-            nodes.start(f"link_{i}", "fss_arm_driver", "link", link=i, **common,
-                        url=f"udp://127.0.0.1:{ports[i - 1]}?bind={ports[LINKS + i - 1]}")
+            nodes.start(
+                f"link_{i}",
+                "fss_arm_driver",
+                "link",
+                link=i,
+                **common,
+                url=f"udp://127.0.0.1:{ports[i - 1]}?bind={ports[LINKS + i - 1]}",
+            )
         nodes.start("arm", "fss_arm_driver", "arm", **common)
-        nodes.start("kinematic", "fss_arm_calib", "kinematic", arm=CONFIG / "cad.yaml", **common,
-                    parametrization="equal", state_file=out / "observations.json",
-                    output=out / "arm.yaml")
-        nodes.start("experiment", "fss_arm_calib", "experiment", **common,
-                    state_file=out / "experiment.json")
+        nodes.start(
+            "kinematic",
+            "fss_arm_calib",
+            "kinematic",
+            arm=CONFIG / "cad.yaml",
+            **common,
+            parametrization="equal",
+            state_file=out / "observations.json",
+            output=out / "arm.yaml",
+        )
+        nodes.start(
+            "experiment",
+            "fss_arm_calib",
+            "experiment",
+            **common,
+            state_file=out / "experiment.json",
+        )
         operator = Operator(clock)
         task = bar.add_task("postures observed", total=POSTURES)
         give_up = time.monotonic() + options.deadline
@@ -205,8 +239,14 @@ def run(options: argparse.Namespace, out: Path, console: Console) -> KinematicCa
 
 
 def progress(console: Console) -> Progress:
-    return Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
-                    TimeElapsedColumn(), console=console)
+    """A bar that counts postures."""
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        console=console,
+    )
 
 
 def free_ports(count: int) -> list[int]:
@@ -243,15 +283,22 @@ def use_free_domain() -> None:
 
 
 def arguments() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser("demo.sh", description=__doc__)
-    parser.add_argument("--speed", type=float, default=1.0, help="multiple of real time (default 1)")
-    parser.add_argument("--seed", type=int, default=1, help="of the simulated errors (default 1)")
-    parser.add_argument("--out", type=Path, help="folder for the results (default out/demo-TIME)")
+    """The command line."""
+    parser = argparse.ArgumentParser(
+        "demo.sh", description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
+    )
+    parser.add_argument("--speed", type=float, default=1.0, help="multiple of real time")
+    parser.add_argument("--seed", type=int, default=1, help="of the simulated errors")
+    parser.add_argument("--out", type=Path, help="folder for the results; None: out/demo-TIME")
+    parser.add_argument(
+        "--preset", default="paper", help="of the simulated errors: ideal, default, paper (default)"
+    )
     parser.add_argument("--deadline", type=float, default=600.0, help="give up after [s]")
     return parser
 
 
 def main() -> int:
+    """Run; the exit code is 0 if the calibration passes."""
     options = arguments().parse_args()
     out = (options.out or CONFIG.parent / "out" / f"demo-{datetime.now():%Y%m%d-%H%M%S}").absolute()
     if out.exists():
@@ -274,8 +321,12 @@ def main() -> int:
         return 130
     finally:
         rclpy.try_shutdown()
-    for name, what in (("bag", "recording"), ("arm.yaml", "calibrated description"),
-                       ("calibration.png", "residuals and postures"), ("logs", "of the nodes")):
+    for name, what in (
+        ("bag", "recording"),
+        ("arm.yaml", "calibrated description"),
+        ("calibration.png", "residuals and postures"),
+        ("logs", "of the nodes"),
+    ):
         console.print(f"{what:>24}  {out / name}", soft_wrap=True)
     return 0 if result.verdict == KinematicCalibration.PASS else 2
 

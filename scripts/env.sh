@@ -29,6 +29,14 @@ _fss_load() {
   # A Python that was started from another venv leaves this behind; its libraries would be loaded.
   unset _ROS_WHEELS_BOOTSTRAP_COMPLETE
   export VIRTUAL_ENV="$_fss_root/.venv"
+  if [ -f "$_fss_root/install/setup.$_fss_shell" ]; then
+    export COLCON_CURRENT_PREFIX="$_fss_root/install"   # which a plain sh cannot find out
+    . "$_fss_root/install/setup.$_fss_shell"
+    unset COLCON_CURRENT_PREFIX
+  else
+    [ ! -f "$VIRTUAL_ENV/local_setup.$_fss_shell" ] || . "$VIRTUAL_ENV/local_setup.$_fss_shell"
+    echo "env.sh: nothing is built yet; run colcon build or scripts/setup.sh" >&2
+  fi
   case "$PATH" in
     "$VIRTUAL_ENV/bin:"*) ;;
     *) PATH="$VIRTUAL_ENV/bin:$PATH" ;;
@@ -40,18 +48,10 @@ _fss_load() {
   esac
   export PATH
 
+
   export ROS_LOG_DIR="${ROS_LOG_DIR:-$_fss_root/log/ros}"
   export ROS_AUTOMATIC_DISCOVERY_RANGE="${ROS_AUTOMATIC_DISCOVERY_RANGE:-LOCALHOST}"
   export FASTRTPS_DEFAULT_PROFILES_FILE="${FASTRTPS_DEFAULT_PROFILES_FILE:-$_fss_root/config/fastdds.xml}"
-
-  if [ -f "$_fss_root/install/setup.$_fss_shell" ]; then
-    export COLCON_CURRENT_PREFIX="$_fss_root/install"   # which a plain sh cannot find out
-    . "$_fss_root/install/setup.$_fss_shell"
-    unset COLCON_CURRENT_PREFIX
-  else
-    [ ! -f "$VIRTUAL_ENV/local_setup.$_fss_shell" ] || . "$VIRTUAL_ENV/local_setup.$_fss_shell"
-    echo "env.sh: nothing is built yet; run colcon build or scripts/setup.sh" >&2
-  fi
 }
 
 _fss_load

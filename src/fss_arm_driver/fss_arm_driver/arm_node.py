@@ -156,7 +156,8 @@ class ArmNode(Node):
                 await self.ticked
                 self.check(handle)
         except MoveError:
-            self.send([LinkCommand(mode=LinkCommand.VELOCITY)] * self.arm.n)  # come to rest
+            if not self.stopped:
+                self.send([LinkCommand(mode=LinkCommand.VELOCITY)] * self.arm.n)  # come to rest
             raise
         finally:
             self.moving = False

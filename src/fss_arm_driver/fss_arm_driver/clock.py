@@ -53,7 +53,7 @@ class LinkClock:
             return
         self.offset = earliest + width // 2
         self.round_trip = max(0, width - self._resolution) * 1e-9
-        self._half_width, self._since = 0.5 * width, received
+        self._half_width, self._since = 0.5 * max(width, self._resolution), received
 
     def half_width(self, now: int) -> float:
         """The offset is known to plus or minus this [ns]."""

@@ -337,7 +337,7 @@ class LinkSession:
         self._slow[Slow(frame.slow_id)] = frame.slow_value
         echoed = self._sent.get(frame.echo) if frame.echo else None
         self._follow_arming(frame, echoed)
-        return self._sample(frame, echoed, now)
+        return self._sample(frame, track.clock, echoed, now)
 
     def _adopt(self, frame: Telemetry) -> None:
         """A link that was not followed until now: nothing is wanted of it."""
@@ -359,9 +359,7 @@ class LinkSession:
         elif self.arming is Arming.ARMING and armed and echoed and echoed >= self._arm_asked:
             self.arming = Arming.ARMED
 
-    def _sample(self, frame: Telemetry, echoed: int | None, now: int) -> Sample:
-        assert self._track is not None
-        clock = self._track.clock
+    def _sample(self, frame: Telemetry, clock: LinkClock, echoed: int | None, now: int) -> Sample:
         if echoed is None:
             clock.one_way(frame.clock, now)
         else:

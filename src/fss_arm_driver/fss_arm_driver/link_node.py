@@ -1,16 +1,14 @@
 """The node of one link: its telemetry to topics, commands to its electronics.
 
-A thread waits for datagrams and wakes the executor, so that one is taken the moment it comes and
-an idle node does nothing; all else happens in the executor.
+A thread waits for datagrams and wakes the executor; all else happens in the executor.
 """
 
 import sys
 from dataclasses import dataclass
-from threading import Event, Thread
 from typing import Any
 
 from fss_arm_model.description import Arm, load, paper_arm
-from fss_arm_ros.convert import stamp_ns, to_time
+from fss_arm_ros.convert import stamp_ns
 from fss_arm_ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
 from fss_arm_ros.qos import COMMAND, SENSOR
 from fss_arm_ros.run import run
@@ -23,10 +21,12 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Empty
 from std_srvs.srv import SetBool
 
-from fss_arm_driver.link import SECOND, TROUBLES, Arming, LinkSession, Sample
-from fss_arm_driver.protocol import Slow, State
+from fss_arm_driver.link import SECOND, TROUBLES, Arming, LinkSession
+from fss_arm_driver.messages import joint_state, telemetry
+from fss_arm_driver.protocol import State
 from fss_arm_driver.scale import CommandError
 from fss_arm_driver.transport import Transport, open_transport
+from fss_arm_driver.waker import Waker
 from fss_arm_msgs.msg import LinkCommand, LinkTelemetry
 
 SIMULATED_STEP = 0.01  # of /clock [s]
@@ -207,77 +207,6 @@ class LinkNode(Node):
         """Give the port back."""
         self.waker.close()
         self.transport.close()
-
-
-class Waker(Thread):
-    """Triggers a guard condition when datagrams have come, once until they are taken."""
-
-    def __init__(self, transport: Transport, guard: Any) -> None:
-        super().__init__(daemon=True)
-        self.transport, self.guard = transport, guard
-        self.closing, self._taken = False, Event()
-        self.start()
-
-    def run(self) -> None:
-        """Wait, wake, wait until taken."""
-        while not self.closing:
-            if self.transport.wait(0.2):
-                self._taken.clear()
-                self.guard.trigger()
-                while not (self._taken.wait(0.2) or self.closing):
-                    pass
-
-    def taken(self) -> None:
-        """Wake again for whatever comes from now on."""
-        self._taken.set()
-
-    def close(self) -> None:
-        """End the thread."""
-        self.closing = True
-        self.join()
-
-
-def joint_state(number: int, sample: Sample) -> JointState:
-    """A sample as the joint's state at the time of the measurement."""
-    message = JointState(
-        name=[f"joint_{number}"],
-        position=[sample.position],
-        velocity=[sample.velocity],
-        effort=[sample.torque],
-    )
-    message.header.stamp = to_time(sample.stamp)
-    return message
-
-
-def telemetry(sample: Sample) -> LinkTelemetry:
-    """A sample with everything that the link reported, raw."""
-    frame, slow = sample.frame, sample.slow
-    message = LinkTelemetry(
-        link=frame.link,
-        boot=frame.boot,
-        sequence=frame.sequence,
-        clock=frame.clock,
-        clock_deviation=sample.deviation,
-        round_trip=sample.round_trip,
-        position=frame.position,
-        velocity=frame.velocity,
-        current=frame.current,
-        torque=frame.torque,
-        torque_age=frame.torque_age,
-        mode=frame.mode,
-        flags=frame.flags,
-        status=frame.status,
-        temperature=slow.get(Slow.TEMPERATURE, 0),
-        armed=sample.armed,
-        **{
-            field.name.lower(): slow.get(field, 0) & 0xFFFFFFFF
-            for field in Slow
-            if field is not Slow.TEMPERATURE
-        },
-    )
-    message.header.stamp = to_time(sample.stamp)
-    message.header.frame_id = f"link_{frame.link}"
-    return message
 
 
 def make_nodes() -> list[LinkNode]:

@@ -1,0 +1,163 @@
+"""The main job as a person runs it: simulator, drivers over UDP, calibration, bag and back."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+from functools import partial
+from pathlib import Path
+from threading import Event
+
+import numpy as np
+import pytest
+from conftest import wait_until
+
+from fss_arm_calib.kinematic import KinematicProblem, quantization_bound
+from fss_arm_calib.state import read_observations
+from fss_arm_model.description import kinematic_index, load
+from fss_arm_msgs.msg import KinematicCalibration
+from fss_arm_ros.bags import open_bags
+
+ROOT = Path(__file__).resolve().parents[2]
+NODES = {  # name in the demo: a word of its process's command line
+    "testbed": "fss_sim/testbed",
+    "record": "fss_arm_ros/record",
+    "link_2": "link:=2",
+    "arm": "fss_arm_driver/arm",
+    "kinematic": "fss_arm_calib/kinematic",
+    "experiment": "fss_arm_calib/experiment",
+}
+
+
+class Demo:
+    """scripts/demo.py as a process."""
+
+    def __init__(self, out, *options):
+        self.out, self.log = out, out.with_suffix(".log")
+        with self.log.open("wb") as log:
+            self.process = subprocess.Popen(
+                [sys.executable, ROOT / "scripts/demo.py", "--out", out, *options],
+                stdout=log,
+                stderr=log,
+            )
+
+    @property
+    def text(self):
+        return self.log.read_text()
+
+    def wait(self, timeout):
+        try:
+            return self.process.wait(timeout)
+        except subprocess.TimeoutExpired:
+            pytest.fail(f"still running after {timeout} s:\n{self.text}")
+
+    def observed(self):
+        """How many rests have been observed, by the node's own file."""
+        path = self.out / "observations.json"
+        return sum(o.used for o in read_observations(str(path), 4)) if path.exists() else 0
+
+    def pid(self, word):
+        """The demo's child whose command line holds the word."""
+        for stat in Path("/proc").glob("[0-9]*/stat"):
+            try:
+                parent = int(stat.read_text().rsplit(")", 1)[1].split()[1])
+                command = stat.with_name("cmdline").read_bytes().decode().split("\0")
+            except (OSError, ValueError):
+                continue  # it has just ended
+            if parent == self.process.pid and any(part.endswith(word) for part in command):
+                return int(stat.parent.name)
+        return None
+
+
+@pytest.fixture
+def demo(tmp_path):
+    started = []
+
+    def start(*options):
+        started.append(Demo(tmp_path / f"demo{len(started)}", *options))
+        return started[-1]
+
+    yield start
+    for one in started:
+        if one.process.poll() is None:
+            one.process.send_signal(signal.SIGINT)
+            one.process.wait(60)
+
+
+def results(out):
+    """All results in the demo's bags, in order."""
+    with open_bags(out / "bag") as bags:
+        return [message for _, _, _, message in bags.messages({"/calibration/kinematic"})]
+
+
+def test_without_noise_the_truth_comes_back_to_what_the_encoders_count(demo, start, tmp_path):
+    run = demo("--speed", "5", "--preset", "ideal")
+    assert run.wait(240) == 0, run.text
+    assert "parameters differ by at most 0.0e+00" in run.text
+    live = results(run.out)[-1]
+    assert live.verdict == KinematicCalibration.PASS
+    assert len(live.q) // 4 >= 13
+    problem = KinematicProblem(
+        np.reshape(live.q, (-1, 4)), np.reshape(live.tip, (-1, 3)), load(ROOT / "config/cad.yaml")
+    )
+    # A rest lets a joint creep by less than a count beside the half count of rounding.
+    bound = quantization_bound(problem, 1.5 * 2 * np.pi / 240_000, live.values)
+    truth = load(ROOT / "config/truth.yaml")
+    true = truth.vector()[kinematic_index(4)][2:]  # a_1 = a_2 = a_3
+    assert (np.abs(live.values - true) < bound).all()
+    assert bound.max() < 1e-3
+
+    # The same again through topics: replayed as fast as it is taken.
+    state = tmp_path / "replayed.json"
+    kinematic = start(
+        "fss_arm_calib.kinematic_node",
+        "--ros-args",
+        "-p",
+        f"arm:={ROOT / 'config/cad.yaml'}",
+        "-p",
+        f"state_file:={state}",
+    )
+    topics = ["joint_states", "vicon/fss/fss", "vicon/end_effector/end_effector"]
+    wait_for = "[" + ",".join(f"'/{topic}'" for topic in topics) + "]"
+    replay = start(
+        "fss_arm_ros.replay_node",
+        run.out / "bag",
+        "--ros-args",
+        "-p",
+        "rate:=0.0",
+        "-p",
+        f"wait_for:={wait_for}",
+    )
+    assert replay.wait(120) == 0, replay.output
+    used = [o for o in read_observations(str(run.out / "observations.json"), 4) if o.used]
+    wait_until(lambda: len(again(state)) >= len(used) - 1, 30, partial(Event().wait, 0.1))
+    assert kinematic.stop() == 0
+    for one, other in zip(again(state), used, strict=False):
+        np.testing.assert_allclose(one.q, other.q, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(one.tip, other.tip, rtol=0, atol=1e-12)
+
+
+def again(state):
+    return [o for o in read_observations(str(state), 4) if o.used] if state.exists() else []
+
+
+def test_every_node_may_be_killed_once(demo):
+    run = demo("--speed", "3")
+    pause = Event()
+    for observed, (name, word) in enumerate(NODES.items(), 2):
+        wait_until(
+            lambda k=observed: run.observed() >= k or run.process.poll() is not None,
+            120,
+            partial(pause.wait, 0.1),
+        )
+        pid = wait_until(lambda w=word: run.pid(w), 20, partial(pause.wait, 0.1))
+        os.kill(pid, signal.SIGKILL)
+        wait_until(lambda n=name: f"node {n} was killed" in run.text, 20, partial(pause.wait, 0.1))
+    assert run.wait(400) == 0, run.text
+    for name in NODES:
+        assert f"node {name} was killed (SIGKILL), starting it again" in run.text
+    assert "13/13" in run.text
+    assert re.search(r"pass: 1[3-9] observations|pass: 2\d observations", run.text), run.text
+    assert [path.name for path in (run.out / "bag").iterdir()].count("bag_1") == 1
+    assert load(run.out / "arm.yaml").n == 4
