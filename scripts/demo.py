@@ -58,7 +58,8 @@ class Nodes:
         path = Path(get_package_prefix(package), "lib", package, executable)
         command = [str(path), "--ros-args"]
         for key, value in parameters.items():
-            command += ["-p", f"{key}:={value}"]
+            text = str(value).lower() if isinstance(value, bool) else value
+            command += ["-p", f"{key}:={text}"]
         self.commands[name] = command
         self._start(name)
 
@@ -164,59 +165,47 @@ class Operator(Node):
         return future.result() if future.done() else None
 
 
+def start_all(nodes: Nodes, options: argparse.Namespace, out: Path) -> None:
+    """Start the whole graph."""
+    truth, guess = CONFIG / "truth.yaml", CONFIG / "cad.yaml"
+    own_time = options.speed != 1.0
+    clock = {"use_sim_time": own_time}
+    # Processes take their real time: at higher speed, that is more of the clock's.
+    patience = max(1.0, options.speed)
+    ports = free_ports(2 * LINKS)
+    nodes.start(
+        "testbed", "fss_sim", "testbed", arm=truth, seed=options.seed, preset=options.preset,
+        ports=ports[:LINKS], keep_clock=own_time, speed=options.speed,
+        state_file=out / "testbed.json",
+    )  # fmt: skip
+    nodes.start("record", "fss_arm_ros", "record", output=out / "bag", **clock)
+    for i in range(1, LINKS + 1):
+        url = f"udp://127.0.0.1:{ports[i - 1]}?bind={ports[LINKS + i - 1]}"
+        nodes.start(
+            f"link_{i}", "fss_arm_driver", "link", link=i, url=url, timeout=patience,
+            watchdog=2.0 * patience, **clock,
+        )  # fmt: skip
+    nodes.start("arm", "fss_arm_driver", "arm", time_to_live=patience, **clock)
+    nodes.start(
+        "kinematic", "fss_arm_calib", "kinematic", arm=guess, output=out / "arm.yaml",
+        state_file=out / "observations.json", **clock,
+    )  # fmt: skip
+    nodes.start(
+        "experiment", "fss_arm_calib", "experiment", state_file=out / "experiment.json", **clock
+    )
+
+
 def run(options: argparse.Namespace, out: Path, console: Console) -> KinematicCalibration:
-    """Start the graph, see the experiment through, close the last rest; return the result.
+    """See the experiment through, close the last rest; return the result.
 
     Raises:
-        DemoError: a node gave up, or the experiment took too long.
+        DemoError: a node gave up, or it took too long.
     """
-    clock = options.speed != 1.0
-    ports = free_ports(2 * LINKS)
-    common = {"use_sim_time": str(clock).lower()}
+    give_up = time.monotonic() + options.deadline
     with Nodes(out / "logs", console.print) as nodes, progress(console) as bar:
-        nodes.start(
-            "testbed",
-            "fss_sim",
-            "testbed",
-            arm=CONFIG / "truth.yaml",
-            seed=options.seed,
-            preset=options.preset,
-            ports=str(ports[:LINKS]),
-            keep_clock=str(clock).lower(),
-            speed=float(options.speed),
-            state_file=out / "testbed.json",
-        )
-        nodes.start("record", "fss_arm_ros", "record", output=out / "bag", **common)
-        for i in range(1, LINKS + 1):
-            nodes.start(
-                f"link_{i}",
-                "fss_arm_driver",
-                "link",
-                link=i,
-                **common,
-                url=f"udp://127.0.0.1:{ports[i - 1]}?bind={ports[LINKS + i - 1]}",
-            )
-        nodes.start("arm", "fss_arm_driver", "arm", **common)
-        nodes.start(
-            "kinematic",
-            "fss_arm_calib",
-            "kinematic",
-            arm=CONFIG / "cad.yaml",
-            **common,
-            parametrization="equal",
-            state_file=out / "observations.json",
-            output=out / "arm.yaml",
-        )
-        nodes.start(
-            "experiment",
-            "fss_arm_calib",
-            "experiment",
-            **common,
-            state_file=out / "experiment.json",
-        )
-        operator = Operator(clock)
+        start_all(nodes, options, out)
+        operator = Operator(options.speed != 1.0)
         task = bar.add_task("postures observed", total=POSTURES)
-        give_up = time.monotonic() + options.deadline
         while not nodes.ended("experiment"):
             if time.monotonic() > give_up:
                 raise DemoError(f"not done after {options.deadline:.0f} s, see {nodes.logs}")
@@ -225,6 +214,7 @@ def run(options: argparse.Namespace, out: Path, console: Console) -> KinematicCa
             bar.update(task, completed=operator.done)
             if not all(operator.armed.values()):
                 operator.service(operator.arm, SetBool.Request(data=True), 2.0)
+        bar.update(task, completed=POSTURES)
         operator.result = None
         while operator.result is None:
             if time.monotonic() > give_up:
@@ -232,10 +222,8 @@ def run(options: argparse.Namespace, out: Path, console: Console) -> KinematicCa
             nodes.restart_dead()
             operator.service(operator.solve, Trigger.Request())
             rclpy.spin_once(operator, timeout_sec=0.5)
-        bar.update(task, completed=POSTURES)
-        result = operator.result
         operator.destroy_node()
-    return result
+    return operator.result
 
 
 def progress(console: Console) -> Progress:
@@ -265,7 +253,11 @@ def from_bag(bag: Path, live: KinematicCalibration) -> str:
     settings = CalibrationSettings(arm=str(CONFIG / "cad.yaml"), parametrization="equal")
     again = solve_bag(bag, settings)
     if len(again.tip) != len(live.tip) // 3:
-        return f"the bag lacks data: {len(again.tip)} observations, live {len(live.tip) // 3}"
+        # Recorder and calibration do not begin to listen in the same moment, or one was killed.
+        return (
+            f"solved again from the bag: {again.verdict}, "
+            f"from {len(again.tip)} rests in it, {len(live.tip) // 3} seen live"
+        )
     worst = float(abs(again.values - live.values).max())
     return f"solved again from the bag: {again.verdict}, parameters differ by at most {worst:.1e}"
 
@@ -291,7 +283,7 @@ def arguments() -> argparse.ArgumentParser:
     parser.add_argument("--seed", type=int, default=1, help="of the simulated errors")
     parser.add_argument("--out", type=Path, help="folder for the results; None: out/demo-TIME")
     parser.add_argument(
-        "--preset", default="paper", help="of the simulated errors: ideal, default, paper (default)"
+        "--preset", default="paper", help="of the simulated errors: ideal, default or paper"
     )
     parser.add_argument("--deadline", type=float, default=600.0, help="give up after [s]")
     return parser

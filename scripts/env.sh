@@ -48,7 +48,6 @@ _fss_load() {
   esac
   export PATH
 
-
   export ROS_LOG_DIR="${ROS_LOG_DIR:-$_fss_root/log/ros}"
   export ROS_AUTOMATIC_DISCOVERY_RANGE="${ROS_AUTOMATIC_DISCOVERY_RANGE:-LOCALHOST}"
   export FASTRTPS_DEFAULT_PROFILES_FILE="${FASTRTPS_DEFAULT_PROFILES_FILE:-$_fss_root/config/fastdds.xml}"

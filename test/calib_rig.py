@@ -3,11 +3,12 @@
 from typing import Any, NamedTuple
 
 import numpy as np
+from sensor_msgs.msg import JointState
+
 from fss_arm_calib.rests import BASE, TIP
 from fss_arm_model.description import paper_arm
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_ros.convert import SECOND, pose_stamped, to_time
-from sensor_msgs.msg import JointState
 
 START = 1_700_000_000 * SECOND
 ARM = paper_arm()

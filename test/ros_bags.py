@@ -4,11 +4,12 @@ from pathlib import Path
 from typing import Any
 
 from builtin_interfaces.msg import Time
-from fss_arm_ros.qos import LATCHED, SENSOR
-from fss_arm_ros.recording import Recording
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
+
+from fss_arm_ros.qos import LATCHED, SENSOR
+from fss_arm_ros.recording import Recording
 
 SECOND = 1_000_000_000
 START = 1_700_000_000 * SECOND

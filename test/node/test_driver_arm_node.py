@@ -5,16 +5,16 @@ from dataclasses import replace
 import pytest
 from action_msgs.msg import GoalStatus
 from driver_link import RATE, FakeTransport
-from fss_arm_driver.arm_node import ArmNode
-from fss_arm_driver.link_node import LinkNode
-from fss_arm_driver.protocol import State
-from fss_arm_model.description import paper_arm, save
 from rclpy.action import ActionClient
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from std_msgs.msg import Empty
 from std_srvs.srv import SetBool
 
+from fss_arm_driver.arm_node import ArmNode
+from fss_arm_driver.link_node import LinkNode
+from fss_arm_driver.protocol import State
+from fss_arm_model.description import paper_arm, save
 from fss_arm_msgs.action import MoveArm
 
 

@@ -14,6 +14,7 @@ from pathlib import Path
 from zlib import crc32
 
 from driver_link import SECOND, FakeLink
+
 from fss_arm_driver.link import COUNTS, LinkSession
 from fss_arm_driver.messages import joint_state, telemetry
 from fss_arm_driver.protocol import decode, encode

@@ -9,9 +9,6 @@ from math import inf, nan
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from driver_link import RATE, SECOND, FakeLink, FakeTransport
-from fss_arm_driver.link_node import LinkNode
-from fss_arm_driver.protocol import FRAME_SIZE, Mode, Order, State
-from fss_arm_ros.convert import stamp_ns, to_time
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
@@ -19,7 +16,10 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Empty
 from std_srvs.srv import SetBool
 
+from fss_arm_driver.link_node import LinkNode
+from fss_arm_driver.protocol import FRAME_SIZE, Mode, Order, State
 from fss_arm_msgs.msg import LinkCommand, LinkTelemetry
+from fss_arm_ros.convert import stamp_ns, to_time
 
 
 class User(Node):

@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+
 from fss_arm_model.description import Arm, Base, Link
 
 

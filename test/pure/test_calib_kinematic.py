@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
 from fss_arm_calib.kinematic import (
     EQUAL,
     FULL,
@@ -81,6 +82,15 @@ def test_the_iteration_alone_converges_where_the_closed_form_has_too_few_posture
             continue
         assert result.converged
         assert np.abs(result.values - problem(truth, q, parametrization).initial).max() < 1e-9
+
+
+@pytest.mark.parametrize("size", [1e-8, 1e-6, 1e-5, 1e-4, 1e-3])
+def test_it_converges_where_rounding_hides_the_gain_of_the_last_steps(size):
+    rng, cad = np.random.default_rng(5), perturbed(arm_of(4), np.random.default_rng(6), 0.02, 0.1)
+    for _ in range(40):
+        exact = problem(arm_of(4), postures(4, 20), FULL, cad)
+        off = replace(exact, tip=exact.tip + size * rng.standard_normal(exact.tip.shape))
+        assert solve(off).converged
 
 
 def test_equal_is_full_for_up_to_two_links():

@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+
 from fss_arm_calib.kinematic import FULL, KinematicProblem, solve
 from fss_arm_calib.postures import APART, DEFAULT, MARGIN, clearance, default, design
 from fss_arm_model.description import Arm, paper_arm

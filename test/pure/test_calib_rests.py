@@ -5,6 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from calib_rig import ARM, COUNT, POSTURES, START, Rig, Sample, at
+
 from fss_arm_calib.rests import BASE, TIP, Observation, RestFinder, RestSettings, spoiled
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_ros.convert import SECOND

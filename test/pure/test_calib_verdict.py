@@ -6,6 +6,8 @@ from math import isnan, nan
 
 import numpy as np
 import pytest
+
+from fss_arm_calib import report
 from fss_arm_calib.kinematic import FULL, KinematicProblem, solve
 from fss_arm_calib.postures import DEFAULT
 from fss_arm_calib.rests import Observation
@@ -14,8 +16,6 @@ from fss_arm_calib.state import StateError, read_observations, write_observation
 from fss_arm_calib.verdict import FAIL, NOT_EVALUATED, PASS, calibrate
 from fss_arm_model.description import from_yaml, paper_arm
 from fss_arm_model.kinematics import tip_in_base
-
-from fss_arm_calib import report
 
 SETTINGS = CalibrationSettings()
 

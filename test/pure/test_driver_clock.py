@@ -4,6 +4,7 @@ import random
 from math import inf, isnan, sqrt
 
 import pytest
+
 from fss_arm_driver.clock import LinkClock
 
 SECOND = 1_000_000_000

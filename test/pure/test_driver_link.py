@@ -5,6 +5,7 @@ from math import inf, isnan, nan, pi
 
 import pytest
 from driver_link import MILLISECOND, SECOND, FakeLink
+
 from fss_arm_driver.link import Arming, LinkSession
 from fss_arm_driver.protocol import Mode, Order, Slow, State, decode, encode
 from fss_arm_driver.scale import CommandError

@@ -4,10 +4,11 @@ from dataclasses import replace
 from math import inf, nan
 
 import pytest
-from fss_arm_driver.move import MoveError, plan
-from fss_arm_model.description import Drive, paper_arm
 from hypothesis import given
 from hypothesis import strategies as st
+
+from fss_arm_driver.move import MoveError, plan
+from fss_arm_model.description import Drive, paper_arm
 
 ARM = paper_arm()
 ANGLE = st.floats(-1.5, 1.5)

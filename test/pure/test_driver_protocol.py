@@ -7,6 +7,9 @@ from pathlib import Path
 from zlib import crc32
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
 from fss_arm_driver.protocol import (
     FRAME_SIZE,
     Command,
@@ -21,8 +24,6 @@ from fss_arm_driver.protocol import (
     encode,
     newer,
 )
-from hypothesis import given
-from hypothesis import strategies as st
 
 SAMPLE = Telemetry(
     link=2, flags=State.ARMED | State.REFERENCED, boot=3, sequence=1000, clock=200_000_000,

@@ -3,6 +3,7 @@
 import socket
 
 import pytest
+
 from fss_arm_driver.transport import BATCH, TransportError, UdpTransport, open_transport
 
 

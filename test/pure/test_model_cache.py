@@ -2,6 +2,7 @@ import os
 import shutil
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -53,6 +54,12 @@ def test_kernels_are_kept_until_any_source_changes(copy):
     helpers.write_text(text.replace("return p[0] if k == 0 else", "return 9.0 if k == 0 else"))
     assert copy.energy() == pytest.approx(first - 1.0)  # the base 1 kg lighter, at v^2 = 2
     assert kept.items() <= copy.kept().items()
+
+
+def test_processes_that_compile_at_once_leave_a_whole_cache(copy):
+    with ThreadPoolExecutor(4) as pool:
+        energies = list(pool.map(lambda _: copy.energy(), range(4)))
+    assert energies == 4 * [copy.energy()]
 
 
 def test_folder_that_cannot_be_written_to_is_done_without(copy):

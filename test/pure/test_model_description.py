@@ -8,6 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from model_arms import random_arm
+
 from fss_arm_model.description import (
     Arm,
     Base,
@@ -23,9 +27,6 @@ from fss_arm_model.description import (
     save,
     to_yaml,
 )
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from model_arms import random_arm
 
 CONFIG = Path(__file__).parents[2] / "config"
 

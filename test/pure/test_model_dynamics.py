@@ -4,11 +4,11 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
-from fss_arm_model.description import Arm
 from model_arms import random_arm, random_states
 from numpy.testing import assert_allclose
 
 from fss_arm_model import dynamics, kinematics
+from fss_arm_model.description import Arm
 
 RELATIVE = 1e-9
 STATES = 125  # for each of n = 1 .. 8: 1,000

@@ -3,16 +3,17 @@
 import shutil
 
 import pytest
-from fss_arm_ros.bags import BagError, find, is_sound, open_bags, repair
-from fss_arm_ros.definitions import definition
-from fss_arm_ros.doctor import main as doctor
-from fss_arm_ros.qos import SENSOR
-from fss_arm_ros.recording import Recording, bag_qos, next_bag
 from mcap.reader import make_reader
 from ros_bags import SECOND, START, fill, joint_state, make_bag, make_killed_bag, states
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability
 from rosbags.rosbag2 import Reader
+
+from fss_arm_ros.bags import BagError, find, is_sound, open_bags, repair
+from fss_arm_ros.definitions import definition
+from fss_arm_ros.doctor import main as doctor
+from fss_arm_ros.qos import SENSOR
+from fss_arm_ros.recording import Recording, bag_qos, next_bag
 
 
 def test_rosbags_reads_what_was_written(tmp_path):

@@ -3,12 +3,13 @@
 from math import nan, pi
 
 import pytest
-from fss_arm_ros.convert import PoseError, planar_pose, pose_stamped, seconds, stamp_ns, to_time
 from geometry_msgs.msg import Pose
 from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.serialization import serialize_message
 from rosbags.typesys import Stores, get_typestore
+
+from fss_arm_ros.convert import PoseError, planar_pose, pose_stamped, seconds, stamp_ns, to_time
 
 
 @given(st.integers(0, 2**31 * 10**9 - 1))

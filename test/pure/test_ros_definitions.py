@@ -1,8 +1,9 @@
 """Definitions from the installed .msg files."""
 
 import pytest
-from fss_arm_ros.definitions import NotInstalledError, definition, message_class
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from fss_arm_ros.definitions import NotInstalledError, definition, message_class
 
 JAZZY = get_typestore(Stores.ROS2_JAZZY)
 

@@ -6,19 +6,19 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from fss_arm_model.description import load, paper_arm
-from fss_arm_ros.convert import SECOND, stamp_ns
-from fss_arm_ros.diagnostics import OK, Diagnostics, Health
-from fss_arm_ros.qos import LATCHED
-from fss_arm_ros.run import run
-from fss_arm_ros.settings import declare, setting
 from rclpy.action import ActionClient
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.task import Future
 
+from fss_arm_model.description import load, paper_arm
 from fss_arm_msgs.action import MoveArm
 from fss_arm_msgs.msg import KinematicObservations
+from fss_arm_ros.convert import SECOND, stamp_ns
+from fss_arm_ros.diagnostics import OK, Diagnostics, Health
+from fss_arm_ros.qos import LATCHED
+from fss_arm_ros.run import run
+from fss_arm_ros.settings import declare, setting
 
 from . import state
 from .kinematic import Floats
@@ -90,6 +90,11 @@ class ExperimentNode(Node):
             self.get_logger().info(f"goes on after {progress.done} postures")
         return progress
 
+    def save(self) -> None:
+        """Keep the progress for a run after this one."""
+        if self.settings.state_file:
+            state.write(self.settings.state_file, asdict(self.progress))
+
     def on_observations(self, message: KinematicObservations) -> None:
         """What has been observed so far."""
         self.observed = [(stamp_ns(o.end), tuple(o.q)) for o in message.observations if o.used]
@@ -99,7 +104,9 @@ class ExperimentNode(Node):
         now = self.now()
         if not now:
             return  # simulated time has not begun
-        self.progress.begun = self.progress.begun or now
+        if not self.progress.begun:
+            self.progress.begun = now
+            self.save()
         self.observer = self.observer or bool(self.count_publishers("calibration/observations"))
         if self.progress.done >= len(self.postures):
             self.get_logger().info(f"all {len(self.postures)} postures done")
@@ -125,7 +132,9 @@ class ExperimentNode(Node):
             self.outcome = answer.result().get_result_async()
 
     def on_feedback(self, _: Any) -> None:
-        """The move is under way."""
+        """The move is under way, unless it is one given up before."""
+        if self.phase != self.move:
+            return
         self.since = self.now()
         degrees = np.degrees(self.postures[self.progress.done]).round().astype(int)
         self.say(f"{self.title}: moving to {degrees.tolist()} degrees")
@@ -161,8 +170,7 @@ class ExperimentNode(Node):
         """Go on to the next posture."""
         self.say(f"{self.title}: {how}")
         self.progress.done += 1
-        if self.settings.state_file:
-            state.write(self.settings.state_file, asdict(self.progress))
+        self.save()
         self.enter(self.go, 0)
 
     def enter(self, phase: Callable[[int], None], now: int) -> None:

@@ -7,9 +7,10 @@ from dataclasses import fields
 from os import PathLike
 from typing import NoReturn
 
+from rich.console import Console
+
 from fss_arm_model.description import Arm, from_yaml, load, paper_arm, save
 from fss_arm_ros.bags import BagError, Bags, open_bags
-from rich.console import Console
 
 from . import report
 from .messages import feed_joints, feed_pose

@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+
 from fss_arm_model.description import Arm, kinematic_index, kinematic_names
 from fss_arm_model.kinematics import tip_in_base, tip_regressor
 
@@ -34,6 +35,9 @@ NOTICEABLE = 1e-3
 
 #: A step below this changes a parameter by no more than rounding does [m, rad].
 ROUNDING = 1e-13
+
+#: A step below this is taken without asking whether it lowers the sum of squares [deviations].
+SHORT = 1e-6
 
 
 def wrap(angle: npt.ArrayLike) -> Floats:
@@ -249,8 +253,8 @@ def solve(
         negligible = update < tolerance or float(np.max(np.abs(step))) < ROUNDING
         converged = damping == 0.0 and negligible
         next_cost = _weighted_squares(problem, xi + step)
-        # Rounding may raise the sum of squares by as much once the step is tiny.
-        if converged or next_cost <= cost * (1.0 + 1e-12):
+        # A step so short changes the sum of squares by its square: less than rounding does.
+        if update < SHORT or next_cost <= cost:
             xi, cost = xi + step, next_cost
             damping = damping / 10.0 if damping > 1e-3 else 0.0
             basis = _Decomposition.of(problem.regressor(xi), max_condition)

@@ -5,17 +5,17 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from fss_arm_model.description import from_yaml, load, paper_arm, save
-from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
-from fss_arm_ros.qos import LATCHED, subscribe_sensor
-from fss_arm_ros.run import run
-from fss_arm_ros.settings import declare
 from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
+from fss_arm_model.description import from_yaml, load, paper_arm, save
 from fss_arm_msgs.msg import KinematicCalibration, KinematicObservations
+from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
+from fss_arm_ros.qos import LATCHED, subscribe_sensor
+from fss_arm_ros.run import run
+from fss_arm_ros.settings import declare
 
 from .messages import feed_joints, feed_pose, observations_message, to_message
 from .rests import BASE, TIP, Observation, RestFinder

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from fss_arm_ros.convert import PoseError, planar_pose, stamp_ns, to_time
 
 from fss_arm_msgs.msg import KinematicCalibration, KinematicObservation, KinematicObservations
+from fss_arm_ros.convert import PoseError, planar_pose, stamp_ns, to_time
 
 from .rests import Observation, RestFinder
 from .verdict import Calibration

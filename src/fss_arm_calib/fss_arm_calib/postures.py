@@ -3,6 +3,7 @@
 from itertools import combinations, pairwise
 
 import numpy as np
+
 from fss_arm_model.description import Arm
 from fss_arm_model.kinematics import joint_positions, tip_regressor
 

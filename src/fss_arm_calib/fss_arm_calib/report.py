@@ -8,10 +8,11 @@ from os import PathLike
 from typing import Any
 
 import numpy as np
-from fss_arm_model.description import Arm, kinematic_index, kinematic_names, paper_arm
 from rich.console import Console, Group
 from rich.table import Table
 from rich.text import Text
+
+from fss_arm_model.description import Arm, kinematic_index, kinematic_names, paper_arm
 
 from .kinematic import Floats
 
@@ -88,7 +89,9 @@ def plot(calibration: Any, path: str | PathLike[str]) -> None:
     q, tip = np.reshape(c.q, (-1, n)), np.reshape(c.tip, (-1, 3))
     residuals = np.reshape(c.residuals, (-1, 3))
     figure = Figure(figsize=(14, 8), layout="constrained")
-    axes = figure.subplot_mosaic([["arm", "x y"], ["arm", "heading"]], width_ratios=(1.25, 1.0))
+    axes: Any = figure.subplot_mosaic(
+        [["arm", "x y"], ["arm", "heading"]], width_ratios=(1.25, 1.0)
+    )
     position, heading = axes["x y"], axes["heading"]
     figure.suptitle(
         f"Kinematic calibration: {c.verdict.replace('_', ' ')}, {len(q)} observations",

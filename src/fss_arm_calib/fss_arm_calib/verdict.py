@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from math import nan
 
 import numpy as np
-from fss_arm_model.description import Arm, DescriptionError, to_yaml
 from scipy.special import gammaincc
+
+from fss_arm_model.description import Arm, DescriptionError, to_yaml
 
 from . import __version__
 from .kinematic import Floats, KinematicProblem, KinematicResult, NotIdentifiable, solve

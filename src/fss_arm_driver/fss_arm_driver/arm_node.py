@@ -5,12 +5,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from fss_arm_model.description import Arm, load, paper_arm
-from fss_arm_ros.convert import SECOND
-from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
-from fss_arm_ros.qos import command, subscribe_sensor
-from fss_arm_ros.run import run
-from fss_arm_ros.settings import declare, setting
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
@@ -22,8 +16,14 @@ from std_srvs.srv import SetBool
 
 from fss_arm_driver.move import Move, MoveError, Profile, plan
 from fss_arm_driver.scale import Scale
+from fss_arm_model.description import Arm, load, paper_arm
 from fss_arm_msgs.action import MoveArm
 from fss_arm_msgs.msg import LinkCommand, LinkTelemetry
+from fss_arm_ros.convert import SECOND
+from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
+from fss_arm_ros.qos import command, subscribe_sensor
+from fss_arm_ros.run import run
+from fss_arm_ros.settings import declare, setting
 
 ANSWER = 4.0  # a link's driver has answered by then [s]
 

@@ -9,8 +9,6 @@ from dataclasses import dataclass
 from enum import Enum
 from math import inf, nan
 
-from fss_arm_model.description import Link
-
 from fss_arm_driver.clock import LinkClock
 from fss_arm_driver.protocol import (
     Command,
@@ -26,6 +24,7 @@ from fss_arm_driver.protocol import (
     newer,
 )
 from fss_arm_driver.scale import CommandError, Scale, SetPoint
+from fss_arm_model.description import Link
 
 SECOND = 1_000_000_000  # [ns]
 EARLY = SECOND // 10  # delays vary: a frame may seem to come from the future by so much

@@ -7,12 +7,6 @@ import sys
 from dataclasses import dataclass
 from typing import Any
 
-from fss_arm_model.description import Arm, load, paper_arm
-from fss_arm_ros.convert import stamp_ns
-from fss_arm_ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
-from fss_arm_ros.qos import COMMAND, SENSOR
-from fss_arm_ros.run import run
-from fss_arm_ros.settings import declare, setting
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -27,7 +21,13 @@ from fss_arm_driver.protocol import State
 from fss_arm_driver.scale import CommandError
 from fss_arm_driver.transport import Transport, open_transport
 from fss_arm_driver.waker import Waker
+from fss_arm_model.description import Arm, load, paper_arm
 from fss_arm_msgs.msg import LinkCommand, LinkTelemetry
+from fss_arm_ros.convert import stamp_ns
+from fss_arm_ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
+from fss_arm_ros.qos import COMMAND, SENSOR
+from fss_arm_ros.run import run
+from fss_arm_ros.settings import declare, setting
 
 SIMULATED_STEP = 0.01  # of /clock [s]
 LATCHED_WORDS = {State.STOPPED: "the link is stopped", State.WATCHDOG: "its watchdog tripped"}

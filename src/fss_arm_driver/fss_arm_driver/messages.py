@@ -1,11 +1,11 @@
 """Believed telemetry as messages."""
 
-from fss_arm_ros.convert import to_time
 from sensor_msgs.msg import JointState
 
 from fss_arm_driver.link import Sample
 from fss_arm_driver.protocol import Slow
 from fss_arm_msgs.msg import LinkTelemetry
+from fss_arm_ros.convert import to_time
 
 
 def joint_state(number: int, sample: Sample) -> JointState:

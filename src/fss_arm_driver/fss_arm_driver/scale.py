@@ -3,8 +3,6 @@
 from math import isfinite, pi
 from typing import NamedTuple
 
-from fss_arm_model.description import Link
-
 from fss_arm_driver.protocol import (
     ACCELERATION_UNIT,
     CURRENT_UNIT,
@@ -12,6 +10,7 @@ from fss_arm_driver.protocol import (
     Mode,
     Telemetry,
 )
+from fss_arm_model.description import Link
 
 # Telemetry beyond these is not believed. A disarmed arm may be moved by hand, faster than its
 # drive's limit; an encoder that has lost its reference may be off by up to half a turn.

@@ -5,9 +5,11 @@ it calls from another. Here the folder of the cache carries a hash of every sour
 so that any edit begins an empty one. It lies in $NUMBA_CACHE_DIR, else in $XDG_CACHE_HOME/fss_arm.
 """
 
+import fcntl
 import hashlib
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -44,6 +46,21 @@ def _use(folder: Path) -> bool:
 
 
 CACHED = _use(cache_folder())
+
+
+@contextmanager
+def _alone() -> Iterator[None]:
+    """Let one process at a time use the cache.
+
+    numba stores a kernel and its loop in two files. Of two processes that compile at once, each
+    may store one of a pair, and who loads that pair crashes.
+    """
+    if not CACHED:
+        yield
+        return
+    with Path(numba.config.CACHE_DIR, "lock").open("a") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
 
 KERNELS: list["Kernel"] = []
 

@@ -186,4 +186,4 @@ def advance(
     Returns:
         state and reference. Leading dimensions of all arguments broadcast.
     """
-    return _advance(p, limits, demand, state, reference, steps)  # type: ignore[return-value]
+    return _advance(p, limits, demand, state, reference, steps)

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
+from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
 
 OK = DiagnosticStatus.OK
@@ -23,15 +24,17 @@ class Health(NamedTuple):
 class Diagnostics:
     """Publishes what `health()` returns as one status named as the node, at 1 Hz of real time.
 
-    The first goes out at once: make it last in a node's constructor.
+    A new subscriber is told at once. Make it last in a node's constructor.
     """
 
     def __init__(self, node: Node, health: Callable[[], Health], hardware_id: str = "") -> None:
         self.node, self.health, self.hardware_id = node, health, hardware_id
-        self.publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        told = PublisherEventCallbacks(matched=lambda _: self.publish())
+        self.publisher = node.create_publisher(
+            DiagnosticArray, "/diagnostics", 10, event_callbacks=told
+        )
         # Real time: a simulated clock that stands still is something to report.
         node.create_timer(1.0, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        self.publish()
 
     def publish(self) -> None:
         """Publish now, out of turn."""

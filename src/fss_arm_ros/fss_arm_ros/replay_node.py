@@ -160,6 +160,7 @@ class ReplayNode(Node):
     def wait_for_acknowledgement(self, patience: float = inf) -> Iterator[None]:
         """Until all subscribers have everything, or patience [s] is at its end."""
         begin = monotonic()
+        yield  # at least once: a burst may be acknowledged at once, and others want their turn
         while not all(p.wait_for_all_acked(Duration()) for p in self.players.values()):
             if monotonic() - begin > patience:
                 return

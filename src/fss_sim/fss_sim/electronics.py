@@ -1,4 +1,4 @@
-"""One link's electronics, emulated: docs/protocol.md seen from the link. Bytes in, bytes out, no I/O.
+"""One link's electronics, emulated: docs/protocol.md seen from the link. Bytes in, bytes out.
 
 What the firmware does, in its own units: the link's clock in microseconds since its start, the
 servo drive's counts, the torque converter's counts.
@@ -7,8 +7,6 @@ servo drive's counts, the torque converter's counts.
 from collections import Counter
 from enum import Enum
 from math import pi
-
-from fss_arm_model.description import Link
 
 from fss_arm_driver.protocol import (
     ACCELERATION_UNIT,
@@ -25,6 +23,7 @@ from fss_arm_driver.protocol import (
     encode,
     newer,
 )
+from fss_arm_model.description import Link
 from fss_sim.plant import Demand, Motion
 
 WATCHDOG = 2_000_000  # until a command says otherwise [us]

@@ -1,9 +1,10 @@
-"""The test bed itself: a base and an arm floating on the table, driven by the links' servo drives."""
+"""The test bed itself: base and arm floating on the table, driven by the links' servo drives."""
 
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+
 from fss_arm_model.description import Arm
 from fss_arm_model.drives import CURRENT, OFF, STEP, advance
 from fss_arm_model.kinematics import tip_in_base
@@ -45,7 +46,9 @@ class Plant:
         drives = [link.drive for link in arm.links]
         self._torque_constant = np.array([d.torque_constant for d in drives])
         torque = [d.torque_constant * d.max_current for d in drives]
-        self._limits = np.array([[k.q_min, k.q_max, t] for k, t in zip(arm.links, torque)])
+        self._limits = np.array(
+            [[k.q_min, k.q_max, t] for k, t in zip(arm.links, torque, strict=True)]
+        )
         self._demand = np.tile(np.array([OFF, 0.0, 0.0, 1.0]), (arm.n, 1))
         self._state = np.zeros((3, 3 + arm.n))
         self._state[0] = q
@@ -99,5 +102,5 @@ class Plant:
         return x, y, theta
 
     def momentum(self) -> Floats:
-        """Linear [kg m/s] and, about the common centre of mass, angular momentum [kg m^2/s]: (3,)."""
+        """Linear [kg m/s] and, about the centre of mass, angular momentum [kg m^2/s]: (3,)."""
         return momentum(self._p, self.q, self.qd)

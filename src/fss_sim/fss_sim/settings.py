@@ -5,7 +5,6 @@ from pathlib import Path
 
 from fss_arm_model.description import Arm, load, paper_arm
 from fss_arm_ros.settings import setting
-
 from fss_sim.sensors import PRESETS, RATE, Noise
 from fss_sim.testbed import State
 

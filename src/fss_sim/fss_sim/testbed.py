@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from fss_arm_model.description import Arm
 
+from fss_arm_model.description import Arm
 from fss_sim.electronics import LinkElectronics
 from fss_sim.plant import Plant
 from fss_sim.sensors import RATE, Noise, Sensors, Sight

@@ -1,21 +1,21 @@
-"""The simulated test bed as a node: VICON and FOG on topics, links on UDP, time if told to keep it."""
+"""The simulated test bed as a node: VICON and FOG on topics, links on UDP, time on request."""
 
 import sys
 import time
 from pathlib import Path
 from typing import Any
 
-from fss_arm_ros.convert import pose_stamped, to_time
-from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
-from fss_arm_ros.qos import SENSOR
-from fss_arm_ros.run import run
-from fss_arm_ros.settings import declare
 from geometry_msgs.msg import PoseStamped
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import Imu
 
+from fss_arm_ros.convert import pose_stamped, to_time
+from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
+from fss_arm_ros.qos import SENSOR
+from fss_arm_ros.run import run
+from fss_arm_ros.settings import declare
 from fss_sim.pace import Pace
 from fss_sim.sensors import RATE, Sight
 from fss_sim.settings import TestbedSettings
@@ -86,7 +86,7 @@ class TestbedNode(Node):
         imu.header.stamp, imu.header.frame_id = to_time(stamp), settings.base_frame
         imu.orientation_covariance[0] = imu.linear_acceleration_covariance[0] = -1.0  # not measured
         imu.angular_velocity.z = sight.rate
-        imu.angular_velocity_covariance[8] = self.testbed.sensors.noise.gyro_noise ** 2
+        imu.angular_velocity_covariance[8] = self.testbed.sensors.noise.gyro_noise**2
         self.gyro.publish(imu)
 
     def receive(self) -> None:
@@ -110,7 +110,7 @@ class TestbedNode(Node):
         self._counted = frame, now
         speed = (frame - before) / RATE / max(now - then, 1e-9)
         slow = now - then > 0.5 and speed < 0.95 * self.settings.speed
-        values = {
+        values: dict[str, Any] = {
             "simulated time [s]": frame / RATE,
             "speed": speed,
             "momentum drift [kg m/s, kg m^2/s]": self.testbed.momentum_drift(),

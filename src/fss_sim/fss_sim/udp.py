@@ -1,6 +1,7 @@
 """The datagram sockets that links listen on."""
 
 import socket
+from contextlib import suppress
 
 BATCH = 64  # datagrams read at once, so that a flood cannot keep the test bed from its work
 LARGEST = 2048  # [bytes] read of one; a longer one is no frame either way
@@ -45,10 +46,8 @@ class LinkSocket:
     def send(self, data: bytes) -> None:
         """Send a datagram, once it is known where to; one that cannot be sent is lost."""
         if self._peer is not None:
-            try:
+            with suppress(OSError):
                 self._socket.sendto(data, self._peer)
-            except OSError:
-                pass
 
     def close(self) -> None:
         """Give the port back."""

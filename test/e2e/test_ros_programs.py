@@ -1,0 +1,201 @@
+"""Recorder, replay and doctor as processes: killed, out of disk, started again."""
+
+import resource
+import signal
+from collections import Counter
+from functools import partial
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped
+from rclpy.node import Node
+from ros_bags import joint_state, make_bag
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import Imu, JointState
+from std_msgs.msg import ByteMultiArray
+
+from fss_arm_msgs.msg import LinkTelemetry
+from fss_arm_ros.bags import open_bags
+from fss_arm_ros.qos import SENSOR, subscribe_sensor
+
+RATES = {
+    "vicon/fss/fss": (PoseStamped, 100),
+    "vicon/end_effector/end_effector": (PoseStamped, 100),
+    "fog/imu": (Imu, 100),
+    "/clock": (Clock, 100),
+    "joint_states": (JointState, 20),
+    **{f"link_{i}/telemetry": (LinkTelemetry, 5) for i in range(1, 5)},
+}
+
+
+class TestBed(Node):
+    """Publishes what the demo's nodes do, at their rates."""
+
+    __test__ = False
+
+    def __init__(self):
+        super().__init__("testbed")
+        self.sent = dict.fromkeys(RATES, 0)
+        self.told = {}
+        self.create_subscription(DiagnosticArray, "/diagnostics", self.hear, 10)
+        self.outs = {
+            name: self.create_publisher(kind, name, SENSOR) for name, (kind, _) in RATES.items()
+        }
+        for name, (kind, rate) in RATES.items():
+            self.create_timer(1.0 / rate, partial(self.send, name, kind))
+
+    def send(self, name, kind):
+        self.outs[name].publish(kind())
+        self.sent[name] += 1
+
+    def recorded(self, bag):
+        """Whether the recorder of `bag` says that it has something of each topic."""
+        return self.told.get("bag") == str(bag) and all(
+            int(self.told.get(self.resolve_topic_name(name), 0)) for name in RATES
+        )
+
+    def hear(self, diagnostics):
+        for status in diagnostics.status:
+            if status.name == "record":
+                self.told = {v.key: v.value for v in status.values}
+
+
+def test_a_killed_recorder_loses_at_most_the_last_second_and_the_next_goes_on(
+    spin, start, tmp_path
+):
+    bed, output = TestBed(), tmp_path / "bags"
+    for number in range(2):
+        bag = output / f"bag_{number}"
+        record = start("fss_arm_ros.record_node", "--ros-args", "-p", f"output:={output}")
+        spin(bed, partial(bed.recorded, bag), 20.0)
+        before, begin = dict(bed.sent), bed.get_clock().now().nanoseconds
+        spin(bed, lambda b=before: bed.sent["fog/imu"] - b["fog/imu"] > 400, 20.0)
+        sent = {name: bed.sent[name] - before[name] for name in RATES}
+        record.stop(signal.SIGKILL)
+        with open_bags(bag) as bags:
+            assert len(bags.recovered) == 1
+            kept = Counter(topic for topic, _, receipt, _ in bags.raw() if receipt >= begin)
+        for name, (_, rate) in RATES.items():
+            got = kept[bed.resolve_topic_name(name)]
+            assert got >= sent[name] - rate, f"{name}: {got} of {sent[name]}"
+    with open_bags(output) as bags:
+        assert [path.name for path in bags.paths] == ["bag_0", "bag_1"]
+        receipts = [t for _, _, t, _ in bags.raw()]
+    assert receipts == sorted(receipts)
+
+
+@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGINT])
+def test_a_recorder_that_is_told_to_stop_leaves_a_whole_bag(spin, start, tmp_path, how):
+    node = Node("source")
+    out = node.create_publisher(JointState, "joint_states", SENSOR)
+    record = start("fss_arm_ros.record_node", "--ros-args", "-p", f"output:={tmp_path / 'bags'}")
+    spin(node, out.get_subscription_count, 20.0)
+    for k in range(100):
+        out.publish(joint_state(k))
+    assert out.wait_for_all_acked()
+    assert record.stop(how) == 0, record.output
+    assert start("fss_arm_ros.doctor", tmp_path / "bags").wait() == 0
+
+
+def test_a_recorder_that_the_disk_refuses_says_so_and_keeps_what_it_has(spin, start, tmp_path):
+    node = Node("source")
+    out = node.create_publisher(ByteMultiArray, "bulk", SENSOR)
+    message = ByteMultiArray(data=[b"x"] * 1000)
+    record = start(
+        "fss_arm_ros.record_node",
+        "--ros-args",
+        "-p",
+        f"output:={tmp_path / 'bags'}",
+        "-p",
+        "topics:=[bulk]",
+    )
+    spin(node, out.get_subscription_count, 20.0)
+    # Files of that process end here, as they do at the end of a disk.
+    resource.prlimit(record.process.pid, resource.RLIMIT_FSIZE, (100_000, 100_000))
+    node.create_timer(0.005, lambda: out.publish(message))
+    spin(node, lambda: record.process.poll() is not None, 20.0)
+    assert record.process.returncode == 1
+    assert "cannot write" in record.output
+    assert "File too large" in record.output
+    assert "Traceback" not in record.output
+    with open_bags(tmp_path / "bags") as bags:
+        assert 0 < bags.topics["/bulk"].messages <= 100
+
+
+@pytest.mark.parametrize("module", ["record_node", "replay_node", "doctor"])
+def test_help_fits_a_screen(start, module):
+    program = start(f"fss_arm_ros.{module}", "--help")
+    assert program.wait() == 0
+    lines = program.output.splitlines()
+    assert 3 < len(lines) <= 40
+    assert max(map(len, lines)) <= 100
+
+
+@pytest.mark.parametrize(
+    ("module", "args"),
+    [
+        ("record_node", []),
+        ("replay_node", []),
+        ("replay_node", ["/no/such/bag"]),
+        ("doctor", ["/no/such/bag"]),
+        ("record_node", ["--ros-args", "-p", "output:=/proc/none"]),
+    ],
+)
+def test_what_a_user_gets_wrong_ends_in_one_line(start, module, args):
+    program = start(f"fss_arm_ros.{module}", *args)
+    assert program.wait() != 0
+    assert len(program.output.splitlines()) == 1, program.output
+
+
+@pytest.mark.parametrize("count", [6_000, pytest.param(11_000, marks=pytest.mark.slow)])
+def test_a_reader_that_stalls_loses_nothing_of_a_replay_at_full_speed(spin, start, tmp_path, count):
+    """A reader's queue holds 5,000 messages and a writer's as many: one or both are full."""
+    bag = make_bag(tmp_path / "bags", count)
+    watch, slow, told, got = Node("watch"), Node("slow"), [0], []
+    watch.create_subscription(DiagnosticArray, "/diagnostics", partial(played, told), 10)
+    subscribe_sensor(
+        slow, JointState, "joint_states", lambda m: got.append(m.header.stamp.sec), keep_all=True
+    )
+    settings = ["-p", "rate:=0", "-p", "wait_for:=[joint_states]"]
+    player = start("fss_arm_ros.replay_node", bag, "--ros-args", *settings)
+    spin(watch, lambda: told[0] >= count - 1000, 90.0)
+    assert got == []
+    spin([watch, slow], lambda: len(got) == count, 90.0)
+    assert got == list(range(count))
+    spin(slow, lambda: player.process.poll() is not None)
+    assert player.process.returncode == 0
+
+
+def played(told, diagnostics):
+    """Keep how far the replay says it is."""
+    for status in diagnostics.status:
+        if status.name == "replay":
+            told[0] = int({v.key: v.value for v in status.values}["played"])
+
+
+def test_replay_holds_on_request_and_ends_when_told(start, spin, tmp_path):
+    bag = make_bag(tmp_path / "bags", 10)
+    player = start(
+        "fss_arm_ros.replay_node",
+        bag,
+        "--hold",
+        "--ros-args",
+        "-p",
+        "rate:=0",
+        "-p",
+        "discovery:=0",
+    )
+    node = Node("late")
+    spin(node, lambda: "holding" in player.output, 20.0)
+    assert player.stop() == 0
+
+
+def test_the_recorder_loads_no_kernels(start):
+    import subprocess
+    import sys
+
+    code = (
+        "import sys, fss_arm_ros.record_node; print('numba' in sys.modules, 'scipy' in sys.modules)"
+    )
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert said.stdout.split() == ["False", "False"]

@@ -1,0 +1,181 @@
+"""The experiment against a fake arm and a fake observer."""
+
+import json
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from rclpy.action import ActionServer
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.task import Future
+
+from fss_arm_calib.experiment_node import ExperimentNode
+from fss_arm_msgs.action import MoveArm
+from fss_arm_msgs.msg import KinematicObservation, KinematicObservations
+from fss_arm_ros.qos import LATCHED
+
+POSTURES = [0.1, 0.2, 0.3, 0.4, -0.5, 0.0, 0.5, 0.1, 0.9, -0.9, 0.0, 0.2]
+ROWS = np.reshape(POSTURES, (-1, 4)).tolist()
+
+
+class FakeArm(Node):
+    """Answers `arm/move` by a script, one word for each goal; `reach` when it is used up."""
+
+    def __init__(self, *script):
+        super().__init__("arm")
+        self.script, self.goals = list(script), []
+        self.server = ActionServer(self, MoveArm, "arm/move", self.on_move)
+
+    def close(self):
+        self.server.destroy()
+
+    async def on_move(self, handle):
+        self.goals.append(list(handle.request.q))
+        what = self.script.pop(0) if self.script else "reach"
+        if what == "silence":
+            await Future()
+        handle.publish_feedback(MoveArm.Feedback(q=handle.request.q, remaining=0.0))
+        if what == "reach":
+            handle.succeed()
+            return MoveArm.Result(reached=True, q=handle.request.q)
+        handle.abort()
+        return MoveArm.Result(reached=False, message=what)
+
+
+class FakeObserver(Node):
+    """Publishes what it is told to have observed."""
+
+    def __init__(self):
+        super().__init__("kinematic")
+        self.message = KinematicObservations()
+        self.output = self.create_publisher(
+            KinematicObservations, "calibration/observations", LATCHED
+        )
+
+    def observe(self, q):
+        observation = KinematicObservation(q=q, used=True)
+        observation.end = self.get_clock().now().to_msg()
+        self.message.observations.append(observation)
+        self.output.publish(self.message)
+
+
+def make_node(**settings):
+    known = {"postures": POSTURES, "rest": 0.2, "retry": 0.1, "silence": 0.5, **settings}
+    node = ExperimentNode(parameter_overrides=[Parameter(k, value=v) for k, v in known.items()])
+    node.log = []
+    logger = SimpleNamespace(info=node.log.append, warning=node.log.append)
+    node.get_logger = lambda: logger
+    return node
+
+
+@pytest.fixture
+def spin_to_the_end(spin):
+    """Spin nodes until the experiment ends; its exit code."""
+
+    def run(*nodes, timeout=10.0):
+        with pytest.raises(SystemExit) as end:
+            spin(nodes, lambda: False, timeout)
+        return end.value.code
+
+    return run
+
+
+def test_all_postures_are_visited_in_order(spin_to_the_end):
+    arm, experiment = FakeArm(), make_node()
+    assert spin_to_the_end(arm, experiment) == 0
+    assert arm.goals == ROWS
+    assert experiment.log[-1] == "all 3 postures done"
+    assert "posture 2 of 3: moving to [-29, 0, 29, 6] degrees" in experiment.log
+
+
+def test_it_waits_for_the_observation_of_the_posture(spin, spin_to_the_end):
+    arm, observer, experiment = FakeArm(), FakeObserver(), make_node()
+    nodes = arm, observer, experiment
+    spin(nodes, lambda: len(arm.goals) == 1)
+    observer.observe([9.0, 9.0, 9.0, 9.0])  # not this one
+    spin(nodes, lambda: len(experiment.observed) == 1)
+    assert len(arm.goals) == 1
+    observer.observe(ROWS[0])
+    spin(nodes, lambda: len(arm.goals) == 2)
+    observer.observe(ROWS[1])
+    spin(nodes, lambda: len(arm.goals) == 3)
+    observer.observe(ROWS[2])
+    assert spin_to_the_end(*nodes) == 0
+    assert "posture 1 of 3: observed" in experiment.log
+
+
+def test_an_observation_that_does_not_come_is_given_up(spin_to_the_end):
+    arm, observer, experiment = FakeArm(), FakeObserver(), make_node(patience=0.3)
+    assert spin_to_the_end(arm, observer, experiment) == 0
+    assert experiment.log.count("posture 3 of 3: not observed") == 1
+    assert len(arm.goals) == 3
+
+
+def test_what_was_observed_before_it_began_does_not_count(spin, spin_to_the_end):
+    arm, observer = FakeArm(), FakeObserver()
+    for row in ROWS:
+        observer.observe(row)
+    experiment = make_node(patience=0.3)
+    assert spin_to_the_end(arm, observer, experiment) == 0
+    assert experiment.log.count("posture 1 of 3: not observed") == 1
+
+
+def test_disarmed_links_are_waited_for_and_told_once(spin_to_the_end):
+    disarmed = "link 2 is not armed"
+    arm, experiment = FakeArm(disarmed, disarmed, disarmed), make_node()
+    assert spin_to_the_end(arm, experiment) == 0
+    assert arm.goals == [ROWS[0]] * 3 + ROWS
+    assert sum(disarmed in line for line in experiment.log) >= 1
+
+
+def test_a_lost_move_is_asked_for_again(spin_to_the_end):
+    arm, experiment = FakeArm("reach", "silence", "silence"), make_node()
+    assert spin_to_the_end(arm, experiment) == 0
+    assert arm.goals == [ROWS[0], ROWS[1], ROWS[1], ROWS[1], ROWS[2]]
+
+
+def test_an_arm_that_dies_and_returns(spin, spin_to_the_end):
+    arm, experiment = FakeArm("silence"), make_node()
+    spin([arm, experiment], lambda: arm.goals)
+    arm.executor.remove_node(arm)
+    arm.close()
+    arm.destroy_node()
+    spin([experiment], lambda: "waiting for arm/move" in experiment.log)
+    returned = FakeArm()
+    assert spin_to_the_end(returned, experiment) == 0
+    assert returned.goals == ROWS
+
+
+def test_an_experiment_that_was_killed_goes_on(spin, spin_to_the_end, tmp_path):
+    state = str(tmp_path / "progress.json")
+    arm, first = FakeArm(), make_node(state_file=state)
+    spin([arm, first], lambda: first.progress.done == 2)
+    begun = first.progress.begun
+    first.executor.remove_node(first)
+    first.destroy_node()
+    arm.goals.clear()
+    second = make_node(state_file=state)
+    assert second.progress.begun == begun
+    assert spin_to_the_end(arm, second) == 0
+    assert arm.goals[-1:] == ROWS[2:]
+    assert json.loads((tmp_path / "progress.json").read_text())["done"] == 3
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"postures": POSTURES[:3]}, "postures has 3 numbers, expected 4 a row"),
+        ({"postures": [0.0, 1.6, 0.0, 0.0]}, "joint 2 at 1.6 rad, expected -1.571 to 1.571"),
+        ({"retry": 0.0}, "retry is 0.0, must be positive"),
+    ],
+)
+def test_impossible_parameters_are_refused(ros, settings, message):
+    with pytest.raises(ValueError, match=message):
+        make_node(**settings)
+
+
+def test_a_wrong_progress_file_is_named(ros, tmp_path):
+    (tmp_path / "progress.json").write_text('{"what": 1}')
+    with pytest.raises(ValueError, match="holds no progress"):
+        make_node(state_file=str(tmp_path / "progress.json"))

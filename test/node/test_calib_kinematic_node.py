@@ -1,0 +1,303 @@
+"""The node on real topics, the same data from a bag, and both against each other."""
+
+import json
+from dataclasses import fields
+
+import numpy as np
+import pytest
+from calib_rig import ARM, SECOND, TOPICS, Rig, at, message
+from geometry_msgs.msg import PoseStamped
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
+
+from fss_arm_calib.from_bag import main as from_bag
+from fss_arm_calib.from_bag import parser, solve_bag
+from fss_arm_calib.kinematic import FULL, KinematicProblem, quantization_bound, solve
+from fss_arm_calib.kinematic_node import KinematicNode
+from fss_arm_calib.messages import to_message
+from fss_arm_calib.postures import DEFAULT
+from fss_arm_calib.rests import TIP
+from fss_arm_calib.settings import CalibrationSettings
+from fss_arm_model.description import load, paper_arm, save
+from fss_arm_msgs.msg import KinematicCalibration, KinematicObservations
+from fss_arm_ros.bags import BagError
+from fss_arm_ros.qos import LATCHED, SENSOR, sensor
+from fss_arm_ros.recording import Recording
+
+TYPES = {"joint_states": JointState, **dict.fromkeys(TOPICS.values(), PoseStamped)}
+MESSAGE_TYPES = {
+    topic: f"{kind.__module__.split('.')[0]}/msg/{kind.__name__}" for topic, kind in TYPES.items()
+}
+
+
+class Bed(Node):
+    """Publishes a rig's samples, and hears what the calibration says."""
+
+    def __init__(self):
+        super().__init__("bed")
+        self.outputs = {
+            topic: self.create_publisher(kind, topic, sensor(keep_all=True))
+            for topic, kind in TYPES.items()
+        }
+        self.observations, self.results = [], []
+        self.create_subscription(
+            KinematicObservations, "calibration/observations", self.observations.append, LATCHED
+        )
+        self.create_subscription(
+            KinematicCalibration, "calibration/kinematic", self.results.append, LATCHED
+        )
+        self.solver = self.create_client(Trigger, "kinematic/solve")
+
+    def ready(self):
+        return self.solver.service_is_ready() and all(
+            p.get_subscription_count() for p in self.outputs.values()
+        )
+
+    def observed(self):
+        """Number of observations in the last message heard."""
+        return len(self.observations[-1].observations) if self.observations else 0
+
+
+def make_node(**settings):
+    return KinematicNode(parameter_overrides=[Parameter(k, value=v) for k, v in settings.items()])
+
+
+@pytest.fixture
+def play(spin):
+    """play(bed, node, samples): publish them as fast as the node hears them."""
+
+    def run(bed, node, samples):
+        spin([bed, node], bed.ready)
+        heard = node.finder
+        for k, sample in enumerate(samples, 1):
+            topic, content = message(sample)
+            bed.outputs[topic].publish(content)
+            if k % 100 == 0:
+                spin([bed, node], lambda: True)
+        newest = {s.stream: s.t for s in samples}
+        spin(
+            [bed, node],
+            lambda: all(
+                (heard.subjects[s] if isinstance(s, str) else heard.joints[s - 1]).newest >= t
+                for s, t in newest.items()
+            ),
+            30.0,
+        )
+
+    return run
+
+
+def ask_to_solve(spin, bed, node):
+    answer = bed.solver.call_async(Trigger.Request())
+    return spin([bed, node], lambda: answer.done() and answer.result())
+
+
+def record(folder, samples):
+    """The samples as a bag."""
+    bag = Recording(folder)
+    topics = {t: bag.add(f"/{t}", kind, [SENSOR]) for t, kind in MESSAGE_TYPES.items()}
+    for sample in samples:
+        topic, content = message(sample)
+        bag.write(topics[topic], sample.t + SECOND // 100, serialize_message(content))
+    bag.close()
+    return bag.path
+
+
+@pytest.fixture(scope="module")
+def samples():
+    """Eight postures of the default list, VICON at 50 Hz."""
+    return Rig(DEFAULT[:8], rest=3.2, rate=50.0).samples(lag=3_000_000)
+
+
+def test_live_solution_is_the_truth_and_can_be_recomputed(spin, play, samples, tmp_path):
+    bed = Bed()
+    save(paper_arm(), tmp_path / "guess.yaml")
+    node = make_node(arm=str(tmp_path / "guess.yaml"), output=str(tmp_path / "found.yaml"))
+    play(bed, node, samples)
+    answer = ask_to_solve(spin, bed, node)
+    assert answer.success, answer.message
+    result = spin([bed, node], lambda: bed.observed() == 8 and bed.results and bed.results[-1])
+    assert result.verdict == "pass"
+    assert result.header.frame_id == bed.observations[-1].header.frame_id == "fss"
+    assert result.observations_used == 8
+
+    # to what the encoder's counts allow
+    known = result.parametrization, result.position_deviation, result.heading_deviation
+    q, tip = np.reshape(result.q, (-1, 4)), np.reshape(result.tip, (-1, 3))
+    problem = KinematicProblem(q, tip, ARM, *known)
+    bound = quantization_bound(problem, np.pi / 240_000)
+    assert np.all(np.abs(np.array(result.values) - problem.initial) <= 1.001 * bound)
+    assert load(tmp_path / "found.yaml").links[0].a == result.values[0]
+
+    # the observations published are those used, and give the result again
+    observations = bed.observations[-1].observations
+    assert np.array_equal([o.q for o in observations], q)
+    assert np.array_equal([o.tip for o in observations], tip)
+    again = solve(problem)
+    assert np.abs(again.values - result.values).max() < 1e-9
+    assert np.abs(again.covariance.ravel() - result.covariance).max() < 1e-9
+    assert np.abs(again.residuals.ravel() - result.residuals).max() < 1e-9
+
+    # and so does a bag of the same topics
+    offline = to_message(solve_bag(record(tmp_path / "bags", samples)), "fss")
+    assert offline.observations_hash == result.observations_hash
+    assert np.abs(np.array(offline.values) - result.values).max() < 1e-9
+
+
+def test_an_observation_is_published_during_the_rest_and_the_verdict_says_what_lacks(
+    spin, play, samples
+):
+    bed, node = Bed(), make_node(parametrization=FULL)
+    play(bed, node, [s for s in samples if s.t < at(3.1)])
+    result = spin([bed, node], lambda: bed.results and bed.results[-1])
+    assert bed.observed() == 1
+    assert result.verdict == "not_evaluated"
+    assert result.reason.startswith("1 observation, at least 6 needed for a_1, a_2, a_3, a_4")
+    assert np.isnan(result.values).all()
+    assert list(result.covariance) == list(result.residuals) == []
+    assert result.description == ""
+
+
+def test_solve_closes_the_last_rest(spin, play, samples):
+    bed, node = Bed(), make_node()
+    play(bed, node, [s for s in samples if s.t < at(2.0)])
+    assert bed.observed() == 0
+    answer = ask_to_solve(spin, bed, node)
+    assert not answer.success
+    assert "not_evaluated: 1 observation" in answer.message
+    spin([bed, node], lambda: bed.observed() == 1)
+
+
+def test_a_node_that_was_killed_goes_on(spin, play, samples, tmp_path):
+    bed, state = Bed(), str(tmp_path / "state.json")
+    first = make_node(state_file=state)
+    play(bed, first, [s for s in samples if s.t < at(19.0)])
+    spin([bed, first], lambda: bed.observed() == 4)
+    first.executor.remove_node(first)
+    first.destroy_node()
+    spin([bed], lambda: not bed.solver.service_is_ready())
+    bed.observations.clear()
+    second = make_node(state_file=state)
+    spin([bed, second], lambda: bed.observed() == 4)
+    # Posture 4 rests until 18.8 s: the rest that the first has observed is not observed again.
+    play(bed, second, [s for s in samples if s.t >= at(16.5)])
+    spin([bed, second], lambda: bed.observed() == 8)
+    assert len(json.loads((tmp_path / "state.json").read_text())) == 8
+
+
+def test_a_gap_makes_the_verdict_not_evaluated_until_the_posture_is_repeated(spin, play):
+    rig = Rig(np.array([*DEFAULT[:7], DEFAULT[3]]), rest=3.2, rate=50.0)
+    bed, node = Bed(), make_node()
+    gap = [
+        s for s in rig.samples() if s.stream != TIP or not at(15.0) < s.t < at(19.0)
+    ]  # posture 4 rests from 15.6 to 18.8 s
+    play(bed, node, [s for s in gap if s.t < at(36.0)])
+    lacking = spin([bed, node], lambda: bed.observed() == 7 and bed.results and bed.results[-1])
+    assert lacking.verdict == "not_evaluated"
+    assert "1 rest spoiled (end_effector silent for" in lacking.reason
+    assert lacking.gaps == 1
+    play(bed, node, [s for s in gap if s.t >= at(36.0)])
+    spin([bed, node], lambda: bed.observed() == 8 and bed.results[-1].verdict == "pass")
+
+
+def test_occluded_poses_are_counted_and_harmless(spin, play, samples):
+    bed, node = Bed(), make_node()
+    some = [s for s in samples if s.t < at(4.0)]
+    occluded = [
+        s._replace(value=None) if isinstance(s.stream, str) and k % 20 == 0 else s
+        for k, s in enumerate(some)
+    ]
+    play(bed, node, occluded)
+    spin([bed, node], lambda: bed.observed() == 1)
+    assert bed.observations[-1].observations[0].used
+    assert node.finder.refused == sum(s.value is None for s in occluded)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"arm": "/nowhere/arm.yaml"}, "/nowhere/arm.yaml"),
+        ({"parametrization": "half"}, "parametrization is 'half', expected 'full' or 'equal'"),
+        ({"longest": 0.1}, "longest is 0.1 s, must be at least 0.5 s"),
+        ({"max_condition": 0.5}, "max_condition is 0.5, must be more than 1"),
+    ],
+)
+def test_impossible_parameters_are_refused(ros, settings, message):
+    with pytest.raises((ValueError, OSError), match=message):
+        make_node(**settings)
+
+
+def test_the_command_for_bags(samples, tmp_path, capsys):
+    bag = str(record(tmp_path / "bags", samples))
+    output, plot, truth = (tmp_path / name for name in ("found.yaml", "found.png", "truth.yaml"))
+    save(paper_arm(), truth)
+    asked = ["--output", str(output), "--plot", str(plot), "--truth", str(truth)]
+    assert from_bag([bag, *asked, "--parametrization", FULL]) == 0
+    text = capsys.readouterr().out
+    for words in ("a_1", "theta_BJ1", "18.211", "0.683", "pass: 8 observations"):
+        assert words in text
+    assert load(output).links[3].a == pytest.approx(0.3351, abs=1e-4)
+    assert plot.read_bytes().startswith(b"\x89PNG")
+
+    assert from_bag([bag, "--min-observations", "9", "--output", str(tmp_path / "no.yaml")]) == 3
+    assert "not written, as the verdict is not_evaluated" in capsys.readouterr().out
+    assert not (tmp_path / "no.yaml").exists()
+
+    # deviations far below what the encoder allows
+    small = ["--position-deviation", "1e-7", "--heading-deviation", "1e-7"]
+    assert from_bag([bag, *small]) == 2
+    assert "fail: residuals are larger" in capsys.readouterr().out
+
+
+def test_a_bag_with_a_gap_is_not_evaluated(samples, tmp_path, capsys):
+    kept = [s for s in samples if s.stream != TIP or not at(15.0) < s.t < at(19.0)]
+    assert from_bag([str(record(tmp_path, kept))]) == 3
+    assert "1 rest spoiled (end_effector silent for" in " ".join(capsys.readouterr().out.split())
+
+
+@pytest.mark.parametrize(
+    ("args", "message"),
+    [
+        (["/nowhere"], "/nowhere: no such file or folder"),
+        (["BAG", "--arm", "/nowhere.yaml"], "/nowhere.yaml"),
+        (["BAG", "--tip-topic", "vicon/x/x"], "no /vicon/x/x in "),
+        (["BAG", "--tip-topic", "joint_states"], "expected geometry_msgs/msg/PoseStamped"),
+        (["BAG", "--parametrization", "half"], "parametrization is 'half'"),
+        (["BAG", "--settle", "-1"], "settle is -1.0 s, must not be negative"),
+        (["BAG", "--plot", "/nowhere/a.png", "--min-observations", "1"], "no residuals to draw"),
+        (["BAG", "--settle", "x"], "argument --settle: invalid float value: 'x'"),
+        ([], "the following arguments are required: BAG"),
+    ],
+)
+def test_an_error_of_the_user_is_one_line(samples, tmp_path, capsys, args, message):
+    few = [s for s in samples if s.t < at(4.0)]
+    bag = str(record(tmp_path, few))
+    try:
+        code = from_bag([bag if a == "BAG" else a for a in args])
+    except SystemExit as end:
+        code = end.code
+    assert code == 1
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.startswith("from_bag: ")
+    assert error.count("\n") == 1
+
+
+def test_bags_are_taken_one_after_the_other(samples, tmp_path):
+    whole = solve_bag(record(tmp_path / "whole", samples))
+    record(tmp_path / "parts", [s for s in samples if s.t < at(20.0)])
+    record(tmp_path / "parts", [s for s in samples if s.t >= at(20.0)])
+    assert solve_bag(tmp_path / "parts").observations_hash == whole.observations_hash
+    with pytest.raises(BagError):
+        solve_bag(tmp_path)
+
+
+def test_node_and_command_have_the_same_settings(ros):
+    node = make_node()
+    options = parser().parse_args(["bag"])
+    for f in fields(CalibrationSettings):
+        assert getattr(options, f.name) == node.get_parameter(f.name).value == f.default
+    node.destroy_node()

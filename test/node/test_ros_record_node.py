@@ -1,0 +1,140 @@
+"""The recorder on live topics."""
+
+import pytest
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from ros_bags import joint_state, states
+from rosbags.interfaces import QosDurability, QosReliability
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Int64, String
+
+from fss_arm_ros.bags import open_bags
+from fss_arm_ros.definitions import definition
+from fss_arm_ros.qos import LATCHED, SENSOR
+from fss_arm_ros.record_node import RecordNode, match
+
+BEST_EFFORT = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+
+def recorder(output, **values):
+    given = {"output": str(output), **values}
+    return RecordNode(parameter_overrides=[Parameter(k, value=v) for k, v in given.items()])
+
+
+def test_all_that_is_published_is_in_the_bag(spin, tmp_path):
+    node = Node("source")
+    states_out = node.create_publisher(JointState, "joint_states", SENSOR)
+    loose_out = node.create_publisher(Int64, "loose", BEST_EFFORT)
+    text_out = node.create_publisher(String, "robot_description", LATCHED)
+    hidden = node.create_publisher(Int64, "move/_action/hidden", 10)
+    text_out.publish(String(data="arm"))  # long before the recorder is there
+    record = recorder(tmp_path)
+    outs = (states_out, loose_out, text_out)
+    spin([node, record], lambda: all(out.get_subscription_count() for out in outs))
+    for k in range(200):
+        states_out.publish(joint_state(k))
+    loose_out.publish(Int64(data=1))
+    spin(record, lambda: record.counts["/joint_states"] == 200 and record.counts["/loose"])
+    spin(record, lambda: record.counts["/robot_description"])
+    assert hidden.get_subscription_count() == 0
+    graph = {
+        topic: str(record.get_publishers_info_by_topic(topic)[0].topic_type_hash)
+        for topic in record.connections
+    }
+    record.close()
+    with open_bags(tmp_path) as bags:
+        assert bags.paths == [tmp_path / "bag_0"]
+        assert not bags.recovered
+        assert {name: topic.hash for name, topic in bags.topics.items()} == graph
+        assert states(bags.messages()) == list(range(200))
+        assert bags.topics["/robot_description"].messages == 1
+        assert bags.topics["/robot_description"].qos[0].durability == QosDurability.TRANSIENT_LOCAL
+        assert bags.topics["/joint_states"].qos[0].durability == QosDurability.VOLATILE
+        assert bags.topics["/loose"].qos[0].reliability == QosReliability.BEST_EFFORT
+        assert bags.topics["/joint_states"].hash == definition("sensor_msgs/msg/JointState").hash
+
+
+def test_only_the_topics_asked_for(spin, tmp_path):
+    node = Node("source")
+    wanted = node.create_publisher(Int64, "wanted", SENSOR)
+    other = node.create_publisher(Int64, "other", SENSOR)
+    record = recorder(tmp_path, topics=["wanted"])
+    spin([node, record], wanted.get_subscription_count)
+    assert set(record.connections) == {"/wanted"}
+    assert other.get_subscription_count() == 0
+
+
+def test_a_looser_publisher_that_comes_later_is_heard(spin, tmp_path):
+    node = Node("source")
+    first = node.create_publisher(Int64, "topic", SENSOR)
+    record = recorder(tmp_path, topics=["topic"])
+    spin([node, record], first.get_subscription_count)
+    second = node.create_publisher(Int64, "topic", BEST_EFFORT)
+    spin([node, record], second.get_subscription_count)
+    spin([node, record], first.get_subscription_count)
+    node.create_timer(0.01, lambda: (first.publish(Int64()), second.publish(Int64())))
+    spin([node, record], lambda: record.counts["/topic"] > 2)
+
+
+def test_simulated_time_is_the_time_of_receipt_and_nothing_comes_before_it(spin, tmp_path):
+    node = Node("source")
+    data, clock = (
+        node.create_publisher(Int64, "data", 10),
+        node.create_publisher(Clock, "/clock", 1),
+    )
+    record = recorder(tmp_path, use_sim_time=True, topics=["data"])
+    got = []
+    node.create_subscription(Int64, "data", got.append, 10)
+    spin([node, record], lambda: data.get_subscription_count() == 2)
+    assert record.health().message == "waiting for /clock"
+    data.publish(Int64(data=1))
+    spin([node, record], lambda: got)
+    now = Clock()
+    now.clock.sec = 100
+
+    def told():
+        clock.publish(now)
+        return record.get_clock().now().nanoseconds
+
+    spin([node, record], told)
+    data.publish(Int64(data=2))
+    spin([node, record], lambda: record.counts["/data"])
+    record.close()
+    with open_bags(tmp_path) as bags:
+        assert [(t, m.data) for _, _, t, m in bags.messages()] == [(100 * 10**9, 2)]
+
+
+def test_a_type_that_is_not_installed_is_said_once(spin, tmp_path, monkeypatch):
+    from fss_arm_ros import record_node
+    from fss_arm_ros.definitions import NotInstalledError
+
+    asked = []
+
+    def missing(msgtype):
+        asked.append(msgtype)
+        raise NotInstalledError(f"{msgtype} is not installed")
+
+    monkeypatch.setattr(record_node, "message_class", missing)
+    node = Node("source")
+    node.create_publisher(Int64, "data", 10)
+    record = recorder(tmp_path, topics=["data"])
+    spin([node, record], lambda: record.refused == {"/data"})
+    record.discover()
+    assert asked == ["std_msgs/msg/Int64"]
+    assert record.connections == {}
+
+
+def test_a_subscription_asks_for_what_all_publishers_grant():
+    assert match([LATCHED]).durability == DurabilityPolicy.TRANSIENT_LOCAL
+    assert match([LATCHED, SENSOR]).durability == DurabilityPolicy.VOLATILE
+    assert match([SENSOR]).reliability == ReliabilityPolicy.RELIABLE
+    assert match([SENSOR, BEST_EFFORT]).reliability == ReliabilityPolicy.BEST_EFFORT
+
+
+@pytest.mark.parametrize("output", ["", "file/inside"])
+def test_an_output_that_cannot_be_is_refused(ros, tmp_path, output):
+    (tmp_path / "file").touch()
+    with pytest.raises((ValueError, OSError)):
+        recorder(output and tmp_path / output)

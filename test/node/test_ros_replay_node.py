@@ -1,0 +1,120 @@
+"""The replay to live subscribers."""
+
+import time
+
+import pytest
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.serialization import serialize_message
+from ros_bags import START, make_bag, make_killed_bag
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Empty, String
+
+from fss_arm_ros.bags import open_bags
+from fss_arm_ros.qos import LATCHED, SENSOR, subscribe_sensor
+from fss_arm_ros.recording import Recording
+from fss_arm_ros.replay_node import ReplayNode
+
+
+def replay(*bags, **values):
+    given = {"discovery": 0.0, **values}
+    overrides = [Parameter(k, value=v) for k, v in given.items()]
+    return ReplayNode(*map(str, bags), parameter_overrides=overrides)
+
+
+def ended(spin, nodes, timeout=20.0):
+    """Spin until the replay ends by itself; return its exit code or reason."""
+    with pytest.raises(SystemExit) as end:
+        spin(nodes, lambda: False, timeout)
+    return end.value.code
+
+
+@pytest.mark.parametrize("make", [make_bag, make_killed_bag])
+def test_nothing_is_lost_at_full_speed(spin, tmp_path, make):
+    node, got = Node("reader"), []
+    subscribe_sensor(
+        node, JointState, "joint_states", lambda m: got.append(m.header.stamp.sec), keep_all=True
+    )
+    player = replay(make(tmp_path, 1000), rate=0.0, wait_for=["joint_states"])
+    assert ended(spin, [player, node]) == 0
+    spin(node, lambda: len(got) == 1000)
+    assert got == list(range(1000))
+
+
+def test_messages_are_byte_for_byte_those_recorded_and_at_their_pace(spin, tmp_path):
+    bag = make_bag(tmp_path, 50)
+    node, got, times = Node("reader"), [], []
+
+    def take(data):
+        got.append(data)
+        times.append(time.monotonic())
+
+    node.create_subscription(JointState, "joint_states", take, SENSOR, raw=True)
+    player = replay(bag, rate=2.0, wait_for=["joint_states"])
+    assert ended(spin, [player, node]) == 0
+    spin(node, lambda: len(got) == 50)
+    with open_bags(bag) as bags:
+        assert got == [data for _, _, _, data in bags.raw(["/joint_states"])]
+    assert 0.24 < times[-1] - times[0] < 1.0  # 0.245 s, and what a busy machine adds
+
+
+def test_latched_topics_are_latched_for_those_who_come_late(spin, tmp_path):
+    recording = Recording(tmp_path)
+    text = recording.add("/robot_description", "std_msgs/msg/String", [LATCHED])
+    for k in range(3):
+        recording.write(text, START + k, serialize_message(String(data=f"arm {k}")))
+    recording.close()
+    player = replay(tmp_path, rate=0.0, hold=True)
+    spin(player, lambda: player.state == "holding")
+    node, got = Node("late"), []
+    everything = player.players["/robot_description"]
+    node.create_subscription(
+        String,
+        "robot_description",
+        lambda m: got.append(m.data),
+        QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL),
+    )
+    spin([player, node], lambda: len(got) == 3)
+    assert got == ["arm 0", "arm 1", "arm 2"]
+    assert everything.get_subscription_count() == 1
+
+
+def test_clock_follows_the_times_of_receipt(spin, tmp_path):
+    node, got = Node("reader"), []
+    node.create_subscription(
+        Clock, "/clock", lambda m: got.append(m.clock.sec * 10**9 + m.clock.nanosec), 100
+    )
+    player = replay(make_bag(tmp_path, 50), rate=2.0, clock=True)
+    spin([player, node], player.clock.get_subscription_count)
+    ended(spin, [player, node])
+    spin(node, lambda: got)
+    assert got == sorted(got)
+    assert got[0] >= START
+    assert got[-1] >= START + 48 * 10**7  # the last step is at most 10 ms short
+
+
+def test_commands_are_left_out(spin, tmp_path):
+    recording = Recording(tmp_path)
+    stop = recording.add("/arm/stop", "std_msgs/msg/Empty", [SENSOR])
+    result = recording.add("/calibration/text", "std_msgs/msg/String", [LATCHED])
+    recording.write(stop, START, serialize_message(Empty()))
+    recording.write(result, START, serialize_message(String(data="pass")))
+    recording.close()
+    player = replay(tmp_path, rate=0.0, hold=True)
+    spin(player, lambda: player.state == "holding")
+    assert player.played == 1
+    assert player.count_publishers("/arm/stop") == 0
+    assert player.count_publishers("/calibration/text") == 0
+    assert player.count_publishers("/recorded/calibration/text") == 1
+
+
+def test_waiting_in_vain_is_told(spin, tmp_path):
+    player = replay(make_bag(tmp_path, 1), wait_for=["joint_states"], deadline=0.2)
+    assert "no subscriber of /joint_states" in ended(spin, [player])
+
+
+def test_waiting_for_what_is_not_played_is_told(spin, tmp_path):
+    player = replay(make_bag(tmp_path, 1), wait_for=["joint_sates"])
+    assert "/joint_sates is not played" in ended(spin, [player])

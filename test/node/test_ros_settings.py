@@ -1,0 +1,105 @@
+"""Parameters from a dataclass, and how a node ends."""
+
+from dataclasses import dataclass
+
+import pytest
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from fss_arm_ros.run import run
+from fss_arm_ros.settings import SettingError, declare, setting
+
+
+@dataclass(frozen=True)
+class Thing:
+    rate: float = setting(2.0, "how often [Hz]")
+    count: int = setting(3, "how many")
+    name: str = setting("", "what it is called")
+    on: bool = setting(False, "whether it is")
+    names: tuple[str, ...] = setting((), "what they are called")
+    gains: tuple[float, ...] = setting((1.0,), "how strong")
+
+    def __post_init__(self):
+        if self.rate <= 0.0:
+            raise ValueError(f"rate is {self.rate} Hz, must be positive")
+
+
+class ThingNode(Node):
+    """Is a thing."""
+
+    def __init__(self, **options):
+        super().__init__("thing", **options)
+        self.thing = declare(self, Thing)
+        self.create_timer(0.01, self.end)
+
+    def end(self):
+        raise SystemExit(self.thing.name or self.thing.count)
+
+
+def declared(**values):
+    node = Node("thing", parameter_overrides=[Parameter(k, value=v) for k, v in values.items()])
+    try:
+        return declare(node, Thing)
+    finally:
+        node.destroy_node()
+
+
+def test_defaults_and_values_come_back_typed(ros):
+    assert declared() == Thing()
+    got = declared(rate=5, names=["a", "b"], gains=[1, 2], on=True, count=4, name="x")
+    assert got == Thing(5.0, 4, "x", True, ("a", "b"), (1.0, 2.0))
+    assert type(got.rate) is float
+    assert [type(gain) for gain in got.gains] == [float, float]
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"rate": "x"}, "rate is 'x', expected a number"),
+        ({"rate": True}, "rate is True, expected a number"),
+        ({"count": 1.5}, "count is 1.5, expected an integer"),
+        ({"on": 1}, "on is 1, expected true or false"),
+        ({"name": 12}, "name is 12, expected a string"),
+        ({"names": "a"}, "names is 'a', expected a list"),
+        ({"names": [1]}, "names is 1, expected a string"),
+        ({"raet": 1.0}, "no parameter raet; there are rate, count"),
+        ({"rate": -1.0}, "rate is -1.0 Hz, must be positive"),
+    ],
+)
+def test_wrong_values_are_named(ros, values, said):
+    with pytest.raises(ValueError, match=said):
+        declared(**values)
+
+
+def test_the_description_is_shown_and_the_value_is_fixed(ros):
+    node = Node("thing")
+    declare(node, Thing)
+    assert node.describe_parameter("rate").description == "how often [Hz]"
+    assert not node.set_parameters([Parameter("rate", value=3.0)])[0].successful
+    node.destroy_node()
+
+
+def test_setting_error_is_a_value_error():
+    assert issubclass(SettingError, ValueError)
+
+
+@pytest.mark.parametrize(
+    ("args", "code", "said"),
+    [
+        ("--help", 0, "rate (default 2.0)"),
+        ("", 3, ""),
+        ("--ros-args -p count:=0", 0, ""),
+        ("--ros-args -p name:=why", 1, "thing: why"),
+        ("--ros-args -p rate:=-1", 1, "thing: rate is -1.0 Hz, must be positive"),
+        ("--ros-args -p rate:=[]", 1, "thing: rate is None, expected a number"),
+        ("--ros-args -p names:=[] -p count:=0", 0, ""),
+        ("--ros-args -p rate", 2, "thing: Failed to parse ROS arguments"),
+        ("--ros-args --no-such", 2, "thing: "),
+        ("rate:=1", 2, "thing: 'rate:=1' is not understood"),
+    ],
+)
+def test_every_end_has_its_exit_code_and_at_most_one_line(capfd, args, code, said):
+    assert run(ThingNode, Thing, ["/some/where/thing", *args.split()]) == code
+    out, err = capfd.readouterr()
+    assert said in out + err
+    assert len(err.splitlines()) <= 1
