@@ -1,0 +1,83 @@
+"""Tell the arm something, and print its answer.
+
+arm, disarm: all links (arm/arm). stop: all links at once, until armed anew (arm/stop).
+solve: close the present rest and calibrate (kinematic/solve).
+"""
+
+import argparse
+import sys
+from typing import Any
+
+import rclpy
+from rclpy.node import Node
+from std_msgs.msg import Empty
+from std_srvs.srv import SetBool, Trigger
+
+PATIENCE = 10.0  # [s]
+
+
+class NoAnswerError(RuntimeError):
+    """Nobody is there, or nobody answers."""
+
+
+def call(node: Node, kind: Any, name: str, request: Any) -> tuple[bool, str]:
+    """Call a service; whether it succeeded, and its words.
+
+    Raises:
+        NoAnswerError: it is not there or silent.
+    """
+    client = node.create_client(kind, name)
+    if not client.wait_for_service(PATIENCE):
+        raise NoAnswerError(f"nobody offers {name}")
+    future = client.call_async(request)
+    rclpy.spin_until_future_complete(node, future, timeout_sec=PATIENCE)
+    if not future.done():
+        raise NoAnswerError(f"{name} did not answer within {PATIENCE:.0f} s")
+    return future.result().success, future.result().message
+
+
+def stop(node: Node) -> tuple[bool, str]:
+    """Publish arm/stop and see that every subscriber has it.
+
+    Raises:
+        NoAnswerError: nobody listens.
+    """
+    publisher = node.create_publisher(Empty, "arm/stop", 10)
+    deadline = node.get_clock().now().nanoseconds + PATIENCE * 1e9
+    while not publisher.get_subscription_count():
+        if node.get_clock().now().nanoseconds > deadline:
+            raise NoAnswerError("nobody listens to arm/stop")
+        publisher.publish(Empty())  # for those whom discovery shows only after us
+        rclpy.spin_once(node, timeout_sec=0.02)
+    publisher.publish(Empty())
+    rclpy.spin_once(node, timeout_sec=0.2)  # links that show up a moment later
+    publisher.publish(Empty())
+    heard = publisher.wait_for_all_acked(rclpy.duration.Duration(seconds=PATIENCE))
+    return heard, f"stop sent to {publisher.get_subscription_count()} listeners"
+
+
+def main() -> int:
+    """Run; the exit code is 0 if the arm did as told."""
+    parser = argparse.ArgumentParser("fss_arm.sh", description=__doc__.replace("\n\n", "\n"))
+    parser.add_argument("what", choices=("arm", "disarm", "stop", "solve"))
+    what = parser.parse_args().what
+    rclpy.init()
+    node = Node("fss_arm")
+    try:
+        if what == "stop":
+            done, words = stop(node)
+        elif what == "solve":
+            done, words = call(node, Trigger, "kinematic/solve", Trigger.Request())
+        else:
+            done, words = call(node, SetBool, "arm/arm", SetBool.Request(data=what == "arm"))
+    except NoAnswerError as error:
+        done, words = False, str(error)
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+    print(words, file=sys.stdout if done else sys.stderr)
+    return 0 if done else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
