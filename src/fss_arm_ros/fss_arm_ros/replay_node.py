@@ -117,6 +117,8 @@ class ReplayNode(Node):
                 while not self.publish(self.players[topic], data):
                     yield
                 self.played = count
+                if count * 10 // self.total > (count - 1) * 10 // self.total:
+                    self.get_logger().info(f"{count} of {self.total} messages")
                 if self.settings.rate == 0.0 and count % BURST == 0:
                     yield from self.wait_for_acknowledgement(PATIENCE)
         except BagError as error:
