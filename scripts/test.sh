@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Sets up what is lacking, then runs lint, types and tests. Arguments go to pytest, which runs at
-# the top folder (--slow: the slow tests too).
+# Sets up what is lacking, then runs lint, types and tests. Options go to pytest (--slow: the slow
+# tests too; -k WORD: some).
 set -euo pipefail
 root=$(cd -- "$(dirname -- "${BASH_SOURCE[0]}")/.." && pwd -P)
 "$root/scripts/setup.sh" --dev
@@ -16,13 +16,19 @@ step() {   # step NAME COMMAND...
   summary+=("$(printf '%-8s %-7s %4d s' "$name" "$verdict" $((SECONDS - start)))")
 }
 
-# One pytest process a core, each with its own ROS domain, and one thread of linear algebra in each.
-cores=$(nproc)
+# A process a core, each with its own ROS domain, and one thread of linear algebra in each. The end
+# to end tests run whole node graphs, so one at a time.
 export OPENBLAS_NUM_THREADS=1
 cd "$root"
+# Options may choose tests (-k) of which one step has none: pytest's code 5.
+tests() {
+  python -m pytest "$@" || { local code=$?; [[ $code == 5 && $chosen ]] || return $code; }
+}
+chosen=$*
 step ruff ruff check .
 step mypy mypy src/*/fss_*/
-step pytest python -m pytest -n "$cores" "$@"
+step parts tests test/pure test/node -n "$(nproc)" "$@"
+step whole tests test/e2e "$@"
 
 printf '\n== summary\n'
 printf '%s\n' "${summary[@]}"
