@@ -62,6 +62,7 @@ def _alone() -> Iterator[None]:
         fcntl.flock(lock, fcntl.LOCK_EX)
         yield
 
+
 KERNELS: list["Kernel"] = []
 
 
