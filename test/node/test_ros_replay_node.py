@@ -89,10 +89,11 @@ def test_clock_follows_the_times_of_receipt(spin, tmp_path):
     player = replay(make_bag(tmp_path, 50), rate=2.0, clock=True)
     spin([player, node], player.clock.get_subscription_count)
     ended(spin, [player, node])
-    spin(node, lambda: got)
+    spin(
+        node, lambda: got and got[-1] >= START + 48 * 10**7
+    )  # the last step is at most 10 ms short
     assert got == sorted(got)
     assert got[0] >= START
-    assert got[-1] >= START + 48 * 10**7  # the last step is at most 10 ms short
 
 
 def test_commands_are_left_out(spin, tmp_path):

@@ -70,7 +70,7 @@ def test_time_kept_goes_as_fast_as_asked_and_never_begins_at_zero(spin, ears):
     steps = np.diff(clocks)  # who is late gets the newest
     assert (steps > 0).all()
     assert (steps % 10_000_000 == 0).all()
-    assert clocks[-1] - clocks[0] > 3 * took  # of 10, on a machine with other things to do
+    assert clocks[-1] - clocks[0] > 1.5 * took  # of 10, on a machine with other things to do
 
 
 def test_a_link_answers_who_sends_it_a_good_command(spin, ears):

@@ -29,7 +29,7 @@ def pinocchio_model(arm: Arm) -> pin.Model:
         x, y, turn = link.a, 0.0, 0.0
     joint = add_body(model, joint, place, body)
     tip = pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, arm.theta_E), np.array([x, 0.0, 0.0]))
-    model.addFrame(pin.Frame("tip", joint, tip, pin.FrameType.OP_FRAME))
+    model.addFrame(pin.Frame("tip", joint, 0, tip, pin.FrameType.OP_FRAME))
     return model
 
 

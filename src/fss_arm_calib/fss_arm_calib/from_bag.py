@@ -105,12 +105,13 @@ def calibrated(options: argparse.Namespace, console: Console) -> Calibration:
     console.print(report.table(calibration, truth))
     if options.plot:
         report.plot(calibration, options.plot)
-        console.print(f"residuals and postures drawn in {options.plot}")
+        console.print(f"residuals and postures drawn in {options.plot}", soft_wrap=True)
     if options.output and calibration.verdict == PASS:
         save(from_yaml(calibration.description), options.output)
-        console.print(f"calibrated description written to {options.output}")
+        console.print(f"calibrated description written to {options.output}", soft_wrap=True)
     elif options.output:
-        console.print(f"{options.output} not written, as the verdict is {calibration.verdict}")
+        reason = f"as the verdict is {calibration.verdict}"
+        console.print(f"{options.output} not written, {reason}", soft_wrap=True)
     return calibration
 
 
