@@ -37,7 +37,7 @@ def main(args: Sequence[str] | None = None) -> int:
         "the damaged files are kept as *.damaged",
     )
     options = parser.parse_args(args)
-    console = Console(highlight=False, soft_wrap=True)
+    console = Console(highlight=False, soft_wrap=True, width=None if sys.stdout.isatty() else 110)
     try:
         code = SOUND
         for bag in [bag for path in options.bags for bag in find(path)]:
@@ -70,8 +70,8 @@ def table(bag: Path, bags: Bags) -> Table:
     rows = Table(
         title=f"{bag}: {len(every)} messages, {span}", box=box.SIMPLE, title_justify="left"
     )
-    rows.add_column("topic")
-    rows.add_column("type")
+    rows.add_column("topic", overflow="fold")
+    rows.add_column("type", overflow="fold")
     for heading in ("messages", "rate [Hz]", "longest gap [s]"):
         rows.add_column(heading, justify="right")
     for topic, about in bags.topics.items():
