@@ -279,7 +279,12 @@ def arguments() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         "demo.sh", description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
     )
-    parser.add_argument("--speed", type=float, default=1.0, help="multiple of real time")
+    parser.add_argument(
+        "--speed",
+        type=float,
+        default=1.0,
+        help="multiple of real time; two cores keep up with 2, four with 5",
+    )
     parser.add_argument("--seed", type=int, default=1, help="of the simulated errors")
     parser.add_argument("--out", type=Path, help="folder for the results; None: out/demo-TIME")
     parser.add_argument(
@@ -304,7 +309,8 @@ def main() -> int:
         result = run(options, out, console)
         console.print(report.table(result, description.load(CONFIG / "truth.yaml")))
         console.print(from_bag(out / "bag", result))
-        report.plot(result, out / "calibration.png")
+        if len(result.residuals):
+            report.plot(result, out / "calibration.png")
     except (DemoError, ValueError, OSError) as error:
         print(f"demo: {error}", file=sys.stderr)
         return 1
@@ -319,7 +325,8 @@ def main() -> int:
         ("calibration.png", "residuals and postures"),
         ("logs", "of the nodes"),
     ):
-        console.print(f"{what:>24}  {out / name}", soft_wrap=True)
+        if (out / name).exists():
+            console.print(f"{what:>24}  {out / name}", soft_wrap=True)
     return 0 if result.verdict == KinematicCalibration.PASS else 2
 
 
