@@ -6,14 +6,17 @@ solve: close the present rest and calibrate (kinematic/solve).
 
 import argparse
 import sys
+from time import monotonic
 from typing import Any
 
 import rclpy
+from rclpy.duration import Duration
 from rclpy.node import Node
 from std_msgs.msg import Empty
 from std_srvs.srv import SetBool, Trigger
 
 PATIENCE = 10.0  # [s]
+SETTLED = 1.0  # without a new listener, all are known [s]
 
 
 class NoAnswerError(RuntimeError):
@@ -37,23 +40,23 @@ def call(node: Node, kind: Any, name: str, request: Any) -> tuple[bool, str]:
 
 
 def stop(node: Node) -> tuple[bool, str]:
-    """Publish arm/stop and see that every subscriber has it.
+    """Publish arm/stop again and again until no new listener has shown up for a while.
 
     Raises:
         NoAnswerError: nobody listens.
     """
     publisher = node.create_publisher(Empty, "arm/stop", 10)
-    deadline = node.get_clock().now().nanoseconds + PATIENCE * 1e9
-    while not publisher.get_subscription_count():
-        if node.get_clock().now().nanoseconds > deadline:
+    begin = since = monotonic()
+    listeners = 0
+    while not listeners or monotonic() - since < SETTLED:
+        publisher.publish(Empty())
+        rclpy.spin_once(node, timeout_sec=0.05)
+        if (count := publisher.get_subscription_count()) != listeners:
+            listeners, since = count, monotonic()
+        if not listeners and monotonic() - begin > PATIENCE:
             raise NoAnswerError("nobody listens to arm/stop")
-        publisher.publish(Empty())  # for those whom discovery shows only after us
-        rclpy.spin_once(node, timeout_sec=0.02)
-    publisher.publish(Empty())
-    rclpy.spin_once(node, timeout_sec=0.2)  # links that show up a moment later
-    publisher.publish(Empty())
-    heard = publisher.wait_for_all_acked(rclpy.duration.Duration(seconds=PATIENCE))
-    return heard, f"stop sent to {publisher.get_subscription_count()} listeners"
+    heard = publisher.wait_for_all_acked(Duration(seconds=PATIENCE))
+    return heard, f"stop sent to {listeners} listeners"
 
 
 def main() -> int:
