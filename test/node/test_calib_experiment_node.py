@@ -53,8 +53,8 @@ class FakeObserver(Node):
             KinematicObservations, "calibration/observations", LATCHED
         )
 
-    def observe(self, q):
-        observation = KinematicObservation(q=q, used=True)
+    def observe(self, q, used=True):
+        observation = KinematicObservation(q=q, used=used)
         observation.end = self.get_clock().now().to_msg()
         self.message.observations.append(observation)
         self.output.publish(self.message)
@@ -103,6 +103,19 @@ def test_it_waits_for_the_observation_of_the_posture(spin, spin_to_the_end):
     observer.observe(ROWS[2])
     assert spin_to_the_end(*nodes) == 0
     assert "posture 1 of 3: observed" in experiment.log
+
+
+def test_a_rest_that_a_gap_spoiled_is_repeated(spin, spin_to_the_end):
+    arm, observer, experiment = FakeArm(), FakeObserver(), make_node()
+    nodes, spoiled = (arm, observer, experiment), [0.3, 0.2, 0.1, 0.0]
+    for count, row in enumerate([*ROWS, spoiled], 1):
+        spin(nodes, lambda k=count: len(arm.goals) == k)
+        if count == 2:
+            observer.observe(spoiled, used=False)
+        observer.observe(row)
+    assert spin_to_the_end(*nodes) == 0
+    assert arm.goals == [*ROWS, spoiled]
+    assert "repeating rests that gaps spoiled: 1" in experiment.log
 
 
 def test_an_observation_that_does_not_come_is_given_up(spin_to_the_end):

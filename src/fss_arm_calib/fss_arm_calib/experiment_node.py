@@ -24,6 +24,8 @@ from . import state
 from .kinematic import Floats
 from .postures import default
 
+ROUNDS = 3  # of repeating what gaps spoiled, at most
+
 
 @dataclass(frozen=True)
 class ExperimentSettings:
@@ -66,8 +68,11 @@ class ExperimentNode(Node):
         s = self.settings = declare(self, ExperimentSettings)
         self.postures = postures(s)
         self.progress = self.restore()
+        self.progress.done = min(self.progress.done, len(self.postures))  # less what was repeated
         self.mover = ActionClient(self, MoveArm, "arm/move")
         self.observed: list[tuple[int, tuple[float, ...]]] = []  # end [ns], readings [rad]
+        self.spoiled: list[Floats] = []  # readings [rad]
+        self.rounds = 0  # of repeating spoiled rests
         self.observer = False  # somebody observes
         self.create_subscription(
             KinematicObservations, "calibration/observations", self.on_observations, LATCHED
@@ -98,6 +103,11 @@ class ExperimentNode(Node):
     def on_observations(self, message: KinematicObservations) -> None:
         """What has been observed so far."""
         self.observed = [(stamp_ns(o.end), tuple(o.q)) for o in message.observations if o.used]
+        self.spoiled = [
+            np.array(o.q)
+            for o in message.observations
+            if not o.used and stamp_ns(o.end) >= self.progress.begun and np.isfinite(o.q).all()
+        ]
 
     def tick(self) -> None:
         """Ten times a second, go on with whatever is next."""
@@ -108,10 +118,27 @@ class ExperimentNode(Node):
             self.progress.begun = now
             self.save()
         self.observer = self.observer or bool(self.count_publishers("calibration/observations"))
-        if self.progress.done >= len(self.postures):
+        if self.progress.done < len(self.postures):
+            self.phase(now)
+        elif not self.repeat():
             self.get_logger().info(f"all {len(self.postures)} postures done")
             raise SystemExit(0)
-        self.phase(now)
+
+    def repeat(self) -> bool:
+        """Go again to where a gap in the data spoiled a rest, as the verdict asks for it."""
+        missing = [
+            spoiled
+            for spoiled in self.spoiled
+            if not any(
+                np.abs(spoiled - q).max() <= self.settings.tolerance for _, q in self.observed
+            )
+        ]
+        if not missing or self.rounds >= ROUNDS:
+            return False
+        self.rounds += 1
+        self.postures = np.vstack([self.postures, missing])
+        self.say(f"repeating rests that gaps spoiled: {len(missing)}")
+        return True
 
     def go(self, now: int) -> None:
         """Ask for the move to the next posture."""
