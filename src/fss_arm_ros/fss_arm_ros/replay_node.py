@@ -27,7 +27,7 @@ TICK = 0.002  # [s]
 STALL = 0.1  # longest step of bag time: after a pause the replay goes on, it does not catch up [s]
 # At rate 0. Larger bursts overrun the transport's queue, and what is sent again comes late.
 BURST = 50  # messages between two acknowledgements
-PATIENCE = 0.1  # with an acknowledgement; it comes with a heartbeat, which may be slow [s]
+PATIENCE = 0.05  # with an acknowledgement; it comes with a heartbeat, which may be slow [s]
 CLOCK_STEP = SECOND // 100  # [ns]
 
 
