@@ -43,7 +43,7 @@ class User(Node):
 
 
 def options(**parameters):
-    parameters = {"rate": RATE, "timeout": 0.5, **parameters}
+    parameters = {"rate": RATE, "timeout": 2.0, **parameters}
     return {"parameter_overrides": [Parameter(name, value=v) for name, v in parameters.items()]}
 
 
@@ -69,7 +69,7 @@ def arm(user, until, data=True):
 
 
 def order(user, **fields):
-    fields = {"mode": Mode.POSITION, "time_to_live": 1.0, **fields}
+    fields = {"mode": Mode.POSITION, "time_to_live": 2.0, **fields}
     message = LinkCommand(**fields)
     message.header.stamp = user.get_clock().now().to_msg()
     user.command.publish(message)
