@@ -27,12 +27,12 @@ class Bench:
 
     def __init__(self, spin, file):
         self.transports = [FakeTransport(i) for i in (1, 2)]
-        links = overrides(rate=RATE, timeout=0.5, arm=str(file))
+        links = overrides(rate=RATE, timeout=1.5, arm=str(file))
         self.links = [
             LinkNode(i, transport=transport, parameter_overrides=links)
             for i, transport in enumerate(self.transports, 1)
         ]
-        arm = overrides(rate=RATE, arm=str(file), time_to_live=0.5, patience=1.0)
+        arm = overrides(rate=RATE, arm=str(file), time_to_live=1.5, patience=2.0)
         self.arm = ArmNode(parameter_overrides=arm)
         self.user = Node("user")
         self.mover = ActionClient(self.user, MoveArm, "arm/move")
