@@ -49,8 +49,17 @@ _fss_load() {
   export PATH
 
   export ROS_LOG_DIR="${ROS_LOG_DIR:-$_fss_root/log/ros}"
-  export ROS_AUTOMATIC_DISCOVERY_RANGE="${ROS_AUTOMATIC_DISCOVERY_RANGE:-LOCALHOST}"
-  export FASTRTPS_DEFAULT_PROFILES_FILE="${FASTRTPS_DEFAULT_PROFILES_FILE:-$_fss_root/config/fastdds.xml}"
+  # To Fast DDS, LOCALHOST would mean shared memory too; SYSTEM_DEFAULT leaves it to the profile.
+  case "${RMW_IMPLEMENTATION:-rmw_fastrtps_cpp}" in
+    rmw_fastrtps_*) _fss_range=SYSTEM_DEFAULT ;;
+    *) _fss_range=LOCALHOST ;;
+  esac
+  export ROS_AUTOMATIC_DISCOVERY_RANGE="${ROS_AUTOMATIC_DISCOVERY_RANGE:-$_fss_range}"
+  case "$ROS_AUTOMATIC_DISCOVERY_RANGE" in
+    SUBNET) _fss_profile=fastdds_network.xml ;;
+    *) _fss_profile=fastdds.xml ;;
+  esac
+  export FASTRTPS_DEFAULT_PROFILES_FILE="${FASTRTPS_DEFAULT_PROFILES_FILE:-$_fss_root/config/$_fss_profile}"
 }
 
 _fss_load
@@ -58,6 +67,6 @@ _fss_status=$?
 for _fss_option in u e; do
   case "$_fss_options" in *"-$_fss_option"*) set "-$_fss_option" ;; esac
 done
-unset _fss_root _fss_shell _fss_options _fss_option
+unset _fss_root _fss_shell _fss_options _fss_option _fss_range _fss_profile
 unset -f _fss_load
 if [ "$_fss_status" = 0 ]; then unset _fss_status; else unset _fss_status; return 1; fi

@@ -38,7 +38,8 @@ DOMAIN, _HOLDER = claim_domain()
 
 # Before anything imports rclpy.
 os.environ["ROS_DOMAIN_ID"] = str(DOMAIN)
-os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SYSTEM_DEFAULT"
+os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(Path(__file__).parents[1] / "config/fastdds.xml")
 os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
 
 

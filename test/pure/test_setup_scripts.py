@@ -73,17 +73,16 @@ def test_env_gives_the_workspace_to_a_bare_shell(shell: str) -> None:
     folders = path.split(":")
     assert (folders[0], folders[-1]) == (f"{ROOT}/.venv/bin", f"{ROOT}/scripts/bin")
     assert len(folders) == len(set(folders))
-    assert reach == "LOCALHOST"
+    assert reach == "SYSTEM_DEFAULT"
     assert logs == f"{ROOT}/log/ros"
-    assert Path(profiles).is_file()
+    assert profiles == f"{ROOT}/config/fastdds.xml"
 
 
 def test_env_keeps_what_the_user_chose() -> None:
     chosen = BARE | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET", "ROS_LOG_DIR": "/mine"}
-    shown = run(
-        "bash", "-c", f"{SOURCE}; echo $ROS_AUTOMATIC_DISCOVERY_RANGE $ROS_LOG_DIR", env=chosen
-    )
-    assert shown.stdout.split() == ["SUBNET", "/mine"]
+    names = "$ROS_AUTOMATIC_DISCOVERY_RANGE $ROS_LOG_DIR $FASTRTPS_DEFAULT_PROFILES_FILE"
+    shown = run("bash", "-c", f"{SOURCE}; echo {names}", env=chosen)
+    assert shown.stdout.split() == ["SUBNET", "/mine", f"{ROOT}/config/fastdds_network.xml"]
 
 
 def test_env_says_in_one_line_what_it_lacks(tmp_path: Path) -> None:
