@@ -99,7 +99,7 @@ def test_it_goes_on_from_its_state_file(spin, ears, tmp_path):
     first.save()
     last = stamp_ns(ears.heard["clock"][-1].clock)
     second = testbed(state_file=path, keep_clock=True)
-    assert second.testbed.links[0].boot == 2
+    assert second.testbed.links[0].gate.boot == 2
     np.testing.assert_allclose(second.testbed.plant.q[3:], [0.1, 0.2, 0.3, 0.4], atol=1e-6)
     assert second.stamp() > last
     second.close()

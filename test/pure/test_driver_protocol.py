@@ -14,6 +14,7 @@ from fss_arm_driver.protocol import (
     FRAME_SIZE,
     Command,
     FrameError,
+    KeyFileError,
     Mode,
     Order,
     Refusal,
@@ -22,7 +23,10 @@ from fss_arm_driver.protocol import (
     Telemetry,
     decode,
     encode,
+    load_keys,
     newer,
+    pack,
+    parse_keys,
 )
 
 SAMPLE = Telemetry(
@@ -57,6 +61,7 @@ CASES = [
      "00000000 00000000 0000000000000000 3f1f9ce5"),
 ]  # fmt: skip
 NO_SIGNATURE = bytes(16)
+KEY = bytes(range(16))
 
 
 def unsigned(bits):
@@ -194,4 +199,58 @@ def test_sequence_numbers_wrap():
 def test_the_examples_in_the_documentation_are_these_frames():
     text = Path(__file__, "../../../docs/protocol.md").resolve().read_text()
     examples = re.findall(r"```\n([0-9a-f\s]+)```", text)
-    assert [bytes.fromhex(example) for example in examples] == [encode(SAMPLE), encode(ORDER)]
+    frames = [encode(SAMPLE), encode(ORDER), encode(ORDER, KEY), pack(encode(ORDER, KEY))]
+    assert [bytes.fromhex(example) for example in examples] == frames
+
+
+@given(TELEMETRY | COMMANDS, st.binary(min_size=16, max_size=32))
+def test_a_signed_frame_is_the_unsigned_one_but_for_its_signature(frame, key):
+    data = encode(frame, key)
+    assert data[:56] == encode(frame)[:56]
+    assert decode(data, key) == frame
+
+
+@pytest.mark.parametrize("key", [None, KEY[:-1], bytes(16), bytes(32)])
+def test_a_signature_is_good_under_its_key_alone(key):
+    with pytest.raises(FrameError) as error:
+        decode(encode(SAMPLE, KEY), key)
+    assert error.value.reason is Refusal.SIGNATURE
+
+
+def test_the_signature_is_keyed_blake2s():
+    """As OpenSSL computes it: openssl mac -macopt hexkey:KEY -macopt size:16 BLAKE2SMAC."""
+    assert encode(SAMPLE, KEY)[56:].hex() == "ef64e670f1fad93dc879badd47241774"
+
+
+def test_keys_are_read_by_link():
+    text = f"# keys\n1 {'0a' * 16}\n\n 12\t{'FF' * 32}  # the last\n"
+    assert parse_keys(text) == {1: b"\x0a" * 16, 12: b"\xff" * 32}
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        (f"0 {'0a' * 16}", "expected a link from 1 to 255 and 32 to 64 hex digits"),
+        (f"256 {'0a' * 16}", "expected a link"),
+        (f"2 {'0a' * 15}", "expected a link"),
+        (f"2 {'0a' * 33}", "expected a link"),
+        (f"2 {'0a' * 16}0", "expected a link"),
+        ("2", "expected a link"),
+        (f"1 {'0b' * 16}", "expected each link and each key once"),
+        (f"2 {'00' * 16}", "expected each link and each key once"),
+    ],
+)
+def test_a_line_that_is_no_key_is_named_and_not_shown(line, words):
+    with pytest.raises(KeyFileError, match=f"keys, line 2: {words}") as error:
+        parse_keys(f"1 {'00' * 16}\n{line}\n")
+    assert "0a0a" not in str(error.value)
+
+
+def test_a_file_of_keys_must_be_its_owners_alone(tmp_path):
+    path = tmp_path / "keys"
+    path.write_text(f"1 {KEY.hex()}\n")
+    path.chmod(0o600)
+    assert load_keys(path) == {1: KEY}
+    path.chmod(0o640)
+    with pytest.raises(KeyFileError, match="has mode 640, expected 600"):
+        load_keys(path)

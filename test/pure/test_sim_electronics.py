@@ -6,9 +6,9 @@ from math import pi
 
 import pytest
 
-from fss_arm_driver.protocol import Command, Mode, Order, Slow, State, decode, encode
+from fss_arm_driver.protocol import Command, Mode, Order, Refused, Slow, State, decode, encode
 from fss_arm_model.description import Drive, Link, TorqueSensor
-from fss_sim.electronics import LinkElectronics, Refused
+from fss_sim.electronics import LinkElectronics
 from fss_sim.plant import Motion
 
 LINK = Link(
@@ -84,7 +84,7 @@ def test_it_refuses_and_changes_nothing(command, reason):
     electronics = link(QUIET, replace(GO, sequence=2))
     before = electronics.demand(SECOND, REST)
     assert not electronics.receive(encode(command), SECOND)
-    assert electronics.refused == {reason: 1}
+    assert electronics.gate.refused == {reason: 1}
     assert electronics.demand(SECOND, REST) == before
 
 
@@ -93,7 +93,7 @@ def test_what_is_no_frame_is_refused(cut):
     electronics = link()
     assert not electronics.receive(encode(QUIET)[:cut], SECOND)
     assert not electronics.receive(electronics.telemetry(SECOND, REST), SECOND)
-    assert electronics.refused == {Refused.FRAME: 1, Refused.OTHER: 1}
+    assert electronics.gate.refused == {Refused.FRAME: 1, Refused.OTHER: 1}
 
 
 def test_a_session_cannot_begin_armed():
@@ -149,3 +149,28 @@ def test_disarming_brakes_and_switches_off_at_rest():
     electronics = link(QUIET, GO, replace(QUIET, sequence=3))
     assert electronics.demand(SECOND, replace_speed(REST, 0.3)).mode == Mode.POSITION
     assert electronics.demand(SECOND, REST).mode == Mode.OFF
+
+
+KEY = bytes(range(16))
+
+
+def test_with_a_key_each_command_is_taken_once_and_only_if_signed():
+    electronics = LinkElectronics(2, LINK, BOOT, key=KEY)
+    go = replace(GO, clock=6)
+    stop = replace(QUIET, sequence=3, clock=7, flags=Order.STOP)
+    seen = []
+    for command in (QUIET, go, stop):
+        assert not electronics.receive(encode(command), SECOND)
+        seen.append(encode(command, KEY))
+        assert electronics.receive(seen[-1], SECOND)
+        assert not any(electronics.receive(data, SECOND) for data in seen)
+    assert electronics.gate.refused == {Refused.FRAME: 3, Refused.SEQUENCE: 6}
+    assert decode(electronics.telemetry(SECOND, REST), KEY).flags & State.STOPPED
+
+
+def test_with_a_key_silence_opens_no_way_for_replays():
+    electronics = LinkElectronics(2, LINK, BOOT, key=KEY)
+    assert electronics.receive(encode(replace(QUIET, boot=0), KEY), SECOND)
+    assert electronics.receive(encode(replace(QUIET, sequence=2, clock=9), KEY), SECOND)
+    assert not electronics.receive(encode(replace(QUIET, boot=0), KEY), 60 * SECOND)
+    assert electronics.receive(encode(replace(QUIET, sequence=1, clock=10), KEY), 60 * SECOND)

@@ -4,8 +4,6 @@ What the firmware does, in its own units: the link's clock in microseconds since
 servo drive's counts, the torque converter's counts.
 """
 
-from collections import Counter
-from enum import Enum
 from math import pi
 
 from fss_arm_driver.protocol import (
@@ -13,20 +11,17 @@ from fss_arm_driver.protocol import (
     CURRENT_UNIT,
     VELOCITY_UNIT,
     Command,
-    FrameError,
+    Gate,
     Mode,
     Order,
     Slow,
     State,
     Telemetry,
-    decode,
     encode,
-    newer,
 )
 from fss_arm_model.description import Link
 from fss_sim.plant import Demand, Motion
 
-WATCHDOG = 2_000_000  # until a command says otherwise [us]
 TORQUE_PERIOD = 12_500  # of the torque converter, 80 samples a second [us]
 STILL = 1e-3  # a joint slower than this is at rest [rad/s]
 
@@ -34,16 +29,6 @@ STILL = 1e-3  # a joint slower than this is at rest [rad/s]
 DISABLED, AT_HIGHEST, AT_LOWEST, IN_MOTION = 1 << 12, 1 << 16, 1 << 17, 1 << 27
 
 SUPPLY, BATTERY, TEMPERATURE, FIRMWARE = 240, 148, 31, 0x010000  # 24.0 V, 14.8 V, deg C, 1.0.0
-
-
-class Refused(Enum):
-    """Why a datagram is not taken as a command."""
-
-    FRAME = "not a frame"
-    OTHER = "not a command to this link"
-    BOOT = "for another start"
-    SEQUENCE = "not newer than the last"
-    EXPIRED = "expired"
 
 
 class LinkElectronics:
@@ -57,20 +42,19 @@ class LinkElectronics:
         link: its description.
         boot: which start this is, 1 to 65535.
         rate: of telemetry [frames/s].
+        key: that frames are signed under, if any.
     """
 
-    def __init__(self, number: int, link: Link, boot: int, rate: float = 5.0) -> None:
-        self.number, self.link, self.boot = number, link, boot
-        self.refused: Counter[Refused] = Counter()
+    def __init__(
+        self, number: int, link: Link, boot: int, rate: float = 5.0, key: bytes | None = None
+    ) -> None:
+        self.link = link
+        self.gate = Gate(number, boot, key)
         self.armed = self.stopped = self.watchdog_tripped = False
         drive = link.drive
         self._count = drive.direction * 2.0 * pi / drive.counts_per_turn  # [rad]
         self._demand = Demand(Mode.OFF)
         self._acceleration = drive.max_acceleration
-        self._command: Command | None = None  # the last one taken
-        self._arrival = 0  # of that command [us]
-        self._newest = 0  # sequence taken
-        self._watchdog = WATCHDOG
         self._period = round(1e6 / rate)  # [us]
         self._periods = -1  # of the clock, at the last frame
         self._sequence = 0  # of the next frame
@@ -79,30 +63,16 @@ class LinkElectronics:
 
     def receive(self, data: bytes, clock: int) -> bool:
         """Obey or refuse a datagram that has come; return whether it was taken."""
-        try:
-            command = decode(data)
-        except FrameError:
-            return self._refuse(Refused.FRAME)
-        if not isinstance(command, Command) or command.link != self.number:
-            return self._refuse(Refused.OTHER)
-        stop, follows = command.flags & Order.STOP, self._follows(command, clock)
-        if not stop and command.boot not in (0, self.boot):
-            return self._refuse(Refused.BOOT)
-        if not stop and not follows:
-            return self._refuse(Refused.SEQUENCE)
-        if command.expiry and command.expiry < clock:
-            return self._refuse(Refused.EXPIRED)
-        if follows:
-            self._newest = command.sequence
-        self._command, self._arrival, self._watchdog = command, clock, 1000 * command.watchdog
-        self._obey(command)
-        return True
+        command = self.gate.take(data, clock)
+        if command:
+            self._obey(command)
+        return command is not None
 
     def demand(self, clock: int, motion: Motion) -> Demand:
         """What the servo drive is to do from now on."""
-        command = self._command
+        gate, command = self.gate, self.gate.command
         if command and self.armed:
-            if clock - self._arrival > self._watchdog:
+            if clock - gate.arrival > gate.watchdog:
                 self.armed, self.watchdog_tripped = False, True
                 self._hold()
             elif command.expiry < clock:
@@ -123,15 +93,15 @@ class LinkElectronics:
         self._periods = clock // self._period
         sequence, self._sequence = self._sequence, (self._sequence + 1) & 0xFFFFFFFF
         slow = list(Slow)[sequence % len(Slow)]
-        command = self._command
+        gate, command = self.gate, self.gate.command
         frame = Telemetry(
-            link=self.number,
+            link=gate.number,
             flags=self._flags(),
-            boot=self.boot,
+            boot=gate.boot,
             sequence=sequence,
             clock=clock,
             echo=command.clock & 0xFFFFFFFF if command else 0,
-            turnaround=min(clock - self._arrival, 0xFFFFFFFF) if command else 0,
+            turnaround=min(clock - gate.arrival, 0xFFFFFFFF) if command else 0,
             position=_signed(motion.q / self._count, 32),
             velocity=_signed(motion.qd / self._count / VELOCITY_UNIT, 32),
             current=_signed(self.link.drive.direction * motion.current / CURRENT_UNIT, 16),
@@ -142,17 +112,7 @@ class LinkElectronics:
             torque_age=min((clock - self._torque_clock) // 1000, 255),
             slow_value=self._slow_value(slow),
         )
-        return encode(frame)
-
-    def _refuse(self, reason: Refused) -> bool:
-        self.refused[reason] += 1
-        return False
-
-    def _follows(self, command: Command, clock: int) -> bool:
-        """Whether it is newer than the last command, or may begin a session."""
-        if self._command is None or clock - self._arrival > self._watchdog:
-            return not command.flags & Order.ARM
-        return newer(command.sequence, self._newest)
+        return encode(frame, gate.key)
 
     def _obey(self, command: Command) -> None:
         if command.flags & Order.STOP:
@@ -212,7 +172,7 @@ class LinkElectronics:
             Slow.TEMPERATURE: TEMPERATURE,
             Slow.FIRMWARE: FIRMWARE,
             Slow.HOMINGS: 1,
-            Slow.REFUSED: _signed(self.refused.total(), 32),
+            Slow.REFUSED: _signed(self.gate.refused.total(), 32),
         }[slow]
 
 

@@ -17,6 +17,7 @@ class TestbedSettings:
     host: str = setting("127.0.0.1", "address that the links' UDP ports are opened on")
     ports: tuple[int, ...] = setting((), "the links' UDP ports, 0: any; empty: 5001, 5002, ...")
     telemetry_rate: float = setting(5.0, "telemetry frames of each link [1/s]")
+    keys: str = setting("", "file of the links' keys; empty: frames are not signed")
     seed: int = setting(1, "of all the sensors' errors")
     preset: str = setting("default", f"of the sensors' errors: {', '.join(PRESETS)}")
     position_noise: float = setting(-1.0, "of a VICON frame, 1 sigma [m]; < 0: the preset's")

@@ -5,7 +5,7 @@ Pure: time is what the caller lets pass, datagrams are bytes. One frame is one p
 
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -82,12 +82,25 @@ class Testbed:
         seed: of the sensors' errors and the links' clocks.
         state: where to begin.
         rate: of the links' telemetry [frames/s].
+        keys: by link, that frames are signed under.
     """
 
-    def __init__(self, arm: Arm, noise: Noise, seed: int, state: State, rate: float = 5.0) -> None:
+    def __init__(
+        self,
+        arm: Arm,
+        noise: Noise,
+        seed: int,
+        state: State,
+        rate: float = 5.0,
+        keys: Mapping[int, bytes] | None = None,
+    ) -> None:
         self.plant = Plant(arm, state.q, state.qd)
         self.sensors = Sensors(noise, seed, state.rests)
-        self.links = [LinkElectronics(i, k, state.boots, rate) for i, k in enumerate(arm.links, 1)]
+        keys = keys or {}
+        self.links = [
+            LinkElectronics(i, k, state.boots, rate, keys.get(i))
+            for i, k in enumerate(arm.links, 1)
+        ]
         self.frame, self._boots, self._begin = state.frame, state.boots, state.frame
         uptimes = np.random.default_rng((seed, state.boots)).integers(UPTIME, size=arm.n)
         self._uptimes: list[int] = uptimes.tolist()

@@ -11,6 +11,7 @@ from rclpy.node import Node
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import Imu
 
+from fss_arm_driver.protocol import load_keys
 from fss_arm_ros.convert import pose_stamped, to_time
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.qos import SENSOR
@@ -35,7 +36,10 @@ class TestbedNode(Node):
         self.settings = settings = declare(self, TestbedSettings)
         arm = settings.description()
         begin = settings.begin(arm.n)
-        self.testbed = Testbed(arm, settings.noise(), settings.seed, begin, settings.telemetry_rate)
+        keys = load_keys(settings.keys) if settings.keys else {}
+        self.testbed = Testbed(
+            arm, settings.noise(), settings.seed, begin, settings.telemetry_rate, keys
+        )
         self.sockets = [LinkSocket(settings.host, port) for port in settings.link_ports(arm.n)]
         self.base = self.create_publisher(PoseStamped, "vicon/fss/fss", SENSOR)
         self.tip = self.create_publisher(PoseStamped, "vicon/end_effector/end_effector", SENSOR)
@@ -118,7 +122,8 @@ class TestbedNode(Node):
             "clock jumps": self.pace.jumps,
         }
         for link, socket in zip(self.testbed.links, self.sockets, strict=True):
-            values[f"link {link.number}"] = f"port {socket.port}, {link.refused.total()} refused"
+            refused = link.gate.refused.total()
+            values[f"link {link.gate.number}"] = f"port {socket.port}, {refused} refused"
         return Health(WARN if slow else OK, "too slow" if slow else "running", values)
 
     def close(self) -> None:

@@ -1,7 +1,7 @@
-"""The links' wire protocol, version 1: telemetry and command frames to bytes and back.
+"""Telemetry and command frames to bytes and back.
 
-The layout and what both sides do with it are in docs/protocol.md. No I/O and no state here, and
-raw counts only: whoever holds the arm's description turns them into SI units.
+The layout and what both sides do with it are in docs/protocol.md. Raw counts only: whoever holds
+the arm's description turns them into SI units.
 """
 
 import struct
@@ -9,6 +9,8 @@ from dataclasses import dataclass, field, fields
 from enum import Enum, IntEnum, IntFlag
 from typing import Any
 from zlib import crc32
+
+from fss_arm_driver.protocol.signature import SIGNATURE_SIZE, is_signed, sign
 
 FRAME_SIZE = 72  # the Wi-Fi shields drop longer datagrams
 MAGIC = 0x4653
@@ -129,9 +131,9 @@ _TELEMETRY, _COMMAND = 1, 2
 _HEAD = "<HBBBBHIQ"  # magic, version, kind, link, flags, boot, sequence, clock
 _TELEMETRY_BODY = struct.Struct(_HEAD + "IIiihBBIIi")  # torque and its age share one word
 _COMMAND_BODY = struct.Struct(_HEAD + "QBBHiii8s")
-_TAIL = struct.Struct("<I16s")  # CRC-32, signature
-_CRC_AT = FRAME_SIZE - _TAIL.size
-_UNSIGNED = bytes(16)
+_CRC = struct.Struct("<I")
+_SIGNATURE_AT = FRAME_SIZE - SIGNATURE_SIZE
+_CRC_AT = _SIGNATURE_AT - _CRC.size
 _RESERVED = bytes(8)
 
 _MODES = frozenset(Mode)
@@ -144,8 +146,8 @@ def newer(sequence: int, than: int) -> bool:
     return 0 < (sequence - than) & 0xFFFFFFFF < 0x80000000
 
 
-def encode(frame: Telemetry | Command) -> bytes:
-    """The 72 bytes of `frame`.
+def encode(frame: Telemetry | Command, key: bytes | None = None) -> bytes:
+    """The 72 bytes of `frame`, signed if a key is given.
 
     Raises:
         FrameError: a value does not fit its field or its meaning; the message names it.
@@ -158,11 +160,12 @@ def encode(frame: Telemetry | Command) -> bytes:
         body = _pack_telemetry(head, frame)
     else:
         body = _pack_command(head, frame)
-    return body + _TAIL.pack(crc32(body), _UNSIGNED)
+    data = body + _CRC.pack(crc32(body))
+    return data + sign(data, key)
 
 
-def decode(data: bytes) -> Telemetry | Command:
-    """The frame that these bytes are.
+def decode(data: bytes, key: bytes | None = None) -> Telemetry | Command:
+    """The frame that these bytes are, signed under the key; not signed at all without one.
 
     Raises:
         FrameError: they are none; nothing else is ever raised, whatever the bytes.
@@ -176,11 +179,12 @@ def decode(data: bytes) -> Telemetry | Command:
         raise FrameError(Refusal.VERSION, f"version is {version}, expected {VERSION}")
     if kind not in (_TELEMETRY, _COMMAND):
         raise FrameError(Refusal.KIND, f"kind is {kind}, expected {_TELEMETRY} or {_COMMAND}")
-    crc, signature = _TAIL.unpack_from(data, _CRC_AT)
+    (crc,) = _CRC.unpack_from(data, _CRC_AT)
     if crc != crc32(data[:_CRC_AT]):
         raise FrameError(Refusal.CRC, f"CRC is {crc:#010x}, which does not fit the bytes")
-    if signature != _UNSIGNED:
-        raise FrameError(Refusal.SIGNATURE, "signature is not zero in an unsigned frame")
+    if not is_signed(data[:_SIGNATURE_AT], data[_SIGNATURE_AT:], key):
+        expected = "that of the key" if key else "zero, as no key is configured"
+        raise FrameError(Refusal.SIGNATURE, f"signature is not {expected}")
     frame = _telemetry(data) if kind == _TELEMETRY else _command(data)
     _check_meaning(frame)
     return frame
