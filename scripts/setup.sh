@@ -239,7 +239,7 @@ fi
 # Python files are linked to, so only what shapes the packages asks for a build. A build by hand may
 # have copied them: then the build's log is not the one that the stamp names.
 shape=$(cd "$root" && find src colcon.meta -type f ! -path '*/.*' ! -name '*.pyc' \
-  ! \( -path 'src/*/*/*' -name '*.py' \) -exec sha256sum {} + | sort | sha256sum | cut -c -16)
+  ! -path '*/firmware/*' ! \( -path 'src/*/*/*' -name '*.py' \) -exec sha256sum {} + | sort | sha256sum | cut -c -16)
 build_key="$shape $pins $kind"
 if ! current "$root/install/.stamp" \
   "$build_key $(readlink "$root/log/latest_build" 2>/dev/null || true)"
