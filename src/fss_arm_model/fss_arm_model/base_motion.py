@@ -1,0 +1,435 @@
+"""How an arm's motion moves its floating base: d(b, m, I, theta(t)) of Eq. 6, without an ODE.
+
+No torque acts about the system's centre of mass, and a uniform force, the weight on a tilted table,
+acts at it. So the angular momentum L about it stays, and it runs along a parabola. With K_k, s_k of
+_inertias below, Q_k = q_1 + .. + q_k, M the whole mass and g the acceleration down the table,
+
+    L = sum_k N_k (theta' + Q'_k)
+    N_k = K_k - |s_k|^2 / M + s_k . sum_{j<k} p_j + p_k . sum_{j>k} s_j,   p_k = d_k - s_k / M
+    theta(t) = theta(0) + int (L dt - sum_k N_k dQ_k) / sum_k N_k
+    r(t) = c(0) + P t / M + g t^2 / 2 - exp(i theta(t)) s(t) / M,   s = sum_k s_k
+
+all vectors seen from the base. What the path in joint space contributes is computed once, as nodes
+of a quadrature (Path); after that a prediction is a sum over them, and so are its derivatives.
+Planar vectors are complex numbers and the bodies numbered as in kinematics.py.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ._cache import Floats, helper, kernel
+from .description import BASE_SIZE, LINK_SIZE
+from .kinematics import _THREE, _dot, _mass, _moment
+
+#: What follows Arm.vector() in the columns of base_pose_sensitivities.
+STATE_NAMES = ("x", "y", "theta", "p_x", "p_y", "L", "g_x", "g_y")
+
+_DIGITS = 14.0 * math.log(10.0)  # of a panel's quadrature
+
+
+class Path(NamedTuple):
+    """A path in joint space, ready for quadrature; leading dimensions are a batch of paths.
+
+    Both begin with the turn of each link against the base, the encoders' offsets left out:
+    cos Q_1, sin Q_1 .. cos Q_n, sin Q_n.
+    """
+
+    nodes: Floats  # (..., N, 3 n + 1) then the weighted rates dQ_1 .. dQ_n and dt [s]
+    marks: Floats  # (..., m, 2 n + 2) then the nodes before the mark and its time t [s]
+
+
+Law = Callable[[Floats], tuple[Floats, Floats]]
+
+
+def path(law: Law, edges: npt.ArrayLike, marks: npt.ArrayLike) -> Path:
+    """The nodes of a path, by Gauss-Legendre quadrature in each panel between two edges.
+
+    For an integrand analytic up to a distance of 1 rad, m nodes on a panel in which the joints
+    travel by D err by rho^-2m with rho = 2 / D + sqrt(4 / D^2 + 1): asinh(2 / D) a node and side.
+
+    Args:
+        law: joint angles and rates at times (N,) [s], each (N, n) [rad, rad/s]; smooth between
+            edges.
+        edges: (e,) times [s]; those before the first and after the last mark do not matter.
+        marks: (m,) times [s] at which the base's pose is wanted, ascending; the first is the start.
+
+    Raises:
+        ValueError: the marks do not ascend.
+    """
+    marks = np.asarray(marks, dtype=float)
+    if not (np.diff(marks) >= 0.0).all():
+        raise ValueError(f"marks are {marks} s, expected in ascending order")
+    edges = np.union1d(np.clip(edges, marks[0], marks[-1]), marks)
+    begin, length = edges[:-1], np.diff(edges)
+    probes = begin[:, None] + length[:, None] * np.linspace(0.0, 1.0, 5)
+    rates = np.abs(law(probes.ravel())[1]).sum(axis=1).reshape(probes.shape)
+    orders = [_order(travel) for travel in (rates.max(axis=1) * length).tolist()]
+    x, w = (np.concatenate(parts) for parts in zip(*map(_gauss, orders), strict=True))
+    panel = np.repeat(np.arange(len(length)), orders)
+    dt = length[panel] * w
+    q, qd = law(begin[panel] + length[panel] * x)
+    before = np.concatenate([[0], np.cumsum(orders)])[np.searchsorted(edges, marks)]
+    rate = dt[:, None] * np.cumsum(qd, axis=1)
+    return Path(
+        np.column_stack([_turns(q), rate, dt]),
+        np.column_stack([_turns(law(marks)[0]), before, marks - marks[0]]),
+    )
+
+
+def sampled(
+    times: Sequence[npt.ArrayLike], q: Sequence[npt.ArrayLike], qd: Sequence[npt.ArrayLike]
+) -> tuple[Law, Floats]:
+    """The law through measured angles and rates: cubic in between (Hermite), at rest outside.
+
+    Where acceleration is piecewise constant, as servo drives keep it, only the intervals in which
+    it jumps are inexact.
+
+    Args:
+        times: of each joint's samples, (s_i,) [s], ascending.
+        q: the angles then [rad].
+        qd: the rates then [rad/s].
+
+    Returns:
+        The law, and all times as its edges.
+    """
+    series = [
+        tuple(np.asarray(part, dtype=float) for part in joint)
+        for joint in zip(times, q, qd, strict=True)
+    ]
+
+    def law(t: Floats) -> tuple[Floats, Floats]:
+        both = [_hermite(t, *joint) for joint in series]
+        return np.column_stack([a for a, _ in both]), np.column_stack([b for _, b in both])
+
+    return law, np.unique(np.concatenate([joint[0] for joint in series]))
+
+
+def _hermite(t: Floats, knots: Floats, q: Floats, qd: Floats) -> tuple[Floats, Floats]:
+    if len(knots) == 1:
+        return np.full(len(t), q[0]), np.zeros(len(t))
+    k = np.clip(np.searchsorted(knots, t, "right") - 1, 0, len(knots) - 2)
+    h = knots[k + 1] - knots[k]
+    x = np.clip((t - knots[k]) / h, 0.0, 1.0)
+    slope = (q[k + 1] - q[k]) / h
+    first, last = qd[k] - slope, qd[k + 1] - slope
+    y = 1.0 - x
+    angle = q[k] * y + q[k + 1] * x + x * y * (y * first - x * last) * h
+    rate = slope + y * (1.0 - 3.0 * x) * first + x * (3.0 * x - 2.0) * last
+    return angle, np.where((t >= knots[0]) & (t <= knots[-1]), rate, 0.0)
+
+
+def stack(paths: Sequence[Path]) -> Path:
+    """Paths of the same number of links as one batch; those with fewer marks repeat their last."""
+    return Path(*(_padded(arrays) for arrays in zip(*paths, strict=True)))
+
+
+def _padded(arrays: Sequence[Floats]) -> Floats:
+    """Arrays of unlike lengths as one, each with its last row repeated."""
+    longest = max(map(len, arrays))
+    return np.array([np.pad(a, ((0, longest - len(a)), (0, 0)), "edge") for a in arrays])
+
+
+def _turns(q: Floats) -> Floats:
+    """Turns of the links at joint angles (N, n), as in a Path: (N, 2 n)."""
+    Q = np.cumsum(q, axis=1)
+    return np.stack([np.cos(Q), np.sin(Q)], axis=-1).reshape(len(q), -1)
+
+
+def _order(travel: float) -> int:
+    return math.ceil(0.5 * _DIGITS / math.asinh(2.0 / travel)) if travel > 1e-6 else 1
+
+
+@cache
+def _gauss(order: int) -> tuple[Floats, Floats]:
+    """Nodes and weights on [0, 1]."""
+    x, w = np.polynomial.legendre.leggauss(order)
+    return 0.5 * (x + 1.0), 0.5 * w
+
+
+@helper
+def _inertias(p, delta, sigma, K):  # type: ignore[no-untyped-def]
+    """Write the bodies' constants, seen from each body with the joint before it at reading 0.
+
+    d_k from its pivot to the next, s_k = m_k e_k + d_k sum_{j>k} m_j its first moment and
+    K_k = I_k + m_k |e_k|^2 + |d_k|^2 sum_{j>k} m_j its second, all further mass put at the next
+    pivot: the only combinations of masses, inertias and centres of mass that motion depends on.
+
+    Returns:
+        The whole mass.
+    """
+    M = 0.0
+    for k in range(K.size - 1, -1, -1):
+        d, e = _offsets(p, k)
+        m = _mass(p, k)
+        delta[k], sigma[k] = d, M * d + m * e
+        K[k] = _moment(p, k) + m * _dot(e, e) + M * _dot(d, d)
+        M += m
+    angle = p[6]
+    for k in range(1, K.size):
+        angle += p[6 * k + 3]
+        turn = complex(math.cos(angle), math.sin(angle))
+        delta[k] *= turn
+        sigma[k] *= turn
+    return M
+
+
+@helper
+def _offsets(p, k):  # type: ignore[no-untyped-def]
+    """d_k and e_k in the body's own frame."""
+    if k == 0:
+        return complex(p[4], p[5]), complex(p[2], p[3])
+    return complex(p[6 * k + 2], 0.0), complex(p[6 * k + 6], p[6 * k + 7])
+
+
+@helper
+def _place(delta, sigma, row, d, s):  # type: ignore[no-untyped-def]
+    """Turn the bodies to a row of a path: write d_k and s_k; return their sum s."""
+    d[0], s[0] = delta[0], sigma[0]
+    total = s[0]
+    for k in range(1, d.size):
+        turn = complex(row[2 * k - 2], row[2 * k - 1])
+        d[k], s[k] = delta[k] * turn, sigma[k] * turn
+        total += s[k]
+    return total
+
+
+@helper
+def _couplings(d, s, K, total, per_mass, N):  # type: ignore[no-untyped-def]
+    """Write N_k, and d_k - s_k / M to d; return the sum of N_k."""
+    before, after = 0j, total
+    whole = 0.0
+    for k in range(d.size):
+        after -= s[k]
+        d[k] = complex(d[k].real - per_mass * s[k].real, d[k].imag - per_mass * s[k].imag)
+        N[k] = K[k] - per_mass * _dot(s[k], s[k]) + _dot(s[k], before) + _dot(d[k], after)
+        before += d[k]
+        whole += N[k]
+    return whole
+
+
+@helper
+def _turned(N, whole, row, L):  # type: ignore[no-untyped-def]
+    """How far the base turns at a node of the path."""
+    n = N.size - 1
+    turn = L * row[3 * n]
+    for k in range(1, n + 1):
+        turn -= N[k] * row[2 * n + k - 1]
+    return turn / whole
+
+
+@helper
+def _rotated(angle, r):  # type: ignore[no-untyped-def]
+    return complex(math.cos(angle), math.sin(angle)) * r
+
+
+@helper
+def _course(state, M, t):  # type: ignore[no-untyped-def]
+    """How far the centre of mass has gone."""
+    u, v = t / M, 0.5 * t * t
+    return complex(state[3] * u + state[6] * v, state[4] * u + state[7] * v)
+
+
+@kernel("(p),(b),(c,j),(m,l),(t)->(m,t)")
+def _base_poses(p, state, nodes, marks, _t, poses):  # type: ignore[no-untyped-def]
+    size = (nodes.shape[1] - 1) // 3 + 1
+    delta, sigma, d, s = np.empty((4, size), np.complex128)
+    K, N = np.empty((2, size))
+    M = _inertias(p, delta, sigma, K)
+    per_mass, heading, done = 1.0 / M, state[2], 0
+    begin = 0j
+    for i in range(marks.shape[0]):
+        until, t = int(marks[i, 2 * size - 2]), marks[i, 2 * size - 1]
+        for j in range(done, until):
+            total = _place(delta, sigma, nodes[j], d, s)
+            whole = _couplings(d, s, K, total, per_mass, N)
+            heading += _turned(N, whole, nodes[j], state[5])
+        done = until
+        z = _rotated(heading, _place(delta, sigma, marks[i], d, s))
+        if i == 0:
+            begin = z
+        away = _course(state, M, t) + (begin - z) / M
+        poses[i, 0], poses[i, 1] = state[0] + away.real, state[1] + away.imag
+        poses[i, 2] = heading
+
+
+@helper
+def _accumulate(d, s, K, total, per_mass, N, row, L, Gs, Gd, gK, g):  # type: ignore[no-untyped-def]
+    """Add a node's part of the heading and of its derivatives.
+
+    By s_k and d_k (seen from body k) to Gs, Gd, by K_k to gK, by M and L to g. L staying what it
+    is, the derivative by anything is -(1 / N) sum_k omega_k dN_k with N = sum_k N_k. As N_k is the
+    sum over j of the symmetric M_jk = p_j . s_k (j < k), terms of bodies j and k carry
+    omega_j + omega_k.
+    """
+    n = d.size - 1
+    whole = _couplings(d, s, K, total, per_mass, N)
+    turn = _turned(N, whole, row, L)
+    # From here on omega is weighted: the node's angle of each body, over N.
+    per = 1.0 / whole
+    moment = 0j  # sum of omega_k s_k
+    for k in range(n + 1):
+        N[k] = per * (turn + (row[2 * n + k - 1] if k > 0 else 0.0))
+        moment += N[k] * s[k]
+    before, after = 0j, total  # sums of p_j and s_j
+    before_omega, after_omega = 0j, moment  # of omega_j p_j and omega_j s_j
+    for k in range(n + 1):
+        omega = N[k]
+        after -= s[k]
+        after_omega -= omega * s[k]
+        by_d = omega * after + after_omega
+        by_s = omega * before + before_omega - per_mass * (by_d + 2.0 * omega * s[k])
+        before += d[k]
+        before_omega += omega * d[k]
+        if k > 0:
+            back = complex(row[2 * k - 2], -row[2 * k - 1])
+            by_d, by_s = by_d * back, by_s * back
+        Gs[k] -= by_s
+        Gd[k] -= by_d
+        gK[k] -= omega
+    g[0] -= per_mass * per_mass * _dot(total, moment)
+    g[1] += per * row[3 * n]
+    return turn
+
+
+@helper
+def _chain_rule(p, delta, M, gM, Gs, Gd, gK, sigma, out):  # type: ignore[no-untyped-def]
+    """Write the derivatives by Arm.vector(), from those by M, s_k, d_k and K_k."""
+    spin, behind, beyond = 0.0, 0.0, M
+    for k in range(1, gK.size):
+        spin += _cross_dot(Gs[k], sigma[k]) + _cross_dot(Gd[k], delta[k])
+    out[6], out[7] = spin, 0.0
+    for k in range(gK.size):
+        m = _mass(p, k)
+        beyond -= m
+        d, e = _offsets(p, k)
+        by_s, by_d = Gs[k], Gd[k]
+        if k > 0:  # from readings of 0 to the link's own frame
+            a = p[6 * k + 2]
+            back = complex(delta[k].real / a, -delta[k].imag / a)
+            by_s, by_d = by_s * back, by_d * back
+        by_mass = gM + behind + _dot(by_s, e) + gK[k] * _dot(e, e)
+        by_e = m * by_s + 2.0 * m * gK[k] * e
+        behind += _dot(by_s, d) + gK[k] * _dot(d, d)
+        by_d += beyond * by_s + 2.0 * beyond * gK[k] * d
+        if k == 0:
+            out[0], out[1], out[2], out[3] = by_mass, gK[0], by_e.real, by_e.imag
+            out[4], out[5] = by_d.real, by_d.imag
+        else:
+            j = 6 * k + 2
+            out[j], out[j + 1], out[j + 2], out[j + 3] = by_d.real, spin, by_mass, gK[k]
+            out[j + 4], out[j + 5] = by_e.real, by_e.imag
+            spin -= _cross_dot(Gs[k], sigma[k]) + _cross_dot(Gd[k], delta[k])
+
+
+@helper
+def _cross_dot(gradient, r):  # type: ignore[no-untyped-def]
+    """Derivative by a turn of r."""
+    return gradient.imag * r.real - gradient.real * r.imag
+
+
+@kernel("(p),(b),(c,j),(m,l),(t),(x)->(m,t),(m,t,x)")
+def _base_pose_sensitivities(p, state, nodes, marks, _t, _x, poses, J):  # type: ignore[no-untyped-def]
+    size = (nodes.shape[1] - 1) // 3 + 1
+    delta, sigma, d, s, Gs, Gd, by_s, by_d = np.zeros((8, size), np.complex128)
+    K, N, gK, by_K = np.zeros((4, size))
+    g = np.zeros(2)
+    M = _inertias(p, delta, sigma, K)
+    per_mass, heading, done = 1.0 / M, state[2], 0
+    begin, columns = 0j, p.size
+    J[:] = 0.0
+    for i in range(marks.shape[0]):
+        until, t = int(marks[i, 2 * size - 2]), marks[i, 2 * size - 1]
+        for j in range(done, until):
+            total = _place(delta, sigma, nodes[j], d, s)
+            heading += _accumulate(
+                d, s, K, total, per_mass, N, nodes[j], state[5], Gs, Gd, gK, g
+            )  # fmt: skip
+        done = until
+        z = _rotated(heading, _place(delta, sigma, marks[i], d, s)) * per_mass
+        if i == 0:
+            begin = z
+        away = _course(state, M, t) + begin - z
+        poses[i, 0], poses[i, 1] = state[0] + away.real, state[1] + away.imag
+        poses[i, 2] = heading
+        _chain_rule(p, delta, M, g[0], Gs, Gd, gK, sigma, J[i, 2])
+        J[i, 2, columns + 2], J[i, 2, columns + 5] = 1.0, g[1]
+        drift = complex(state[3], state[4]) * (t * per_mass)
+        by_M = (z - begin - drift) * per_mass
+        for axis in range(2):
+            # d(x + i y) = .. - i z d theta; its real and imaginary part
+            by_heading = z.imag if axis == 0 else -z.real
+            for k in range(size):
+                first = complex(1.0, 0.0)
+                now = first
+                if k > 0:
+                    first = complex(marks[0, 2 * k - 2], marks[0, 2 * k - 1])
+                    now = complex(marks[i, 2 * k - 2], marks[i, 2 * k - 1])
+                c = (_rotated(state[2], first) - _rotated(heading, now)) * per_mass
+                own = complex(c.real, -c.imag) if axis == 0 else complex(c.imag, c.real)
+                by_s[k] = own + by_heading * Gs[k]
+                by_d[k] = by_heading * Gd[k]
+                by_K[k] = by_heading * gK[k]
+            gM = (by_M.real if axis == 0 else by_M.imag) + by_heading * g[0]
+            _chain_rule(p, delta, M, gM, by_s, by_d, by_K, sigma, J[i, axis])
+            J[i, axis, columns + axis] = 1.0
+            J[i, axis, columns + 2] = by_heading + (-begin.imag if axis == 0 else begin.real)
+            J[i, axis, columns + 3 + axis] = t * per_mass
+            J[i, axis, columns + 5] = by_heading * g[1]
+            J[i, axis, columns + 6 + axis] = 0.5 * t * t
+
+
+def _checked(p: npt.ArrayLike, path: Path, state: npt.ArrayLike) -> tuple[Floats, Floats]:
+    """The arrays p and state.
+
+    Raises:
+        ValueError: a last dimension is wrong.
+    """
+    p, state = np.asarray(p, dtype=float), np.asarray(state, dtype=float)
+    n = (path.nodes.shape[-1] - 1) // 3
+    if p.shape[-1] != BASE_SIZE + LINK_SIZE * n or state.shape[-1] != len(STATE_NAMES):
+        raise ValueError(
+            f"p and state have the shapes {p.shape} and {state.shape}, "
+            f"expected (..., {BASE_SIZE + LINK_SIZE * n}) and (..., {len(STATE_NAMES)})"
+        )
+    return p, state
+
+
+def base_poses(p: npt.ArrayLike, path: Path, state: npt.ArrayLike) -> Floats:
+    """Poses of the base at a path's marks (Eq. 6), (..., m, 3): x, y [m], heading [rad].
+
+    The heading counts turns, from that of the start.
+
+    Args:
+        p: (..., 8 + 6 n) Arm.vector().
+        path: of the joints.
+        state: (..., 8) as STATE_NAMES: the base's pose at the first mark [m, m, rad]; the momentum
+            there [N s, N s, N m s], that about the system's centre of mass; the acceleration of
+            free bodies down a tilted table [m/s^2].
+
+    Raises:
+        ValueError: shapes do not fit.
+    """
+    p, state = _checked(p, path, state)
+    return _base_poses(p, state, *path, _THREE)
+
+
+def base_pose_sensitivities(
+    p: npt.ArrayLike, path: Path, state: npt.ArrayLike
+) -> tuple[Floats, Floats]:
+    """What base_poses gives, and its derivatives (Phi_d of Eq. 10, by all parameters).
+
+    Returns:
+        (..., m, 3) poses and (..., m, 3, 8 + 6 n + 8) their derivatives by p and then state, each
+        in its unit. Those by g of p, the centres of mass, hold the lengths: by b it is minus that.
+
+    Raises:
+        ValueError: shapes do not fit.
+    """
+    p, state = _checked(p, path, state)
+    columns = np.empty(p.shape[-1] + len(STATE_NAMES))
+    return _base_pose_sensitivities(p, state, *path, _THREE, columns)

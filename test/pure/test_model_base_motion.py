@@ -1,0 +1,186 @@
+"""The base's motion against ODE solutions, and its derivatives against finite differences."""
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from model_arms import random_arm
+from numpy.testing import assert_allclose
+from scipy.integrate import solve_ivp
+
+from fss_arm_model import base_motion, dynamics, momentum
+from fss_arm_model.description import paper_arm
+
+DURATION = 6.0
+AT_REST = np.array([0.3, -0.2, 2.9, 0.0, 0.0, 0.0, 0.0, 0.0])
+DRIFTING = np.array([0.3, -0.2, 2.9, 0.2, -0.3, 0.15, 0.002, -0.003])
+
+
+def single(n):
+    """One joint goes from -60 to 60 degrees and rests before and after."""
+    joint, reach = n // 2, math.radians(60.0)
+
+    def law(t):
+        q, qd = np.zeros((len(t), n)), np.zeros((len(t), n))
+        x = np.clip((t - 1.0) / 4.0, 0.0, 1.0)
+        q[:, joint] = reach * (6.0 * x**2 - 4.0 * x**3 - 1.0)
+        qd[:, joint] = reach * 3.0 * x * (1.0 - x)
+        return q, qd
+
+    return law, [0.0, 1.0, 5.0, DURATION]
+
+
+def several(n):
+    """Each joint swings at its own pace."""
+    rng = np.random.default_rng(n)
+    reach, pace, phase = (rng.uniform(*span, n) for span in ((0.3, 1.2), (0.5, 1.5), (0.0, 6.0)))
+
+    def law(t):
+        angle = t[:, None] * pace + phase
+        return reach * np.sin(angle), reach * pace * np.cos(angle)
+
+    return law, np.linspace(0.0, DURATION, 7)
+
+
+def cyclic(n):
+    """All joints return twice to where they began."""
+    turn, phase = 4.0 * math.pi / DURATION, 0.7 * np.arange(n)
+
+    def law(t):
+        angle = turn * t[:, None] + phase
+        return 0.5 * np.cos(angle), -0.5 * turn * np.sin(angle)
+
+    return law, np.linspace(0.0, DURATION, 9)
+
+
+MARKS = [0.0, 0.5, 2.5, DURATION]
+
+
+def integrate(p, law, edges, state):
+    """Poses at MARKS, from the base's rows of the inertia matrix and a tight ODE solver."""
+    mass = p[0] + p[10::6].sum()
+
+    def rate(t, pose):
+        q, qd = (part[0] for part in law(np.array([t])))
+        H = dynamics.inertia_matrix(p, [*pose, *q])
+        x, y = momentum.system_com(p, [*pose, *q]) - pose[:2]
+        px, py = state[3:5] + mass * t * state[6:8]
+        return np.linalg.solve(H[:3, :3], [px, py, state[5] + x * py - y * px] - H[:3, 3:] @ qd)
+
+    times, poses = np.union1d(edges, MARKS), [np.array(state[:3])]
+    for a, b in pairwise(times):
+        part = solve_ivp(rate, (a, b), poses[-1], method="DOP853", rtol=1e-13, atol=1e-13)
+        poses.append(part.y[:, -1])
+    return np.array(poses)[np.searchsorted(times, MARKS)]
+
+
+@pytest.mark.parametrize("motion", [single, several, cyclic])
+@pytest.mark.parametrize("state", [AT_REST, DRIFTING], ids=["at rest", "drifting"])
+@pytest.mark.parametrize("n", [1, 4])
+def test_poses_are_those_of_the_ode(n, state, motion):
+    p = random_arm(n, np.random.default_rng(n)).vector()
+    law, edges = motion(n)
+    poses = base_motion.base_poses(p, base_motion.path(law, edges, MARKS), state)
+    assert_allclose(poses, integrate(p, law, edges, state), rtol=1e-10, atol=1e-10)
+    assert np.abs(poses - state[:3]).max() > 0.005
+
+
+@pytest.mark.parametrize("n", [1, 4, 8])
+def test_sensitivities_are_finite_differences(n):
+    p = random_arm(n, np.random.default_rng(n)).vector()
+    path = base_motion.path(*several(n), MARKS)
+    poses, J = base_motion.base_pose_sensitivities(p, path, DRIFTING)
+    assert_allclose(poses, base_motion.base_poses(p, path, DRIFTING), rtol=0, atol=1e-14)
+    x, step = np.concatenate([p, DRIFTING]), 1e-5
+    points = x + step * np.concatenate([np.eye(x.size), -np.eye(x.size)])
+    there = base_motion.base_poses(points[:, : p.size], path, points[:, p.size :])
+    numeric = (there[: x.size] - there[x.size :]) / (2.0 * step)
+    assert_allclose(J, np.moveaxis(numeric, 0, -1), rtol=0, atol=2e-8)
+
+
+def test_without_momentum_only_the_path_counts_and_not_its_pace():
+    p = random_arm(4, np.random.default_rng(1)).vector()
+    law, edges = several(4)
+    at_leisure = base_motion.path(lambda t: (law(t / 3)[0], law(t / 3)[1] / 3), 3 * edges, [0, 18])
+    poses = [
+        base_motion.base_poses(p, path, AT_REST)[-1]
+        for path in (at_leisure, base_motion.path(law, edges, [0, 6]))
+    ]
+    assert_allclose(*poses, rtol=0, atol=1e-12)
+
+
+def test_a_closed_path_of_one_joint_turns_nothing_and_of_several_does():
+    p = paper_arm().vector()
+    one = base_motion.path(*cyclic(4), MARKS)
+    turned = base_motion.base_poses(p, one, AT_REST)[-1, 2] - AT_REST[2]
+    assert abs(turned) > math.radians(1.0)
+
+    def there_and_back(t):
+        q, qd = single(4)[0](4.0 - abs(t - 4.0))
+        return q, np.sign(4.0 - t)[:, None] * qd
+
+    path = base_motion.path(there_and_back, [1.0, 4.0, 7.0], [0.0, 4.0, 8.0])
+    poses = base_motion.base_poses(p, path, AT_REST)
+    assert_allclose(poses[-1], AT_REST[:3], rtol=0, atol=1e-13)
+    assert abs(poses[1] - AT_REST[:3]).max() > 0.1
+
+
+def test_paths_and_parameter_sets_broadcast():
+    rng = np.random.default_rng(0)
+    p = np.array([random_arm(3, rng).vector() for _ in range(2)])
+    paths = [base_motion.path(*motion(3), MARKS) for motion in (single, several, cyclic)]
+    poses, J = base_motion.base_pose_sensitivities(p[:, None], base_motion.stack(paths), DRIFTING)
+    assert poses.shape == (2, 3, 4, 3)
+    assert J.shape == (2, 3, 4, 3, p.shape[1] + 8)
+    for i, j in np.ndindex(2, 3):
+        one, sensitivities = base_motion.base_pose_sensitivities(p[i], paths[j], DRIFTING)
+        assert np.array_equal(poses[i, j], one)
+        assert np.array_equal(J[i, j], sensitivities)
+
+
+def test_a_batch_repeats_the_last_mark_of_a_path_with_fewer():
+    p = paper_arm().vector()
+    paths = [base_motion.path(*several(4), marks) for marks in (MARKS, [0.0, DURATION])]
+    poses = base_motion.base_poses(p, base_motion.stack(paths), DRIFTING)
+    assert_allclose(poses[1, 1:], poses[0, [3, 3, 3]], rtol=0, atol=1e-13)
+
+
+def test_samples_of_a_drives_profile_give_the_path_back():
+    """Links report at 5 Hz, each in its own phase; accelerations jump in between."""
+
+    def law(t):
+        x = np.clip(t - 1.0, 0.0, 3.0)
+        q = np.where(x < 1.0, 0.5 * x**2, np.where(x < 2.0, x - 0.5, 2.0 - 0.5 * (3.0 - x) ** 2))
+        qd = np.clip(np.minimum(x, 3.0 - x), 0.0, 1.0)
+        scale = np.array([0.8, -0.6, 1.0, 0.4])
+        return q[:, None] * scale, qd[:, None] * scale
+
+    times = [np.arange(0.03 * i, 5.0, 0.2) for i in range(4)]
+    samples = [[part[:, i] for part in law(t)] for i, t in enumerate(times)]
+    measured, edges = base_motion.sampled(times, *zip(*samples, strict=True))
+    p, marks = paper_arm().vector(), [0.0, 5.0]
+    ideal = base_motion.path(law, [0.0, 1.0, 2.0, 3.0, 4.0, 5.0], marks)
+    taken = base_motion.path(measured, [*edges, *marks], marks)
+    poses = [base_motion.base_poses(p, path, DRIFTING)[-1] for path in (ideal, taken)]
+    assert_allclose(*poses, rtol=0, atol=2e-4)
+    inside = np.array([2.1, 2.25, 2.4])  # speed is constant from 2 to 3 s
+    assert_allclose(measured(inside)[0], law(inside)[0], rtol=0, atol=1e-14)
+    assert_allclose(measured(inside)[1], law(inside)[1], rtol=0, atol=1e-13)
+
+
+def test_marks_must_ascend():
+    with pytest.raises(ValueError, match="marks are"):
+        base_motion.path(*several(4), [1.0, 0.0, DURATION])
+
+
+def test_edges_beyond_the_marks_do_not_matter():
+    law, edges = several(4)
+    few, more = (base_motion.path(law, e, [0.5, 3.0]) for e in (edges[1:4], edges))
+    assert np.array_equal(few.nodes, more.nodes)
+
+
+def test_shapes_that_do_not_fit_are_refused():
+    path = base_motion.path(*several(3), MARKS)
+    with pytest.raises(ValueError, match=r"expected \(\.\.\., 26\) and \(\.\.\., 8\)"):
+        base_motion.base_poses(paper_arm().vector(), path, DRIFTING)
