@@ -6,8 +6,12 @@ import numpy as np
 import pytest
 
 from fss_arm_calib.kinematic import (
+    CAUCHY,
     EQUAL,
     FULL,
+    HUBER,
+    OFFSETS,
+    SQUARE,
     KinematicProblem,
     NotIdentifiable,
     quantization_bound,
@@ -82,6 +86,141 @@ def test_the_iteration_alone_converges_where_the_closed_form_has_too_few_posture
             continue
         assert result.converged
         assert np.abs(result.values - problem(truth, q, parametrization).initial).max() < 1e-9
+
+
+@pytest.mark.parametrize("parametrization", [FULL, EQUAL])
+def test_a_thousand_random_starts_lead_to_the_same_minimum(parametrization):
+    """Angles anywhere, lengths of either sign, the paper's noise; 500 for each parametrization."""
+    rng = np.random.default_rng(7)
+    exact = problem(paper_arm(), DEFAULT, parametrization)
+    for _ in range(25):
+        noise = rng.normal(size=exact.tip.shape) * exact.sigma
+        noisy = replace(exact, tip=exact.tip + noise)
+        expected = solve(noisy)
+        angles = np.array(exact.units) == "rad"
+        for _ in range(20):
+            start = np.where(angles, np.pi, 0.5) * rng.uniform(-1.0, 1.0, len(angles))
+            found = solve(noisy, start=start)
+            assert found.converged
+            assert np.abs(found.values - expected.values).max() < 1e-7
+            assert found.chi_square == pytest.approx(expected.chi_square, rel=1e-9)
+
+
+@pytest.mark.parametrize("n", range(1, 9))
+@pytest.mark.parametrize("parametrization", [FULL, EQUAL])
+def test_the_truth_comes_back_from_zero_lengths_and_offsets(n, parametrization):
+    truth = arm_of(n)
+    if parametrization == EQUAL:
+        truth = replace(truth, links=(truth.links[0],) * (n - 1) + truth.links[-1:])
+        truth = truth.with_kinematics([*[0.3] * n, *[0.1] * (n - 1), 0.2, 0.0, 2.0])
+    exact = problem(truth, postures(n, 3 * n + 4), parametrization)
+    result = solve(exact, start=np.zeros(len(exact.names)))
+    assert result.converged
+    assert np.abs(result.values - exact.initial).max() < 1e-9
+
+
+def test_zero_lengths_do_where_the_closed_form_has_too_few_postures():
+    q = np.radians([[10, -50, 70, 20], [-60, 80, -30, 60], [75, 35, 45, -80], [-20, -70, -65, -40]])
+    exact = problem(paper_arm(), q, EQUAL)
+    result = solve(exact, start=np.zeros(8), max_condition=1e5)
+    assert np.abs(result.values - exact.initial).max() < 1e-9
+
+
+@pytest.mark.parametrize("theta_e", [False, True])
+@pytest.mark.parametrize("turned", [(0,), (1, 2), (0, 1, 2), (3,)])
+def test_mirrored_arms_are_recognized_and_folded_back(turned, theta_e):
+    """A link of negative length, turned by pi, ends where the true one does."""
+    exact = problem(paper_arm(), DEFAULT, FULL, theta_e=theta_e)
+    values = exact.all_parameters(exact.initial)
+    headings = np.cumsum([values[-2], *values[4:7]])
+    headings[list(turned)] += np.pi
+    values[list(turned)] *= -1.0
+    values[4:7], values[-2] = np.diff(headings), headings[0]
+    values[-1] -= np.pi * (3 in turned)
+    mirrored = exact.chosen(values)
+    assert exact.is_mirrored(mirrored)
+    assert np.abs(exact.residuals(mirrored)[:, :2]).max() < 1e-12
+    assert np.abs(exact.folded(mirrored) - exact.initial).max() < 1e-12
+    # A last link turned by pi does not fit without a heading offset to turn it back.
+    fits = theta_e or 3 not in turned
+    assert (np.abs(exact.residuals(mirrored)[:, 2]).max() < 1e-12) == fits
+    result = solve(exact, start=mirrored)
+    assert np.abs(result.values - exact.initial).max() < 1e-9
+
+
+def test_a_turned_subject_biases_the_last_offset_unless_it_is_estimated():
+    turned = replace(paper_arm(), theta_E=np.radians(2.0))
+    biased = solve(problem(turned, DEFAULT, EQUAL, paper_arm()))
+    assert np.degrees(biased.values[4]) > -1.391 + 2.0
+    known = problem(turned, DEFAULT, EQUAL, paper_arm(), theta_e=True)
+    found = solve(known)
+    assert known.names[-1] == "theta_E"
+    assert known.units[-1] == "rad"
+    assert np.degrees(found.values[[4, -1]]) == pytest.approx([-1.391, 2.0], abs=1e-7)
+    assert found.calibrated().theta_E == found.values[-1]
+    # Where it is known and not estimated, it is kept.
+    assert solve(problem(turned, DEFAULT, EQUAL)).calibrated().theta_E == turned.theta_E
+
+
+def test_offsets_alone_are_found_again_from_few_postures():
+    """After a drive was switched off and on its offset is another, all lengths are as before."""
+    cycled = paper_arm().with_kinematics([*[0.3825] * 3, 0.3351, 0.4, -1.2, 0.3, 0.2058, 0.0155, 2])
+    exact = problem(cycled, DEFAULT[:3], OFFSETS, paper_arm())
+    assert exact.names == ("theta_0_2", "theta_0_3", "theta_0_4", "theta_BJ1")
+    result = solve(exact)
+    assert np.abs(result.values - [0.4, -1.2, 0.3, 2.0]).max() < 1e-9
+    assert result.calibrated().base.mount[:2] == cycled.base.mount[:2]
+    assert result.calibrated().links[3].theta_0 == pytest.approx(0.3, abs=1e-9)
+
+
+@pytest.mark.parametrize("loss", [HUBER, CAUCHY])
+def test_a_robust_loss_bears_outliers(loss):
+    rng = np.random.default_rng(11)
+    exact, ratios = problem(paper_arm(), DEFAULT, EQUAL), []
+    for _ in range(20):
+        tip = exact.tip + rng.normal(size=exact.tip.shape) * exact.sigma
+        wrong = rng.choice(len(tip), 2, replace=False)
+        tip[wrong] += rng.choice([-1.0, 1.0], (2, 3)) * [0.3, 0.3, 0.5]
+        far, near = (solve(replace(exact, tip=tip, loss=kind)) for kind in (SQUARE, loss))
+        assert near.converged
+        away = [np.abs(r.values - exact.initial) / near.deviations for r in (far, near)]
+        assert away[1].max() < 5.0
+        ratios.append(np.linalg.norm(away[0]) / np.linalg.norm(away[1]))
+        assert near.weights[wrong].max() < 0.3 < np.median(near.weights)
+        assert set(np.argsort(near.normalized_residuals)[-2:]) == set(wrong)
+    assert np.median(ratios) > 3.0
+
+
+@pytest.mark.parametrize("loss", [HUBER, CAUCHY])
+def test_a_robust_loss_costs_little_where_there_are_no_outliers(loss):
+    rng = np.random.default_rng(12)
+    exact = problem(paper_arm(), DEFAULT, EQUAL)
+    squares = []
+    for _ in range(100):
+        tip = exact.tip + rng.normal(size=exact.tip.shape) * exact.sigma
+        plain, robust = (solve(replace(exact, tip=tip, loss=kind)) for kind in (SQUARE, loss))
+        squares.append([(r.values - exact.initial) ** 2 for r in (plain, robust)])
+    plain, robust = np.mean(squares, axis=0)
+    assert np.all(robust < 1.15 * plain)
+
+
+def test_leverage_and_normalized_residuals_tell_what_they_say():
+    """Leverages add up to p / 3; correct residuals and predictions are chi-square of 3 degrees."""
+    rng = np.random.default_rng(13)
+    exact = problem(paper_arm(), DEFAULT, EQUAL)
+    inside, outside = [], []
+    kept = np.arange(13) % 4 != 3
+    for _ in range(100):
+        noise = rng.normal(size=exact.tip.shape) * exact.sigma
+        noisy = replace(exact, tip=exact.tip + noise)
+        result = solve(noisy)
+        assert np.sum(result.leverage) == pytest.approx(8 / 3)
+        assert 0.0 < result.leverage.min() < result.leverage.max() < 1.0
+        inside.append(result.normalized_residuals**2)
+        outside.append(solve(noisy.only(kept)).predicted(noisy.only(~kept))[1] ** 2)
+    for squares in (inside, outside):
+        assert np.mean(squares) == pytest.approx(3.0, rel=0.08)
+        assert np.mean(squares, axis=0) == pytest.approx(np.full(len(squares[0]), 3.0), rel=0.25)
 
 
 @pytest.mark.parametrize("size", [1e-8, 1e-6, 1e-5, 1e-4, 1e-3])
@@ -198,7 +337,8 @@ def test_counted_readings_stay_within_the_bound(parametrization):
         ({"q": np.zeros((13, 3))}, r"q has shape \(13, 3\), expected \(s, 4\)"),
         ({"tip": np.zeros((12, 3))}, r"tip has shape \(12, 3\), expected \(13, 3\)"),
         ({"tip": np.full((13, 3), np.nan)}, "not finite"),
-        ({"parametrization": "half"}, "parametrization is 'half', expected 'full' or 'equal'"),
+        ({"parametrization": "half"}, "parametrization is 'half', 'full', 'equal' or 'offsets'"),
+        ({"loss": "none"}, "loss is 'none', expected 'square', 'huber' or 'cauchy'"),
         ({"position_deviation": 0.0}, "position_deviation is 0.0, must be positive"),
     ],
 )

@@ -9,9 +9,13 @@ An observation is a joint reading q (n,) and the end effector's pose seen from t
 
 is iterated until Delta xi is negligible. W holds the observations' known deviations (the paper
 weighs metres and radians alike), so that the estimate has a covariance, (Phi_k' W Phi_k)^-1.
+
+A robust loss rho turns the sum of squares into sum_k rho(d_k^2), d_k being the length of
+observation k's difference in deviations; each step then weighs an observation by rho'(d_k^2).
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import inf
 from typing import NamedTuple
@@ -24,7 +28,8 @@ from fss_arm_model.kinematics import tip_in_base, tip_regressor
 
 Floats = npt.NDArray[np.float64]
 
-FULL, EQUAL = "full", "equal"
+FULL, EQUAL, OFFSETS = "full", "equal", "offsets"
+PARAMETRIZATIONS = (FULL, EQUAL, OFFSETS)
 
 #: The per-observation errors that give residuals such as the paper's 0.015 m and 0.683 degrees.
 POSITION_DEVIATION = 0.0177  # [m], each axis
@@ -36,8 +41,31 @@ NOTICEABLE = 1e-3
 #: A step below this changes a parameter by no more than rounding does [m, rad].
 ROUNDING = 1e-13
 
-#: A step below this is taken without asking whether it lowers the sum of squares [deviations].
+#: A step below this is taken without asking whether it lowers the cost [deviations].
 SHORT = 1e-6
+
+
+class Loss(NamedTuple):
+    """What an observation costs, and weighs, by its squared length d2 in deviations."""
+
+    cost: Callable[[Floats], Floats]  # rho(d2)
+    weight: Callable[[Floats], Floats]  # rho'(d2)
+
+
+KNEE = 2.8  # 95% of all observations are shorter
+SCALE = 4.0  # of a Cauchy loss, for an efficiency of about 95%
+
+SQUARE, HUBER, CAUCHY = "square", "huber", "cauchy"
+LOSSES = {
+    SQUARE: Loss(lambda d2: d2, np.ones_like),
+    HUBER: Loss(
+        lambda d2: np.where(d2 <= KNEE**2, d2, 2.0 * KNEE * np.sqrt(d2) - KNEE**2),
+        lambda d2: KNEE / np.sqrt(np.maximum(d2, KNEE**2)),
+    ),
+    CAUCHY: Loss(
+        lambda d2: SCALE**2 * np.log1p(d2 / SCALE**2), lambda d2: 1.0 / (1.0 + d2 / SCALE**2)
+    ),
+}
 
 
 def wrap(angle: npt.ArrayLike) -> Floats:
@@ -66,10 +94,12 @@ class KinematicProblem:
 
     q: Floats  # (s, n) joint readings [rad]
     tip: Floats  # (s, 3) end effector in the base's frame [m, m, rad]
-    arm: Arm  # the initial guess
-    parametrization: str = EQUAL  # one length for all links but the last, or FULL
+    arm: Arm  # the initial guess, and what is not estimated
+    parametrization: str = EQUAL  # FULL: all; EQUAL: one length but for the last; OFFSETS: angles
     position_deviation: float = POSITION_DEVIATION  # of an observation, each axis, 1 sigma [m]
     heading_deviation: float = HEADING_DEVIATION  # likewise [rad]
+    theta_e: bool = False  # estimate the heading offset of the end effector's subject, too
+    loss: str = SQUARE
 
     def __post_init__(self) -> None:
         q, tip = np.array(self.q, dtype=float), np.array(self.tip, dtype=float)
@@ -81,13 +111,17 @@ class KinematicProblem:
             raise ValueError(f"tip has shape {tip.shape}, expected ({len(q)}, 3)")
         if not (np.isfinite(q).all() and np.isfinite(tip).all()):
             raise ValueError("an observation is not finite")
-        if self.parametrization not in (FULL, EQUAL):
-            raise ValueError(
-                f"parametrization is {self.parametrization!r}, expected {FULL!r} or {EQUAL!r}"
-            )
+        for name, known in (("parametrization", PARAMETRIZATIONS), ("loss", tuple(LOSSES))):
+            if getattr(self, name) not in known:
+                expected = f"{', '.join(map(repr, known[:-1]))} or {known[-1]!r}"
+                raise ValueError(f"{name} is {getattr(self, name)!r}, expected {expected}")
         for name in ("position_deviation", "heading_deviation"):
             if not 0.0 < getattr(self, name) < inf:
                 raise ValueError(f"{name} is {getattr(self, name)}, must be positive")
+
+    def only(self, chosen: npt.NDArray[np.bool_]) -> "KinematicProblem":
+        """The same with some of the observations."""
+        return replace(self, q=self.q[chosen], tip=self.tip[chosen])
 
     @property
     def shares_length(self) -> bool:
@@ -96,9 +130,12 @@ class KinematicProblem:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The p parameters, kinematic_names(n); if equal, `a` stands for a_1 .. a_{n-1}."""
-        every = kinematic_names(self.arm.n)
-        return ("a", *every[self.arm.n - 1 :]) if self.shares_length else every
+        """The p parameters, of kinematic_names(n); if equal, `a` stands for a_1 .. a_{n-1}."""
+        every, n = kinematic_names(self.arm.n), self.arm.n
+        chosen = ("a", *every[n - 1 :]) if self.shares_length else every
+        if self.parametrization == OFFSETS:
+            chosen = tuple(name for name in every if name.startswith("theta"))
+        return (*chosen, "theta_E") if self.theta_e else chosen
 
     @property
     def units(self) -> tuple[str, ...]:
@@ -107,21 +144,38 @@ class KinematicProblem:
 
     @cached_property
     def basis(self) -> Floats:
-        """(2n+2, p): all kinematic parameters are basis @ xi."""
-        size, shared = 2 * self.arm.n + 2, self.arm.n - 2 if self.shares_length else 0
-        basis = np.eye(size)[:, shared:]
-        basis[: shared + 1, 0] = 1.0
+        """(2n+3, p): kinematic_names(n) and theta_E are fixed + basis @ xi."""
+        every = np.array([*kinematic_names(self.arm.n), "theta_E"])
+        basis = (every[:, None] == np.array(self.names)).astype(float)
+        if self.shares_length:
+            basis[: self.arm.n - 1, 0] = 1.0
         return basis
+
+    @cached_property
+    def _index(self) -> npt.NDArray[np.intp]:
+        return np.append(kinematic_index(self.arm.n), 7)
+
+    @cached_property
+    def _guess(self) -> Floats:
+        return self.arm.vector()
+
+    @cached_property
+    def fixed(self) -> Floats:
+        """(2n+3,) what is not estimated, as `arm` has it; 0 for what is."""
+        return np.where(self.basis.any(axis=1), 0.0, self._guess[self._index])
+
+    def chosen(self, values: Floats) -> Floats:
+        """(p,) the parameters in (2n+3,) values, unlike lengths averaged where they are equal."""
+        return np.asarray(np.linalg.lstsq(self.basis, values)[0])
 
     @property
     def initial(self) -> Floats:
-        """(p,) the parameters of `arm`, unlike lengths averaged where they count as equal."""
-        values = self.arm.vector()[kinematic_index(self.arm.n)]
-        return np.asarray(np.linalg.lstsq(self.basis, values)[0])
+        """(p,) the parameters of `arm`."""
+        return self.chosen(self._guess[self._index])
 
     def all_parameters(self, xi: Floats) -> Floats:
-        """(2n+2,) in the order of kinematic_names(n)."""
-        return self.basis @ xi
+        """(2n+3,) in the order of kinematic_names(n), theta_E last."""
+        return self.fixed + self.basis @ xi
 
     @property
     def sigma(self) -> Floats:
@@ -130,8 +184,8 @@ class KinematicProblem:
 
     def vector(self, xi: Floats) -> Floats:
         """The model's parameters with xi in place of the guess, (8 + 6n,)."""
-        vector = self.arm.vector()
-        vector[kinematic_index(self.arm.n)] = self.all_parameters(xi)
+        vector = self._guess.copy()
+        vector[self._index] = self.all_parameters(xi)
         return vector
 
     def residuals(self, xi: Floats) -> Floats:
@@ -142,18 +196,55 @@ class KinematicProblem:
 
     def regressor(self, xi: Floats) -> Floats:
         """Phi_k (Eq. 5), rows weighted by 1/sigma: (3s, p)."""
-        Phi = tip_regressor(self.vector(xi), self.q) @ self.basis
+        Phi = tip_regressor(self.vector(xi), self.q)
+        by_theta_E = np.broadcast_to(np.array([[0.0], [0.0], [1.0]]), (len(self.q), 3, 1))
+        Phi = np.concatenate([Phi, by_theta_E], axis=-1) @ self.basis
         return (Phi / self.sigma[:, None]).reshape(-1, self.basis.shape[1])
+
+    def distances(self, xi: Floats) -> Floats:
+        """d_k^2, the squared length of each difference in deviations, (s,)."""
+        return np.asarray(np.sum((self.residuals(xi) / self.sigma) ** 2, axis=1))
+
+    def cost(self, xi: Floats) -> float:
+        """What the iteration minimizes, sum_k rho(d_k^2)."""
+        return float(np.sum(LOSSES[self.loss].cost(self.distances(xi))))
+
+    def weights(self, xi: Floats) -> Floats:
+        """(s,) rho'(d_k^2)."""
+        return LOSSES[self.loss].weight(self.distances(xi))
+
+    def is_mirrored(self, xi: Floats) -> bool:
+        """Whether a length is negative."""
+        return bool((self.all_parameters(xi)[: self.arm.n] < 0.0).any())
+
+    def folded(self, xi: Floats) -> Floats:
+        """The mirror image without negative lengths: such a link is turned by pi.
+
+        The end effector stays where it is. Its heading does unless the last link is turned and
+        theta_E is not there to turn it back.
+        """
+        n = self.arm.n
+        values = self.all_parameters(xi)
+        turned = np.pi * (values[:n] < 0.0)
+        headings = np.cumsum([values[-2], *values[n : 2 * n - 1]]) + turned
+        values[:n] = np.abs(values[:n])
+        values[n : 2 * n - 1] = wrap(np.diff(headings))
+        values[-2:] = wrap([headings[0], values[-1] - turned[-1]])
+        return self.chosen(values)
 
 
 @dataclass(frozen=True)
 class KinematicResult:
-    """p parameters from s observations, and how far to believe them."""
+    """p parameters from s observations, and how far to believe them.
+
+    With a robust loss the covariance is that of the weighted observations.
+    """
 
     problem: KinematicProblem
     values: Floats  # (p,) in the order and units of problem.names and problem.units
     covariance: Floats  # (p, p)
     residuals: Floats  # (s, 3) observed minus predicted [m, m, rad]
+    weights: Floats  # (s,) of the loss: 1, or less for an observation far off
     chi_square: float  # weighted sum of squared residuals
     condition_number: float  # of the column-scaled regressor
     iterations: int
@@ -180,13 +271,49 @@ class KinematicResult:
         """Standard deviation of the s heading residuals: root mean square about zero [rad]."""
         return float(np.sqrt(np.mean(self.residuals[:, 2] ** 2)))
 
+    def _spread(self, problem: KinematicProblem) -> Floats:
+        """(s, 3, 3) what the parameters' uncertainty makes of predictions, in deviations."""
+        Phi = problem.regressor(self.values).reshape(-1, 3, len(self.values))
+        return np.asarray(Phi @ self.covariance @ np.swapaxes(Phi, 1, 2))
+
+    @cached_property
+    def leverage(self) -> Floats:
+        """(s,) how far an observation determines its own prediction, 0 to 1.
+
+        The mean of its three diagonal elements of the hat matrix; p / 3s on average.
+        """
+        hat = self.weights * np.trace(self._spread(self.problem), axis1=1, axis2=2)
+        return np.asarray(hat / 3.0)
+
+    @cached_property
+    def normalized_residuals(self) -> Floats:
+        """(s,) lengths of the residuals by their own covariance, 1 - hat.
+
+        The squares of correct ones are distributed as chi-square with 3 degrees of freedom.
+        """
+        hat = self.weights[:, None, None] * self._spread(self.problem)
+        return _lengths(self.residuals / self.problem.sigma, np.eye(3) - hat)
+
+    def predicted(self, problem: KinematicProblem) -> tuple[Floats, Floats]:
+        """Residuals (k, 3) of observations not solved from, and their normalized lengths (k,)."""
+        residuals = problem.residuals(self.values)
+        covariance = np.eye(3) + self._spread(problem)
+        return residuals, _lengths(residuals / problem.sigma, covariance)
+
     def calibrated(self) -> Arm:
         """The initial arm with the estimated parameters.
 
         Raises:
             DescriptionError: a length is not positive.
         """
-        return self.problem.arm.with_kinematics(self.problem.all_parameters(self.values))
+        *values, theta_E = self.problem.all_parameters(self.values).tolist()
+        return replace(self.problem.arm.with_kinematics(values), theta_E=theta_E)
+
+
+def _lengths(z: Floats, covariance: Floats) -> Floats:
+    """sqrt(z' covariance^-1 z) of each, (s,), along the directions that have any."""
+    inverse = np.linalg.pinv(covariance, rcond=1e-9, hermitian=True)
+    return np.sqrt(np.maximum(np.einsum("ki,kij,kj->k", z, inverse, z), 0.0))
 
 
 class _Decomposition(NamedTuple):
@@ -223,66 +350,129 @@ class _Decomposition(NamedTuple):
         return 1.0 - np.sum(self.Vt**2, axis=0)
 
 
+class _Fit(NamedTuple):
+    """Where an iteration ended."""
+
+    xi: Floats
+    cost: float
+    basis: _Decomposition
+    weights: Floats
+    iterations: int
+    update: float
+    converged: bool
+
+
 def solve(
     problem: KinematicProblem,
     tolerance: float = 1e-9,
-    max_iterations: int = 50,
+    max_iterations: int = 200,
     max_condition: float = 1e3,
+    start: npt.ArrayLike | None = None,
 ) -> KinematicResult:
-    """Iterate Eq. 4 (Gauss-Newton) from the better of the guess and the closed form.
+    """Iterate Eq. 4 (Gauss-Newton) to the lowest cost that its starts lead to.
 
-    A step that would not lower the weighted sum of squares is damped until it does.
+    It starts from the guess with its lengths and mount solved for, as these are linear once the
+    angles are known, and from the closed form. Mirrored solutions are folded back.
 
     Args:
         problem: observations and initial guess.
         tolerance: the update below which it has converged, in the parameter's deviations.
         max_iterations: it gives up after so many, `converged` then is False.
         max_condition: of the column-scaled regressor, beyond it parameters count as inseparable.
+        start: (p,) guess in place of the arm's, which cannot have lengths of zero.
 
     Raises:
         NotIdentifiable: the observations are too few or too alike for all parameters.
     """
-    starts = [problem.initial, *_closed_form(problem)]
-    xi = min(starts, key=lambda start: _weighted_squares(problem, start))
-    cost, damping, converged = _weighted_squares(problem, xi), 0.0, False
-    basis = _Decomposition.of(problem.regressor(xi), max_condition)
+    guess = problem.initial if start is None else np.asarray(start, dtype=float)
+    starts = [_linear_stage(problem, guess), *_closed_form(problem)]
+    limits = tolerance, max_iterations, max_condition
+    freedom = max(problem.tip.size - len(guess), 1)
+    fits: list[_Fit] = []
+    for xi in sorted(starts, key=problem.cost):
+        fits.append(_iterate(problem, problem.folded(xi), *limits))
+        if problem.is_mirrored(fits[-1].xi):
+            fits.append(_iterate(problem, problem.folded(fits[-1].xi), *limits))
+        if fits[-1].converged and fits[-1].cost < freedom + 10.0 * np.sqrt(2.0 * freedom):
+            break  # no other minimum can be so much better that chance does not explain it
+    best = min(fits, key=lambda fit: (not fit.converged, fit.cost))
+    missing = len(best.xi) - len(best.basis.s)
+    if missing:
+        shares = zip(problem.names, best.basis.undetermined(), strict=True)
+        names = tuple(name for name, share in shares if share > NOTICEABLE)
+        raise NotIdentifiable(names, missing, best.basis.condition)
+    angles = np.array(problem.units) == "rad"
+    return KinematicResult(
+        problem=problem,
+        values=np.where(angles, wrap(best.xi), best.xi),
+        covariance=best.basis.covariance(),
+        residuals=problem.residuals(best.xi),
+        weights=best.weights,
+        chi_square=float(best.weights @ problem.distances(best.xi)),
+        condition_number=best.basis.condition,
+        iterations=best.iterations,
+        last_update=best.update,
+        converged=best.converged,
+    )
+
+
+def _iterate(
+    problem: KinematicProblem,
+    xi: Floats,
+    tolerance: float,
+    max_iterations: int,
+    max_condition: float,
+) -> _Fit:
+    """Eq. 4 from `xi` on; a step that would not lower the cost is damped until it does."""
+
+    def weigh(xi: Floats) -> tuple[Floats, _Decomposition]:
+        root = np.repeat(np.sqrt(problem.weights(xi)), 3)
+        return root, _Decomposition.of(root[:, None] * problem.regressor(xi), max_condition)
+
+    (root, basis), cost = weigh(xi), problem.cost(xi)
+    damping, converged = 0.0, False
     for iteration in range(1, max_iterations + 1):  # noqa: B007
-        residuals = (problem.residuals(xi) / problem.sigma).ravel()
+        residuals = root * (problem.residuals(xi) / problem.sigma).ravel()
         step = basis.step(residuals, damping)
         update = float(np.max(np.abs(step) / np.sqrt(np.diag(basis.covariance()))))
         negligible = update < tolerance or float(np.max(np.abs(step))) < ROUNDING
         converged = damping == 0.0 and negligible
-        next_cost = _weighted_squares(problem, xi + step)
-        # A step so short changes the sum of squares by its square: less than rounding does.
+        next_cost = problem.cost(xi + step)
+        # A step so short changes the cost by its square: less than rounding does.
         if update < SHORT or next_cost <= cost:
             xi, cost = xi + step, next_cost
+            root, basis = weigh(xi)
             damping = damping / 10.0 if damping > 1e-3 else 0.0
-            basis = _Decomposition.of(problem.regressor(xi), max_condition)
         else:
             damping = max(10.0 * damping, 1e-3)
         if converged:
             break
-    missing = len(xi) - len(basis.s)
-    if missing:
-        shares = zip(problem.names, basis.undetermined(), strict=True)
-        names = tuple(name for name, share in shares if share > NOTICEABLE)
-        raise NotIdentifiable(names, missing, basis.condition)
-    angles = np.array(problem.units) == "rad"
-    return KinematicResult(
-        problem=problem,
-        values=np.where(angles, wrap(xi), xi),
-        covariance=basis.covariance(),
-        residuals=problem.residuals(xi),
-        chi_square=cost,
-        condition_number=basis.condition,
-        iterations=iteration,
-        last_update=update,
-        converged=converged,
-    )
+    return _Fit(xi, cost, basis, root[::3] ** 2, iteration, update, converged)
 
 
-def _weighted_squares(problem: KinematicProblem, xi: Floats) -> float:
-    return float(np.sum((problem.residuals(xi) / problem.sigma) ** 2))
+def _turns(problem: KinematicProblem) -> npt.NDArray[np.complex128]:
+    """exp(i Q_i) with Q_i = q_1 + .. + q_i, (s, n)."""
+    return np.asarray(np.exp(1j * np.cumsum(problem.q, axis=1)))
+
+
+def _linear_stage(problem: KinematicProblem, xi: Floats) -> Floats:
+    """The start with xi's angles and the lengths and mount that suit them best.
+
+    What the observations do not tell stays as it is in xi.
+    """
+    n = problem.arm.n
+    values = problem.all_parameters(xi)
+    headings = np.cumsum([values[-2], *values[n : 2 * n - 1]])
+    ones = np.ones(len(problem.q))
+    columns = np.column_stack([_turns(problem) * np.exp(1j * headings), ones, 1j * ones])
+    linear = np.flatnonzero(np.array(problem.units) == "m")
+    rows = [*range(n), 2 * n - 1, 2 * n]  # of lengths and mount
+    by_linear = columns @ problem.basis[np.ix_(rows, linear)]
+    off = problem.tip[:, 0] + 1j * problem.tip[:, 1] - columns @ values[rows]
+    stacked = np.concatenate([by_linear.real, by_linear.imag])
+    xi = xi.copy()
+    xi[linear] += np.linalg.lstsq(stacked, np.concatenate([off.real, off.imag]))[0]
+    return xi
 
 
 def _closed_form(problem: KinematicProblem) -> list[Floats]:
@@ -296,16 +486,16 @@ def _closed_form(problem: KinematicProblem) -> list[Floats]:
     which is linear in the mount m and the z_i. Lengths found as |z_i| are never negative, so this
     start also keeps the iteration from the mirrored arms that fit the positions as well.
     """
-    n, turns = problem.arm.n, np.exp(1j * np.cumsum(problem.q, axis=1))
+    n, turns = problem.arm.n, _turns(problem)
     columns = np.column_stack([np.ones(len(turns)), turns])
     positions = problem.tip[:, 0] + 1j * problem.tip[:, 1]
     z, _, rank, _ = np.linalg.lstsq(columns, positions)
     if rank < n + 1 or not np.all(z[1:]):
         return []
     headings = np.angle(z[1:])
-    offsets = wrap(np.diff(headings))
-    values = np.concatenate([np.abs(z[1:]), offsets, [z[0].real, z[0].imag, headings[0]]])
-    return [np.linalg.lstsq(problem.basis, values)[0]]
+    seen = np.exp(1j * (problem.tip[:, 2] - headings[-1])) / turns[:, -1]
+    mount = [z[0].real, z[0].imag, headings[0], np.angle(np.mean(seen))]
+    return [problem.chosen(np.concatenate([np.abs(z[1:]), wrap(np.diff(headings)), mount]))]
 
 
 def quantization_bound(
