@@ -15,13 +15,16 @@ from std_srvs.srv import Trigger
 
 from fss_arm_calib.from_bag import main as from_bag
 from fss_arm_calib.from_bag import parser, solve_bag
+from fss_arm_calib.judgement import settings_of
 from fss_arm_calib.kinematic import FULL, KinematicProblem, quantization_bound, solve
 from fss_arm_calib.kinematic_node import KinematicNode
-from fss_arm_calib.messages import to_message
+from fss_arm_calib.messages import observations_of, to_message
 from fss_arm_calib.postures import DEFAULT
-from fss_arm_calib.rests import TIP
+from fss_arm_calib.rests import TIP, Observation
 from fss_arm_calib.settings import CalibrationSettings
-from fss_arm_model.description import load, paper_arm, save
+from fss_arm_calib.verdict import calibrate
+from fss_arm_model.description import from_yaml, load, paper_arm, save
+from fss_arm_model.kinematics import tip_in_base
 from fss_arm_msgs.msg import KinematicCalibration, KinematicObservations
 from fss_arm_ros.bags import BagError
 from fss_arm_ros.qos import LATCHED, SENSOR, sensor
@@ -141,10 +144,40 @@ def test_live_solution_is_the_truth_and_can_be_recomputed(spin, play, samples, t
     assert np.abs(again.covariance.ravel() - result.covariance).max() < 1e-9
     assert np.abs(again.residuals.ravel() - result.residuals).max() < 1e-9
 
+    # with the settings and the description that it says
+    settings = settings_of(result.provenance, CalibrationSettings)
+    recomputed = to_message(
+        calibrate(observations_of(bed.observations[-1]), from_yaml(result.guess), settings), "fss"
+    )
+    assert recomputed.description == result.description
+    assert recomputed.observations_hash == result.provenance.data_hash
+    assert result.provenance.source == "live"
+    for name in ("values", "covariance", "residuals", "leverage", "held_out_residuals"):
+        assert np.abs(np.subtract(getattr(recomputed, name), getattr(result, name))).max() < 1e-9
+    assert [s.reason for s in recomputed.stages] == [s.reason for s in result.stages]
+
     # and so does a bag of the same topics
     offline = to_message(solve_bag(record(tmp_path / "bags", samples)), "fss")
     assert offline.observations_hash == result.observations_hash
     assert np.abs(np.array(offline.values) - result.values).max() < 1e-9
+
+
+def test_a_failed_result_is_published_and_not_written_over_a_good_one(spin, tmp_path):
+    good = tmp_path / "good.yaml"
+    save(paper_arm(), good)
+    bed, node = Bed(), make_node(output=str(good), heading_deviation=1e-6, position_deviation=1e-6)
+    spin([bed, node], bed.solver.service_is_ready)
+    tips = tip_in_base(ARM.vector(), DEFAULT) + [0.001, 0.0, 0.0] * np.arange(13)[:, None]
+    found = [
+        Observation(at(k), at(k + 1), tuple(q), tuple(tip))
+        for k, (q, tip) in enumerate(zip(DEFAULT.tolist(), tips.tolist(), strict=True))
+    ]
+    node.take(found)
+    result = spin([bed, node], lambda: bed.observed() == 13 and bed.results and bed.results[-1])
+    assert result.verdict == "fail"
+    assert result.description == ""
+    assert "fail" in [stage.verdict for stage in result.stages]
+    assert load(good) == paper_arm()
 
 
 def test_an_observation_is_published_during_the_rest_and_the_verdict_says_what_lacks(
@@ -213,14 +246,17 @@ def test_occluded_poses_are_counted_and_harmless(spin, play, samples):
     play(bed, node, occluded)
     spin([bed, node], lambda: bed.observed() == 1)
     assert bed.observations[-1].observations[0].used
-    assert node.finder.refused == sum(s.value is None for s in occluded)
+    assert sum(node.finder.streams().refused.values()) == sum(s.value is None for s in occluded)
 
 
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
         ({"arm": "/nowhere/arm.yaml"}, "/nowhere/arm.yaml"),
-        ({"parametrization": "half"}, "parametrization is 'half', expected 'full' or 'equal'"),
+        (
+            {"parametrization": "half"},
+            "parametrization is 'half', expected 'full', 'equal' or 'offsets'",
+        ),
         ({"longest": 0.1}, "longest is 0.1 s, must be at least 0.5 s"),
         ({"max_condition": 0.5}, "max_condition is 0.5, must be more than 1"),
     ],

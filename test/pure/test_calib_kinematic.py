@@ -337,7 +337,7 @@ def test_counted_readings_stay_within_the_bound(parametrization):
         ({"q": np.zeros((13, 3))}, r"q has shape \(13, 3\), expected \(s, 4\)"),
         ({"tip": np.zeros((12, 3))}, r"tip has shape \(12, 3\), expected \(13, 3\)"),
         ({"tip": np.full((13, 3), np.nan)}, "not finite"),
-        ({"parametrization": "half"}, "parametrization is 'half', 'full', 'equal' or 'offsets'"),
+        ({"parametrization": "half"}, "parametrization is 'half', expected 'full', 'equal' or"),
         ({"loss": "none"}, "loss is 'none', expected 'square', 'huber' or 'cauchy'"),
         ({"position_deviation": 0.0}, "position_deviation is 0.0, must be positive"),
     ],

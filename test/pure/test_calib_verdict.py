@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from fss_arm_calib import report
-from fss_arm_calib.kinematic import FULL, KinematicProblem, solve
+from fss_arm_calib.judgement import settings_of
+from fss_arm_calib.kinematic import FULL, KinematicProblem, inverse, solve
 from fss_arm_calib.postures import DEFAULT
-from fss_arm_calib.rests import Observation
+from fss_arm_calib.rests import Observation, Streams
 from fss_arm_calib.settings import CalibrationSettings, Criteria
 from fss_arm_calib.state import StateError, read_observations, write_observations
 from fss_arm_calib.verdict import FAIL, NOT_EVALUATED, PASS, calibrate
@@ -63,6 +64,126 @@ def test_one_wrong_observation_fails():
     wrong = replace(observations[4], tip=(0.5, 0.5, 0.0))
     calibration = calibrate([*observations[:4], wrong, *observations[5:]], paper_arm())
     assert calibration.verdict == FAIL
+
+
+def with_outlier(k=4, seed=1):
+    observations = observe(seed=seed)
+    x, y, heading = observations[k].tip
+    return [
+        *observations[:k],
+        replace(observations[k], tip=(x + 0.2, y - 0.1, heading)),
+        *observations[k + 1 :],
+    ]
+
+
+def stage(calibration, name):
+    (found,) = [s for s in calibration.stages if s.name == name]
+    return found
+
+
+def test_an_outlier_is_named_and_fails():
+    calibration = calibrate(with_outlier(), paper_arm())
+    assert calibration.verdict == FAIL
+    assert stage(calibration, "outliers").verdict == FAIL
+    assert calibration.reason.startswith("residuals are larger")
+    assert np.argmax(calibration.normalized_residuals) == 4
+    assert "observation 5 off: largest normalized residual" in stage(calibration, "outliers").reason
+
+
+def test_an_outlier_is_rejected_by_choice_and_kept_with_its_reason():
+    settings = replace(SETTINGS, max_outliers=1)
+    calibration = calibrate(with_outlier(), paper_arm(), settings)
+    assert calibration.verdict == PASS
+    assert calibration.observations_used == 12
+    assert len(calibration.q) == len(calibration.residuals) == 13
+    assert calibration.weights.tolist() == [1.0] * 4 + [0.0] + [1.0] * 8
+    assert calibration.reasons[4].startswith("normalized residual ")
+    assert set(calibration.reasons[:4] + calibration.reasons[5:]) == {""}
+    assert calibration.leverage[4] == 0.0
+    assert calibration.normalized_residuals[4] > 5.0
+    assert "observation 5 rejected (at most 1)" in calibration.reason
+    # as if it had never been there
+    without = calibrate(with_outlier()[:4] + with_outlier()[5:], paper_arm())
+    assert np.array_equal(calibration.values, without.values)
+    assert calibrate(observe(), paper_arm(), settings).observations_used == 13
+
+
+def test_a_robust_loss_passes_with_an_outlier_that_hardly_weighs():
+    calibration = calibrate(with_outlier(), paper_arm(), replace(SETTINGS, loss="cauchy"))
+    assert stage(calibration, "fit").verdict == PASS
+    assert calibration.weights[4] < 0.2
+    assert calibration.loss == "cauchy"
+
+
+def swapped(observation):
+    return replace(observation, tip=tuple(inverse(np.array(observation.tip)).tolist()))
+
+
+def test_swapped_subjects_are_recognized():
+    every = calibrate([swapped(o) for o in observe()], paper_arm())
+    assert every.verdict == FAIL
+    assert "base and end effector are swapped; residuals are larger" in every.reason
+    observations = observe()
+    observations[3:5] = map(swapped, observations[3:5])
+    some = calibrate(observations, paper_arm())
+    assert some.verdict == FAIL
+    assert "base and end effector are swapped in observations 4, 5" in some.reason
+
+
+def test_held_out_observations_are_predicted_where_there_are_enough():
+    calibration = calibrate(observe(), paper_arm())
+    assert calibration.held_out == (3, 7, 11)
+    assert stage(calibration, "prediction").verdict == PASS
+    assert "observations 4, 8, 12 predicted from the others" in calibration.reason
+    assert calibration.held_out_position_residual == pytest.approx(0.02, abs=0.015)
+    # by a solution that has not seen them
+    kept = [o for k, o in enumerate(observe()) if k not in calibration.held_out]
+    without = calibrate(kept, paper_arm(), replace(SETTINGS, held_out=0))
+    assert without.held_out == ()
+    held = KinematicProblem(calibration.q[3:12:4], calibration.tip[3:12:4], paper_arm())
+    assert np.array_equal(calibration.held_out_residuals, held.residuals(without.values))
+
+    few = calibrate(observe()[:6], paper_arm())
+    assert few.held_out == ()
+    assert isnan(few.held_out_position_residual)
+    assert stage(few, "prediction").verdict == NOT_EVALUATED
+    assert few.verdict == PASS
+
+
+def test_predictions_worse_than_assumed_fail():
+    """A parametrization too rich for the data fits them, and predicts nothing."""
+    q = np.concatenate([DEFAULT, DEFAULT + 0.05])
+    observations = observe(q, noise=0.2)
+    for k in (3, 7, 11, 15, 19, 23):
+        x, y, heading = observations[k].tip
+        observations[k] = replace(observations[k], tip=(x + 0.06, y, heading))
+    calibration = calibrate(observations, paper_arm(), replace(SETTINGS, min_probability=0.01))
+    assert stage(calibration, "prediction").verdict == FAIL
+    assert "worse than the deviations allow: chi-square" in calibration.reason
+
+
+def test_a_clock_that_ran_back_is_not_evaluated():
+    streams = Streams(set_back={"joint_2": 0.3, "fss": 61.0})
+    calibration = calibrate(observe(), paper_arm(), streams=streams)
+    assert calibration.verdict == NOT_EVALUATED
+    assert calibration.reason.startswith("clock of fss ran back by 61 s (at most 1)")
+    assert calibrate(observe(), paper_arm(), streams=Streams(set_back={"fss": 0.9})).verdict == PASS
+
+
+def test_a_result_says_where_it_is_from_and_follows_from_that():
+    settings = replace(SETTINGS, parametrization=FULL, theta_e=True, max_outliers=2)
+    c = calibrate(with_outlier(), paper_arm(), settings, source="bag_0 1234")
+    assert c.provenance.source == "bag_0 1234"
+    assert (c.provenance.begin, c.provenance.end) == (0, 12 * 10**9 + 1)
+    assert c.provenance.data_hash == c.observations_hash
+    assert c.provenance.software == "fss_arm_calib 0.1.0"
+    again = calibrate(
+        with_outlier(), from_yaml(c.guess), settings_of(c.provenance, CalibrationSettings)
+    )
+    assert again.values.tolist() == c.values.tolist()
+    assert again.stages == c.stages
+    with pytest.raises(ValueError, match="parameters are not those of Criteria"):
+        settings_of(c.provenance, Criteria)
 
 
 def test_exact_observations_pass():
@@ -119,6 +240,9 @@ def test_the_hash_is_of_what_was_used():
         ({"min_observations": 0}, "min_observations is 0, must be at least 1"),
         ({"max_condition": 1.0}, r"max_condition is 1.0, must be more than 1"),
         ({"min_probability": 1.0}, r"min_probability is 1.0, must be in \[0, 1\)"),
+        ({"outlier": 0.0}, "outlier is 0.0, must be positive"),
+        ({"max_outliers": -1}, "max_outliers is -1, must not be negative"),
+        ({"held_out": 1}, "held_out is 1, must be 0 or at least 2"),
         ({"same_posture": 0.0}, "same_posture is 0.0 rad, must be positive"),
     ],
 )

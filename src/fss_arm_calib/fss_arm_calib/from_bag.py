@@ -2,6 +2,7 @@
 
 import argparse
 import sys
+from argparse import BooleanOptionalAction
 from collections.abc import Iterable, Sequence
 from dataclasses import fields
 from os import PathLike
@@ -10,7 +11,7 @@ from typing import NoReturn
 from rich.console import Console
 
 from fss_arm_model.description import Arm, from_yaml, load, paper_arm, save
-from fss_arm_ros.bags import BagError, Bags, open_bags
+from fss_arm_ros.bags import BagError, Bags, digest, open_bags
 
 from . import report
 from .messages import feed_joints, feed_pose
@@ -37,11 +38,20 @@ def solve_bag(
     """
     settings = settings or CalibrationSettings()
     arm = load(settings.arm) if settings.arm else paper_arm()
+    finder = RestFinder(arm.n, settings)
     with open_bags(paths) as bags:
-        return calibrate(observations(bags, arm.n, settings), arm, settings)
+        found = observations(bags, finder, settings)
+        return calibrate(found, arm, settings, finder.streams(), source(bags))
 
 
-def observations(bags: Bags, n: int, settings: CalibrationSettings) -> list[Observation]:
+def source(bags: Bags) -> str:
+    """The bags' names with the SHA-256 of each one's data."""
+    return ", ".join(f"{path.name} {digest(path)}" for path in bags.paths)
+
+
+def observations(
+    bags: Bags, finder: RestFinder, settings: CalibrationSettings
+) -> list[Observation]:
     """What the finder makes of the bags' messages.
 
     Raises:
@@ -61,7 +71,6 @@ def observations(bags: Bags, n: int, settings: CalibrationSettings) -> list[Obse
             raise BagError(f"no {topic} in {', '.join(map(str, bags.paths))}, which has {there}")
         if bags.topics[topic].msgtype != kind:
             raise BagError(f"{topic} is of type {bags.topics[topic].msgtype}, expected {kind}")
-    finder = RestFinder(n, settings)
     found: list[Observation] = []
     for topic, _, _, message in bags.messages({joints, base, tip}):
         if topic == joints:
@@ -86,12 +95,16 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--plot", metavar="PNG", help="draw residuals and postures")
     p.add_argument("--truth", metavar="YAML", help="description to compare with, in the table only")
     for f in fields(CalibrationSettings):
+        flag, about = f"--{f.name.replace('_', '-')}", f.metadata["about"]
+        if isinstance(f.default, bool):
+            p.add_argument(flag, action=BooleanOptionalAction, default=f.default, help=about)
+            continue
         p.add_argument(
-            f"--{f.name.replace('_', '-')}",
+            flag,
             type=type(f.default),
             default=f.default,
             metavar=f.name.split("_")[-1].upper(),
-            help=f"{f.metadata['about']} (default: {f.default or 'none'})",
+            help=f"{about} (default: {'none' if f.default == '' else f.default})",
         )
     return p
 

@@ -17,7 +17,7 @@ observation k's difference in deviations; each step then weighs an observation b
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import inf
+from math import inf, nan
 from typing import NamedTuple
 
 import numpy as np
@@ -73,6 +73,17 @@ def wrap(angle: npt.ArrayLike) -> Floats:
     return (np.asarray(angle, dtype=float) + np.pi) % (2.0 * np.pi) - np.pi
 
 
+def inverse(pose: Floats) -> Floats:
+    """The other way round: poses of B in A as those of A in B, (..., 3) [m, m, rad]."""
+    away = -(pose[..., 0] + 1j * pose[..., 1]) * np.exp(-1j * pose[..., 2])
+    return np.stack([away.real, away.imag, -pose[..., 2]], axis=-1)
+
+
+def root_mean_square(values: Floats) -> float:
+    """About zero; NaN of none."""
+    return float(np.sqrt(np.mean(values**2))) if values.size else nan
+
+
 class NotIdentifiable(ValueError):  # noqa: N818
     """The observations cannot tell some parameters apart; the message names them."""
 
@@ -119,7 +130,7 @@ class KinematicProblem:
             if not 0.0 < getattr(self, name) < inf:
                 raise ValueError(f"{name} is {getattr(self, name)}, must be positive")
 
-    def only(self, chosen: npt.NDArray[np.bool_]) -> "KinematicProblem":
+    def only(self, chosen: npt.NDArray[np.bool_] | npt.NDArray[np.intp]) -> "KinematicProblem":
         """The same with some of the observations."""
         return replace(self, q=self.q[chosen], tip=self.tip[chosen])
 
@@ -233,6 +244,14 @@ class KinematicProblem:
         return self.chosen(values)
 
 
+class Prediction(NamedTuple):
+    """What a result says of k observations that it is not from."""
+
+    residuals: Floats  # (k, 3) observed minus predicted [m, m, rad]
+    normalized: Floats  # (k,) their lengths by the covariance of each, as in KinematicResult
+    chi_square: float  # of all together, 3k degrees of freedom
+
+
 @dataclass(frozen=True)
 class KinematicResult:
     """p parameters from s observations, and how far to believe them.
@@ -264,12 +283,12 @@ class KinematicResult:
     @property
     def position_residual(self) -> float:
         """Standard deviation of the 2s position residuals: root mean square about zero [m]."""
-        return float(np.sqrt(np.mean(self.residuals[:, :2] ** 2)))
+        return root_mean_square(self.residuals[:, :2])
 
     @property
     def heading_residual(self) -> float:
         """Standard deviation of the s heading residuals: root mean square about zero [rad]."""
-        return float(np.sqrt(np.mean(self.residuals[:, 2] ** 2)))
+        return root_mean_square(self.residuals[:, 2])
 
     def _spread(self, problem: KinematicProblem) -> Floats:
         """(s, 3, 3) what the parameters' uncertainty makes of predictions, in deviations."""
@@ -294,11 +313,16 @@ class KinematicResult:
         hat = self.weights[:, None, None] * self._spread(self.problem)
         return _lengths(self.residuals / self.problem.sigma, np.eye(3) - hat)
 
-    def predicted(self, problem: KinematicProblem) -> tuple[Floats, Floats]:
-        """Residuals (k, 3) of observations not solved from, and their normalized lengths (k,)."""
+    def predicted(self, problem: KinematicProblem) -> Prediction:
+        """Predict observations that were not solved from."""
         residuals = problem.residuals(self.values)
-        covariance = np.eye(3) + self._spread(problem)
-        return residuals, _lengths(residuals / problem.sigma, covariance)
+        z, Phi = residuals / problem.sigma, problem.regressor(self.values)
+        # z' (1 + Phi C Phi')^-1 z, by the matrix inversion lemma
+        v, C = Phi.T @ z.ravel(), self.covariance
+        chi_square = float(
+            np.sum(z**2) - v @ np.linalg.solve(np.eye(len(v)) + C @ Phi.T @ Phi, C @ v)
+        )
+        return Prediction(residuals, _lengths(z, np.eye(3) + self._spread(problem)), chi_square)
 
     def calibrated(self) -> Arm:
         """The initial arm with the estimated parameters.

@@ -46,9 +46,9 @@ class KinematicNode(Node):
         self.arm = load(s.arm) if s.arm else paper_arm()
         kept = read_observations(s.state_file, self.arm.n) if s.state_file else []
         self.observations: list[Observation] = kept
-        self.calibration = calibrate(self.observations, self.arm, s)
         resting_at = kept[-1].q if kept and kept[-1].used else None
         self.finder = RestFinder(self.arm.n, s, resting_at)
+        self.solve()
         self.observed = self.create_publisher(
             KinematicObservations, "calibration/observations", LATCHED
         )
@@ -77,6 +77,7 @@ class KinematicNode(Node):
     def on_solve(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Close the present rest and solve; succeeds if the calibration passes."""
         if not self.take(self.finder.close()):
+            self.solve()
             self.publish()
         response.success = self.calibration.verdict == PASS
         response.message = f"{self.calibration.verdict}: {self.calibration.reason}"
@@ -89,13 +90,18 @@ class KinematicNode(Node):
         self.observations += found
         if self.settings.state_file:
             write_observations(self.settings.state_file, self.observations)
-        self.calibration = calibrate(self.observations, self.arm, self.settings)
+        self.solve()
         self.publish()
         for o in found:
             what = f"averaged {o.vicon_frames} frames" if o.used else f"not used: {o.reason}"
             self.get_logger().info(f"observation {len(self.observations)}: {what}")
         self.get_logger().info(f"{self.calibration.verdict}: {self.calibration.reason}")
         return True
+
+    def solve(self) -> None:
+        """Calibrate from all observations."""
+        s = self.settings
+        self.calibration = calibrate(self.observations, self.arm, s, self.finder.streams())
 
     def publish(self) -> None:
         """Publish observations and calibration; write the description if it passes."""
@@ -107,15 +113,14 @@ class KinematicNode(Node):
 
     def health(self) -> Health:
         """For diagnostics."""
+        streams = self.finder.streams()
         values = {
             "observations": len(self.observations),
             "verdict": self.calibration.verdict,
-            "samples refused": self.finder.refused,
-            "samples repeated": self.finder.repeated,
+            **{f"refused: {kind}": number for kind, number in streams.refused.items()},
         }
-        silent = self.finder.silent()
-        if silent:
-            return Health(WARN, f"waiting for {', '.join(silent)}", values)
+        if streams.silent:
+            return Health(WARN, f"waiting for {', '.join(streams.silent)}", values)
         return Health(OK, f"{len(self.observations)} observations", values)
 
 

@@ -1,13 +1,21 @@
 """Between the calibration and ROS messages, by attribute: rclpy's and rosbags' both pass."""
 
 from collections.abc import Sequence
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
 
-from fss_arm_msgs.msg import KinematicCalibration, KinematicObservation, KinematicObservations
+from fss_arm_msgs.msg import (
+    KinematicCalibration,
+    KinematicObservation,
+    KinematicObservations,
+    Provenance,
+    Stage,
+)
 from fss_arm_ros.convert import PoseError, planar_pose, stamp_ns, to_time
 
+from . import judgement
 from .rests import Observation, RestFinder
 from .verdict import Calibration
 
@@ -36,9 +44,28 @@ def to_message(calibration: Calibration, frame_id: str) -> KinematicCalibration:
     message = KinematicCalibration()
     message.header.stamp = to_time(calibration.stamp)
     message.header.frame_id = frame_id
-    for name in set(message.get_fields_and_field_types()) - {"header"}:
+    message.provenance = provenance_message(calibration.provenance)
+    message.stages = [stage_message(stage) for stage in calibration.stages]
+    for name in set(message.get_fields_and_field_types()) - {"header", "provenance", "stages"}:
         setattr(message, name, _plain(getattr(calibration, name)))
     return message
+
+
+def provenance_message(provenance: judgement.Provenance) -> Provenance:
+    """From what a result was computed."""
+    known = {f.name: getattr(provenance, f.name) for f in fields(provenance)}
+    return Provenance(**{k: to_time(v) if k in ("begin", "end") else v for k, v in known.items()})
+
+
+def stage_message(stage: judgement.Stage) -> Stage:
+    """One stage of a verdict."""
+    return Stage(
+        name=stage.name,
+        verdict=stage.verdict,
+        value=float(stage.value),
+        threshold=float(stage.threshold),
+        reason=stage.reason,
+    )
 
 
 def observations_message(
@@ -55,6 +82,19 @@ def observations_message(
             setattr(one, name, to_time(value) if name in ("start", "end") else _plain(value))
         message.observations.append(one)
     return message
+
+
+def observations_of(message: Any) -> list[Observation]:
+    """The observations that a KinematicObservations message holds."""
+
+    def value(one: Any, name: str) -> Any:
+        given = getattr(one, name)
+        if name in ("start", "end"):
+            return stamp_ns(given)
+        return tuple(map(float, given)) if name in ("q", "tip", "scatter") else given
+
+    names = [f.name for f in fields(Observation)]
+    return [Observation(**{n: value(one, n) for n in names}) for one in message.observations]
 
 
 def _plain(value: Any) -> Any:

@@ -11,11 +11,10 @@ is therefore a function of the data alone, the same live, replayed and read from
 no stream lags another by more than `horizon`.
 """
 
-from array import array
-from bisect import bisect_left, bisect_right
-from collections import deque
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from bisect import bisect_left
+from collections import Counter, deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import pairwise
 from math import inf, isfinite, nan
 from typing import NamedTuple
@@ -24,11 +23,23 @@ import numpy as np
 import numpy.typing as npt
 
 from .kinematic import wrap
+from .poses import (
+    FROZEN,
+    HEADING_NOISE,
+    JUMP,
+    OUT_OF_ORDER,
+    POSITION_NOISE,
+    REPEATED,
+    Hole,
+    Poses,
+)
+from .poses import SECOND as _SECOND
 from .settings import RestSettings
 
 BASE, TIP = "fss", "end_effector"  # the two subjects, as the motion capture system names them
 
-_SECOND = 1_000_000_000  # [ns]
+MOST_CONTRADICTING = 0.1  # share of a rest's poses that may be refused as jumps
+
 _CLEANING = 1000  # samples between two looks at what may be forgotten
 
 
@@ -57,10 +68,13 @@ def spoiled(observations: Sequence[Observation], tolerance: float) -> list[Obser
     ]
 
 
-class _Hole(NamedTuple):
-    start: int
-    end: int
-    who: str
+@dataclass(frozen=True)
+class Streams:
+    """What befell the streams that observations are from."""
+
+    silent: tuple[str, ...] = ()  # not heard yet
+    refused: Mapping[str, int] = field(default_factory=dict)  # samples, by stream and reason
+    set_back: Mapping[str, float] = field(default_factory=dict)  # longest step back of stamps [s]
 
 
 class _Rest(NamedTuple):
@@ -69,7 +83,8 @@ class _Rest(NamedTuple):
     begin: int
     end: int
     readings: list[tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]]
-    holes: list[_Hole]
+    holes: list[Hole]
+    moved: int  # a moment just before, at which some joint was moving; -1: none is known
 
 
 class _Joint:
@@ -78,21 +93,24 @@ class _Joint:
     def __init__(self, name: str) -> None:
         self.name = name
         self.newest = -1
+        self.refused: Counter[str] = Counter()
+        self.set_back = 0  # longest step back of the stamps [ns]
         self.waiting: deque[tuple[int, float]] = deque()
         self.t: list[int] = []
         self.q: list[float] = []
-        self.holes: list[_Hole] = []
-        self.start = self.last = -1
+        self.holes: list[Hole] = []
+        self.start = self.last = self.moved = -1
         self.low, self.high = inf, -inf
 
     def begin(self, t: int, q: float) -> None:
         self.t, self.q, self.holes = [t], [q], []
+        self.moved = self.last
         self.start = self.last = t
         self.low = self.high = q
 
     def extend(self, t: int, q: float, gap: float) -> None:
         if t - self.last > gap:
-            self.holes.append(_Hole(self.last, t, self.name))
+            self.holes.append(Hole(self.last, t, self.name))
         self.t.append(t)
         self.q.append(q)
         self.last = t
@@ -104,43 +122,6 @@ class _Joint:
     def forget(self, before: float) -> None:
         k = bisect_left(self.t, before)
         del self.t[:k], self.q[:k]
-
-
-class _Poses:
-    """One subject's poses by stamp."""
-
-    def __init__(self, name: str) -> None:
-        self.name = name
-        self.first = self.newest = -1
-        self.t = array("q")
-        self.xyh = array("d")
-
-    def append(self, t: int, pose: Iterable[float]) -> None:
-        if self.first < 0:
-            self.first = t
-        self.newest = t
-        self.t.append(t)
-        self.xyh.extend(pose)
-
-    def slice(self, begin: int, end: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
-        """Stamps and poses of an interval, with the last one before and the first one after it."""
-        a = max(bisect_right(self.t, begin) - 1, 0)
-        b = bisect_left(self.t, end) + 1
-        return np.array(self.t[a:b]), np.array(self.xyh[3 * a : 3 * b]).reshape(-1, 3)
-
-    def holes(self, begin: int, end: int, gap: float) -> list[_Hole]:
-        """Silences longer than `gap` that reach into an interval."""
-        t = self.slice(begin, end)[0]
-        # Poses missing at either end: forgotten, or the stream has ended.
-        before = [begin] if not len(t) or t[0] > begin else []
-        after = [end] if not len(t) or t[-1] < end else []
-        t = np.concatenate([before, t, after]).astype(np.int64)
-        late = np.flatnonzero(np.diff(t) > gap)
-        return [_Hole(int(t[k]), int(t[k + 1]), self.name) for k in late]
-
-    def forget(self, before: float) -> None:
-        k = max(bisect_right(self.t, before) - 1, 0)
-        del self.t[:k], self.xyh[: 3 * k]
 
 
 class RestFinder:
@@ -164,9 +145,8 @@ class RestFinder:
     ) -> None:
         self.settings = settings or RestSettings()
         self.joints = [_Joint(f"joint_{i}") for i in range(1, n + 1)]
-        self.subjects = {name: _Poses(name) for name in (BASE, TIP)}
-        self.refused = 0  # samples that say nothing: occluded, not finite
-        self.repeated = 0  # samples that are not newer than the one before
+        s = self.settings
+        self.subjects = {name: Poses(name, s.max_speed, s.max_turn) for name in (BASE, TIP)}
         self._pending: list[_Rest] = []
         self._settled = 0  # when the present rest began to count
         self._confirmed = -1  # up to when all joints are known to rest
@@ -178,9 +158,10 @@ class RestFinder:
         """A reading q [rad] of joint i, 1 to n."""
         joint = self.joints[i - 1]
         if not isfinite(q):
-            self.refused += 1
+            joint.refused["not finite"] += 1
         elif t <= joint.newest:
-            self.repeated += 1
+            joint.refused[REPEATED if t == joint.newest else OUT_OF_ORDER] += 1
+            joint.set_back = max(joint.set_back, joint.newest - t)
         else:
             joint.newest = t
             joint.waiting.append((t, q))
@@ -191,14 +172,16 @@ class RestFinder:
         self, subject: str, t: int, pose: tuple[float, float, float] | None
     ) -> list[Observation]:
         """A pose x [m], y [m], heading [rad] of a subject; None: it was not visible."""
-        poses = self.subjects[subject]
-        if pose is None or not all(map(isfinite, pose)):
-            self.refused += 1
-        elif t <= poses.newest:
-            self.repeated += 1
-        else:
-            poses.append(t, pose)
-            self._until_cleaning -= 1
+        self.subjects[subject].append(t, pose)
+        self._until_cleaning -= 1
+        return self._collect()
+
+    def poses(
+        self, subject: str, t: npt.NDArray[np.int64], poses: npt.NDArray[np.float64]
+    ) -> list[Observation]:
+        """Many poses of a subject at once, (k,) and (k, 3); NaN: it was not visible."""
+        self.subjects[subject].extend(t, poses)
+        self._until_cleaning -= len(t)
         return self._collect()
 
     def close(self) -> list[Observation]:
@@ -213,10 +196,23 @@ class RestFinder:
             self._observed = found[-1] is not None
         return [observation for observation in found if observation]
 
-    def silent(self) -> list[str]:
-        """Names of the streams that have not been heard yet."""
-        streams: list[_Joint | _Poses] = [*self.joints, *self.subjects.values()]
-        return [stream.name for stream in streams if stream.newest < 0]
+    def streams(self) -> Streams:
+        """What befell the streams so far."""
+        every = self._streams
+        return Streams(
+            silent=tuple(stream.name for stream in every if stream.newest < 0),
+            refused={
+                f"{stream.name} {why}": number
+                for stream in every
+                for why, number in sorted(stream.refused.items())
+                if number
+            },
+            set_back={stream.name: stream.set_back / _SECOND for stream in every},
+        )
+
+    @property
+    def _streams(self) -> list[_Joint | Poses]:
+        return [*self.joints, *self.subjects.values()]
 
     def _merge(self) -> None:
         while all(joint.waiting for joint in self.joints):
@@ -258,11 +254,11 @@ class RestFinder:
         holes = [hole for j in self.joints for hole in j.holes]
         if until is not None:
             gap = self.settings.joint_gap * _SECOND
-            late = [_Hole(j.last, until, j.name) for j in self.joints if until - j.last > gap]
+            late = [Hole(j.last, until, j.name) for j in self.joints if until - j.last > gap]
             holes += late
             end = until if late else end
         readings = [(np.array(j.t), np.array(j.q)) for j in self.joints]
-        return _Rest(begin, end, readings, holes)
+        return _Rest(begin, end, readings, holes, max(j.moved for j in self.joints))
 
     def _collect(self) -> list[Observation]:
         """Observations that every stream has passed by now."""
@@ -293,31 +289,37 @@ class RestFinder:
             return None
         holes = [hole for hole in rest.holes if hole.end > begin and hole.start < rest.end]
         for poses in self.subjects.values():
-            holes += poses.holes(begin, rest.end, self.settings.vicon_gap * _SECOND)
+            gap = self.settings.vicon_gap * _SECOND
+            holes += poses.holes(begin, rest.end, gap, rest.moved)
         pieces = _pieces(begin, rest.end, holes)
         whole = [(a, a + longest) for a, b in pieces if b - a >= longest]
         if not whole and over:
             best = max(pieces, key=lambda piece: piece[1] - piece[0], default=(0, 0))
             whole = [best] if best[1] - best[0] >= shortest else []
+        if not whole and not over:
+            return None
+        for poses in self.subjects.values():
+            poses.refused[FROZEN] += poses.frozen(begin, rest.end, rest.moved)
         if whole:
             return self._average(rest, *whole[0])
-        if not over:
-            return None
-        widest = max(holes, key=lambda hole: hole.end - hole.start)
-        length = (widest.end - widest.start) / _SECOND
-        return _unused(rest, f"{widest.who} silent for {length:.2f} s")
+        return _unused(rest, str(max(holes, key=lambda hole: hole.end - hole.start)))
 
     def _average(self, rest: _Rest, begin: int, end: int) -> Observation:
         inside = [q[(t >= begin) & (t <= end)] for t, q in rest.readings]
         for joint, q in zip(self.joints, inside, strict=True):
             if not len(q):
                 return _unused(rest, f"no reading of {joint.name}")
-        t, tip = self.subjects[TIP].slice(begin, end)
-        t_base, base = self.subjects[BASE].slice(begin, end)
+        t, tip = self.subjects[TIP].slice(begin, end, rest.moved)
+        t_base, base = self.subjects[BASE].slice(begin, end, rest.moved)
         paired = (t >= max(begin, t_base[0])) & (t <= min(end, t_base[-1]))
         if np.count_nonzero(paired) < 2:
             return _unused(rest, "fewer than 2 pairs of poses")
         seen = _in_base(_interpolated(t[paired] - begin, t_base - begin, base), tip[paired])
+        together = _together(seen)
+        self.subjects[TIP].refused[JUMP] += int(np.sum(~together))
+        if np.mean(together) < 1.0 - MOST_CONTRADICTING:
+            return _unused(rest, "poses contradict each other")
+        seen = seen[together]
         mean = np.array([*seen[:, :2].mean(axis=0), np.angle(np.mean(np.exp(1j * seen[:, 2])))])
         away = seen - mean
         away[:, 2] = wrap(away[:, 2])
@@ -334,18 +336,17 @@ class RestFinder:
     def _forget(self) -> None:
         """Drop what no observation will ask for: the past, and what lies beyond the horizon."""
         self._until_cleaning = _CLEANING
-        streams: list[_Joint | _Poses] = [*self.joints, *self.subjects.values()]
         past = self._confirmed
         if self._pending:
             past = min(past, self._pending[0].begin)
         if not self._observed:
             past = min(past, max(j.start for j in self.joints))
-        horizon = max(stream.newest for stream in streams) - self.settings.horizon * _SECOND
-        for stream in streams:
+        horizon = max(stream.newest for stream in self._streams) - self.settings.horizon * _SECOND
+        for stream in self._streams:
             stream.forget(max(past, horizon))
 
 
-def _pieces(begin: int, end: int, holes: list[_Hole]) -> list[tuple[int, int]]:
+def _pieces(begin: int, end: int, holes: list[Hole]) -> list[tuple[int, int]]:
     """What holes leave of an interval."""
     edges = [begin]
     for hole in sorted(holes):
@@ -357,6 +358,14 @@ def _pieces(begin: int, end: int, holes: list[_Hole]) -> list[tuple[int, int]]:
 def _unused(rest: _Rest, reason: str) -> Observation:
     q = tuple(float(np.mean(q)) if len(q) else nan for _, q in rest.readings)
     return Observation(rest.begin, rest.end, q, used=False, reason=reason)
+
+
+def _together(seen: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
+    """Which poses (k, 3) are near most others: at rest the end effector stays where it is."""
+    x, y = (seen[:, :2] - np.median(seen[:, :2], axis=0)).T
+    mean = np.angle(np.median(np.cos(seen[:, 2])) + 1j * np.median(np.sin(seen[:, 2])))
+    away = np.abs(wrap(seen[:, 2] - mean))
+    return np.asarray((np.hypot(x, y) <= POSITION_NOISE) & (away <= HEADING_NOISE))
 
 
 def _interpolated(

@@ -4,7 +4,16 @@ from dataclasses import dataclass, field
 from math import inf, radians
 from typing import Any
 
-from .kinematic import EQUAL, FULL, HEADING_DEVIATION, POSITION_DEVIATION
+from .kinematic import (
+    CAUCHY,
+    EQUAL,
+    FULL,
+    HEADING_DEVIATION,
+    HUBER,
+    OFFSETS,
+    POSITION_DEVIATION,
+    SQUARE,
+)
 
 
 def setting(default: Any, about: str) -> Any:
@@ -26,10 +35,17 @@ class RestSettings:
     longest: float = setting(2.0, "time to average over if the arm rests that long [s]")
     joint_gap: float = setting(1.0, "silence of a joint that counts as a gap [s]")
     vicon_gap: float = setting(0.25, "silence of a VICON subject that counts as a gap [s]")
+    max_speed: float = setting(
+        5.0, "a subject's pose that would need a faster one is refused [m/s]"
+    )
+    max_turn: float = setting(10.0, "likewise [rad/s]")
     horizon: float = setting(60.0, "how far streams may lag each other [s]")
 
     def __post_init__(self) -> None:
-        for name in ("still", "shortest", "longest", "joint_gap", "vicon_gap", "horizon"):
+        for name in (
+            "still", "shortest", "longest", "joint_gap", "vicon_gap", "max_speed", "max_turn",
+            "horizon",
+        ):  # fmt: skip
             if not 0.0 < getattr(self, name) < inf:
                 raise ValueError(f"{name} is {getattr(self, name)}, must be positive")
         if not 0.0 <= self.settle < inf:
@@ -51,6 +67,13 @@ class Criteria:
     min_probability: float = setting(
         1e-3, "least chi-square probability of residuals as large as found"
     )
+    outlier: float = setting(
+        5.0, "normalized residual above which an observation is an outlier [deviations]"
+    )
+    max_outliers: int = setting(0, "most outliers to reject; with more, the calibration fails")
+    held_out: int = setting(
+        4, "every so-manyth observation is predicted from the others, if enough remain; 0: none"
+    )
     same_posture: float = setting(
         radians(1.0), "joints closer than this make a posture already observed [rad]"
     )
@@ -62,6 +85,12 @@ class Criteria:
             raise ValueError(f"max_condition is {self.max_condition}, must be more than 1")
         if not 0.0 <= self.min_probability < 1.0:
             raise ValueError(f"min_probability is {self.min_probability}, must be in [0, 1)")
+        if not self.outlier > 0.0:
+            raise ValueError(f"outlier is {self.outlier}, must be positive")
+        if self.max_outliers < 0:
+            raise ValueError(f"max_outliers is {self.max_outliers}, must not be negative")
+        if self.held_out < 0 or self.held_out == 1:
+            raise ValueError(f"held_out is {self.held_out}, must be 0 or at least 2")
         if not self.same_posture > 0.0:
             raise ValueError(f"same_posture is {self.same_posture} rad, must be positive")
 
@@ -76,7 +105,13 @@ class CalibrationSettings(RestSettings, Criteria):
 
     arm: str = setting("", "description YAML to begin from; empty: the paper's arm")
     parametrization: str = setting(
-        EQUAL, f"{EQUAL}: one length for all links but the last; {FULL}: a length for each"
+        EQUAL,
+        f"{EQUAL}: one length for all links but the last; {FULL}: a length for each; {OFFSETS}: "
+        "only the angles, as after a drive was switched off and on",
+    )
+    theta_e: bool = setting(False, "estimate the end effector subject's heading offset, too")
+    loss: str = setting(
+        SQUARE, f"{SQUARE}, or {HUBER} or {CAUCHY}, which let observations far off count less"
     )
     position_deviation: float = setting(
         POSITION_DEVIATION, "of an observed position, each axis, 1 sigma [m]"

@@ -1,21 +1,47 @@
 """What a kinematic calibration concludes from its observations, and whether to believe it."""
 
-import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from math import nan
+from typing import Any
 
 import numpy as np
-from scipy.special import gammaincc
+import numpy.typing as npt
 
 from fss_arm_model.description import Arm, DescriptionError, to_yaml
 
-from . import __version__
-from .kinematic import Floats, KinematicProblem, KinematicResult, NotIdentifiable, solve
-from .rests import Observation, spoiled
-from .settings import CalibrationSettings, Criteria
+from .judgement import (
+    FAIL,
+    NOT_EVALUATED,
+    PASS,
+    Provenance,
+    Stage,
+    at_most,
+    by_chance,
+    conclude,
+    count,
+    numbers,
+    provenance,
+)
+from .kinematic import (
+    CAUCHY,
+    Floats,
+    KinematicProblem,
+    KinematicResult,
+    NotIdentifiable,
+    Prediction,
+    inverse,
+    root_mean_square,
+    solve,
+)
+from .rests import Observation, Streams, spoiled
+from .settings import CalibrationSettings
 
-PASS, FAIL, NOT_EVALUATED = "pass", "fail", "not_evaluated"
+__all__ = ["FAIL", "NOT_EVALUATED", "PASS", "Calibration", "calibrate"]
+
+TOLERANCE = 1e-9  # of the last update [deviations]
+
+LIVE = "live"  # source of data that came by topics
 
 
 @dataclass(frozen=True)
@@ -28,7 +54,10 @@ class Calibration:
     stamp: int  # end of the last observation used [ns]; 0: none
     verdict: str
     reason: str
+    stages: tuple[Stage, ...]
+    provenance: Provenance
     parametrization: str
+    loss: str
     names: tuple[str, ...]
     units: tuple[str, ...]
     values: Floats
@@ -37,6 +66,15 @@ class Calibration:
     q: Floats
     tip: Floats
     residuals: Floats
+    weights: Floats
+    leverage: Floats
+    normalized_residuals: Floats
+    reasons: tuple[str, ...]
+    held_out: tuple[int, ...]
+    held_out_residuals: Floats
+    held_out_normalized: Floats
+    held_out_position_residual: float
+    held_out_heading_residual: float
     position_deviation: float
     heading_deviation: float
     position_residual: float
@@ -49,14 +87,21 @@ class Calibration:
     observations_used: int
     observations_refused: int
     gaps: int
+    refused_kinds: tuple[str, ...]
+    refused: tuple[int, ...]
     arm: str
+    guess: str
     description: str
     observations_hash: str
     software: str
 
 
 def calibrate(
-    observations: Sequence[Observation], arm: Arm, settings: CalibrationSettings | None = None
+    observations: Sequence[Observation],
+    arm: Arm,
+    settings: CalibrationSettings | None = None,
+    streams: Streams | None = None,
+    source: str = LIVE,
 ) -> Calibration:
     """Solve for the arm's kinematics and judge the result.
 
@@ -64,6 +109,8 @@ def calibrate(
         observations: in order of time; those not used count as refused.
         arm: the initial guess.
         settings: parametrization, deviations of an observation and criteria.
+        streams: what befell the streams that the observations are from.
+        source: of the observations.
 
     Raises:
         ValueError: observations and arm do not fit, or a setting is impossible.
@@ -77,95 +124,282 @@ def calibrate(
         parametrization=s.parametrization,
         position_deviation=s.position_deviation,
         heading_deviation=s.heading_deviation,
+        theta_e=s.theta_e,
+        loss=s.loss,
     )
-    lost = spoiled(observations, s.same_posture)
-    result: KinematicResult | None = None
-    if short := _too_few(problem, s):
-        verdict, reason = NOT_EVALUATED, short
-    else:
+    streams = streams or Streams()
+    stages = [_rests(observations, s), _clocks(streams, s), _enough(problem, streams, s)]
+    solution: Solution | None = None
+    if stages[-1].verdict == PASS:
         try:
-            result = solve(problem, max_condition=s.max_condition)
-            verdict, reason = _judge(result, s)
+            solution = solution_of(problem, s)
+            stages += _judged(solution, s)
         except NotIdentifiable as error:
-            verdict, reason = NOT_EVALUATED, _inseparable(problem, error, s)
-    if lost:
-        verdict = NOT_EVALUATED
-        reason = (
-            f"{_count(len(lost), 'rest')} spoiled ({lost[0].reason}) and not repeated; {reason}"
-        )
+            stages.append(_inseparable(problem, error, s))
+    verdict, reason = conclude(stages)
+    origin = provenance(
+        CalibrationSettings(**{f.name: getattr(s, f.name) for f in fields(CalibrationSettings)}),
+        (problem.q, problem.tip),
+        source,
+        used[0].start if used else 0,
+        used[-1].end if used else 0,
+    )
     return Calibration(
-        stamp=used[-1].end if used else 0,
+        stamp=origin.end,
         verdict=verdict,
         reason=reason,
+        stages=tuple(stages),
+        provenance=origin,
         parametrization=s.parametrization,
+        loss=s.loss,
         names=problem.names,
         units=problem.units,
-        values=result.values if result else np.full(len(problem.names), nan),
         initial=problem.initial,
-        covariance=result.covariance if result else np.empty((0, 0)),
         q=problem.q,
         tip=problem.tip,
-        residuals=result.residuals if result else np.empty((0, 3)),
         position_deviation=s.position_deviation,
         heading_deviation=s.heading_deviation,
-        position_residual=result.position_residual if result else nan,
-        heading_residual=result.heading_residual if result else nan,
-        chi_square=result.chi_square if result else nan,
-        degrees_of_freedom=max(problem.tip.size - len(problem.names), 0),
-        condition_number=result.condition_number if result else nan,
-        iterations=result.iterations if result else 0,
-        last_update=result.last_update if result else nan,
-        observations_used=len(used),
         observations_refused=len(observations) - len(used),
         gaps=len(observations) - len(used),
+        refused_kinds=tuple(streams.refused),
+        refused=tuple(streams.refused.values()),
         arm=arm.name,
-        description=to_yaml(result.calibrated()) if result and verdict == PASS else "",
-        observations_hash=hashlib.sha256(problem.q.tobytes() + problem.tip.tobytes()).hexdigest(),
-        software=f"fss_arm_calib {__version__}",
+        guess=to_yaml(arm),
+        description=to_yaml(solution.result.calibrated()) if solution and verdict == PASS else "",
+        observations_hash=origin.data_hash,
+        software=origin.software,
+        **(_numbers_of(solution) if solution else _no_numbers(problem)),
     )
 
 
-def _count(number: int, what: str) -> str:
-    return f"{number} {what}{'s' * (number != 1)}"
+@dataclass(frozen=True)
+class Solution:
+    """A result, which observations it is from, and how well it predicts without some of them."""
+
+    problem: KinematicProblem  # of all s observations
+    result: KinematicResult  # of those kept
+    kept: npt.NDArray[np.bool_]  # (s,)
+    reasons: tuple[str, ...]  # (s,) why it was rejected, else empty
+    held_out: npt.NDArray[np.intp]  # (h,)
+    prediction: Prediction  # of those held out, by a solution without them
 
 
-def _too_few(problem: KinematicProblem, criteria: Criteria) -> str:
-    """Why there are too few observations; empty if there are enough."""
-    s, p = len(problem.q), len(problem.names)
-    needed = max(criteria.min_observations, p // 3 + 1)
-    if s >= needed:
-        return ""
-    return f"{_count(s, 'observation')}, at least {needed} needed for {', '.join(problem.names)}"
+def solution_of(problem: KinematicProblem, settings: CalibrationSettings) -> Solution:
+    """Solve, reject as many outliers as allowed, one after the other, and hold some out.
+
+    Raises:
+        NotIdentifiable: the observations are too few or too alike for all parameters.
+    """
+    s = settings
+    kept, reasons = np.ones(len(problem.q), dtype=bool), [""] * len(problem.q)
+    while True:
+        result = solve(problem.only(kept), TOLERANCE, max_condition=s.max_condition)
+        worst = int(np.flatnonzero(kept)[np.argmax(result.normalized_residuals)])
+        length = float(np.max(result.normalized_residuals))
+        if length <= s.outlier or np.sum(~kept) >= s.max_outliers:
+            break
+        kept[worst] = False
+        reasons[worst] = f"normalized residual {length:.3g}, more than {s.outlier:g}"
+        if _fits_swapped(result, problem, s)[worst]:
+            reasons[worst] += ": base and end effector are swapped"
+    return Solution(problem, result, kept, tuple(reasons), *_held_out(problem, result, kept, s))
 
 
-def _inseparable(problem: KinematicProblem, error: NotIdentifiable, criteria: Criteria) -> str:
+def _held_out(
+    problem: KinematicProblem,
+    result: KinematicResult,
+    kept: npt.NDArray[np.bool_],
+    s: CalibrationSettings,
+) -> tuple[npt.NDArray[np.intp], Prediction]:
+    """Every so-manyth observation, predicted by a solution without them; none if too few remain."""
+    held_out = (
+        np.flatnonzero(kept)[s.held_out - 1 :: s.held_out] if s.held_out else np.array([], int)
+    )
+    rest = kept.copy()
+    rest[held_out] = False
+    if len(held_out) and np.sum(rest) >= _needed(problem, s):
+        try:
+            without = solve(problem.only(rest), TOLERANCE, max_condition=s.max_condition)
+            return held_out, without.predicted(problem.only(held_out))
+        except NotIdentifiable:
+            pass
+    return held_out[:0], result.predicted(problem.only(held_out[:0]))
+
+
+def _rests(observations: Sequence[Observation], s: CalibrationSettings) -> Stage:
+    lost = spoiled(observations, s.same_posture)
+    reason = (
+        f"{count(len(lost), 'rest')} spoiled ({lost[0].reason}) and not repeated" if lost else ""
+    )
+    return Stage("rests", NOT_EVALUATED if lost else PASS, len(lost), 0.0, reason)
+
+
+def _clocks(streams: Streams, s: CalibrationSettings) -> Stage:
+    """A clock that ran back may have hidden a rest."""
+    name, back = max(streams.set_back.items(), key=lambda item: item[1], default=("", 0.0))
+    reason = f"clock of {name} ran back by {back:.3g} s (at most {s.joint_gap:g})"
+    bad = back > s.joint_gap
+    verdict = NOT_EVALUATED if bad else PASS
+    return Stage("clocks", verdict, back, s.joint_gap, reason if bad else "")
+
+
+def _needed(problem: KinematicProblem, s: CalibrationSettings) -> int:
+    return max(s.min_observations, len(problem.names) // 3 + 1)
+
+
+def _enough(problem: KinematicProblem, streams: Streams, s: CalibrationSettings) -> Stage:
+    found, needed = len(problem.q), _needed(problem, s)
+    if found >= needed:
+        reason = f"{count(found, 'observation')} (at least {needed})"
+        return Stage("observations", PASS, found, needed, reason)
+    names = ", ".join(problem.names)
+    reason = f"{count(found, 'observation')}, at least {needed} needed for {names}"
+    if streams.silent:
+        reason += f"; nothing heard of {', '.join(streams.silent)}"
+    if any(streams.refused.values()):
+        told = (f"{number} {kind}" for kind, number in streams.refused.items() if number)
+        reason += f"; samples refused: {', '.join(told)}"
+    return Stage("observations", NOT_EVALUATED, found, needed, reason)
+
+
+def _inseparable(
+    problem: KinematicProblem, error: NotIdentifiable, s: CalibrationSettings
+) -> Stage:
     """The named parameters, and the joints whose standing still explains them."""
     span = np.ptp(problem.q, axis=0)
-    still = [f"joint_{i + 1}" for i in np.flatnonzero(span < criteria.same_posture)]
+    still = [f"joint_{i + 1}" for i in np.flatnonzero(span < s.same_posture)]
     hint = f"; {', '.join(still)} hardly moved" if still else ""
-    return f"{error}, at most {criteria.max_condition:g} to judge by{hint}"
+    reason = f"{error}, at most {s.max_condition:g} to judge by{hint}"
+    return Stage("condition", NOT_EVALUATED, error.condition, s.max_condition, reason)
 
 
-def _judge(result: KinematicResult, criteria: Criteria) -> tuple[str, str]:
-    """Verdict and reason of a solution, each threshold beside its value."""
-    probability = float(gammaincc(result.degrees_of_freedom / 2, result.chi_square / 2))
-    failures = []
-    if not result.converged:
-        failures.append(
-            f"not converged in {result.iterations} iterations "
-            f"(last update {result.last_update:.2g} deviations)"
-        )
+def _judged(solution: Solution, s: CalibrationSettings) -> list[Stage]:
+    """The stages of a solution, each threshold beside its value."""
+    r = solution.result
+    words = f"condition number {r.condition_number:.3g} (at most {s.max_condition:g})"
+    stages = [at_most("condition", r.condition_number, s.max_condition, words)]
+    words = f"{count(r.iterations, 'iteration')}, last update {r.last_update:.2g} deviations"
+    verdict = PASS if r.converged else FAIL
+    words = words if r.converged else f"not converged: {words} (at most {TOLERANCE:g})"
+    stages.append(Stage("convergence", verdict, r.last_update, TOLERANCE, words))
     try:
-        result.calibrated()
+        r.calibrated()
     except DescriptionError as error:
-        failures.append(f"a mirrored solution: {error}")
-    if probability < criteria.min_probability:
-        failures.append("residuals are larger than the assumed deviations allow")
-    facts = (
-        f"{_count(len(result.residuals), 'observation')} (at least {criteria.min_observations}), "
-        f"chi-square {result.chi_square:.4g} for {result.degrees_of_freedom} degrees of freedom, "
-        f"probability {probability:.2g} (at least {criteria.min_probability:g}), "
-        f"condition number {result.condition_number:.3g} (at most {criteria.max_condition:g}), "
-        f"{_count(result.iterations, 'iteration')}"
+        least = float(np.min(solution.problem.all_parameters(r.values)[: solution.problem.arm.n]))
+        stages.append(Stage("lengths", FAIL, least, 0.0, f"a mirrored solution: {error}"))
+    fit = by_chance(
+        "fit", r.chi_square, r.degrees_of_freedom, s.min_probability,
+        "residuals are larger than the assumed deviations allow",
+    )  # fmt: skip
+    outliers = _outliers(solution, s)
+    if FAIL in (fit.verdict, outliers.verdict) and (hint := _swap_hint(solution, s)):
+        fit = replace(fit, verdict=FAIL, reason=f"{hint}; {fit.reason}")
+    return [*stages, fit, outliers, _predicted(solution, s)]
+
+
+def _outliers(solution: Solution, s: CalibrationSettings) -> Stage:
+    lengths, kept = solution.result.normalized_residuals, np.flatnonzero(solution.kept)
+    words = f"largest normalized residual {np.max(lengths):.3g} (at most {s.outlier:g})"
+    if rejected := np.flatnonzero(~solution.kept).tolist():
+        words += f", {numbers(rejected)} rejected (at most {s.max_outliers})"
+    far = kept[lengths > s.outlier].tolist()
+    failing = f"{numbers(far)} off" if far else ""
+    return at_most("outliers", float(np.max(lengths)), s.outlier, words, failing)
+
+
+def _predicted(solution: Solution, s: CalibrationSettings) -> Stage:
+    held_out = solution.held_out.tolist()
+    if not held_out:
+        words = "no observation was held out" + (", as they are too few" if s.held_out else "")
+        return Stage("prediction", NOT_EVALUATED, nan, s.min_probability, words, needed=False)
+    what = f"{numbers(held_out)} predicted from the others"
+    stage = by_chance(
+        "prediction", solution.prediction.chi_square, 3 * len(held_out), s.min_probability,
+        "worse than the deviations allow",
+    )  # fmt: skip
+    return replace(stage, reason=f"{what}: {stage.reason}")
+
+
+def _fits_swapped(
+    result: KinematicResult, problem: KinematicProblem, s: CalibrationSettings
+) -> npt.NDArray[np.bool_]:
+    """Which observations would fit with base and end effector exchanged, (s,)."""
+    swapped = replace(problem, tip=inverse(problem.tip))
+    return np.asarray(result.predicted(swapped).normalized <= s.outlier)
+
+
+def _swap_hint(solution: Solution, s: CalibrationSettings) -> str:
+    """Whether exchanged subjects explain what does not fit; empty if not."""
+    problem = solution.problem.only(solution.kept)
+    try:
+        all_swapped = solve(
+            replace(problem, tip=inverse(problem.tip)), max_condition=s.max_condition
+        )
+        robust = solve(replace(problem, loss=CAUCHY), max_condition=s.max_condition)
+    except NotIdentifiable:
+        return ""
+    stage = by_chance(
+        "", all_swapped.chi_square, all_swapped.degrees_of_freedom, s.min_probability, ""
     )
-    return (FAIL if failures else PASS), "; ".join([*failures, facts])
+    if stage.verdict == PASS:
+        return "base and end effector are swapped"
+    some = _fits_swapped(robust, problem, s) & (robust.normalized_residuals > s.outlier)
+    which = np.flatnonzero(solution.kept)[some].tolist()
+    return f"base and end effector are swapped in {numbers(which)}" if which else ""
+
+
+def _numbers_of(solution: Solution) -> dict[str, Any]:
+    """The fields of a Calibration that a solution has."""
+    r, kept, ahead = solution.result, solution.kept, solution.prediction
+    weights, leverage = np.zeros(len(kept)), np.zeros(len(kept))
+    weights[kept], leverage[kept] = r.weights, r.leverage
+    all_of_them = r.predicted(solution.problem)
+    normalized = all_of_them.normalized
+    normalized[kept] = r.normalized_residuals
+    return {
+        "values": r.values,
+        "covariance": r.covariance,
+        "residuals": all_of_them.residuals,
+        "weights": weights,
+        "leverage": leverage,
+        "normalized_residuals": normalized,
+        "reasons": solution.reasons,
+        "held_out": tuple(solution.held_out.tolist()),
+        "held_out_residuals": ahead.residuals,
+        "held_out_normalized": ahead.normalized,
+        "held_out_position_residual": root_mean_square(ahead.residuals[:, :2]),
+        "held_out_heading_residual": root_mean_square(ahead.residuals[:, 2]),
+        "position_residual": r.position_residual,
+        "heading_residual": r.heading_residual,
+        "chi_square": r.chi_square,
+        "degrees_of_freedom": r.degrees_of_freedom,
+        "condition_number": r.condition_number,
+        "iterations": r.iterations,
+        "last_update": r.last_update,
+        "observations_used": int(np.sum(kept)),
+    }
+
+
+def _no_numbers(problem: KinematicProblem) -> dict[str, Any]:
+    """The same fields without a solution."""
+    s, p = len(problem.q), len(problem.names)
+    unknown = (
+        "held_out_position_residual", "held_out_heading_residual", "position_residual",
+        "heading_residual", "chi_square", "condition_number", "last_update",
+    )  # fmt: skip
+    return {
+        "values": np.full(p, nan),
+        "covariance": np.empty((0, 0)),
+        "residuals": np.empty((0, 3)),
+        "weights": np.empty(0),
+        "leverage": np.empty(0),
+        "normalized_residuals": np.empty(0),
+        "reasons": s * ("",),
+        "held_out": (),
+        "held_out_residuals": np.empty((0, 3)),
+        "held_out_normalized": np.empty(0),
+        **dict.fromkeys(unknown, nan),
+        "degrees_of_freedom": max(problem.tip.size - p, 0),
+        "iterations": 0,
+        "observations_used": s,
+    }

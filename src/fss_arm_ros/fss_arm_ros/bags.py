@@ -8,6 +8,7 @@ metadata.yaml: its whole chunks are first copied into a sound bag in a temporary
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
+from hashlib import sha256
 from os import PathLike, link
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -154,6 +155,20 @@ def find(path: Path) -> list[Path]:
     if not bags:
         raise BagError(f"{path}: holds no bag")
     return sorted(bags, key=lambda p: (len(p.name), p.name))
+
+
+def digest(path: Path) -> str:
+    """SHA-256 of a bag's storage files, one after the other.
+
+    Raises:
+        OSError: a file cannot be read.
+    """
+    hashed = sha256()
+    for file in _storage_files(path):
+        with file.open("rb") as stream:
+            while block := stream.read(1 << 20):
+                hashed.update(block)
+    return hashed.hexdigest()
 
 
 def is_sound(path: Path) -> bool:
