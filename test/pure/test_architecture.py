@@ -12,7 +12,8 @@ import pytest
 SOURCES = Path(__file__).parents[2] / "src"
 MESSAGES = {
     "action_msgs", "builtin_interfaces", "diagnostic_msgs", "fss_arm_msgs", "geometry_msgs",
-    "rcl_interfaces", "rosgraph_msgs", "sensor_msgs", "std_msgs", "std_srvs",
+    "nav_msgs", "rcl_interfaces", "rosgraph_msgs", "sensor_msgs", "std_msgs", "std_srvs",
+    "visualization_msgs",
 }  # fmt: skip
 ROS = MESSAGES | {"rclpy", "ament_index_python"}
 MODEL = {"numpy", "scipy", "numba", "yaml"}
@@ -26,11 +27,13 @@ ALLOWED = {
     "fss_sim": ROS | {"fss_arm_model", "fss_arm_ros", "fss_arm_driver.protocol", "numpy"},
     "fss_arm_calib": ROS
     | {"fss_arm_model", "fss_arm_ros", "numpy", "scipy", "yaml", "rich", "matplotlib"},
+    "fss_arm_workspace": ROS
+    | {"fss_arm_model", "fss_arm_ros", "numpy", "scipy", "rich", "matplotlib"},
 }
 
 # Where the mathematics of a package meets ROS: its nodes, and these.
 EDGES = {"settings", "messages", "from_bag"}
-MATHEMATICS = {"fss_arm_model", "fss_arm_driver", "fss_sim", "fss_arm_calib"}
+MATHEMATICS = {"fss_arm_model", "fss_arm_driver", "fss_sim", "fss_arm_calib", "fss_arm_workspace"}
 
 
 def find_modules() -> dict[str, Path]:

@@ -1,0 +1,297 @@
+"""Circular arcs in the plane, and regions bounded by them.
+
+While one joint turns and the others rest, the tip runs along an arc about that joint. So each arc
+here also knows the posture at its first point and the joint that turns. Points are complex
+numbers, x + i y [m].
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+from math import pi
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float64]
+Complexes = npt.NDArray[np.complex128]
+Inside = Callable[[Complexes], npt.NDArray[np.bool_]]
+
+CLOSE = 1e-9  # two points, circles or arcs closer than this are the same [m]
+_ANGLE = 1e-11  # an angle this far outside an arc still counts as on it [rad]
+_TOUCH = 1e-14  # square of half a chord that counts as a point [m^2]
+_CHUNK = 2**20  # numbers in a temporary array
+
+
+@dataclass(frozen=True)
+class Arcs:
+    """k directed arcs: center + radius exp(i (start + t sweep)), t from 0 to 1."""
+
+    center: Complexes  # (k,) [m]
+    radius: Floats  # (k,) [m]
+    start: Floats  # (k,) angle of the first point [rad]
+    sweep: Floats  # (k,) signed angle to the last point, counter-clockwise positive [rad]
+    joint: npt.NDArray[np.intp]  # (k,) index of the joint that turns by `sweep`
+    q: Floats  # (k, n) joint readings at the first point [rad]
+
+    def __len__(self) -> int:
+        return len(self.radius)
+
+    def __getitem__(self, index: npt.ArrayLike | slice) -> "Arcs":
+        return Arcs(*(getattr(self, f.name)[index] for f in fields(self)))
+
+    def at(self, t: npt.ArrayLike) -> Complexes:
+        """The point at t (k,) of each arc, (k,)."""
+        angle = self.start + np.asarray(t) * self.sweep
+        return self.center + self.radius * np.exp(1j * angle)
+
+    def posture(self, t: npt.ArrayLike) -> Floats:
+        """The joint readings at t (k,) of each arc, (k, n) [rad]."""
+        q = self.q.copy()
+        q[np.arange(len(q)), self.joint] += np.asarray(t) * self.sweep
+        return q
+
+    def part(self, begin: npt.ArrayLike, end: npt.ArrayLike) -> "Arcs":
+        """Each arc from t = begin (k,) to t = end (k,); backwards if end is the smaller."""
+        begin, end = np.asarray(begin, dtype=float), np.asarray(end, dtype=float)
+        start, sweep = self.start + begin * self.sweep, (end - begin) * self.sweep
+        return Arcs(self.center, self.radius, start, sweep, self.joint, self.posture(begin))
+
+    def moved(self, turn: float = 0.0, by: complex = 0.0) -> "Arcs":
+        """Turned about the origin by `turn` [rad], then shifted."""
+        center = self.center * np.exp(1j * turn) + by
+        return Arcs(center, self.radius, self.start + turn, self.sweep, self.joint, self.q)
+
+    def covers(self, angle: Floats) -> npt.NDArray[np.bool_]:
+        """Whether angles (..., k) seen from the arcs' centres lie on the arcs, ends included."""
+        along = (np.sign(self.sweep) * (angle - self.start)) % (2.0 * pi)
+        return (along <= np.abs(self.sweep) + _ANGLE) | (along >= 2.0 * pi - _ANGLE)
+
+
+def joined(parts: list[Arcs]) -> Arcs:
+    """All arcs of the parts as one."""
+    return Arcs(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Arcs)))
+
+
+def crossings(
+    c: Complexes, r: Floats, center: Complexes, radius: Floats
+) -> tuple[Complexes, Complexes]:
+    """Where circles (c, r) meet circles (center, radius), which broadcast; NaN where they do not.
+
+    Circles that touch, up to rounding, have one point, given twice; concentric ones none.
+    """
+    between = np.asarray(center - c)
+    d = np.abs(between)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        along = (d + (r - radius) * (r + radius) / d) / 2.0
+        across = (r - along) * (r + along)
+        across = np.sqrt(np.where(np.abs(across) < _TOUCH, 0.0, across))
+        unit = np.where(d > CLOSE, between / d, np.nan)
+        return c + unit * (along + 1j * across), c + unit * (along - 1j * across)
+
+
+@dataclass(frozen=True)
+class Region:
+    """A part of the plane, bounded by loops of arcs that have it on their left.
+
+    Outer boundaries run counter-clockwise, holes clockwise. A curve without width is a loop that
+    runs along it and back.
+    """
+
+    arcs: Arcs  # in the order of the loops, none longer than half a circle
+    loop: npt.NDArray[np.intp]  # (k,) number of the loop that an arc belongs to
+
+    @property
+    def loops(self) -> list[Arcs]:
+        """The arcs of each loop."""
+        return [self.arcs[self.loop == number] for number in range(self.loop.max(initial=-1) + 1)]
+
+    @property
+    def areas(self) -> list[float]:
+        """Area within each loop [m^2], of a hole negative, by Green's theorem on arcs.
+
+        A = 1/2 closed integral of x dy - y dx
+        """
+        return [_area(loop) for loop in self.loops]
+
+    @property
+    def area(self) -> float:
+        """Area [m^2], holes taken off."""
+        return float(sum(self.areas))
+
+    def contains(self, points: npt.ArrayLike) -> npt.NDArray[np.bool_]:
+        """Which of the complex points (...) lie inside: those that the boundary winds around."""
+        z = np.asarray(points, dtype=complex)
+        inside = np.zeros(z.size, dtype=bool)
+        size = max(1, _CHUNK // max(1, len(self.arcs)))
+        for first in range(0, z.size, size):
+            some = slice(first, first + size)
+            inside[some] = self._winding(z.ravel()[some]) > pi
+        return inside.reshape(z.shape)
+
+    def _winding(self, z: Complexes) -> Floats:
+        """The angle by which the boundary turns around each point (m,): 2 pi inside, else 0."""
+        arcs = self.arcs
+        first, last = arcs.at(0.0) - z[:, None], arcs.at(1.0) - z[:, None]
+        turn = np.angle(last * first.conj())
+        # The arc turns as its chord does, unless the point lies between the two.
+        within = np.abs(z[:, None] - arcs.center) < arcs.radius
+        other_way = within & (np.sign(turn) != np.sign(arcs.sweep))
+        turn += np.where(other_way, 2.0 * pi * np.sign(arcs.sweep), 0.0)
+        return np.asarray(turn.sum(axis=1))
+
+    def distance(self, points: npt.ArrayLike) -> Floats:
+        """Distance of the complex points (...) from the boundary [m]."""
+        z = np.asarray(points, dtype=complex)
+        arcs, flat = self.arcs, z.ravel()
+        found = np.full(z.size, np.inf)
+        size = max(1, _CHUNK // max(1, len(arcs)))
+        for first in range(0, z.size, size):
+            some = slice(first, first + size)
+            p = flat[some, None]
+            out = p - arcs.center
+            near = np.where(arcs.covers(np.angle(out)), np.abs(np.abs(out) - arcs.radius), np.inf)
+            ends = np.minimum(np.abs(p - arcs.at(0.0)), np.abs(p - arcs.at(1.0)))
+            found[some] = np.minimum(near, ends).min(axis=1, initial=np.inf)
+        return found.reshape(z.shape)
+
+    def extent(self, point: complex) -> tuple[float, float]:
+        """Least and greatest distance of the region from a point [m]."""
+        arcs = self.arcs
+        toward = np.angle(point - arcs.center)
+        corners = np.abs(np.concatenate([arcs.at(0.0), arcs.at(1.0)]) - point)
+        far = np.abs(arcs.center - point) + arcs.radius
+        farthest = np.where(arcs.covers(toward + pi), far, 0.0).max(initial=corners.max())
+        nearest = 0.0 if self.contains(point) else self.distance(point)
+        return float(nearest), float(farthest)
+
+    def outlines(self, spacing: float) -> list[tuple[Complexes, Floats]]:
+        """Each loop as points at most `spacing` [m] apart, (m,), and their postures, (m, n)."""
+        lines = []
+        for loop in self.loops:
+            counts = np.ceil(np.abs(loop.sweep) * loop.radius / spacing).astype(int).clip(1)
+            index = np.repeat(np.arange(len(loop)), counts)
+            step = np.arange(len(index)) - np.repeat(np.cumsum(counts) - counts, counts)
+            fine, t = loop[index], step / counts[index]
+            lines.append((fine.at(t), fine.posture(t)))
+        return lines
+
+
+def _area(loop: Arcs) -> float:
+    first, last = loop.at(0.0), loop.at(1.0)
+    chords = (loop.center.conj() * (last - first)).imag + loop.radius**2 * loop.sweep
+    gaps = (last.conj() * np.roll(first, -1)).imag  # next to nothing
+    return float((chords.sum() + gaps.sum()) / 2.0)
+
+
+def enclose(candidates: Arcs, inside: Inside) -> Region:
+    """The region whose boundary is among the candidates.
+
+    The candidates are cut where they meet. A piece bounds the region if just one of its two sides
+    lies inside.
+
+    Args:
+        candidates: arcs that cover the boundary; they may cross, touch and coincide.
+        inside: tells of complex points (m,) which belong to the region.
+    """
+    whole = candidates[np.abs(candidates.sweep) * candidates.radius > CLOSE]
+    pieces = _cut(_apart(_forward(whole)))
+    pieces = pieces[pieces.sweep * pieces.radius > 2.0 * CLOSE]
+    outward = np.exp(1j * (pieces.start + 0.5 * pieces.sweep)) * CLOSE
+    middle = pieces.at(0.5)
+    inner, outer = inside(middle - outward), inside(middle + outward)
+    left_in, right_in = pieces[inner & ~outer], pieces[outer & ~inner]
+    return _linked(joined([left_in, right_in.part(1.0, 0.0)]))
+
+
+def _forward(arcs: Arcs) -> Arcs:
+    """The same arcs, each counter-clockwise."""
+    back = arcs.sweep < 0.0
+    return joined([arcs[~back], arcs[back].part(1.0, 0.0)])
+
+
+def _apart(arcs: Arcs) -> Arcs:
+    """Arcs that cover the same points, with none on top of another."""
+    same = (np.abs(arcs.center[:, None] - arcs.center) < CLOSE) & (
+        np.abs(arcs.radius[:, None] - arcs.radius) < CLOSE
+    )
+    kept, seen = [], np.zeros(len(arcs), dtype=bool)
+    for k in range(len(arcs)):
+        if seen[k]:
+            continue
+        circle = arcs[same[k] & ~seen]
+        seen |= same[k]
+        if len(circle) == 1:
+            kept.append(circle)
+            continue
+        ends = np.concatenate([circle.start, circle.start + circle.sweep]) % (2.0 * pi)
+        cuts = np.sort(ends)
+        cuts = cuts[np.append(True, np.diff(cuts) > _ANGLE)]
+        lengths = np.diff(np.append(cuts, cuts[0] + 2.0 * pi))
+        middle = cuts + 0.5 * lengths
+        for begin, length, angle in zip(cuts, lengths, middle, strict=True):
+            covering = np.flatnonzero((angle - circle.start) % (2.0 * pi) < circle.sweep)
+            if covering.size:
+                arc = circle[covering[:1]]
+                offset = (begin - arc.start + _ANGLE) % (2.0 * pi) - _ANGLE
+                kept.append(arc.part(offset / arc.sweep, (offset + length) / arc.sweep))
+    return joined(kept)
+
+
+def _cut(arcs: Arcs) -> Arcs:
+    """The arcs cut where they meet one another, and into halves where longer than half a circle."""
+    points = crossings(arcs.center[:, None], arcs.radius[:, None], arcs.center, arcs.radius)
+    angles = np.stack([np.angle(p - arcs.center[:, None]) for p in points])
+    others = np.stack([np.angle(p - arcs.center) for p in points])
+    met = np.isfinite(angles) & arcs.covers(others)
+    pieces = []
+    for k in range(len(arcs)):
+        along = (angles[:, k][met[:, k]] - arcs.start[k]) % (2.0 * pi)
+        t = np.sort(along / arcs.sweep[k])
+        t = t[(t > 0.0) & (t < 1.0)]
+        near = CLOSE / (arcs.radius[k] * arcs.sweep[k])
+        t = t[np.diff(t, prepend=0.0) > near]
+        t = np.unique(np.concatenate([[0.0], t, [1.0]]))
+        halves = np.ceil(np.diff(t) * arcs.sweep[k] / pi).astype(int).clip(1)
+        parts = np.repeat(np.arange(len(halves)), halves)
+        share = (np.arange(len(parts)) - np.searchsorted(parts, parts)) / halves[parts]
+        t = np.append(t[parts] + share * np.diff(t)[parts], 1.0)
+        pieces.append(arcs[np.full(len(parts), k)].part(t[:-1], t[1:]))
+    return joined(pieces)
+
+
+def _linked(arcs: Arcs) -> Region:
+    """The directed arcs as loops, consecutive pieces of one arc made one again."""
+    first, last = arcs.at(0.0), arcs.at(1.0)
+    left = np.ones(len(arcs), dtype=bool)
+    order, loop, number = [], [], 0
+    while left.any():
+        k = begin = int(np.argmax(left))
+        while left[k]:
+            left[k] = False
+            order.append(k)
+            loop.append(number)
+            gap = np.where(left, np.abs(first - last[k]), np.inf)
+            gap[begin] = np.abs(first[begin] - last[k]) - CLOSE  # rather close than go on
+            k = int(np.argmin(gap))
+        number += 1
+    return _merged(Region(arcs[order], np.array(loop, dtype=np.intp)))
+
+
+def _merged(region: Region) -> Region:
+    """Consecutive arcs that continue one another made one, up to half a circle."""
+    arcs, loop = region.arcs, region.loop
+    same = (
+        (loop[1:] == loop[:-1])
+        & (arcs.joint[1:] == arcs.joint[:-1])
+        & (np.sign(arcs.sweep[1:]) == np.sign(arcs.sweep[:-1]))
+        & (np.abs(np.diff(arcs.center)) < CLOSE)
+        & (np.abs(arcs.posture(1.0)[:-1] - arcs.q[1:]).max(axis=1, initial=0.0) < CLOSE)
+    )
+    kept: list[int] = []
+    sweep = arcs.sweep.copy()
+    for k in range(len(arcs)):
+        if k and same[k - 1] and abs(sweep[kept[-1]] + sweep[k]) <= pi:
+            sweep[kept[-1]] += sweep[k]
+        else:
+            kept.append(k)
+    return Region(replace(arcs, sweep=sweep)[kept], loop[kept])

@@ -1,0 +1,14 @@
+from setuptools import setup
+
+setup(
+    name="fss_arm_workspace",
+    version="0.1.0",
+    packages=["fss_arm_workspace"],
+    package_data={"fss_arm_workspace": ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/fss_arm_workspace"]),
+        ("share/fss_arm_workspace", ["package.xml"]),
+    ],
+    description="Workspace and manipulability of the arm on a fixed and on a floating base.",
+    license="Apache-2.0",
+)
