@@ -87,7 +87,7 @@ class FakeTransport:
     """A link at the other end that measures once for each command frame, at its steady rate."""
 
     def __init__(self, number=1, clock=time.time_ns):
-        self.counts = Counter()
+        self.counts, self.trouble = Counter(), ""
         self.clock = clock
         self.link = FakeLink(number, boot=5, born=clock() - 100 * SECOND)
         self.talks = self.hears = True

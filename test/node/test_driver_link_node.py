@@ -1,14 +1,17 @@
 """The node of one link: a link behind a fake transport or a UDP port, and real topics."""
 
-import socket
+import os
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from math import inf, nan
 
 import pytest
+from conftest import wait_until
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from driver_link import RATE, SECOND, FakeLink, FakeTransport
+from driver_wire import ENDS
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
@@ -17,7 +20,7 @@ from std_msgs.msg import Empty
 from std_srvs.srv import SetBool
 
 from fss_arm_driver.link_node import LinkNode
-from fss_arm_driver.protocol import FRAME_SIZE, Mode, Order, State
+from fss_arm_driver.protocol import Mode, Order, State
 from fss_arm_msgs.msg import LinkCommand, LinkTelemetry
 from fss_arm_ros.convert import stamp_ns, to_time
 
@@ -215,35 +218,59 @@ def test_simulated_time_is_waited_for_and_followed(spin):
     spin([node, user], lambda: user.health[-1].status[0].message == "the clock stands still")
 
 
-def test_udp_and_a_link_that_starts_later(spin):
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    node, user = LinkNode(1, f"udp://127.0.0.1:{port}?bind=0", **options()), User()
-    spin([node, user], lambda: node.session.counts["sent"] > 3)  # to a port that is not open
+@pytest.mark.parametrize("kind", ENDS)
+def test_a_link_that_starts_later_and_is_unplugged(spin, tmp_path, kind):
+    end = ENDS[kind](tmp_path)
+    if kind != "pty":
+        end.unplug()
+    node, user = LinkNode(1, end.url, **options()), User()
+    spin([node, user], lambda: node.session.counts["sent"] > 3)  # to nobody
+    if kind != "pty":
+        end.replug()
     link = FakeLink(boot=2, born=time.time_ns() - SECOND)
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as peer:
-        peer.bind(("127.0.0.1", port))
-        peer.setblocking(False)
 
-        def serve():
-            try:
-                data, source = peer.recvfrom(100)
-            except BlockingIOError:
-                return user.telemetry and user.joints
-            assert len(data) == FRAME_SIZE
-            link.take(data, time.time_ns())
-            peer.sendto(link.telemetry(time.time_ns()), source)
-            return False
+    def serve():
+        if frame := end.receive(0.0):
+            link.take(frame, time.time_ns())
+            end.send(link.telemetry(time.time_ns()))
 
-        spin([node, user], serve)
+    def heard():
+        serve()
+        return not node.session.lost and len(user.joints) == len(user.telemetry) > 3
+
+    spin([node, user], heard)
     assert user.telemetry[-1].boot == 2
+    end.unplug()
+    spin([node, user], lambda: node.session.lost)
+    user.telemetry.clear(), user.joints.clear()
+    end.replug()
+    spin([node, user], heard)
+    end.close()
+
+
+def test_a_wrong_baud_rate_is_said_in_one_line(start, tmp_path):
+    end = ENDS["pty"](tmp_path)
+    program = start("fss_arm_driver.link_node", "--ros-args", "-p", f"url:={end.url}")
+
+    def said():
+        with suppress(BlockingIOError):
+            end.raw(b"\xf8\x00\x78" * 50)
+        end.receive(0.01)
+        return "bytes come" in program.output
+
+    os.set_blocking(end.line.fileno(), False)
+    wait_until(said, 20.0, lambda: None)
+    assert program.stop() == 0
+    assert program.output.count("\n") == 1
+    assert "bytes come that are no frames: is the other end set to 115200 baud" in program.output
+    end.close()
 
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("-p", "url:=tcp://x:1"), "url is 'tcp://x:1', expected udp://HOST:PORT?bind=PORT"),
+        (("-p", "url:=tcp://x"), "url is 'tcp://x', expected tcp://HOST:PORT"),
+        (("-p", "url:=serial:///dev/no"), "'serial:///dev/no' cannot be opened: No such file"),
         (("-p", "link:=5"), "link is 5, expected 1 to 4, as arm 'paper' has"),
         (("-p", "timeout:=0.0"), "timeout is 0.0 s, expected above 0"),
         (("-p", "watchdog:=100.0"), "watchdog is 100.0 s"),

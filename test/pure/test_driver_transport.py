@@ -1,88 +1,189 @@
-"""Datagrams over the loopback interface."""
+"""Frames over UDP, TCP and a pseudo-terminal: one suite for all, then what is each one's own."""
 
+import os
 import socket
+import time
 
 import pytest
+from driver_wire import ENDS, TIMEOUT
 
-from fss_arm_driver.transport import BATCH, TransportError, UdpTransport, open_transport
+from fss_arm_driver.transport import BATCH, FORMS, TransportError, UdpTransport, open_transport
+
+DOWN, UP = bytes(range(72)), bytes(range(72, 144))
+
+
+@pytest.fixture(params=ENDS)
+def end(request, tmp_path):
+    """The far end, over which nothing is open yet."""
+    end = ENDS[request.param](tmp_path)
+    yield end
+    end.close()
 
 
 @pytest.fixture
-def peer():
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as peer:
-        peer.bind(("127.0.0.1", 0))
-        peer.settimeout(5.0)
-        yield peer
+def opened():
+    """opened(url): a transport, closed after the test."""
+    transports = []
+
+    def open_one(url):
+        transports.append(open_transport(url))
+        return transports[-1]
+
+    yield open_one
+    for transport in transports:
+        transport.close()
 
 
 @pytest.fixture
-def udp(peer):
-    transport = open_transport(f"udp://127.0.0.1:{peer.getsockname()[1]}?bind=0")
-    yield transport
+def joined(end, opened):
+    """Both ends of a transport over which a frame has gone."""
+    transport = opened(end.url)
+    meet(transport, end)
+    return transport, end
+
+
+def meet(transport, end):
+    """Send until the other end hears."""
+    deadline = time.monotonic() + TIMEOUT
+    while time.monotonic() < deadline:
+        transport.wait(0.01)
+        transport.receive()  # what an executor does when it is woken
+        transport.send(DOWN)
+        if end.receive(0.02) == DOWN:
+            while end.receive(0.0):
+                pass
+            return
+    pytest.fail(f"nothing came: {transport.trouble}")
+
+
+def hear(transport):
+    """The next frames that come."""
+    deadline = time.monotonic() + TIMEOUT
+    while time.monotonic() < deadline:
+        if transport.wait(0.1) and (got := transport.receive()):
+            return got
+    return pytest.fail(f"nothing came: {transport.trouble}")
+
+
+def test_both_ways(joined):
+    transport, end = joined
+    assert transport.trouble == ""
+    end.send(UP)
+    assert hear(transport) == [UP]
+    assert transport.receive() == []
+    assert not transport.wait(0.0)
+    transport.send(DOWN)
+    assert end.receive() == DOWN
+
+
+def test_the_far_end_may_go_and_come_back(joined):
+    transport, end = joined
+    for _ in range(2):
+        end.unplug()
+        for _ in range(3):
+            transport.send(b"nobody there")
+            transport.wait(0.01)
+            transport.receive()
+        end.replug()
+        meet(transport, end)
+        end.send(UP)
+        assert UP in hear(transport)
+        assert transport.trouble == ""
+
+
+def test_a_flood_is_read_in_batches(joined):
+    transport, end = joined
+    for _ in range(2 * BATCH):
+        end.send(UP)
+    got = hear(transport)
+    assert len(got) < 2 * BATCH
+    while len(got) < 2 * BATCH:
+        got += hear(transport)
+    assert got == [UP] * 2 * BATCH
+
+
+def test_a_closed_transport_does_nothing(joined):
+    transport, _ = joined
     transport.close()
+    transport.send(DOWN)
+    assert transport.receive() == []
 
 
-def home(udp):
-    return "127.0.0.1", udp.port
+@pytest.mark.parametrize("end", ["tcp", "pty"], indirect=True)
+def test_bytes_that_are_no_frames_are_said(joined):
+    transport, end = joined
+    deadline = time.monotonic() + TIMEOUT
+    while not transport.trouble and time.monotonic() < deadline:
+        end.raw(b"\xf8\x00\x78" * 50)
+        transport.wait(0.1)
+        assert transport.receive() == []
+    assert "bytes come that are no frames: is " in transport.trouble
+    assert transport.counts["noise_bytes"] > 1000
+    end.send(UP)
+    assert hear(transport) == [UP]
+    assert transport.trouble == ""
 
 
-def test_both_ways(peer, udp):
-    udp.send(b"down")
-    data, source = peer.recvfrom(100)
-    assert (data, source) == (b"down", home(udp))
-    peer.sendto(b"up", source)
-    assert udp.wait(5.0)
-    assert udp.receive() == [b"up"]
-    assert udp.receive() == []
-    assert not udp.wait(0.0)
+@pytest.mark.parametrize("end", ["tcp", "pty"], indirect=True)
+def test_an_end_that_does_not_read_holds_nothing_up(joined):
+    transport, end = joined
+    for _ in range(100_000):
+        transport.send(DOWN)
+        if transport.counts["send_failures"] > 10:
+            break
+    assert transport.counts["send_failures"] > 10
+    end.send(UP)
+    assert UP in hear(transport)
 
 
-def test_strangers_are_counted_and_not_heard(peer, udp):
+@pytest.mark.parametrize("end", ["tcp", "pty"], indirect=True)
+def test_a_lost_connection_is_said(joined):
+    transport, end = joined
+    end.unplug()
+    deadline = time.monotonic() + TIMEOUT
+    while not transport.trouble.startswith("cannot connect") and time.monotonic() < deadline:
+        transport.wait(0.01)
+        transport.receive()
+        if transport.trouble:
+            assert transport.trouble.startswith(("connection lost", "cannot connect"))
+    assert transport.trouble.startswith("cannot connect: ")
+
+
+@pytest.fixture
+def udp(opened):
+    end = ENDS["udp"](None)
+    yield opened(end.url), end
+    end.close()
+
+
+def test_strangers_are_counted_and_not_heard(udp):
+    transport, _ = udp
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
-        stranger.sendto(b"hello", home(udp))
-    assert udp.wait(5.0)
-    assert udp.receive() == []
-    assert udp.counts["strangers"] == 1
+        stranger.sendto(b"hello", ("127.0.0.1", transport.port))
+    assert transport.wait(5.0)
+    assert transport.receive() == []
+    assert transport.counts["strangers"] == 1
 
 
-def test_a_flood_is_read_in_batches_and_long_datagrams_are_cut(peer, udp):
-    for _ in range(BATCH + 1):
-        peer.sendto(bytes(1000), home(udp))
-    assert udp.wait(5.0)
-    assert [len(data) for data in udp.receive()] == [73] * BATCH
-    assert len(udp.receive()) == 1
+def test_long_datagrams_are_cut(udp):
+    transport, end = udp
+    end.home = "127.0.0.1", transport.port
+    end.send(bytes(1000))
+    assert [len(data) for data in hear(transport)] == [73]
 
 
-def test_a_peer_that_refuses_may_come_later(udp, peer):
-    port = peer.getsockname()[1]
-    peer.close()
-    for _ in range(3):
-        udp.send(b"nobody there")
-    assert udp.receive() == []
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as back:
-        back.bind(("127.0.0.1", port))
-        back.sendto(b"up", home(udp))
-        assert udp.wait(5.0)
-        assert udp.receive() == [b"up"]
-
-
-def test_what_cannot_be_sent_is_counted(udp):
-    udp.send(bytes(100_000))
-    assert udp.counts["send_failures"] == 1
-
-
-def test_a_closed_transport_does_nothing(udp):
-    udp.close()
-    udp.send(b"x")
-    assert udp.receive() == []
-    assert not udp.wait(0.0)
+def test_what_cannot_be_sent_is_counted_and_said(udp):
+    transport, _ = udp
+    transport.send(bytes(100_000))
+    assert transport.counts["send_failures"] == 1
+    assert transport.trouble == "nothing can be sent: Message too long"
+    transport.send(DOWN)
+    assert transport.trouble == ""
 
 
 @pytest.mark.parametrize(
     "url",
     [
-        "",
-        "127.0.0.1:5001",
         "udp://127.0.0.1",
         "udp://127.0.0.1:0",
         "udp://127.0.0.1:70000",
@@ -91,18 +192,56 @@ def test_a_closed_transport_does_nothing(udp):
         "udp://127.0.0.1:5001?bind=70000",
         "udp://127.0.0.1:5001?bnd=6001",
         "udp://127.0.0.1:5001/path",
-        "tcp://127.0.0.1:5001",
+        "tcp://127.0.0.1",
+        "tcp://127.0.0.1:5001?bind=6001",
+        "serial://",
+        "serial:///dev/null?baud=fast",
+        "serial:///dev/null?baud=0",
+        "serial:///dev/null?rate=9600",
     ],
 )
 def test_urls_that_name_no_transport_are_refused(url):
-    with pytest.raises(TransportError, match=r"expected udp://HOST:PORT\?bind=PORT"):
+    with pytest.raises(TransportError) as error:
         open_transport(url)
+    form = FORMS[url.partition(":")[0]]
+    assert f"url is {url!r}, expected {form}: " in str(error.value)
 
 
-def test_a_taken_port_is_named(peer):
-    port = peer.getsockname()[1]
-    with pytest.raises(TransportError, match=rf"bind={port}' cannot be opened: Address already"):
-        open_transport(f"udp://127.0.0.1:9?bind={port}")
+@pytest.mark.parametrize("url", ["", "127.0.0.1:5001", "http://127.0.0.1:5001"])
+def test_all_forms_are_told_to_who_knows_none(url):
+    with pytest.raises(TransportError) as error:
+        open_transport(url)
+    assert all(form in str(error.value) for form in FORMS.values())
+
+
+def test_a_taken_port_is_named(udp):
+    transport, _ = udp
+    with pytest.raises(
+        TransportError, match=rf"bind={transport.port}' cannot be opened: Address already"
+    ):
+        open_transport(f"udp://127.0.0.1:9?bind={transport.port}")
+
+
+@pytest.mark.parametrize(
+    ("device", "words"),
+    [
+        ("no_such_port", "No such file or directory"),
+        ("null", "it is no serial port, or has no rate of 9600 baud"),
+    ],
+)
+def test_a_dead_serial_port_is_named(device, words):
+    url = f"serial://{device}?baud=9600"
+    with pytest.raises(TransportError) as error:
+        open_transport(url)
+    assert str(error.value) == f"url {url!r} cannot be opened: {words}"
+
+
+@pytest.mark.parametrize("end", ["pty"], indirect=True)
+def test_a_serial_port_is_for_one_process(joined):
+    _, end = joined
+    with pytest.raises(TransportError, match="another process has it open"):
+        open_transport(end.url)
+    assert os.path.exists(end.device)
 
 
 def test_localhost_is_the_ipv4_one_if_there_are_two():

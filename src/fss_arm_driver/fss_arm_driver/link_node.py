@@ -90,7 +90,7 @@ class LinkNode(Node):
         )
         self.transport = transport or open_transport(settings.url)
         self.name = f"link_{number}"
-        self.warned = ""
+        self.warned, self.trouble = "", self.transport.trouble
         self.reported = dict(self.session.counts), 0
         self.waiting: list[Future] = []
 
@@ -122,6 +122,9 @@ class LinkNode(Node):
         """Send the command of the moment."""
         self.transport.send(self.session.command(self.now()))
         self.answer_arming()
+        if self.transport.trouble not in ("", self.trouble):
+            self.get_logger().warning(f"{self.settings.url}: {self.transport.trouble}")
+        self.trouble = self.transport.trouble
 
     def on_command(self, message: LinkCommand) -> None:
         """Take a command, from the time that its stamp says it was given."""
@@ -198,7 +201,8 @@ class LinkNode(Node):
         if now == then:
             return Health(WARN, "the clock stands still", values)
         if session.lost:
-            return Health(ERROR, f"{self.name} is lost", values)
+            why = self.transport.trouble
+            return Health(ERROR, f"{self.name} is lost{': ' * bool(why)}{why}", values)
         if any(counts[key] > before[key] for key in TROUBLES):
             return Health(WARN, f"{self.state()}; frames were lost or refused", values)
         return Health(OK, self.state(), values)

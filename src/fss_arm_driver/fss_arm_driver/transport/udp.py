@@ -1,36 +1,11 @@
-"""How datagrams reach a link. The driver's nodes know only `Transport`; URLs choose which one."""
+"""Frames as datagrams."""
 
 import socket
 from collections import Counter
 from select import select
-from typing import Protocol
-from urllib.parse import parse_qs, urlsplit
 
 from fss_arm_driver.protocol import FRAME_SIZE
-
-BATCH = 64  # datagrams read at once, so that a flood cannot keep a node from its other work
-
-
-class TransportError(ValueError):
-    """A URL that names no transport, or one that cannot be opened."""
-
-
-class Transport(Protocol):
-    """Datagrams to and from one link. Nothing but `wait` blocks, and nothing raises once open."""
-
-    counts: Counter[str]
-
-    def send(self, data: bytes) -> None:
-        """Send a datagram; what cannot be sent is counted and dropped."""
-
-    def receive(self) -> list[bytes]:
-        """The datagrams that have come, at most BATCH of them."""
-
-    def wait(self, timeout: float) -> bool:
-        """Wait until there is something to receive, at most `timeout` [s]; whether there is."""
-
-    def close(self) -> None:
-        """Release it; the other calls then do nothing."""
+from fss_arm_driver.transport.base import BATCH
 
 
 class UdpTransport:
@@ -38,12 +13,16 @@ class UdpTransport:
 
     The socket is not connected: a peer that refuses, a route that is gone and an interface that
     went down show as failures of single calls, and pass when the cause does.
+
+    Raises:
+        OSError: the host is not known, or the local port is taken.
     """
 
     def __init__(self, host: str, port: int, bind: int = 0) -> None:
         places = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)
         family, kind, _, _, peer = min(places, key=lambda place: place[0] != socket.AF_INET)
         self.counts: Counter[str] = Counter(strangers=0, send_failures=0, receive_failures=0)
+        self.trouble = ""
         self._peer = peer
         self._socket = socket.socket(family, kind)
         try:
@@ -62,8 +41,11 @@ class UdpTransport:
         """Send a datagram to the peer."""
         try:
             self._socket.sendto(data, self._peer)
-        except OSError:
+        except OSError as error:
             self.counts["send_failures"] += 1
+            self.trouble = f"nothing can be sent: {error.strerror or error}"
+        else:
+            self.trouble = ""
 
     def receive(self) -> list[bytes]:
         """The peer's datagrams that have come, each at most one byte longer than a frame."""
@@ -92,27 +74,3 @@ class UdpTransport:
     def close(self) -> None:
         """Close the socket."""
         self._socket.close()
-
-
-def open_transport(url: str) -> Transport:
-    """Open what a URL names: `udp://HOST:PORT?bind=PORT`; bind is the local port, 0 for any.
-
-    Raises:
-        TransportError: the URL is not understood, its host is not known, or the port is taken.
-    """
-    expected = "expected udp://HOST:PORT?bind=PORT"
-    try:
-        parts = urlsplit(url)
-        host, port = parts.hostname, parts.port
-        query = parse_qs(parts.query, keep_blank_values=True, strict_parsing=bool(parts.query))
-        bind = int(query.pop("bind", ["0"])[-1])
-    except ValueError as error:
-        raise TransportError(f"url is {url!r}, {expected}: {error}") from None
-    if parts.scheme != "udp" or not host or not port or parts.path or query:
-        raise TransportError(f"url is {url!r}, {expected}")
-    if not 0 <= bind <= 65535:
-        raise TransportError(f"url is {url!r}, {expected}: bind is {bind}, expected 0 to 65535")
-    try:
-        return UdpTransport(host, port, bind)
-    except OSError as error:
-        raise TransportError(f"url {url!r} cannot be opened: {error.strerror or error}") from None

@@ -1,0 +1,67 @@
+"""How frames reach a link. The driver's nodes know only `Transport`; a URL chooses which one."""
+
+from urllib.parse import SplitResult, parse_qs, urlsplit
+
+from fss_arm_driver.transport.base import BATCH, Transport, TransportError
+from fss_arm_driver.transport.stream import serial, tcp
+from fss_arm_driver.transport.udp import UdpTransport
+
+__all__ = ["BATCH", "FORMS", "Transport", "TransportError", "UdpTransport", "open_transport"]
+
+#: What a URL may be, by its scheme.
+FORMS = {
+    "udp": "udp://HOST:PORT?bind=PORT",
+    "tcp": "tcp://HOST:PORT",
+    "serial": "serial://DEVICE?baud=RATE",
+}
+BAUD = 115_200
+
+
+def open_transport(url: str) -> Transport:
+    """Open what a URL names, one of FORMS.
+
+    A UDP socket is bound to the local port `bind`, 0 for any; a serial port is opened at once and
+    at 115200 baud unless told otherwise; a TCP connection is made when it can be.
+
+    Raises:
+        TransportError: the URL is not understood, its host is not known, or its port cannot be
+            opened.
+    """
+    scheme = url.partition(":")[0]
+    expected = f"expected {FORMS.get(scheme) or ' or '.join(FORMS.values())}"
+    try:
+        parts = urlsplit(url)
+        if scheme in ("udp", "tcp") and not (parts.hostname and parts.port and not parts.path):
+            raise ValueError("no host, or no port")
+        if scheme == "udp":
+            bind = _option(parts, "bind", 0, range(65536))
+            return UdpTransport(str(parts.hostname), int(parts.port or 0), bind)
+        if scheme == "tcp":
+            _option(parts)
+            return tcp(str(parts.hostname), int(parts.port or 0))
+        if scheme == "serial":
+            baud = _option(parts, "baud", BAUD, range(300, 4_000_001))
+            return serial(_device(parts), baud)
+        raise ValueError("no such scheme")
+    except OSError as error:
+        raise TransportError(f"url {url!r} cannot be opened: {error.strerror or error}") from None
+    except ValueError as error:
+        raise TransportError(f"url is {url!r}, {expected}: {error}") from None
+
+
+def _device(parts: SplitResult) -> str:
+    """The device's path: `serial:///dev/ttyUSB0` and `serial://ttyUSB0` are the same one."""
+    if not (parts.netloc or parts.path.strip("/")):
+        raise ValueError("no device")
+    return f"/dev/{parts.netloc}{parts.path}" if parts.netloc else parts.path
+
+
+def _option(parts: SplitResult, name: str = "", default: int = 0, among: range = range(0)) -> int:
+    """The integer `name` of a URL's query, which must hold nothing else."""
+    query = parse_qs(parts.query, keep_blank_values=True, strict_parsing=bool(parts.query))
+    text = query.pop(name, [str(default)])[-1]
+    if query or parts.fragment:
+        raise ValueError(f"{next(iter(query), parts.fragment)!r} means nothing here")
+    if name and int(text) not in among:
+        raise ValueError(f"{name} is {text}, expected {among[0]} to {among[-1]}")
+    return int(text)

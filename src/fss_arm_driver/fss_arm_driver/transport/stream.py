@@ -1,0 +1,178 @@
+"""Frames on a byte stream, TCP or RS-232, which may break and is then opened again."""
+
+import errno
+import os
+import socket
+from collections import Counter
+from collections.abc import Callable
+from contextlib import suppress
+from select import select
+from threading import Event
+from typing import Protocol
+
+from serial import EIGHTBITS, PARITY_NONE, STOPBITS_ONE, Serial, SerialException
+
+from fss_arm_driver.protocol import StreamDecoder, pack
+from fss_arm_driver.transport.base import BATCH
+
+CONNECTING = 1.0  # how long opening may take [s]
+UNANSWERED = 2000  # a TCP connection whose bytes are not acknowledged for so long is dead [ms]
+NOISE = 1000  # bytes without a frame that are noise beyond doubt
+
+
+class Line(Protocol):
+    """An open byte stream: a socket, a serial port."""
+
+    def fileno(self) -> int:
+        """Its file descriptor, which does not block."""
+
+    def close(self) -> None:
+        """Close it."""
+
+
+class StreamTransport:
+    """Frames over a byte stream that `connect` opens, and opens again when it is lost.
+
+    Only `wait` opens and closes, so that no other thread's file descriptor goes away under it.
+
+    Args:
+        connect: opens the stream within CONNECTING, or raises OSError.
+        doubt: what to suspect if bytes come that are no frames.
+    """
+
+    def __init__(self, connect: Callable[[], Line], doubt: str) -> None:
+        self.counts: Counter[str] = Counter(connects=0, send_failures=0, noise_bytes=0)
+        self.trouble = "not connected yet"
+        self._connect, self._doubt = connect, doubt
+        self._line: Line | None = None
+        self._decoder = StreamDecoder()
+        self._silent = 0  # bytes since the last frame
+        self._broken, self._closed = False, Event()
+
+    def open(self) -> None:
+        """Open the stream now.
+
+        Raises:
+            OSError: it cannot be opened.
+        """
+        self._line, self._broken = self._connect(), False
+        self._decoder, self._silent = StreamDecoder(), 0
+        self.counts["connects"] += 1
+        self.trouble = ""
+
+    def send(self, data: bytes) -> None:
+        """Send a frame. One that does not fit into the system's buffer is torn and so lost."""
+        packed = pack(data)
+        try:
+            if self._line is None or self._broken:
+                raise ConnectionError
+            sent = os.write(self._line.fileno(), packed)
+        except BlockingIOError:
+            sent = 0
+        except (OSError, ValueError) as error:
+            self._break(error)
+            sent = 0
+        self.counts["send_failures"] += sent < len(packed)
+
+    def receive(self) -> list[bytes]:
+        """The frames that have come."""
+        frames: list[bytes] = []
+        line = self._line
+        try:
+            while line and not self._broken and len(frames) < BATCH and _readable(line, 0.0):
+                if not (data := os.read(line.fileno(), 4096)):
+                    raise ConnectionResetError("closed by the other end")
+                frames += self._decode(data)
+        except (OSError, ValueError) as error:
+            self._break(error)
+        return frames
+
+    def wait(self, timeout: float) -> bool:
+        """Wait for bytes; open the stream if it is lost."""
+        if self._line is None or self._broken:
+            self._drop()
+            try:
+                self.open()
+            except OSError as error:
+                self.trouble = f"cannot connect: {error.strerror or error}"
+                self._closed.wait(timeout)
+                return False
+        assert self._line
+        try:
+            return _readable(self._line, timeout)
+        except (OSError, ValueError):
+            return False
+
+    def close(self) -> None:
+        """Close the stream."""
+        self._closed.set()
+        self._drop()
+
+    def _decode(self, data: bytes) -> list[bytes]:
+        found = self._decoder.feed(data)
+        if found:
+            self._silent, self.trouble = 0, ""
+        else:
+            self._silent += len(data)
+            self.counts["noise_bytes"] += len(data)
+        if self._silent > NOISE:
+            self.trouble = f"bytes come that are no frames: {self._doubt}"
+        return found
+
+    def _break(self, error: Exception) -> None:
+        if self._line and not self._broken:
+            self._broken = True
+            self.trouble = f"connection lost: {getattr(error, 'strerror', None) or error}"
+
+    def _drop(self) -> None:
+        line, self._line = self._line, None
+        if line:
+            with suppress(OSError):
+                line.close()
+
+
+def _readable(line: Line, timeout: float) -> bool:
+    return bool(select([line], [], [], timeout)[0])
+
+
+def tcp(host: str, port: int) -> StreamTransport:
+    """Frames over a TCP connection to a link that listens; opened by the first `wait`."""
+
+    def connect() -> socket.socket:
+        line = socket.create_connection((host, port), CONNECTING)
+        line.setblocking(False)
+        line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        line.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, UNANSWERED)
+        return line
+
+    return StreamTransport(connect, f"is it a link that listens on port {port}?")
+
+
+def serial(device: str, baud: int) -> StreamTransport:
+    """Frames over a serial port, 8N1.
+
+    Raises:
+        OSError: the port cannot be opened. (Once it was, it may come and go.)
+    """
+    transport = StreamTransport(
+        lambda: open_port(device, baud), f"is the other end set to {baud} baud, 8N1?"
+    )
+    transport.open()
+    return transport
+
+
+def open_port(device: str, baud: int) -> Serial:
+    """A serial port, 8N1, not blocking, for this process alone.
+
+    Raises:
+        OSError: it cannot be opened, or cannot be set to this rate.
+    """
+    try:
+        return Serial(device, baud, EIGHTBITS, PARITY_NONE, STOPBITS_ONE, timeout=0, exclusive=True)
+    except (SerialException, ValueError) as error:
+        number = getattr(error, "errno", None)
+        if number == errno.EAGAIN:
+            raise OSError("another process has it open") from None
+        if number:
+            raise OSError(number, os.strerror(number)) from None
+        raise OSError(f"it is no serial port, or has no rate of {baud} baud") from None
