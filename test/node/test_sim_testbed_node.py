@@ -1,6 +1,8 @@
 """The test bed as a node: topics at their rate and stamps, links on UDP, time kept on request."""
 
 import socket
+from contextlib import closing, suppress
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,11 +11,16 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu
+from std_srvs.srv import SetBool
 
-from fss_arm_driver.protocol import Command, Mode, Telemetry, decode, encode
+from fss_arm_driver.protocol import Command, Mode, Order, Telemetry, decode, encode
+from fss_arm_msgs.srv import ResetTestbed, StepTime
 from fss_arm_ros.convert import planar_pose, stamp_ns
+from fss_arm_ros.definitions import message_class
 from fss_arm_ros.qos import sensor
 from fss_sim import testbed_node
+
+OF_REAL_TIME = {"/diagnostics", "/rosout", "/parameter_events"}
 
 QUIET = Command(
     link=1, flags=0, boot=0, sequence=0, clock=1, expiry=0, mode=Mode.OFF, watchdog=2000,
@@ -73,6 +80,108 @@ def test_time_kept_goes_as_fast_as_asked_and_never_begins_at_zero(spin, ears):
     assert clocks[-1] - clocks[0] > 1.5 * took  # of 10, on a machine with other things to do
 
 
+@pytest.fixture
+def call(spin):
+    """call(bed, name, kind, **request): the answer of a service of the test bed."""
+
+    def ask(bed, name, kind, **request):
+        node = Node("asks", start_parameter_services=False, enable_rosout=False)
+        client = node.create_client(kind, name)
+        spin([bed, node], client.service_is_ready)
+        answer = client.call_async(kind.Request(**request))
+        spin([bed, node], answer.done)
+        node.destroy_node()
+        return answer.result()
+
+    return ask
+
+
+def test_time_is_paused_stepped_and_let_go_by_services(spin, ears, call):
+    bed = testbed(keep_clock=True)
+    spin([bed, ears], lambda: ears.heard["clock"])
+    assert not call(bed, "sim/step", StepTime, frames=1).success
+    assert call(bed, "sim/pause", SetBool, data=True).success
+    begin = bed.testbed.frame
+    answer = call(bed, "sim/step", StepTime, frames=250)
+    assert answer.success
+    assert stamp_ns(answer.stamp) == 1_000_000_000 + (begin + 250) * 10_000_000
+    assert bed.testbed.frame == begin + 250
+    assert not call(bed, "sim/step", StepTime, frames=1_000_000).success
+    assert call(bed, "sim/pause", SetBool, data=False).success
+    spin([bed, ears], lambda: bed.testbed.frame > begin + 260)
+
+
+def test_ros_time_cannot_be_paused(spin, ears, call):
+    assert "keep_clock" in call(testbed(), "sim/pause", SetBool, data=True).message
+
+
+def test_flat_out_nobody_is_waited_for_but_drivers(spin, ears):
+    bed = testbed(keep_clock=True, speed=0.0)
+    spin([bed], lambda: bed.testbed.frame > 1000)
+
+
+class Session:
+    """All that a test bed says in a scripted session in stepped time, byte for byte."""
+
+    def __init__(self, bed, spin, call):
+        self.bed, self.spin, self.call = bed, spin, call
+        self.node = Node("session", start_parameter_services=False, enable_rosout=False)
+        self.topics, self.streams = {}, [[] for _ in bed.sockets]
+        known = bed.get_publisher_names_and_types_by_node("testbed", "/")
+        for topic, (kind,) in known:
+            if topic not in OF_REAL_TIME:
+                heard = self.topics[topic] = []
+                kind = message_class(kind)
+                self.node.create_subscription(kind, topic, heard.append, sensor(), raw=True)
+        self.hosts = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in bed.sockets]
+        for host in self.hosts:
+            host.bind(("127.0.0.1", 0))
+            host.setblocking(False)
+
+    def run(self, seed):
+        """What is heard of a session: by topic, and by link."""
+        assert self.call(self.bed, "sim/reset", ResetTestbed, seed=seed).success
+        for heard in (*self.topics.values(), *self.streams):
+            heard.clear()
+        for k, frames in enumerate((30, 1, 69, 50)):
+            for i, (host, port) in enumerate(
+                zip(self.hosts, (s.port for s in self.bed.sockets), strict=True), 1
+            ):
+                order = replace(
+                    QUIET, link=i, sequence=k + 1, clock=1000 * k + 1, boot=min(k, 1),
+                    flags=Order.ARM if k else 0, expiry=60_000_000 if k else 0,
+                    mode=Mode.POSITION if k else Mode.OFF, set_point=10_000 * k * i,
+                    velocity=300_000, acceleration=3000,
+                )  # fmt: skip
+                host.sendto(encode(order), ("127.0.0.1", port))
+            assert self.call(self.bed, "sim/step", StepTime, frames=frames).success
+            for host, stream in zip(self.hosts, self.streams, strict=True):
+                with suppress(BlockingIOError):
+                    while True:
+                        stream.append(host.recv(100))
+        self.spin(
+            [self.bed, self.node], lambda: all(len(heard) == 150 for heard in self.topics.values())
+        )
+        topics = {topic: tuple(heard) for topic, heard in self.topics.items()}
+        return topics, [tuple(stream) for stream in self.streams]
+
+    def close(self):
+        for host in self.hosts:
+            host.close()
+
+
+def test_the_same_seed_and_script_give_the_same_bytes_in_stepped_time(spin, ears, call):
+    bed = testbed(keep_clock=True, paused=True, preset="paper")
+    with closing(Session(bed, spin, call)) as session:
+        topics, streams = session.run(seed=7)
+        assert {"/clock", "/vicon/fss/fss", "/fog/imu"} <= topics.keys()
+        assert min(map(len, streams)) >= 7
+        assert abs(bed.testbed.plant.q[3:]).min() > 0.1  # the arm did move
+        assert session.run(seed=7) == (topics, streams)
+        other, _ = session.run(seed=8)
+        assert other["/vicon/fss/fss"] != topics["/vicon/fss/fss"]
+
+
 def test_a_link_answers_who_sends_it_a_good_command(spin, ears):
     bed = testbed()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as host:
@@ -111,6 +220,8 @@ def test_it_goes_on_from_its_state_file(spin, ears, tmp_path):
     [
         ({"preset": "none"}, "preset is 'none'"),
         ({"speed": 5.0}, "without keep_clock"),
+        ({"paused": True}, "without keep_clock"),
+        ({"speed": 500.0, "keep_clock": True}, "speed is 500"),
         ({"ports": [0, 0]}, "expected 4"),
         ({"q": [0.0]}, "expected 4"),
         ({"seed": -1}, "seed is -1"),

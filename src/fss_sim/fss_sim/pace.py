@@ -1,11 +1,33 @@
 """When frames are due."""
 
+import time
 from collections.abc import Callable
+from typing import Protocol
 
 from fss_sim.testbed import FRAME
 
+LEAD = 40  # frames that may pass without a word from a driver that sends five times a second
+STRIDE = 10  # frames made at once at most, so that the node remains responsive
+PATIENCE = 1_000_000_000  # a driver silent for this long of real time has ended [ns]
 
-class Pace:
+
+class Pace(Protocol):
+    """How fast time passes in the test bed."""
+
+    epoch: int  # time of frame 0 by the clock that it follows [ns]
+    jumps: int  # of that clock
+
+    def due(self, frame: int) -> int:
+        """How many frames are due after the last one made."""
+
+    def late(self, frame: int) -> int:
+        """Time since the last frame made [ns]."""
+
+    def hear(self, link: int, frame: int) -> None:
+        """A link's driver has said something."""
+
+
+class Clocked:
     """Frames at their rate by some clock [ns]; a late frame is made up for and never skipped.
 
     Args:
@@ -28,3 +50,38 @@ class Pace:
         self.epoch += late
         self.jumps += 1
         return 0
+
+    def due(self, frame: int) -> int:
+        """As many as the clock says."""
+        return self.late(frame) // FRAME
+
+    def hear(self, link: int, frame: int) -> None:
+        """A clock waits for nobody."""
+
+
+class FlatOut:
+    """As fast as frames can be computed and the links' drivers follow.
+
+    Args:
+        now: reads the clock of real time [ns].
+    """
+
+    epoch = jumps = 0
+
+    def __init__(self, now: Callable[[], int] = time.monotonic_ns) -> None:
+        self.now = now
+        self._heard: dict[int, tuple[int, int]] = {}  # last frame and real time [ns], by link
+
+    def due(self, frame: int) -> int:
+        """As many as leave no driver behind that is there."""
+        now = self.now()
+        there = [k for k, t in self._heard.values() if now - t <= PATIENCE]
+        return max(0, min(STRIDE, *(k + LEAD - frame for k in there)) if there else STRIDE)
+
+    def late(self, frame: int) -> int:
+        """Nothing happens between frames."""
+        return 0
+
+    def hear(self, link: int, frame: int) -> None:
+        """Its driver has followed to this frame."""
+        self._heard[link] = frame, self.now()

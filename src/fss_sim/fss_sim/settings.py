@@ -31,7 +31,10 @@ class TestbedSettings:
     base: tuple[float, ...] = setting((0.0, 0.0, 0.0), "pose at the begin: x, y [m], heading [rad]")
     q: tuple[float, ...] = setting((), "joint angles at the begin [rad]; empty: all 0")
     keep_clock: bool = setting(False, "publish /clock; else the stamps are ROS time as it is")
-    speed: float = setting(1.0, "of the clock kept, in multiples of real time")
+    speed: float = setting(
+        1.0, "of the clock kept, in multiples of real time; 0: as the links' drivers can follow"
+    )
+    paused: bool = setting(False, "begin with the clock kept standing still, to be stepped")
     state_file: str = setting("", "where the state is kept to resume from; empty: nowhere")
     world_frame: str = setting("world", "frame_id of the VICON poses")
     base_frame: str = setting("fss", "frame_id of the FOG")
@@ -43,9 +46,12 @@ class TestbedSettings:
             raise ValueError(f"seed is {self.seed}, expected 0 or more")
         if not 0.0 < self.telemetry_rate <= RATE:
             raise ValueError(f"telemetry_rate is {self.telemetry_rate}, expected above 0 to {RATE}")
-        if not 0.01 <= self.speed <= 100.0 or (self.speed != 1.0 and not self.keep_clock):
+        if not (self.speed == 0.0 or 0.01 <= self.speed <= 100.0):
+            raise ValueError(f"speed is {self.speed}, expected 0.01 to 100, or 0")
+        if (self.speed != 1.0 or self.paused) and not self.keep_clock:
             raise ValueError(
-                f"speed is {self.speed}, expected 0.01 to 100, and 1 without keep_clock"
+                f"speed is {self.speed} and paused {str(self.paused).lower()}, "
+                "expected 1 and false without keep_clock"
             )
         if len(self.base) != 3:
             raise ValueError(f"base has {len(self.base)} numbers, expected 3")
@@ -70,6 +76,10 @@ class TestbedSettings:
         """The state to begin with: the file's, else the one given."""
         if self.state_file and Path(self.state_file).exists():
             return State.load(Path(self.state_file), n).resumed()
+        return self.fresh(n)
+
+    def fresh(self, n: int) -> State:
+        """The state given."""
         q = self.q or n * (0.0,)
         if len(q) != n:
             raise ValueError(f"q has {len(q)} angles, expected {n}")

@@ -1,4 +1,7 @@
-"""The simulated test bed as a node: VICON and FOG on topics, links on UDP, time on request."""
+"""The simulated test bed as a node: VICON and FOG on topics, links on UDP, time on request.
+
+Its services are for whoever keeps the clock: `sim/pause`, `sim/step` while paused, `sim/reset`.
+"""
 
 import sys
 import time
@@ -10,22 +13,24 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import Imu
+from std_srvs.srv import SetBool
 
 from fss_arm_driver.protocol import load_keys
-from fss_arm_ros.convert import pose_stamped, to_time
+from fss_arm_msgs.srv import ResetTestbed, StepTime
+from fss_arm_ros.convert import SECOND, pose_stamped, to_time
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.qos import SENSOR
 from fss_arm_ros.run import run
 from fss_arm_ros.settings import declare
-from fss_sim.pace import Pace
+from fss_sim.pace import Clocked, FlatOut, Pace
 from fss_sim.sensors import RATE, Sight
 from fss_sim.settings import TestbedSettings
-from fss_sim.testbed import FRAME, Testbed
+from fss_sim.testbed import FRAME, State, Testbed
 from fss_sim.udp import LinkSocket
 
-SECOND = 1_000_000_000  # [ns]
 BURST = RATE  # frames made up for at once, so that the node remains responsive
 SAVED = RATE // 5  # frames from one writing of the state file to the next
+LONGEST = 60 * RATE  # frames of one step, so that the node answers before long
 
 
 class TestbedNode(Node):
@@ -34,31 +39,49 @@ class TestbedNode(Node):
     def __init__(self, **options: Any) -> None:
         super().__init__("testbed", **options)
         self.settings = settings = declare(self, TestbedSettings)
-        arm = settings.description()
-        begin = settings.begin(arm.n)
-        keys = load_keys(settings.keys) if settings.keys else {}
-        self.testbed = Testbed(
-            arm, settings.noise(), settings.seed, begin, settings.telemetry_rate, keys
-        )
+        self.arm = arm = settings.description()
+        self.keys = load_keys(settings.keys) if settings.keys else {}
         self.sockets = [LinkSocket(settings.host, port) for port in settings.link_ports(arm.n)]
         self.base = self.create_publisher(PoseStamped, "vicon/fss/fss", SENSOR)
         self.tip = self.create_publisher(PoseStamped, "vicon/end_effector/end_effector", SENSOR)
         self.gyro = self.create_publisher(Imu, "fog/imu", SENSOR)
         if settings.keep_clock:
             self.clock = self.create_publisher(ClockMessage, "/clock", 10)
-            # What cannot be computed in time makes time run slower.
-            self.pace = Pace(self._own_time, begin.frame, back=SECOND, ahead=SECOND)
-        else:
-            self.pace = Pace(self._ros_time, begin.frame, back=SECOND, ahead=30 * SECOND)
-        self.save()
+        self.seed, self.paused = settings.seed, settings.paused
+        self.begin(settings.begin(arm.n))
+        self.create_service(SetBool, "sim/pause", self.on_pause)
+        self.create_service(StepTime, "sim/step", self.on_step)
+        self.create_service(ResetTestbed, "sim/reset", self.on_reset)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(max(0.001, 0.5 / RATE / settings.speed), self.tick, clock=steady)
-        self._counted = begin.frame, time.monotonic()
+        period = 0.5 / RATE / settings.speed if settings.speed else 0.0
+        self.create_timer(max(0.001, period), self.tick, clock=steady)
+        self._counted = self.testbed.frame, time.monotonic()
         self.diagnostics = Diagnostics(self, self.health)
+
+    def begin(self, state: State) -> None:
+        """Make the test bed in this state, and let its time begin now."""
+        settings = self.settings
+        self.testbed = Testbed(
+            self.arm, settings.noise(), self.seed, state, settings.telemetry_rate, self.keys
+        )
+        self.pace = self.new_pace()
+        self.save()
+
+    def new_pace(self) -> Pace:
+        """The pace that is asked for, from the present frame on."""
+        frame = self.testbed.frame
+        if not self.settings.keep_clock:
+            return Clocked(self._ros_time, frame, back=SECOND, ahead=30 * SECOND)
+        if not self.settings.speed:
+            return FlatOut()
+        # What cannot be computed in time makes time run slower.
+        return Clocked(self._own_time, frame, back=SECOND, ahead=SECOND)
 
     def tick(self) -> None:
         """Make the frames that are due, and hand on the datagrams that have come."""
-        due = self.pace.late(self.testbed.frame) // FRAME
+        if self.paused:
+            return
+        due = self.pace.due(self.testbed.frame)
         for _ in range(min(due, BURST)):
             self.make_frame()
         if due <= BURST:
@@ -73,6 +96,40 @@ class TestbedNode(Node):
                 socket.send(data)
         if self.testbed.frame % SAVED == 0:
             self.save()
+
+    def on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        """Let time stand still, or go on."""
+        if not self.settings.keep_clock:
+            response.message = "the time is ROS time as it is: keep_clock is false"
+            return response
+        self.paused, self.pace = request.data, self.new_pace()
+        response.success, response.message = True, "paused" if request.data else "running"
+        return response
+
+    def on_step(self, request: StepTime.Request, response: StepTime.Response) -> StepTime.Response:
+        """Let so many frames pass; what has come before is taken before the first of them."""
+        if not self.paused:
+            response.message = "time runs: pause it first"
+        elif request.frames > LONGEST:
+            response.message = f"{request.frames} frames, expected at most {LONGEST}"
+        else:
+            for _ in range(request.frames):
+                self.receive()
+                self.make_frame()
+            response.success = True
+        response.stamp = to_time(self.stamp())
+        return response
+
+    def on_reset(
+        self, request: ResetTestbed.Request, response: ResetTestbed.Response
+    ) -> ResetTestbed.Response:
+        """Begin anew from the parameters, whatever the state file holds."""
+        self.seed = request.seed if request.seed >= 0 else self.seed
+        for socket in self.sockets:
+            socket.reset()
+        self.begin(self.settings.fresh(self.arm.n))
+        response.success, response.message = True, f"begun with seed {self.seed}"
+        return response
 
     def stamp(self) -> int:
         """Time of the last frame [ns]; the time kept begins at 1 s, as 0 is "no time" to ROS."""
@@ -99,6 +156,7 @@ class TestbedNode(Node):
         late = min(max(late, 0), FRAME - 1)
         for link, socket in enumerate(self.sockets):
             for data, sender in socket.receive():
+                self.pace.hear(link, self.testbed.frame)
                 if self.testbed.receive(link, data, late):
                     socket.answer(sender)
 
@@ -113,7 +171,7 @@ class TestbedNode(Node):
         before, then = self._counted
         self._counted = frame, now
         speed = (frame - before) / RATE / max(now - then, 1e-9)
-        slow = now - then > 0.5 and speed < 0.95 * self.settings.speed
+        slow = now - then > 0.5 and speed < 0.95 * self.settings.speed and not self.paused
         values: dict[str, Any] = {
             "simulated time [s]": frame / RATE,
             "speed": speed,
@@ -124,7 +182,8 @@ class TestbedNode(Node):
         for link, socket in zip(self.testbed.links, self.sockets, strict=True):
             refused = link.gate.refused.total()
             values[f"link {link.gate.number}"] = f"port {socket.port}, {refused} refused"
-        return Health(WARN if slow else OK, "too slow" if slow else "running", values)
+        state = "paused" if self.paused else "too slow" if slow else "running"
+        return Health(WARN if slow else OK, state, values)
 
     def close(self) -> None:
         """Keep the state and give the ports back."""

@@ -49,6 +49,12 @@ class LinkSocket:
             with suppress(OSError):
                 self._socket.sendto(data, self._peer)
 
+    def reset(self) -> None:
+        """Forget what has come, and who sent it."""
+        while self.receive():
+            pass
+        self._peer = None
+
     def close(self) -> None:
         """Give the port back."""
         self._socket.close()
