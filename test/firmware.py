@@ -3,6 +3,9 @@
 import fcntl
 import subprocess
 from pathlib import Path
+from typing import NamedTuple
+
+from fss_arm_driver.protocol import Command, Telemetry, decode, encode
 
 ROOT = Path(__file__).parents[1]
 SOURCES = ROOT / "src/fss_arm_driver/firmware"
@@ -51,3 +54,50 @@ class Core:
         """End it; a report of the sanitizers fails the test."""
         _, report = self.process.communicate()
         assert self.process.returncode == 0, report
+
+
+class Joint(NamedTuple):
+    """What the simulated drive really does."""
+
+    position: float  # [counts]
+    velocity: float  # [counts/s]
+    mode: int
+    baud: int
+
+
+class FirmwareLink:
+    """A link's electronics in simulated time, a simulated drive behind them."""
+
+    def __init__(self, core: Core, number: int = 2, boot: int = 7) -> None:
+        self.core = core
+        self.clock = 0  # [us]
+        self.tell(f"start {number} {boot} -")
+
+    def tell(self, request: str) -> None:
+        """Let something happen to it."""
+        assert self.core.ask(request) == "done"
+
+    def send(self, command: Command | bytes) -> bool:
+        """Deliver a datagram; whether it was taken as a command."""
+        data = command if isinstance(command, bytes) else encode(command)
+        answer = self.core.ask(f"send {data.hex() or '-'}")
+        assert answer in ("taken", "refused")
+        return answer == "taken"
+
+    def run(self, seconds: float) -> list[Telemetry]:
+        """Let time pass; what it sent meanwhile."""
+        answer = self.core.ask(f"run {round(1e6 * seconds)}")
+        self.clock += round(1e6 * seconds)
+        frames = [decode(bytes.fromhex(frame)) for frame in answer.split() if frame != "-"]
+        assert all(isinstance(frame, Telemetry) for frame in frames)
+        return frames
+
+    def orders(self) -> list[str]:
+        """What the drive was told since the last call, but for readings."""
+        answer = self.core.ask("orders")
+        return [] if answer == "-" else answer.split("; ")
+
+    def joint(self) -> Joint:
+        """The drive and its motor."""
+        position, velocity, mode, baud = self.core.ask("joint").split()
+        return Joint(float(position), float(velocity), int(mode), int(baud))

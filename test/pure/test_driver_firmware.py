@@ -1,11 +1,19 @@
 """The link's firmware on this computer, under sanitizers, beside the Python codec."""
 
+import random
 from collections.abc import Iterator
+from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
-from firmware import Core
+from firmware import Core, FirmwareLink
 from firmware_vectors import cases
+
+from fss_arm_driver.protocol import Command, Mode, Order, Slow, State, decode, encode
+from fss_arm_model.description import paper_arm
+from fss_sim.electronics import LinkElectronics
+from fss_sim.plant import Motion
 
 VECTORS = Path(__file__).parents[1] / "vectors/firmware.txt"
 
@@ -34,3 +42,383 @@ def test_the_firmware_agrees_with_the_vectors(core):
 def test_the_firmware_agrees_with_the_python_codec_on_random_frames(core):
     for request, answer in cases(seed=2, count=400):
         assert core.ask(request) == answer, request
+
+
+# --- the link ------------------------------------------------------------------------------------
+
+BOOT, SECOND = 7, 1_000_000
+QUIET = Command(
+    link=2, flags=0, boot=BOOT, sequence=1, clock=5, expiry=0, mode=Mode.OFF, watchdog=2000,
+    set_point=0, velocity=0, acceleration=0,
+)  # fmt: skip
+MOVE = replace(
+    QUIET, flags=Order.ARM, sequence=2, expiry=100 * SECOND, mode=Mode.POSITION,
+    set_point=200_000, velocity=381_972, acceleration=7639,
+)  # fmt: skip
+TURN = replace(MOVE, mode=Mode.VELOCITY, set_point=-300_000, velocity=0)
+PUSH = replace(MOVE, mode=Mode.CURRENT, set_point=50, velocity=0, acceleration=0)
+LATCHES = State.ARMED | State.STOPPED | State.WATCHDOG
+
+
+@pytest.fixture
+def link(core) -> FirmwareLink:
+    """A link whose drive is connected, at one second."""
+    link = FirmwareLink(core)
+    link.run(1.0)
+    link.orders()
+    return link
+
+
+def moving(link, command=MOVE):
+    """The link, one second into a command."""
+    assert link.send(QUIET)
+    assert link.send(command)
+    link.run(1.0)
+    assert abs(link.joint().velocity) > 20_000
+    link.orders()
+    return link
+
+
+def test_it_finds_the_drive_and_starts_disarmed_and_off(core):
+    link = FirmwareLink(core)
+    frames = link.run(2.0)
+    assert link.orders() == ["s r0x90 115200"]
+    assert (link.joint().baud, link.joint().mode) == (115200, Mode.OFF)
+    assert all(frame.flags == State.REFERENCED and frame.mode == Mode.OFF for frame in frames)
+    assert frames[0].clock < 600_000
+
+
+def test_it_measures_five_times_a_second_whatever_arrives(link):
+    for _ in range(40):
+        link.send(bytes(72))
+    frames = link.run(3.0)
+    periods = [later.clock - frame.clock for frame, later in pairwise(frames)]
+    assert len(frames) == 15
+    assert all(abs(period - 200_000) < 15_000 for period in periods)
+    assert [frame.sequence for frame in frames] == list(range(4, 19))
+    slow = {Slow(frame.slow_id): frame.slow_value for frame in frames}
+    assert slow == {
+        Slow.FAULTS: 0, Slow.SUPPLY: 240, Slow.BATTERY: 148, Slow.TEMPERATURE: 31,
+        Slow.FIRMWARE: 0x10000, Slow.HOMINGS: 1, Slow.REFUSED: 40,
+    }  # fmt: skip
+
+
+def test_it_echoes_the_last_command_at_the_measurement(link):
+    assert link.send(replace(QUIET, clock=(1 << 33) + 77))
+    (frame,) = link.run(0.2)
+    assert frame.echo == 77
+    assert frame.turnaround == frame.clock - SECOND
+
+
+@pytest.mark.parametrize("counts", [0, 1, -1, 123_456, (1 << 23) - 1, -(1 << 23)])
+def test_it_reads_the_torque_converter(link, counts):
+    link.tell(f"torque {counts}")
+    frame = link.run(0.4)[-1]
+    assert frame.torque == counts
+    assert frame.torque_age <= 13
+
+
+def test_a_move_is_what_the_drives_guide_says(link):
+    assert link.send(QUIET)
+    assert link.send(replace(MOVE, set_point=40_000))
+    reached = link.run(1.9)[-1]
+    assert link.orders() == [
+        "s r0x24 21", "s r0xc8 0", "s r0xca 40000", "s r0xcb 381972", "s r0xcc 7639",
+        "s r0xcd 7639", "t 1",
+    ]  # fmt: skip
+    assert (link.joint().position, reached.position) == (40_000, 40_000)
+    assert reached.mode == Mode.POSITION
+
+
+@pytest.mark.parametrize(
+    ("command", "orders"),
+    [
+        (TURN, ["s r0x36 76", "s r0x37 76", "s r0x2f -300000", "s r0x24 11"]),
+        (PUSH, ["s r0x02 50", "s r0x24 1"]),
+    ],
+)
+def test_set_points_are_written_before_the_mode_that_follows_them(link, command, orders):
+    assert link.send(QUIET)
+    assert link.send(command)
+    frame = link.run(1.0)[-1]
+    assert link.orders() == orders
+    assert frame.mode == command.mode
+    assert frame.velocity * command.set_point > 0
+
+
+def test_a_command_repeated_is_the_same_move(link):
+    moving(link)
+    for sequence in range(3, 8):
+        assert link.send(replace(MOVE, sequence=sequence))
+        link.run(0.2)
+    assert link.orders() == []
+
+
+def test_a_new_target_is_taken_in_motion_and_another_mode_from_rest(link):
+    moving(link)
+    assert link.send(replace(MOVE, sequence=3, set_point=300_000))
+    link.run(0.1)
+    assert link.orders()[-1] == "t 1"
+    assert link.joint().velocity > 20_000
+    assert link.send(replace(TURN, sequence=4))
+    link.run(1.0)
+    assert link.orders() == [
+        "t 0", "s r0x36 76", "s r0x37 76", "s r0x2f -300000", "s r0x24 11",
+    ]  # fmt: skip
+    assert link.joint().velocity < -20_000
+
+
+@pytest.mark.parametrize("command", [MOVE, TURN, PUSH])
+def test_silence_trips_the_watchdog_and_only_a_disarming_frame_resets_it(link, command):
+    moving(link, command)
+    link.run(0.99)
+    assert link.run(0.2)[-1].flags & LATCHES == State.WATCHDOG  # two seconds have passed
+    link.run(0.8)
+    still = link.joint()
+    assert (still.velocity, still.mode) == (0, Mode.POSITION)
+    assert not link.send(replace(MOVE, sequence=3))
+    assert link.send(replace(QUIET, sequence=4))
+    assert link.send(replace(MOVE, sequence=5))
+    assert link.run(0.2)[-1].flags & LATCHES == State.ARMED
+
+
+def test_the_watchdog_is_as_long_as_the_last_command_says(link):
+    moving(link, replace(MOVE, watchdog=1500))
+    assert not link.run(0.45)[-1].flags & State.WATCHDOG
+    link.run(0.2)
+    assert link.orders() == ["t 0"]
+
+
+@pytest.mark.parametrize("command", [MOVE, TURN, PUSH])
+def test_an_expired_set_point_is_held_and_the_link_stays_armed(link, command):
+    moving(link, replace(command, expiry=2_100_000))
+    link.run(0.9)
+    assert link.send(replace(command, sequence=3, expiry=2_950_000))
+    frame = link.run(1.0)[-1]
+    assert frame.flags & LATCHES == State.ARMED
+    assert link.joint().velocity == 0
+    assert frame.mode == Mode.POSITION
+
+
+@pytest.mark.parametrize(
+    ("command", "orders"),
+    [
+        (MOVE, ["t 0"]),
+        (TURN, ["s r0x2f 0", "s r0x24 21"]),
+        (PUSH, ["s r0x2f 0", "s r0x24 11", "s r0x24 21"]),
+    ],
+)
+def test_stop_brakes_at_once_and_latches(link, command, orders):
+    moving(link, command)
+    assert link.send(replace(QUIET, sequence=0, boot=BOOT + 5, flags=Order.STOP))
+    link.run(0.003)
+    assert link.orders() == orders[:1]
+    link.run(1.0)
+    assert link.orders() == orders[1:]
+    assert link.joint().velocity == 0
+    assert link.send(replace(MOVE, sequence=4))
+    assert link.run(0.2)[-1].flags & LATCHES == State.STOPPED
+    assert link.joint().velocity == 0
+    assert link.send(replace(QUIET, sequence=5))
+    assert link.send(replace(MOVE, sequence=6))
+    assert link.run(0.2)[-1].flags & LATCHES == State.ARMED
+
+
+@pytest.mark.parametrize("command", [MOVE, TURN, PUSH])
+def test_disarming_brakes_and_switches_off_at_rest(link, command):
+    moving(link, command)
+    assert link.send(replace(QUIET, sequence=3))
+    link.run(0.01)
+    assert link.joint().mode != Mode.OFF
+    frame = link.run(1.0)[-1]
+    assert (frame.mode, frame.flags & LATCHES) == (Mode.OFF, 0)
+    assert (link.joint().mode, link.joint().velocity) == (Mode.OFF, 0)
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        replace(MOVE, sequence=2),
+        replace(MOVE, sequence=1),
+        replace(MOVE, sequence=0xFFFFFFF0),
+        replace(MOVE, sequence=3, boot=BOOT + 1),
+        replace(MOVE, sequence=3, expiry=SECOND - 1),
+        replace(MOVE, sequence=3, link=3),
+        b"",
+        encode(MOVE)[:71],
+        encode(replace(MOVE, sequence=3)) + b"\0",
+    ],
+)
+def test_what_it_refuses_changes_nothing(link, command):
+    moving(link)
+    assert not link.send(command)
+    assert link.run(0.9)[-1].flags & LATCHES == State.ARMED
+    assert link.orders() == []
+    link.run(0.2)  # and did not put off the watchdog
+    assert link.orders() == ["t 0"]
+
+
+def test_a_session_cannot_begin_armed(link):
+    assert not link.send(MOVE)
+    assert link.run(0.2)[-1].flags & LATCHES == 0
+
+
+def test_a_flood_does_not_keep_it_from_stopping(link):
+    moving(link)
+    assert link.send(replace(QUIET, sequence=3, flags=Order.STOP))
+    for _ in range(200):
+        assert not link.send(bytes(72))
+    link.run(0.01)
+    assert link.orders() == ["t 0"]
+
+
+# --- the link against the simulator's ------------------------------------------------------------
+
+
+def clumsy_command(rng, clock, sequence):
+    """A command as a computer in trouble may send it: doubled, late, for another start."""
+    flags = rng.choice([Order.ARM] * 8 + [Order.ARM | Order.HOLD] * 3 + [0, 0, 0, Order.STOP])
+    return replace(
+        rng.choice([MOVE, TURN, PUSH]),
+        sequence=(sequence + rng.choice([-1, 0, 1, 1, 1, 1, 1, 2])) & 0xFFFFFFFF,
+        flags=flags,
+        boot=rng.choice([BOOT] * 9 + [BOOT + 1]),
+        watchdog=rng.choice([500, 2000]),
+        expiry=clock + rng.randint(-50_000, 2 * SECOND),
+        set_point=rng.randint(-100, 100),
+    )
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_it_takes_arms_and_trips_as_the_simulated_link_does(link, seed):
+    simulated = LinkElectronics(2, paper_arm().links[1], BOOT)
+    rest = Motion(q=0.0, qd=0.0, current=0.0, torque=0.0)
+    rng, sequence, seen = random.Random(seed), 0, set()
+    for _ in range(200):
+        command = clumsy_command(rng, link.clock, sequence)
+        taken = link.send(command)
+        assert simulated.receive(encode(command), link.clock) == taken
+        sequence = command.sequence if taken else sequence
+        for frame in link.run(rng.choice([0.05, 0.2, 0.2, 0.2, 0.4, 2.5])):
+            simulated.demand(frame.clock, rest)
+            expected = decode(simulated.telemetry(frame.clock, rest))
+            assert frame.flags & LATCHES == expected.flags & LATCHES
+            assert (frame.echo, frame.turnaround) == (expected.echo, expected.turnaround)
+            seen.add(frame.flags & LATCHES)
+        simulated.demand(link.clock, rest)
+    assert seen >= {0, State.ARMED, State.STOPPED, State.WATCHDOG}
+
+
+# --- the drive's line ----------------------------------------------------------------------------
+
+ERRORS = [1, 3, 4, 5, 9, 10, 11, 14, 15, 16, 18, 19, 20, 21, 22, 25, 27, 31, 32, 33, 36, 46, 48]
+
+
+@pytest.mark.parametrize("code", ERRORS)
+def test_what_the_drive_refuses_is_held_instead_until_commanded_again(link, code):
+    moving(link)
+    link.tell(f"fail {code}")
+    assert link.send(replace(MOVE, sequence=3, set_point=300_000))
+    link.run(0.5)
+    assert link.orders()[-1] == "t 0"
+    assert link.joint().velocity == 0
+    assert link.send(replace(MOVE, sequence=4, set_point=300_000))
+    link.run(0.5)
+    assert link.joint().velocity > 20_000
+
+
+def test_a_drive_that_cannot_hold_is_switched_off(link):
+    moving(link)
+    link.tell("fail 15")
+    assert link.send(replace(QUIET, sequence=3, flags=Order.STOP))
+    link.run(0.5)
+    assert link.orders() == ["t 0", "s r0x24 0"]
+    assert link.joint().mode == Mode.OFF
+
+
+def test_a_pulled_cable_disarms_and_says_nothing_stale(link):
+    moving(link)
+    link.tell("plug 0")
+    before = link.run(1.0)
+    assert all(frame.clock < 2_000_000 + 20_000 for frame in before)
+    assert link.send(replace(QUIET, sequence=3, boot=0))
+    link.tell("plug 1")
+    after = link.run(3.0)
+    assert after
+    assert not any(frame.flags & LATCHES for frame in after)
+    assert link.joint()[1:] == (0, Mode.OFF, 115200)
+
+
+def test_a_cable_pulled_in_mid_line_is_survived(link):
+    for cut in range(1, 60):
+        link.run(0.0001 * cut)
+        link.tell("plug 0")
+        link.run(0.0004)
+        link.tell("plug 1")
+        link.run(0.25)
+    assert link.run(0.4)[-1].status & 1 << 12
+
+
+def test_noise_on_the_line_is_survived_and_never_believed(link):
+    rng = random.Random(3)
+    moving(link)
+    frames = []
+    for sequence in range(3, 103):
+        assert link.send(replace(MOVE, sequence=sequence, set_point=10_000_000))
+        noise = rng.choice([b"ok\r", b"v 5\r", b"e 3\r", b"\r", rng.randbytes(30), b"v 99"])
+        if sequence % 2:
+            link.tell(f"noise {noise.hex()}")
+        frames += link.run(0.2)
+    assert len(frames) > 60
+    forged = sum(frame.position in (5, 99) or frame.velocity in (5, 99) for frame in frames)
+    assert forged <= 5  # a whole well-formed line cannot be told from the drive's own
+
+
+def test_a_power_cycle_is_survived_unreferenced_and_disarmed(link):
+    moving(link)
+    link.tell("power")
+    frames = link.run(3.0)
+    assert frames[-1].clock > 3_700_000
+    assert not frames[-1].flags & (State.REFERENCED | State.ARMED)
+    assert frames[-1].status & 1 << 20
+    assert link.joint()[1:] == (0, Mode.OFF, 115200)
+    link.tell("reference 1")
+    homed = {frame.slow_id: frame for frame in link.run(2.0)}[Slow.HOMINGS]
+    assert homed.flags & State.REFERENCED
+    assert homed.slow_value == 2
+
+
+@pytest.mark.parametrize("command", [MOVE, TURN, PUSH])
+def test_its_own_restart_stops_a_moving_drive(link, command):
+    moving(link, command)
+    link.tell(f"restart 2 {BOOT + 1} -")
+    frames = link.run(2.0)
+    assert link.joint()[1:] == (0, Mode.OFF, 115200)
+    assert frames[-1].boot == BOOT + 1
+    assert not frames[-1].flags & LATCHES
+
+
+def test_a_latched_fault_disarms_and_is_cleared_once_the_drive_is_off(link):
+    moving(link)
+    link.tell("faults 4")
+    frame = link.run(1.0)[-1]
+    assert not frame.flags & State.ARMED
+    assert link.joint().mode == Mode.OFF
+    assert not link.send(replace(MOVE, sequence=2))
+    assert link.send(replace(MOVE, sequence=3))
+    assert not link.run(0.2)[-1].flags & State.ARMED  # while it lasts
+    assert link.send(replace(QUIET, sequence=4, flags=Order.CLEAR_FAULTS))
+    link.run(0.5)
+    assert link.orders()[-1] == "s r0xa4 4"
+    assert link.send(replace(MOVE, sequence=5))
+    assert link.run(0.2)[-1].flags & State.ARMED
+
+
+def test_without_a_drive_it_neither_arms_nor_talks(core):
+    link = FirmwareLink(core)
+    link.tell("plug 0")
+    link.send(QUIET)
+    link.send(MOVE)
+    assert link.run(3.0) == []
+    link.tell("plug 1")
+    assert link.run(2.0)[-1].flags & LATCHES == 0

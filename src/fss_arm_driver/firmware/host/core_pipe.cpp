@@ -6,14 +6,27 @@
 //   stream FRAME                the bytes that carry a frame on a serial line
 //   unstream DATA               the frames in these bytes
 //
-// Bytes are hexadecimal, `-` for none.
+//   start LINK BOOT KEY         a link's electronics with a drive behind them; time begins
+//   restart LINK BOOT KEY       the electronics alone
+//   send DATA                   a datagram arrives: `taken` or `refused`
+//   run TIME                    so much later [us], the frames sent meanwhile
+//   orders                      what the drive was told since the last call, but for readings
+//   joint                       position [counts], velocity [counts/s], mode and baud of the drive
+//   torque COUNTS | push VELOCITY | reference 0 or 1 | plug 0 or 1 | power | noise DATA |
+//   faults BITS | fail CODE     what may happen to the drive; the last: its next order fails
+//
+// Bytes are hexadecimal, `-` for none. Time is simulated: nothing here depends on the machine's.
 
-#include <stdio.h>
-
+#include <algorithm>
+#include <deque>
 #include <iostream>
+#include <optional>
 #include <sstream>
+#include <utility>
 
+#include "bench_board.hpp"
 #include "frame.hpp"
+#include "link.hpp"
 #include "stream.hpp"
 #include "text.hpp"
 
@@ -108,6 +121,92 @@ std::string found(Words& words) {
   return frames.empty() ? "-" : frames;
 }
 
+// --- a link in simulated time -------------------------------------------------------------------
+
+constexpr uint64_t kStep = 100;  // between two polls [us]
+
+class PipeBoard : public BenchBoard {
+ public:
+  size_t receive(uint8_t* data, size_t room) override {
+    if (inbox.empty()) return 0;
+    const Bytes datagram = inbox.front();
+    inbox.pop_front();
+    const size_t size = std::min(room, datagram.size());
+    std::copy_n(datagram.begin(), size, data);
+    return size;
+  }
+  void answer() override {}
+  void send(const uint8_t* frame) override {
+    outbox += (outbox.empty() ? "" : " ") + to_hex(frame, kFrameSize);
+  }
+
+  std::deque<Bytes> inbox;
+  std::string outbox;
+};
+
+struct World {
+  void poll() {
+    board.pass(now);
+    link->poll(now);
+  }
+
+  PipeBoard board;
+  std::optional<Link> link;
+  uint64_t now = 0;
+};
+
+std::optional<World> world;
+
+std::string start(Words& words) {
+  const auto link = number<uint8_t>(words);
+  const auto boot = number<uint16_t>(words);
+  world->link.emplace(link, boot, key_of(bytes(words)), world->board);
+  return "done";
+}
+
+std::string send(Words& words) {
+  const uint32_t taken = world->link->gate().taken();
+  world->board.inbox.push_back(bytes(words));
+  world->poll();
+  return world->link->gate().taken() > taken ? "taken" : "refused";
+}
+
+std::string run(Words& words) {
+  const uint64_t end = world->now + number<uint64_t>(words);
+  for (; world->now < end; world->now += kStep) world->poll();
+  const std::string frames = std::exchange(world->board.outbox, "");
+  return frames.empty() ? "-" : frames;
+}
+
+std::string orders() {
+  std::string lines;
+  for (const std::string& line : world->board.drive().take_log()) {
+    if (line.rfind("g ", 0) != 0) lines += (lines.empty() ? "" : "; ") + line;
+  }
+  return lines.empty() ? "-" : lines;
+}
+
+std::string joint() {
+  const DriveModel& drive = world->board.drive();
+  std::ostringstream out;
+  out << drive.position() << ' ' << drive.velocity() << ' ' << drive.mode() << ' ' << drive.baud();
+  return out.str();
+}
+
+std::string happen(const std::string& what, Words& words) {
+  DriveModel& drive = world->board.drive();
+  if (what == "torque") world->board.torque = number<int32_t>(words);
+  else if (what == "push") drive.push(number<int32_t>(words));
+  else if (what == "reference") drive.reference(number<int32_t>(words));
+  else if (what == "plug") drive.plug(number<int32_t>(words));
+  else if (what == "power") drive.power_cycle();
+  else if (what == "noise") drive.noise(bytes(words), world->now);
+  else if (what == "faults") drive.latch_faults(number<uint32_t>(words));
+  else if (what == "fail") drive.fail_next(number<int32_t>(words));
+  else return "unknown request";
+  return "done";
+}
+
 std::string answer(const std::string& line) {
   Words words(line);
   std::string request;
@@ -117,7 +216,14 @@ std::string answer(const std::string& line) {
   if (request == "decode") return decoded(words);
   if (request == "stream") return streamed(words);
   if (request == "unstream") return found(words);
-  return "unknown request";
+  if (request == "start") world.emplace();
+  if (request == "start" || (request == "restart" && world)) return start(words);
+  if (!world) return "nothing was started";
+  if (request == "send") return send(words);
+  if (request == "run") return run(words);
+  if (request == "orders") return orders();
+  if (request == "joint") return joint();
+  return happen(request, words);
 }
 
 }  // namespace

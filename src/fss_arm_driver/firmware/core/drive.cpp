@@ -1,0 +1,376 @@
+#include "drive.hpp"
+
+#include <string.h>
+
+namespace fss {
+namespace {
+
+// Variables of the drive.
+constexpr uint8_t kTrajectory = 0x00, kCommandedCurrent = 0x02, kCurrent = 0x0c, kVelocity = 0x18,
+                  kSupply = 0x1e, kTemperature = 0x20, kDesiredState = 0x24,
+                  kCommandedVelocity = 0x2f, kPosition = 0x32, kAccelerationLimit = 0x36,
+                  kDecelerationLimit = 0x37, kStatus = 0xa0, kFaults = 0xa4,
+                  kProfileType = 0xc8, kTrajectoryStatus = 0xc9, kTarget = 0xca,
+                  kProfileVelocity = 0xcb, kProfileAcceleration = 0xcc, kProfileDeceleration = 0xcd;
+
+constexpr uint8_t kReadings[] = {kPosition, kVelocity, kCurrent, kStatus, kTrajectoryStatus};
+constexpr uint8_t kSlowReadings[] = {kFaults, kSupply, kTemperature};  // one after each round
+
+// Status bits with which it cannot move: short, over-temperature, under-voltage, feedback, latched
+// fault.
+constexpr uint32_t kBlocking = 1u << 0 | 1u << 1 | 1u << 3 | 1u << 5 | 1u << 22;
+constexpr int32_t kReferencedBit = 1 << 12;  // of the trajectory status
+
+constexpr int32_t kStill = 1000;  // slower is at rest [0.1 counts/s]; 2.6 mrad/s
+constexpr int32_t kAbort = 0, kStart = 1;
+
+constexpr uint32_t kFirstBaud = 9600, kBaud = 115200;
+constexpr uint64_t kReplyTime = 100'000;  // at most [us]
+constexpr uint64_t kResyncTime = 20'000;  // for what is still under way after a failure
+constexpr uint64_t kClearTime = 50'000;   // for the answer to what was left in the drive's buffer
+constexpr uint64_t kRateTime = 30'000;    // for `s r0x90 115200` to be sent at 9600 baud
+constexpr uint64_t kSwitchTime = 100'000; // the drive's own, to change its rate
+constexpr uint64_t kGone = 500'000;       // without a measurement: it does not answer
+
+Mode mode_of(Demand::Goal goal) {
+  switch (goal) {
+    case Demand::Current: return Mode::Current;
+    case Demand::Velocity: return Mode::Velocity;
+    case Demand::Hold:
+    case Demand::Position: return Mode::Position;
+    default: return Mode::Off;
+  }
+}
+
+// A line to the drive.
+struct Line {
+  char text[24];
+  size_t size = 0;
+
+  void add(const char* word) {
+    while (*word) text[size++] = *word++;
+  }
+  void add_variable(uint8_t variable) {
+    add(" r0x");
+    text[size++] = "0123456789abcdef"[variable >> 4];
+    text[size++] = "0123456789abcdef"[variable & 15];
+  }
+  void add(int32_t number) {
+    char digits[10];
+    size_t count = 0;
+    auto rest = static_cast<uint32_t>(number);
+    text[size++] = ' ';
+    if (number < 0) {
+      text[size++] = '-';
+      rest = 0u - rest;
+    }
+    do digits[count++] = static_cast<char>('0' + rest % 10);
+    while (rest /= 10);
+    while (count > 0) text[size++] = digits[--count];
+  }
+};
+
+// A decimal number of 32 bits, signed or not, at the end of a line.
+bool parse(const char* text, int32_t& number) {
+  const bool negative = *text == '-';
+  uint64_t value = 0;
+  text += negative;
+  if (!*text) return false;
+  for (; *text; ++text) {
+    if (*text < '0' || *text > '9' || value > 0xFFFFFFFF) return false;
+    value = 10 * value + static_cast<uint64_t>(*text - '0');
+  }
+  if (value > (negative ? 0x80000000u : 0xFFFFFFFFu)) return false;
+  number = static_cast<int32_t>(negative ? 0u - static_cast<uint32_t>(value)
+                                         : static_cast<uint32_t>(value));
+  return true;
+}
+
+}  // namespace
+
+void Drive::poll(uint64_t now) {
+  receive(now);
+  if (waiting_ != Waiting::Nothing && now - asked_at_ > kReplyTime) fail(now);
+  if (phase_ == Phase::Running && now - alive_ > kGone) phase_ = Phase::Begin;
+  if (waiting_ != Waiting::Nothing || now < quiet_until_) return;
+  if (phase_ != Phase::Running) {
+    connect(now);
+  } else if (!order_next(now)) {
+    read_next(now);
+  }
+}
+
+void Drive::demand(const Demand& demand) {
+  if (demand == asked_ && !refused_) return;
+  asked_ = demand_ = demand;
+  refused_ = braked_ = zeroed_ = false;
+  step_ = 0;
+}
+
+bool Drive::blocked() const { return measured_.status & kBlocking; }
+
+bool Drive::at_rest() const {
+  return measured_.clock > braked_at_ && measured_.velocity >= -kStill &&
+         measured_.velocity <= kStill;
+}
+
+// --- replies ------------------------------------------------------------------------------------
+
+void Drive::receive(uint64_t now) {
+  uint8_t bytes[32];
+  const size_t size = board_.read(bytes, sizeof bytes);
+  for (size_t i = 0; i < size; ++i) {
+    if (waiting_ == Waiting::Nothing || now < quiet_until_) continue;
+    if (line_size_ == 0 && variable_ == kPosition) next_.clock = now;
+    if (bytes[i] == '\r') {
+      line_[line_size_] = 0;
+      reply(now);
+      line_size_ = 0;
+    } else if (line_size_ < sizeof line_ - 1) {
+      line_[line_size_++] = static_cast<char>(bytes[i]);
+    }
+  }
+}
+
+void Drive::reply(uint64_t now) {
+  int32_t number = 0;
+  const bool ok = !strcmp(line_, "ok");
+  const bool value = !strncmp(line_, "v ", 2) && parse(line_ + 2, number);
+  const bool error = !strncmp(line_, "e ", 2) && parse(line_ + 2, number);
+  const bool optional = phase_ == Phase::Running && turn_ == sizeof kReadings;
+  const Waiting waiting = waiting_;
+  waiting_ = Waiting::Nothing;
+  if (waiting == Waiting::Ok && ok) {
+    take_ok(now);
+  } else if (waiting == Waiting::Ok && error) {
+    take_error();
+  } else if (waiting == Waiting::Value && value) {
+    take_value(number, now);
+  } else if (waiting == Waiting::Value && error && optional) {  // not every drive has it
+    end_turn();
+  } else {
+    fail(now);
+  }
+}
+
+// What cannot be read is as if nothing had come: more may be wrong than this line.
+void Drive::fail(uint64_t now) {
+  waiting_ = Waiting::Nothing;
+  quiet_until_ = now + kResyncTime;
+  turn_ = 0;
+  if (phase_ == Phase::Running) return;
+  baud_ = baud_ == kBaud ? kFirstBaud : kBaud;
+  phase_ = Phase::Begin;
+}
+
+// --- the connection -----------------------------------------------------------------------------
+
+// After power-up the drive listens at 9600 baud; if only this board was reset, at 115200. Each is
+// tried in turn. (To a drive at 115200, bytes at 9600 are a break, which resets its rate.)
+void Drive::connect(uint64_t now) {
+  switch (phase_) {
+    case Phase::Begin:
+      measured_ = next_ = Measurement{};
+      turn_ = 0;
+      mode_ = Mode::Off;
+      refused_ = true;  // whatever was asked must be asked again
+      demand_ = Demand{};
+      referenced_ = braked_ = zeroed_ = paused_ = false;
+      step_ = 0;
+      board_.set_baud(baud_);
+      send("\r", 1, now);
+      quiet_until_ = now + kClearTime;
+      phase_ = Phase::Probe;
+      break;
+    case Phase::Probe:
+      get(kStatus, now);
+      break;
+    case Phase::Rate:
+      send("s r0x90 115200\r", 15, now);
+      quiet_until_ = now + kRateTime;
+      phase_ = Phase::Switch;
+      break;
+    case Phase::Switch:
+      board_.set_baud(baud_ = kBaud);
+      quiet_until_ = now + kSwitchTime;
+      phase_ = Phase::Probe;
+      break;
+    default:
+      get(kDesiredState, now);
+  }
+}
+
+// --- readings -----------------------------------------------------------------------------------
+
+void Drive::read_next(uint64_t now) {
+  constexpr uint8_t fast = sizeof kReadings;
+  get(turn_ < fast ? kReadings[turn_] : kSlowReadings[slow_turn_ % sizeof kSlowReadings], now);
+}
+
+void Drive::take_value(int32_t value, uint64_t now) {
+  if (phase_ == Phase::Probe) {
+    phase_ = baud_ == kBaud ? Phase::Ask : Phase::Rate;
+    return;
+  }
+  if (phase_ == Phase::Ask) {  // a mode that is none of ours is braked as current mode is
+    const bool known = value == 0 || value == 11 || value == 21;
+    mode_ = known ? static_cast<Mode>(value) : Mode::Current;
+    phase_ = Phase::Running;
+    alive_ = now;
+    return;
+  }
+  switch (variable_) {
+    case kPosition: next_.position = value; break;
+    case kVelocity: next_.velocity = value; break;
+    case kCurrent: next_.current = value; break;
+    case kStatus: next_.status = static_cast<uint32_t>(value); break;
+    case kFaults: faults_ = static_cast<uint32_t>(value); break;
+    case kSupply: supply_ = value; break;
+    case kTemperature: temperature_ = value; break;
+    case kTrajectoryStatus:
+      homings_ = static_cast<uint16_t>(homings_ + (!referenced_ && value & kReferencedBit));
+      referenced_ = value & kReferencedBit;
+      break;
+    default: break;
+  }
+  if (turn_ == sizeof kReadings) return end_turn();
+  if (++turn_ < sizeof kReadings) return;
+  measured_ = next_;
+  alive_ = now;
+  paused_ = false;
+}
+
+void Drive::end_turn() {
+  turn_ = 0;
+  ++slow_turn_;
+}
+
+// --- orders -------------------------------------------------------------------------------------
+
+bool Drive::order_next(uint64_t now) {
+  if (paused_ || measured_.clock == 0) return false;
+  if (clearing_ && mode_ == Mode::Off) {  // one that is on would move on by itself
+    return order(Part::Clear, {kFaults, static_cast<int32_t>(faults_)}, now);
+  }
+  const Demand::Goal goal = demand_.goal;
+  const bool other_mode = mode_ != mode_of(goal);
+  if (goal == Demand::Hold || goal == Demand::Release || (goal != Demand::Off && other_mode)) {
+    if (mode_ == Mode::Off) braked_ = true;
+    if (!braked_) return brake(now);
+    if (!at_rest()) return false;
+  }
+  return program(now);
+}
+
+bool Drive::brake(uint64_t now) {
+  if (mode_ == Mode::Position) return order(Part::Brake, {kTrajectory, kAbort}, now);
+  if (!zeroed_) return order(Part::Brake, {kCommandedVelocity, 0}, now);
+  return order(Part::Brake, {kDesiredState, static_cast<int32_t>(Mode::Velocity)}, now);
+}
+
+// The next of the writes that make up a goal; the mode comes last where a set-point left over from
+// before would be followed.
+bool Drive::program(uint64_t now) {
+  const Mode mode = mode_of(demand_.goal);
+  const Write desired = {kDesiredState, static_cast<int32_t>(mode)};
+  const int32_t acceleration = demand_.acceleration;
+  const int32_t limit = acceleration < 100 ? 1 : acceleration / 100;  // [1000 counts/s^2]
+  Write writes[8];
+  uint8_t count = 0;
+  switch (demand_.goal) {
+    case Demand::Current:
+      writes[count++] = {kCommandedCurrent, demand_.set_point};
+      writes[count++] = desired;
+      break;
+    case Demand::Velocity:
+      if (acceleration) {
+        writes[count++] = {kAccelerationLimit, limit};
+        writes[count++] = {kDecelerationLimit, limit};
+      }
+      writes[count++] = {kCommandedVelocity, demand_.set_point};
+      writes[count++] = desired;
+      break;
+    case Demand::Position:
+      writes[count++] = desired;
+      writes[count++] = {kProfileType, 0};
+      writes[count++] = {kTarget, demand_.set_point};
+      writes[count++] = {kProfileVelocity, demand_.velocity};
+      if (acceleration) {
+        writes[count++] = {kProfileAcceleration, acceleration};
+        writes[count++] = {kProfileDeceleration, acceleration};
+      }
+      writes[count++] = {kTrajectory, kStart};
+      break;
+    default:
+      writes[count++] = desired;
+  }
+  while (step_ < count && writes[step_].variable == kDesiredState && mode_ == mode) ++step_;
+  return step_ < count && order(Part::Program, writes[step_], now);
+}
+
+void Drive::take_ok(uint64_t now) {
+  if (write_.variable == kDesiredState) mode_ = static_cast<Mode>(write_.value);
+  switch (part_) {
+    case Part::Clear:
+      clearing_ = false;
+      faults_ = 0;
+      break;
+    case Part::Brake:
+      zeroed_ = write_.variable != kTrajectory;
+      braked_ = mode_ == Mode::Position || mode_ == Mode::Velocity;
+      braked_at_ = now;
+      break;
+    case Part::Program:
+      ++step_;
+  }
+}
+
+// What cannot be done is held instead, and what cannot be held is switched off.
+void Drive::take_error() {
+  paused_ = true;
+  if (part_ == Part::Clear) {
+    clearing_ = false;
+    return;
+  }
+  const bool moving = demand_.goal > Demand::Hold;
+  demand_ = Demand{};
+  demand_.goal = moving ? Demand::Hold : Demand::Off;
+  refused_ = true;
+  braked_ = zeroed_ = false;
+  step_ = 0;
+}
+
+// --- lines --------------------------------------------------------------------------------------
+
+void Drive::get(uint8_t variable, uint64_t now) {
+  Line line;
+  line.add("g");
+  line.add_variable(variable);
+  line.add("\r");
+  variable_ = variable;
+  waiting_ = Waiting::Value;
+  send(line.text, line.size, now);
+}
+
+bool Drive::order(Part part, Write write, uint64_t now) {
+  Line line;
+  line.add(write.variable == kTrajectory ? "t" : "s");
+  if (write.variable != kTrajectory) line.add_variable(write.variable);
+  line.add(write.value);
+  line.add("\r");
+  part_ = part;
+  write_ = write;
+  variable_ = 0;
+  waiting_ = Waiting::Ok;
+  send(line.text, line.size, now);
+  return true;
+}
+
+// A line that the board cannot take fails as if it were not answered.
+void Drive::send(const char* text, size_t size, uint64_t now) {
+  line_size_ = 0;
+  asked_at_ = now;
+  board_.write(reinterpret_cast<const uint8_t*>(text), size);
+}
+
+}  // namespace fss

@@ -1,0 +1,130 @@
+// The servo drive behind its ASCII protocol (Copley's, docs/hardware.md): one exchange at a time.
+//
+// The drive is told what to do as a goal; the orders that lead there are found from what the drive
+// has acknowledged so far, so a lost reply or a drive that was off for a while needs no care.
+// Between orders its state is read, round and round.
+#pragma once
+
+#include <stddef.h>
+#include <stdint.h>
+
+#include "board.hpp"
+#include "frame.hpp"
+
+namespace fss {
+
+// What the drive is to do, in the units of a command. Whatever asks for another mode than the
+// present one is begun from rest.
+struct Demand {
+  enum Goal : uint8_t {
+    Off,      // at once
+    Release,  // decelerate, then off
+    Hold,     // decelerate, then hold that place
+    Current,
+    Velocity,
+    Position,
+  };
+  Goal goal = Release;
+  int32_t set_point = 0;
+  int32_t velocity = 0;
+  int32_t acceleration = 0;  // 0: as the drive has it
+
+  bool operator==(const Demand& other) const {
+    return goal == other.goal && set_point == other.set_point && velocity == other.velocity &&
+           acceleration == other.acceleration;
+  }
+};
+
+struct Measurement {
+  uint64_t clock = 0;  // when the position was read [us]
+  int32_t position = 0, velocity = 0, current = 0;
+  uint32_t status = 0;
+};
+
+class Drive {
+ public:
+  explicit Drive(Board& board) : board_(board) {}
+
+  void poll(uint64_t now);
+
+  // From now on. The same demand again changes nothing, unless the drive refused it.
+  void demand(const Demand& demand);
+  // The latched ones that it has now, once it is off.
+  void clear_faults() { clearing_ = faults_ != 0; }
+
+  // Whether the drive answers, and has been measured since it does.
+  bool answers() const { return phase_ == Phase::Running && measured_.clock != 0; }
+  bool blocked() const;  // by a fault
+
+  Mode mode() const { return mode_; }
+  const Measurement& measured() const { return measured_; }
+  uint64_t position_clock() const { return next_.clock; }  // of the newest reading of the position
+  uint32_t faults() const { return faults_; }              // latched ones
+  int32_t supply() const { return supply_; }               // [0.1 V]
+  int32_t temperature() const { return temperature_; }     // [deg C]
+  bool referenced() const { return referenced_; }
+  uint16_t homings() const { return homings_; }
+
+ private:
+  enum class Phase : uint8_t { Begin, Probe, Rate, Switch, Ask, Running };
+  enum class Waiting : uint8_t { Nothing, Value, Ok };
+  enum class Part : uint8_t { Clear, Brake, Program };
+
+  struct Write {  // variable 0: the trajectory command `t`
+    uint8_t variable;
+    int32_t value;
+  };
+
+  void receive(uint64_t now);
+  void reply(uint64_t now);
+  void take_value(int32_t value, uint64_t now);
+  void end_turn();
+  void take_ok(uint64_t now);
+  void take_error();
+  void fail(uint64_t now);
+  void proceed(uint64_t now);
+  void connect(uint64_t now);
+  void read_next(uint64_t now);
+  bool order_next(uint64_t now);
+  bool brake(uint64_t now);
+  bool program(uint64_t now);
+  bool at_rest() const;
+  void get(uint8_t variable, uint64_t now);
+  bool order(Part part, Write write, uint64_t now);
+  void send(const char* text, size_t size, uint64_t now);
+
+  Board& board_;
+
+  // The exchange under way.
+  Phase phase_ = Phase::Begin;
+  Waiting waiting_ = Waiting::Nothing;
+  uint64_t asked_at_ = 0;
+  uint64_t quiet_until_ = 0;  // nothing is sent, and what comes is dropped
+  uint32_t baud_ = 9600;
+  uint64_t alive_ = 0;        // when it was last connected to or measured
+  uint8_t variable_ = 0;      // that is read
+  Part part_ = Part::Program;
+  Write write_ = {};
+  char line_[24] = {};
+  size_t line_size_ = 0;
+
+  // What the drive is to do, and how far that has come.
+  Demand demand_, asked_;
+  bool refused_ = false;     // what was asked
+  bool clearing_ = false;
+  bool paused_ = false;      // no orders until it has been measured anew
+  bool braked_ = false, zeroed_ = false;
+  uint64_t braked_at_ = 0;
+  uint8_t step_ = 0;
+  Mode mode_ = Mode::Off;    // as acknowledged
+
+  // What it reports.
+  uint8_t turn_ = 0, slow_turn_ = 0;
+  Measurement measured_, next_;
+  uint32_t faults_ = 0;
+  int32_t supply_ = 0, temperature_ = 0;
+  bool referenced_ = false;
+  uint16_t homings_ = 0;
+};
+
+}  // namespace fss

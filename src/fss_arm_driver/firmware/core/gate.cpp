@@ -1,0 +1,38 @@
+#include "gate.hpp"
+
+namespace fss {
+
+bool Gate::silent(uint64_t now) const {
+  return taken_ == 0 || now - arrival_ > 1000u * uint64_t{command_.watchdog};
+}
+
+bool Gate::take(const uint8_t* data, size_t size, uint64_t now) {
+  Command command;
+  if (decode(data, size, key_, command) != Refusal::None || !admits(command, now)) {
+    ++refused_;
+    return false;
+  }
+  if (follows(command, now)) newest_ = command.sequence;
+  if (command.clock > latest_) latest_ = command.clock;
+  command_ = command;
+  arrival_ = now;
+  ++taken_;
+  return true;
+}
+
+bool Gate::admits(const Command& command, uint64_t now) const {
+  const bool stop = command.flags & kStop;
+  if (command.link != link_) return false;
+  if (!stop && command.boot != 0 && command.boot != boot_) return false;
+  if (!stop && !follows(command, now)) return false;
+  if (key_.size && taken_ && command.clock <= latest_) return false;  // a replay, be it a stop
+  return command.expiry == 0 || command.expiry >= now;
+}
+
+// Whether it is newer than the last command, or may begin a session.
+bool Gate::follows(const Command& command, uint64_t now) const {
+  if (silent(now)) return !(command.flags & kArm);
+  return key_.size || newer(command.sequence, newest_);
+}
+
+}  // namespace fss

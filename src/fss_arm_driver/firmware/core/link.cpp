@@ -1,0 +1,145 @@
+#include "link.hpp"
+
+namespace fss {
+namespace {
+
+constexpr int kBatch = 8;  // datagrams taken at once, so that a flood cannot keep the drive waiting
+
+int16_t to_16_bits(int32_t value) {
+  return static_cast<int16_t>(value < INT16_MIN ? INT16_MIN : value > INT16_MAX ? INT16_MAX : value);
+}
+
+Demand demand_of(const Command& command) {
+  Demand demand;
+  demand.set_point = command.set_point;
+  switch (command.mode) {
+    case Mode::Off:
+      return Demand{};
+    case Mode::Current:
+      demand.goal = Demand::Current;
+      return demand;
+    case Mode::Velocity:
+      demand.goal = Demand::Velocity;
+      break;
+    case Mode::Position:
+      demand.goal = Demand::Position;
+      demand.velocity = command.velocity;
+      break;
+  }
+  demand.acceleration = command.acceleration;
+  return demand;
+}
+
+}  // namespace
+
+void Link::poll(uint64_t now) {
+  torque_.poll(board_, now);
+  uint8_t datagram[kFrameSize + 1];  // a byte more shows that it is too long
+  for (int i = 0; i < kBatch; ++i) {
+    const size_t size = board_.receive(datagram, sizeof datagram);
+    if (size == 0) break;
+    if (gate_.take(datagram, size, now)) {
+      board_.answer();
+      obey(gate_.command());
+    }
+  }
+  watch(now);
+  drive_.poll(now);
+  if (drive_.position_clock() != read_at_) {
+    const uint64_t since = now - gate_.arrival();
+    read_at_ = drive_.position_clock();
+    echo_ = gate_.taken() ? static_cast<uint32_t>(gate_.command().clock) : 0;
+    turnaround_ = gate_.taken() ? static_cast<uint32_t>(since < UINT32_MAX ? since : UINT32_MAX) : 0;
+  }
+  report();
+}
+
+uint8_t Link::flags() const {
+  return static_cast<uint8_t>((armed_ ? kArmed : 0) | (stopped_ ? kStopped : 0) |
+                              (watchdog_ ? kWatchdog : 0) |
+                              (drive_.referenced() ? kReferenced : 0));
+}
+
+void Link::obey(const Command& command) {
+  if (command.flags & kClearFaults) drive_.clear_faults();
+  if (command.flags & kStop) {
+    armed_ = false;
+    stopped_ = true;
+    hold();
+  } else if (!(command.flags & kArm)) {
+    armed_ = stopped_ = watchdog_ = false;
+    drive_.demand(Demand{});
+  } else if (!stopped_ && !watchdog_) {
+    armed_ = true;
+    if (command.flags & kHold) {
+      hold();
+    } else {
+      drive_.demand(demand_of(command));
+    }
+  }
+}
+
+// What happens without a command: faults, silence, the end of a set-point's time.
+void Link::watch(uint64_t now) {
+  if (!armed_) return;
+  if (!drive_.answers() || drive_.blocked()) {
+    armed_ = false;
+    drive_.demand(Demand{});
+  } else if (gate_.silent(now)) {
+    armed_ = false;
+    watchdog_ = true;
+    hold();
+  } else if (gate_.command().expiry < now) {
+    hold();
+  }
+}
+
+void Link::hold() {
+  Demand demand;
+  demand.goal = Demand::Hold;
+  drive_.demand(demand);
+}
+
+// Sends the first measurement of each period. A drive that does not answer has none, and the link
+// is silent: it would have to make up a position.
+void Link::report() {
+  const Measurement& measured = drive_.measured();
+  if (!drive_.answers() || measured.clock != read_at_ || measured.clock < due_) return;
+  due_ = (measured.clock / period_ + 1) * period_;
+  Telemetry frame;
+  frame.link = number_;
+  frame.flags = flags();
+  frame.boot = boot_;
+  frame.sequence = sequence_;
+  frame.clock = measured.clock;
+  frame.echo = echo_;
+  frame.turnaround = turnaround_;
+  frame.position = measured.position;
+  frame.velocity = measured.velocity;
+  frame.current = to_16_bits(measured.current);
+  frame.mode = drive_.mode();
+  frame.slow_id = static_cast<Slow>(1 + sequence_ % kSlowFields);
+  frame.status = measured.status;
+  frame.torque = torque_.counts;
+  frame.torque_age = torque_.age(measured.clock);
+  frame.slow_value = slow_value(frame.slow_id);
+  ++sequence_;
+  uint8_t data[kFrameSize];
+  encode(frame, key_, data);
+  board_.send(data);
+}
+
+int32_t Link::slow_value(Slow slow) const {
+  switch (slow) {
+    case Slow::Faults: return static_cast<int32_t>(drive_.faults());
+    case Slow::Supply: return drive_.supply();
+    case Slow::Battery: return board_.battery();
+    case Slow::Temperature: return drive_.temperature();
+    case Slow::Firmware: return kFirmware;
+    case Slow::Homings: return drive_.homings();
+    case Slow::Refused: return static_cast<int32_t>(gate_.refused());
+  }
+  return 0;
+}
+
+}  // namespace fss

@@ -1,0 +1,55 @@
+// One link's electronics (docs/protocol.md, The link): commands in, telemetry out, the drive told.
+#pragma once
+
+#include <stdint.h>
+
+#include "board.hpp"
+#include "drive.hpp"
+#include "gate.hpp"
+#include "torque.hpp"
+
+namespace fss {
+
+constexpr int32_t kFirmware = 0x010000;   // 1.0.0
+constexpr uint32_t kPeriod = 200'000;     // of telemetry [us]
+
+class Link {
+ public:
+  // `number` of the link, 1 beside the base; `boot` not as at the last start, never 0.
+  Link(uint8_t number, uint16_t boot, const Key& key, Board& board, uint32_t period = kPeriod)
+      : number_(number), boot_(boot), key_(key), period_(period), board_(board), drive_(board),
+        gate_(number, boot, key) {}
+
+  // To be called without pause; `now` is the time since the start [us].
+  void poll(uint64_t now);
+
+  uint8_t flags() const;
+  const Gate& gate() const { return gate_; }
+  const Drive& drive() const { return drive_; }
+
+ private:
+  void obey(const Command& command);
+  void watch(uint64_t now);
+  void hold();
+  void report();
+  int32_t slow_value(Slow slow) const;
+
+  const uint8_t number_;
+  const uint16_t boot_;
+  const Key key_;
+  const uint32_t period_;
+  Board& board_;
+  Drive drive_;
+  Gate gate_;
+  Torque torque_;
+  bool armed_ = false, stopped_ = false, watchdog_ = false;
+
+  // When the position was read, and what there was to echo then.
+  uint64_t read_at_ = 0;
+  uint32_t echo_ = 0, turnaround_ = 0;
+
+  uint64_t due_ = 0;       // the next frame
+  uint32_t sequence_ = 0;  // of it
+};
+
+}  // namespace fss

@@ -1,0 +1,69 @@
+// A servo drive with its motor at the other end of the serial line, as far as docs/hardware.md
+// knows it: the ASCII protocol at its pace, the modes and the trapezoid of its profiles.
+#pragma once
+
+#include <stdint.h>
+
+#include <deque>
+#include <map>
+#include <string>
+#include <vector>
+
+namespace fss {
+
+class DriveModel {
+ public:
+  DriveModel();  // on, homed, its motor at rest
+
+  // The computer's end of the line; times never run back [us].
+  void set_baud(uint32_t baud, uint64_t now);
+  void write(const uint8_t* data, size_t size, uint64_t now);
+  size_t read(uint8_t* data, size_t room, uint64_t now);
+
+  // What may happen to it.
+  void power_cycle();
+  void plug(bool in) { plugged_ = in; }
+  void noise(const std::vector<uint8_t>& bytes, uint64_t now);  // towards the computer
+  void fail_next(int error) { error_ = error; }                 // the next order, with this code
+  void latch_faults(uint32_t bits);
+  void push(double velocity) { velocity_ = velocity; }          // by hand [counts/s]
+  void reference(bool is) { referenced_ = is; }
+
+  double position() const { return position_; }  // [counts]
+  double velocity() const { return velocity_; }  // [counts/s]
+  int mode() const { return registers_.at(0x24); }
+  uint32_t baud() const { return baud_; }
+  std::vector<std::string> take_log();  // the lines that came since the last call
+
+ private:
+  struct Byte {
+    uint64_t at;
+    uint32_t baud;
+    uint8_t value;
+  };
+
+  void advance(uint64_t now);
+  void hear(const Byte& byte);
+  void execute(const std::string& line, uint64_t now);
+  std::string answer(const std::string& line);
+  std::string get(uint8_t variable);
+  std::string set(uint8_t variable, int32_t number);
+  std::string trajectory(int32_t command);
+  void step();
+  void follow_profile();
+  void approach(double velocity, double acceleration);
+  uint32_t status() const;
+
+  std::map<uint8_t, int32_t> registers_;
+  std::string line_;
+  std::deque<Byte> to_drive_, to_computer_;
+  std::vector<std::string> log_;
+  uint32_t computer_baud_ = 9600, baud_ = 9600;
+  uint64_t sent_ = 0, answered_ = 0;  // when the wires are free again
+  uint64_t now_ = 0;                  // of the motion
+  bool plugged_ = true, referenced_ = true, was_reset_ = false, moving_ = false, aborting_ = false;
+  int error_ = 0;
+  double position_ = 0.0, velocity_ = 0.0, target_ = 0.0, current_ = 0.0;
+};
+
+}  // namespace fss
