@@ -256,3 +256,118 @@ def test_spoiled_needs_all_joints_close():
     unused = Observation(2, 3, (0.0, 0.1), used=False, reason="gap")
     assert spoiled([used, unused], 0.05) == [unused]
     assert spoiled([unused, used], 0.2) == []
+
+
+def jumped(sample, x=1.0, heading=0.0):
+    a, b, c = sample.value
+    return sample._replace(value=(a + x, b, c + heading))
+
+
+@pytest.mark.parametrize("off", [{"x": 0.5}, {"x": 0.0, "heading": np.pi}])
+def test_poses_that_jump_are_refused_and_counted(off):
+    """Every hundredth pose of either subject is elsewhere, or the other way round."""
+    samples = Rig().samples()
+    subjects = [k for k, s in enumerate(samples) if isinstance(s.stream, str)]
+    for k in subjects[50::100]:
+        samples[k] = jumped(samples[k], **off)
+    finder = RestFinder(4)
+    found = find(samples, finder=finder)
+    assert np.abs(postures_of(found) - POSTURES).max() <= COUNT / 2
+    for observation, posture in zip(found, POSTURES, strict=True):
+        assert observation.tip == pytest.approx(tip_in_base(ARM.vector(), posture), abs=1e-9)
+    refused = finder.streams().refused
+    assert sum(refused.values()) == len(subjects[50::100])
+    assert all(kind.endswith(" jump") for kind in refused)
+
+
+def test_a_subject_that_is_elsewhere_for_long_spoils_the_rest():
+    """From 7.2 to 9.4 s, amid the rest from 6 to 10 s: no true interval is long enough."""
+    samples = [
+        jumped(s) if s.stream == TIP and at(7.2) < s.t < at(9.4) else s for s in Rig().samples()
+    ]
+    finder = RestFinder(4)
+    found = find(samples, finder=finder)
+    assert finder.streams().refused["end_effector jump"] > 10
+    for observation, posture in zip(found, POSTURES, strict=True):
+        near = np.abs(np.subtract(observation.tip, tip_in_base(ARM.vector(), posture))).max() < 0.01
+        assert near or not observation.used
+
+
+def frozen(samples, stream, begin, end):
+    """The samples with a subject's pose repeated, stamps going on, within an interval [s]."""
+    last, result = None, []
+    for s in samples:
+        if s.stream == stream:
+            last = s if last is None or not at(begin) < s.t < at(end) else last
+            s = s._replace(value=last.value)
+        result.append(s)
+    return result
+
+
+@pytest.mark.parametrize("stream", [BASE, TIP])
+def test_a_pose_frozen_since_before_the_last_move_is_refused_and_counted(stream):
+    """Frozen from within the first move (4 to 6 s) until the end of the rest from 6 to 10 s."""
+    finder = RestFinder(4)
+    found = find(frozen(Rig().samples(), stream, 5.0, 10.1), finder=finder)
+    assert [o.used for o in found] == [True, False, True]
+    assert f"{stream} frozen for" in found[1].reason
+    assert finder.streams().refused[f"{stream} frozen"] > 300
+
+
+def test_a_pose_that_thaws_in_time_leaves_enough_of_the_rest():
+    found = find(frozen(Rig().samples(), TIP, 5.0, 7.5))
+    assert [o.used for o in found] == [True] * 3
+    assert found[1].start >= at(7.5)
+    assert found[1].tip == pytest.approx(tip_in_base(ARM.vector(), POSTURES[1]), abs=1e-9)
+
+
+def test_poses_without_noise_that_stand_still_are_not_frozen():
+    """A simulated subject at rest has the very same pose in each frame."""
+    samples = Rig().samples()
+    for k in range(3):
+        for name in (BASE, TIP):
+            samples = frozen(samples, name, 6.0 * k, 6.0 * k + 4.0)
+    finder = RestFinder(4)
+    assert [o.used for o in find(samples, finder=finder)] == [True] * 3
+    assert not finder.streams().refused
+
+
+def test_a_clock_that_runs_back_is_told():
+    samples = Rig().samples()
+    back = [s._replace(t=s.t - 5 * SECOND) if s.t > at(9.0) else s for s in samples]
+    finder = RestFinder(4)
+    find(back, finder=finder)
+    assert finder.streams().set_back[TIP] == pytest.approx(5.0, abs=0.01)
+    assert finder.streams().set_back["joint_3"] == pytest.approx(4.8, abs=0.2)
+    assert finder.streams().refused[f"{TIP} out of order"] == pytest.approx(498, abs=2)
+
+
+@pytest.mark.parametrize("burst", [1, 7, 250])
+def test_poses_may_come_in_bursts(burst):
+    """Gaps, occlusions, jumps, repeats and frozen poses included."""
+    samples = frozen(without(Rig().samples(3_000_000), {TIP}, 1.2, 1.6), BASE, 11.0, 12.9)
+    for k, s in enumerate(samples):
+        if isinstance(s.stream, str) and k % 97 == 0:
+            samples[k] = [jumped(s), s._replace(value=None), s._replace(t=s.t - SECOND)][
+                k // 97 % 3
+            ]
+    one_by_one, together = RestFinder(4), RestFinder(4)
+    expected, found = find(samples, finder=one_by_one), []
+    waiting: dict[str, list[Sample]] = {BASE: [], TIP: []}
+
+    def hand_over(name):
+        t = np.array([s.t for s in waiting[name]], dtype=np.int64)
+        poses = np.array([s.value or 3 * (np.nan,) for s in waiting[name]]).reshape(-1, 3)
+        waiting[name].clear()
+        return together.poses(name, t, poses)
+
+    for s in samples:
+        if not isinstance(s.stream, str):
+            found += together.joint(s.stream, s.t, s.value)
+            continue
+        waiting[s.stream].append(s)
+        if len(waiting[s.stream]) == burst:
+            found += hand_over(s.stream)
+    found += [o for name in (BASE, TIP) for o in hand_over(name)]
+    assert found + together.close() == expected
+    assert together.streams() == one_by_one.streams()

@@ -91,7 +91,7 @@ class Poses:
         self.since.frombytes(since.tobytes())
         self.t.frombytes(t.tobytes())
         self.xyh.frombytes(poses.tobytes())
-        self.newest = int(t[-1])
+        self.newest = self.t[-1]
 
     def _plain(self, t: Stamps, poses: Floats) -> bool:
         """Whether there is nothing to refuse in them."""
