@@ -1,7 +1,7 @@
-#!/usr/bin/env bash
+#!/bin/sh
 # What a person tells the arm: scripts/fss_arm.sh arm | disarm | stop | solve
-set -euo pipefail
-here=$(cd -- "$(dirname -- "${BASH_SOURCE[0]}")" && pwd -P)
+set -eu
+cd -- "$(dirname -- "$0")/.."
 # shellcheck source=scripts/env.sh
-. "$here/env.sh"
-exec python3 "$here/fss_arm.py" "$@"
+. scripts/env.sh
+exec python3 scripts/fss_arm.py "$@"

@@ -21,7 +21,6 @@ step() {   # step NAME COMMAND...
 export OPENBLAS_NUM_THREADS=1
 cd "$root"
 # Options may choose tests (-k) of which one step has none: pytest's code 5.
-# shellcheck disable=SC2317  # `step` calls it
 tests() {
   python -m pytest "$@" || { local code=$?; [[ $code == 5 && $chosen ]] || return "$code"; }
 }

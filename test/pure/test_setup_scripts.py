@@ -1,16 +1,22 @@
 """The shell scripts: what they leave in a shell, and the one line that every failure ends in."""
 
 import os
+import re
 import shutil
 import subprocess
 from collections.abc import Callable, Mapping
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).parents[2]
 STAND_IN = ROOT / "scripts/bin/ros2"
-SCRIPTS = ["setup.sh", "env.sh", "test.sh", "demo.sh", "bin/ros2", "../.ci/run"]
+SCRIPTS = [
+    str(path.relative_to(ROOT))
+    for pattern in ("scripts/**/*.sh", "scripts/bin/*", ".ci/run", "config/*.sh")
+    for path in sorted(ROOT.glob(pattern))
+]
 
 
 def run(
@@ -28,11 +34,15 @@ def script(path: Path, text: str) -> Path:
     return path
 
 
-@pytest.mark.skipif(not shutil.which("shellcheck"), reason="shellcheck is not installed")
 @pytest.mark.parametrize("name", SCRIPTS)
 def test_shellcheck_finds_nothing(name: str) -> None:
-    check = run("shellcheck", "-x", f"scripts/{name}", cwd=ROOT)
+    check = run("shellcheck", "-x", name, cwd=ROOT)
     assert check.returncode == 0, check.stdout
+
+
+@pytest.mark.parametrize("name", [n for n in SCRIPTS if "fss" in n])
+def test_the_scripts_for_the_spacecraft_are_plain_sh(name: str) -> None:
+    assert re.search(r"^#!/bin/sh$|^# shellcheck shell=sh\b", (ROOT / name).read_text(), re.M)
 
 
 # --- env.sh --------------------------------------------------------------------------------------
@@ -93,6 +103,55 @@ def test_env_says_in_one_line_what_it_lacks(tmp_path: Path) -> None:
     assert "u" in shown.stdout
     elsewhere = run("dash", "-c", SOURCE, env=BARE, cwd=tmp_path.parent)
     assert elsewhere.stderr.count("\n") == 1
+
+
+# --- the spacecraft's configuration --------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "others"), [("fss", ["record"]), ("fss_sim", ["record", "testbed"])]
+)
+def test_systemd_takes_the_units_of_each_configuration(
+    tmp_path: Path, name: str, others: list[str]
+) -> None:
+    written = run("scripts/fss_systemd.sh", tmp_path, f"config/{name}.sh", cwd=ROOT)
+    assert written.returncode == 0, written.stderr
+    nodes = [*others, *(f"link_{i}" for i in range(1, 5)), "arm", "kinematic"]
+    units = {tmp_path / f"{name}-{node}.service" for node in nodes}
+    assert set(tmp_path.iterdir()) == units | {tmp_path / f"{name}.target"}
+    after = dict(pairwise(nodes))
+    for node, following in after.items():
+        unit = (tmp_path / f"{name}-{following}.service").read_text()
+        assert f"After={name}-{node}.service" in unit
+        assert "keep.sh" not in unit  # systemd alone starts again
+    if shutil.which("systemd-analyze"):
+        verified = run("systemd-analyze", "verify", *tmp_path.iterdir())
+        assert (verified.returncode, verified.stderr) == (0, "")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "has no node"),
+        ("node", "node '': expected letters"),
+        ("node a-b p x", "node 'a-b': expected letters"),
+        ("node a p", "node a: expected NAME PACKAGE EXECUTABLE"),
+        ("node a p x; node a p y", "node a is there twice"),
+        ("node a p x", "node a: there is no executable 'x' in a package 'p'"),
+        (None, "no such configuration"),
+    ],
+)
+def test_a_wrong_configuration_ends_in_one_line(
+    tmp_path: Path, text: str | None, words: str
+) -> None:
+    config = tmp_path / "lab.sh"
+    if text is not None:
+        config.write_text(f"FSS_LOGS={tmp_path}/logs\n{text}\n")
+    shown = run("scripts/fss_up.sh", config, cwd=ROOT)
+    assert (shown.returncode, shown.stdout) == (1, "")
+    assert shown.stderr.startswith("fss_up.sh: ")
+    assert words in shown.stderr
+    assert shown.stderr.count("\n") == 1
 
 
 # --- the stand-in for ros2 -----------------------------------------------------------------------

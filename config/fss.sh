@@ -1,0 +1,18 @@
+# What runs on the spacecraft, for scripts/fss_up.sh: settings, then a line for each node in the
+# order of their start: its name, and what `ros2 run` is to be told. They stop the other way round,
+# the recorder last. Plain sh; paths are relative to the top folder.
+# shellcheck shell=sh
+
+export ROS_DOMAIN_ID=0
+# export ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET    # the ground's computer too: docs/network.md
+arm=config/arm.yaml
+
+node record fss_arm_ros record --ros-args -p output:=bags
+for i in 1 2 3 4; do
+  node "link_$i" fss_arm_driver link --ros-args -p arm:=$arm -p link:=$i \
+    -p "url:=udp://192.168.1.1$i:5001?bind=600$i"
+done
+node arm fss_arm_driver arm --ros-args -p arm:=$arm
+# node vicon PACKAGE EXECUTABLE ...              # your VICON receiver
+node kinematic fss_arm_calib kinematic --ros-args -p arm:=config/cad.yaml \
+  -p output:=out/arm.yaml -p state_file:=out/observations.json

@@ -1,0 +1,15 @@
+# As fss.sh, with a simulated test bed in the place of the links and the VICON receiver.
+# shellcheck shell=sh
+
+export ROS_DOMAIN_ID=0
+arm=config/truth.yaml
+
+node record fss_arm_ros record --ros-args -p output:=out/fss_sim/bags
+node testbed fss_sim testbed --ros-args -p arm:=$arm -p preset:=paper
+for i in 1 2 3 4; do
+  node "link_$i" fss_arm_driver link --ros-args -p arm:=$arm -p link:=$i \
+    -p "url:=udp://127.0.0.1:500$i?bind=600$i"
+done
+node arm fss_arm_driver arm --ros-args -p arm:=$arm
+node kinematic fss_arm_calib kinematic --ros-args -p arm:=config/cad.yaml \
+  -p output:=out/fss_sim/arm.yaml -p state_file:=out/fss_sim/observations.json

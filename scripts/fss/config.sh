@@ -1,0 +1,65 @@
+# Reads a configuration; sourced by the fss scripts, which stand in $fss_scripts.
+# shellcheck shell=sh disable=SC1090,SC1091,SC2034,SC2154
+
+fail() { echo "${0##*/}: $*" >&2; exit 1; }
+
+# read_config CONFIG: its settings, the environment, and $fss_nodes, its nodes' names in order.
+read_config() {
+  fss_root=$(CDPATH='' cd -- "$fss_scripts/.." && pwd -P)
+  fss_config=$(readlink -f -- "${1:-$fss_root/config/fss.sh}")
+  [ -f "$fss_config" ] || fail "${1:-config/fss.sh}: no such configuration"
+  cd "$fss_root" || exit 1
+  fss_name=${fss_config##*/} fss_name=${fss_name%.sh}
+  FSS_LOGS=log/$fss_name   # of all nodes
+  FSS_RESTARTS=3           # of a node that fails, until it has run for as long as the window
+  FSS_WINDOW=600           # [s]
+  FSS_PATIENCE=10          # with a node that is to stop [s]
+  fss_nodes=
+  . "$fss_config"
+  [ "$fss_nodes" ] || fail "$fss_config: has no node"
+  mkdir -p "$FSS_LOGS" || exit 1
+  FSS_LOGS=$(readlink -f -- "$FSS_LOGS")
+  export ROS_LOG_DIR="$FSS_LOGS/ros"
+  . scripts/env.sh || exit 1
+}
+
+# each_node COMMAND...: runs it with the name, package, executable and arguments of each node.
+each_node() {
+  fss_each=$*
+  node() { $fss_each "$@"; }
+  . "$fss_config"
+}
+
+# In a configuration: node NAME PACKAGE EXECUTABLE [ARGUMENT...]
+node() {
+  case ${1:-} in
+    '' | *[!A-Za-z0-9_]*) fail "$fss_config: node '${1:-}': expected letters, digits and _" ;;
+  esac
+  [ $# -ge 3 ] || fail "$fss_config: node $1: expected NAME PACKAGE EXECUTABLE [ARGUMENT...]"
+  case " $fss_nodes " in *" $1 "*) fail "$fss_config: node $1 is there twice" ;; esac
+  fss_nodes="${fss_nodes:+$fss_nodes }$1"
+}
+
+# Each node and its keeper hold the lock of a file with their process's number in it. A lock ends
+# with its process, and nobody else can have the number before that.
+held() { [ -e "$FSS_LOGS/$1" ] && ! flock -s -n "$FSS_LOGS/$1" true; }
+
+# hold FILE: takes its lock on descriptor 9, for this process and what it starts or becomes.
+hold() {
+  exec 9>>"$FSS_LOGS/$1"
+  flock -w 5 9 || fail "$1 is held: another process is at it"
+}
+
+# tell WORDS: to the log of events, and to the terminal of who started the nodes.
+tell() {
+  fss_line="$(date '+%F %T') $*"
+  echo "$fss_line" >>"$FSS_LOGS/events.log"
+  # In a process of its own: neither a terminal that hangs nor one that is gone is to matter.
+  [ -z "${FSS_TTY:-}" ] || { printf '\r%s\r\n' "$fss_line" >"$FSS_TTY"; } 2>/dev/null 9>&- &
+}
+
+# refuse_systemd VERB: the nodes are systemd's to start and stop if it runs them.
+refuse_systemd() {
+  ! systemctl --quiet is-active "$fss_name.target" 2>/dev/null ||
+    fail "systemd runs these nodes: systemctl $1 $fss_name.target"
+}

@@ -1,0 +1,18 @@
+#!/bin/sh
+# Becomes one node of a configuration. usage: node.sh CONFIG NAME
+set -eu
+fss_scripts=$(CDPATH='' cd -- "$(dirname -- "$0")/.." && pwd -P)
+# shellcheck source=scripts/fss/config.sh
+. "$fss_scripts/fss/config.sh"
+read_config "$1"
+wanted=$2
+
+become() {
+  [ "$1" = "$wanted" ] || return 0
+  shift
+  hold "$wanted.node"
+  echo $$ >"$FSS_LOGS/$wanted.node"
+  exec ros2 run "$@"
+}
+each_node become
+fail "$fss_config: has no node $wanted, but $fss_nodes"

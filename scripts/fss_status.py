@@ -1,0 +1,307 @@
+"""Show nodes, links, rates, faults and verdicts at a glance.
+
+Exit code 0: every node runs and none reports an error; 1: not so.
+"""
+
+import argparse
+import fcntl
+import sys
+import time
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message
+from rich import box
+from rich.console import Console, Group
+from rich.live import Live
+from rich.markup import escape
+from rich.table import Table
+
+from fss_arm_msgs.msg import LinkTelemetry
+from fss_arm_ros.definitions import NotInstalledError, message_class
+from fss_arm_ros.qos import LATCHED
+
+MEASUREMENTS = (
+    "sensor_msgs/msg/JointState",
+    "sensor_msgs/msg/Imu",
+    "geometry_msgs/msg/PoseStamped",
+    "fss_arm_msgs/msg/LinkTelemetry",
+)
+LOOSE = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)  # slows no publisher
+SPAN = 2.0  # rates are taken over [s]
+REPORT = 3.0  # older than this, a node's report says nothing of it any more [s]
+EVENTS = 5  # shown
+LEVELS = {
+    DiagnosticStatus.OK: ("ok", "green"),
+    DiagnosticStatus.WARN: ("warning", "yellow"),
+    DiagnosticStatus.ERROR: ("ERROR", "bold red"),
+    DiagnosticStatus.STALE: ("stale", "yellow"),
+}
+VERDICTS = {"pass": "bold green", "fail": "bold red", "not_evaluated": "bold yellow"}
+
+
+@dataclass
+class Heard:
+    """What came in on a topic."""
+
+    kind: Any
+    last: bytes = b""
+    since: float = field(default_factory=time.monotonic)
+    times: deque[float] = field(default_factory=deque)  # within the last SPAN [s]
+
+    def take(self, data: bytes) -> None:
+        """Count a message and keep it; it is read only when it is shown."""
+        self.last = data
+        self.times.append(time.monotonic())
+
+    def rate(self) -> float:
+        """Messages a second."""
+        now = time.monotonic()
+        while self.times and self.times[0] < now - SPAN:
+            self.times.popleft()
+        return len(self.times) / min(SPAN, now - self.since)
+
+    def message(self) -> Any:
+        """The last one."""
+        return deserialize_message(self.last, self.kind)
+
+
+class Listener(Node):
+    """Hears everything that is to be shown."""
+
+    def __init__(self) -> None:
+        super().__init__("status", start_parameter_services=False, enable_rosout=False)
+        self.measured: dict[str, Heard] = {}
+        self.results: dict[str, Heard] = {}
+        self.reports: dict[str, tuple[float, DiagnosticStatus]] = {}
+        self.create_subscription(DiagnosticArray, "/diagnostics", self.on_report, 100)
+        self.create_timer(0.2, self.discover)
+
+    def discover(self) -> None:
+        """Listen to measurements, and to results: whatever has a verdict."""
+        for topic, (msgtype, *_) in self.get_topic_names_and_types():
+            if topic in self.measured or topic in self.results:
+                continue
+            if msgtype in MEASUREMENTS:
+                self.listen(self.measured, topic, msgtype, LOOSE)
+            elif msgtype.startswith("fss_arm_msgs/msg/"):
+                self.listen(self.results, topic, msgtype, LATCHED)
+
+    def listen(self, into: dict[str, Heard], topic: str, msgtype: str, qos: QoSProfile) -> None:
+        """Subscribe; results are those with a verdict."""
+        try:
+            kind = message_class(msgtype)
+        except NotInstalledError:
+            return
+        if into is self.results and not hasattr(kind, "verdict"):
+            return
+        into[topic] = Heard(kind)
+        self.create_subscription(kind, topic, into[topic].take, qos, raw=True)
+
+    def on_report(self, message: DiagnosticArray) -> None:
+        """Keep each node's last report."""
+        for status in message.status:
+            self.reports[status.name] = time.monotonic(), status
+
+    def report(self, name: str) -> DiagnosticStatus | None:
+        """What a node said of itself, unless that is long ago."""
+        then, status = self.reports.get(name, (0.0, None))
+        return status if time.monotonic() - then < REPORT else None
+
+
+class Processes:
+    """The node processes of a configuration, as the locks that they hold tell."""
+
+    def __init__(self, logs: Path, names: list[str], mute: list[str]) -> None:
+        self.logs, self.names, self.mute = logs, [*names, *mute], mute
+
+    def state(self, name: str) -> tuple[str, str]:
+        """In a word, and its colour."""
+        kept, runs = (self._held(self.logs / f"{name}.{role}") for role in ("keep", "node"))
+        if not runs:
+            return ("starting", "yellow") if kept else ("down", "bold red")
+        age = time.time() - (self.logs / f"{name}.node").stat().st_mtime
+        return f"up {_duration(age)}", "green"
+
+    def runs(self, name: str) -> bool:
+        """Whether the node is there."""
+        return self._held(self.logs / f"{name}.node")
+
+    def events(self) -> list[str]:
+        """What the operator was told last."""
+        log = self.logs / "events.log"
+        return log.read_text(errors="replace").splitlines()[-EVENTS:] if log.exists() else []
+
+    @staticmethod
+    def _held(path: Path) -> bool:
+        try:
+            with path.open("rb") as file:
+                fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except FileNotFoundError:
+            return False
+        except BlockingIOError:
+            return True
+        return False
+
+
+def screen(processes: Processes, listener: Listener) -> Group:
+    """All of it, for rich to print."""
+    parts = [nodes(processes, listener), links(listener), rates(listener), verdicts(listener)]
+    events = processes.events()
+    if events:
+        parts.append(_table("event", rows=([escape(line)] for line in events)))
+    return Group(*(part for part in parts if part.row_count))
+
+
+def nodes(processes: Processes, listener: Listener) -> Table:
+    """The processes and what they say of themselves."""
+    table = _table("node", "process", "health", "")
+    others = sorted(name for name in listener.reports if name not in processes.names)
+    for name in [*processes.names, *others]:
+        state, colour = processes.state(name) if name in processes.names else ("elsewhere", "")
+        status = listener.report(name)
+        word, tone = LEVELS[status.level] if status else ("", "")
+        said = escape(status.message) if status else ""
+        table.add_row(name, _in(state, colour), _in(word, tone), said)
+    return table
+
+
+def links(listener: Listener) -> Table:
+    """The links' electronics."""
+    table = _table(
+        *("link", "armed", ">rate [Hz]", ">round trip [ms]", ">position [counts]"),
+        *(">current [A]", ">battery [V]", ">drive [deg C]", ">faults"),
+    )
+    for topic, heard in sorted(listener.measured.items()):
+        if heard.kind is not LinkTelemetry or not heard.last:
+            continue
+        m = heard.message()
+        table.add_row(
+            topic.split("/")[-2],
+            _in("armed", "bold yellow") if m.armed else "no",
+            f"{heard.rate():.1f}",
+            f"{1e3 * m.round_trip:.1f}",
+            str(m.position),
+            f"{0.01 * m.current:.2f}",
+            f"{0.1 * m.battery:.1f}",
+            str(m.temperature),
+            _in(f"{m.faults:#x}", "bold red") if m.faults else "none",
+        )
+    return table
+
+
+def rates(listener: Listener) -> Table:
+    """How often measurements come."""
+    table = _table("topic", ">rate [Hz]")
+    for topic, heard in sorted(listener.measured.items()):
+        if heard.kind is not LinkTelemetry:
+            rate = heard.rate()
+            table.add_row(topic, f"{rate:.1f}" if rate else _in("silent", "yellow"))
+    return table
+
+
+def verdicts(listener: Listener) -> Table:
+    """The calibrations."""
+    table = _table("result", "verdict", "reason")
+    for topic, heard in sorted(listener.results.items()):
+        if heard.last:
+            m = heard.message()
+            table.add_row(topic, _in(m.verdict, VERDICTS.get(m.verdict, "")), escape(m.reason))
+    return table
+
+
+def sound(processes: Processes, listener: Listener) -> bool:
+    """Whether every node runs, and says so, and none reports an error."""
+    reports = [listener.report(name) for name in listener.reports]
+    wanted = [name for name in processes.names if name not in processes.mute]
+    return (
+        all(map(processes.runs, processes.names))
+        and all(map(listener.report, wanted))
+        and not any(status.level == DiagnosticStatus.ERROR for status in reports if status)
+    )
+
+
+def settled(processes: Processes, listener: Listener) -> bool:
+    """Whether all is well, or cannot become so, as a node has ended."""
+    ended = any(processes.state(name)[0] == "down" for name in processes.names)
+    return ended or sound(processes, listener)
+
+
+def _table(*headings: str, rows: Iterable[list[str]] = ()) -> Table:
+    """A table; a heading that begins with `>` is of numbers."""
+    table = Table(box=box.SIMPLE, pad_edge=False)
+    for heading in headings:
+        table.add_column(
+            escape(heading.lstrip(">")), justify="right" if heading.startswith(">") else "left"
+        )
+    for row in rows:
+        table.add_row(*row)
+    return table
+
+
+def _in(text: str, style: str) -> str:
+    return f"[{style}]{text}[/]" if style else text
+
+
+def _duration(seconds: float) -> str:
+    minutes, s = divmod(int(seconds), 60)
+    hours, m = divmod(minutes, 60)
+    return f"{hours} h {m} min" if hours else f"{m} min {s} s" if m else f"{s} s"
+
+
+def arguments() -> argparse.ArgumentParser:
+    """The command line, as fss_status.sh gives it."""
+    parser = argparse.ArgumentParser("fss_status.sh", description=__doc__.replace("\n\n", "\n"))
+    parser.add_argument("--watch", action="store_true", help="go on until interrupted")
+    parser.add_argument(
+        "--wait", type=float, default=1.0, help="until all is well or a node is down, at most [s]"
+    )
+    parser.add_argument("--logs", type=Path, required=True, help="folder of the nodes' logs")
+    parser.add_argument(
+        "--mute", action="append", default=[], metavar="NODE", help="one that reports nothing"
+    )
+    parser.add_argument("names", nargs="+", metavar="NODE", help="as in the configuration")
+    return parser
+
+
+def main() -> int:
+    """Run."""
+    options = arguments().parse_args()
+    processes = Processes(options.logs, options.names, options.mute)
+    console = Console(width=None if sys.stdout.isatty() else 120, highlight=False)
+    rclpy.init()
+    listener = Listener()
+
+    def listen(seconds: float) -> None:
+        until = time.monotonic() + seconds
+        while time.monotonic() < until:
+            rclpy.spin_once(listener, timeout_sec=0.05)
+
+    try:
+        if options.watch:
+            with Live(console=console, screen=True, auto_refresh=False) as live:
+                while True:
+                    live.update(screen(processes, listener), refresh=True)
+                    listen(1.0)
+        deadline = time.monotonic() + options.wait
+        while time.monotonic() < deadline and not settled(processes, listener):
+            listen(0.1)
+        listen(1.0)  # for the rates
+        console.print(screen(processes, listener))
+        return 0 if sound(processes, listener) else 1
+    except KeyboardInterrupt:
+        return 0
+    finally:
+        listener.destroy_node()
+        rclpy.try_shutdown()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,60 @@
+#!/bin/sh
+# Writes systemd units for a configuration, a service for each node and a target for all.
+# usage: fss_systemd.sh FOLDER [CONFIG]     /etc/systemd/system; config/fss.sh by default
+set -eu
+fss_scripts=$(CDPATH='' cd -- "$(dirname -- "$0")" && pwd -P)
+# shellcheck source=scripts/fss/config.sh
+. "$fss_scripts/fss/config.sh"
+[ $# -gt 0 ] || fail "usage: fss_systemd.sh FOLDER [CONFIG]"
+folder=$(readlink -f -- "$1")
+if [ ! -d "$folder" ] || [ ! -w "$folder" ]; then fail "$1: expected a folder to write to"; fi
+read_config "${2:-}"
+
+# Services start one after the other and stop the other way round, as `After` has it.
+after=network-online.target
+unit() {
+  {
+    cat <<END
+[Unit]
+Description=FSS Arm: $1
+PartOf=$fss_name.target
+After=$after
+Wants=network-online.target
+StartLimitIntervalSec=$FSS_WINDOW
+StartLimitBurst=$((FSS_RESTARTS + 1))
+
+[Service]
+Type=exec
+User=$(id -un)
+Environment=ROS_DOMAIN_ID=${ROS_DOMAIN_ID:-0}
+Environment=ROS_AUTOMATIC_DISCOVERY_RANGE=$ROS_AUTOMATIC_DISCOVERY_RANGE
+WorkingDirectory=$fss_root
+ExecStart=$fss_scripts/fss/node.sh $fss_config $1
+END
+    [ "$1" != arm ] || echo "ExecStop=-$fss_scripts/fss_arm.sh disarm"
+    # systemd puts the result in.
+    cat <<END
+ExecStopPost=-$fss_scripts/fss/tell.sh $fss_config $1 \${SERVICE_RESULT}
+Restart=on-failure
+RestartSec=1
+TimeoutStopSec=$FSS_PATIENCE
+StandardOutput=append:$FSS_LOGS/$1.log
+StandardError=inherit
+
+[Install]
+WantedBy=$fss_name.target
+END
+  } >"$folder/$fss_name-$1.service"
+  after=$fss_name-$1.service
+}
+each_node unit
+
+cat >"$folder/$fss_name.target" <<END
+[Unit]
+Description=FSS Arm: all nodes of $fss_config
+Wants=$(for name in $fss_nodes; do printf '%s-%s.service ' "$fss_name" "$name"; done)
+
+[Install]
+WantedBy=multi-user.target
+END
+echo "written to $folder; next: systemctl daemon-reload && systemctl start $fss_name.target"

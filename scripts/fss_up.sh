@@ -1,0 +1,30 @@
+#!/bin/sh
+# Starts the nodes of a configuration that do not run yet, and shows how they are.
+# They outlive this shell and its line; a node that fails is started again a few times.
+# usage: fss_up.sh [CONFIG]     config/fss.sh by default
+set -eu
+fss_scripts=$(CDPATH='' cd -- "$(dirname -- "$0")" && pwd -P)
+# shellcheck source=scripts/fss/config.sh
+. "$fss_scripts/fss/config.sh"
+read_config "${1:-}"
+refuse_systemd start
+
+FSS_TTY=$(tty) || FSS_TTY=
+export FSS_TTY
+known=$(ros2 pkg executables)
+
+check() {
+  printf '%s\n' "$known" | grep -qxF "$2 $3" ||
+    fail "$fss_config: node $1: there is no executable '$3' in a package '$2'"
+}
+start() {
+  ! held "$1.keep" || return 0
+  ! held "$1.node" || fail "$1 runs, but nobody keeps it: fss_down.sh first"
+  (
+    hold "$1.keep"
+    exec setsid -f "$fss_scripts/fss/keep.sh" "$fss_config" "$1"
+  ) </dev/null >>"$FSS_LOGS/$1.log" 2>&1
+}
+each_node check
+each_node start
+exec "$fss_scripts/fss_status.sh" --wait 20 "$fss_config"

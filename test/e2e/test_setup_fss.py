@@ -1,0 +1,169 @@
+"""The scripts for the spacecraft, on real processes with a simulated test bed."""
+
+import fcntl
+import os
+import pty
+import re
+import signal
+import socket
+import subprocess
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from threading import Event
+
+import pytest
+from conftest import DOMAIN, wait_until
+
+from fss_arm_model.description import paper_arm, save
+from fss_arm_ros.bags import find, is_sound, open_bags
+
+SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
+PAUSE = partial(Event().wait, 0.05)
+
+
+class Laboratory:
+    """A configuration of one's own, and its nodes."""
+
+    def __init__(self, folder, *lines):
+        self.logs = folder / "logs"
+        self.config = folder / "lab.sh"
+        settings = (f"export ROS_DOMAIN_ID={DOMAIN}", f"FSS_LOGS={self.logs}", "FSS_RESTARTS=1")
+        self.config.write_text("\n".join((*settings, *lines)) + "\n")
+
+    def run(self, script, *options):
+        return subprocess.run(
+            [SCRIPTS / f"fss_{script}.sh", *options, self.config],
+            capture_output=True, text=True, timeout=120, check=False, stdin=subprocess.DEVNULL,
+        )  # fmt: skip
+
+    def pid(self, name):
+        """The node's process, if it runs: it holds the lock then."""
+        try:
+            with (self.logs / f"{name}.node").open() as file:
+                fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except FileNotFoundError:
+            return None
+        except BlockingIOError:
+            return int((self.logs / f"{name}.node").read_text() or 0) or None
+        return None
+
+    def events(self):
+        log = self.logs / "events.log"
+        return log.read_text() if log.exists() else ""
+
+
+@pytest.fixture
+def laboratory(tmp_path):
+    made = []
+
+    def make(*lines):
+        made.append(Laboratory(tmp_path, *lines))
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.run("down")
+
+
+def free_ports(count):
+    sockets = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(count)]
+    for s in sockets:
+        s.bind(("127.0.0.1", 0))
+    ports = [s.getsockname()[1] for s in sockets]
+    for s in sockets:
+        s.close()
+    return ports
+
+
+def test_nodes_outlive_the_line_are_started_again_and_stop_in_order(laboratory, tmp_path):
+    save(replace(paper_arm(), links=paper_arm().links[:2]), tmp_path / "arm.yaml")
+    arm = tmp_path / "arm.yaml"
+    ports = free_ports(2)
+    names = ["record", "testbed", "link_1", "link_2", "arm"]
+    lab = laboratory(
+        f"node record fss_arm_ros record --ros-args -p output:={tmp_path / 'bags'}",
+        f"node testbed fss_sim testbed --ros-args -p arm:={arm} -p ports:=[{ports[0]},{ports[1]}]",
+        *(
+            f"node link_{i} fss_arm_driver link --ros-args -p arm:={arm} -p link:={i} "
+            f"-p 'url:=udp://127.0.0.1:{port}?bind=0' -p watchdog:=20.0 -p timeout:=10.0"
+            for i, port in enumerate(ports, 1)
+        ),
+        f"node arm fss_arm_driver arm --ros-args -p arm:={arm} -p time_to_live:=10.0",
+    )
+    # The line drops while fss_up.sh still waits for the nodes' reports.
+    child, line = pty.fork()
+    if child == 0:
+        os.execv(SCRIPTS / "fss_up.sh", ["fss_up.sh", str(lab.config)])
+    wait_until(lambda: all(map(lab.pid, names)), 60, PAUSE)
+    os.close(line)
+    _, status = os.waitpid(child, 0)
+    assert os.WIFSIGNALED(status)
+    assert os.WTERMSIG(status) == signal.SIGHUP
+
+    pids = {name: lab.pid(name) for name in names}
+    shown = lab.run("status", "--wait", "60")
+    assert shown.returncode == 0, shown.stdout + shown.stderr
+    assert re.search(r"link_2 +up .* ok +link_2 is disarmed", shown.stdout)
+    assert re.search(r"/joint_states +\d", shown.stdout)
+    assert {name: lab.pid(name) for name in names} == pids
+
+    os.kill(pids["link_2"], signal.SIGKILL)
+    wait_until(lambda: lab.pid("link_2") not in (None, pids["link_2"]), 60, PAUSE)
+    assert "link_2 failed (137), starting it again (1 of 1)" in lab.events()
+    assert lab.run("up").returncode == 0  # changes nothing
+    del pids["link_2"]
+    assert {name: lab.pid(name) for name in pids} == pids
+
+    down = lab.run("down")
+    assert down.returncode == 0, down.stderr
+    assert down.stdout.splitlines() == [
+        "all 2 links are disarmed",
+        *(f"{name} has stopped" for name in reversed(names)),
+    ]
+    assert not any(map(lab.pid, names))
+    assert not any(Path(f"/proc/{pid}").exists() for pid in pids.values())
+    assert all(map(is_sound, find(tmp_path / "bags")))
+    with open_bags(tmp_path / "bags") as bags:
+        assert bags.topics["/joint_states"].messages > 0
+
+
+def test_a_node_that_keeps_failing_is_given_up_and_the_operator_told(laboratory):
+    lab = laboratory("node record fss_arm_ros record")  # without the folder that it needs
+    up = lab.run("up")
+    assert up.returncode == 1
+    assert re.search(r"record +down", up.stdout)
+    first, last = lab.events().splitlines()
+    assert first.endswith("record failed (1), starting it again (1 of 1)")
+    assert last.endswith(f"failed (1) 2 times and is not started again; see {lab.logs}/record.log")
+    assert (lab.logs / "record.log").read_text().count("output is empty") == 2
+
+
+@pytest.mark.slow
+def test_a_node_that_does_not_stop_is_killed(laboratory, tmp_path):
+    lab = laboratory(
+        "FSS_PATIENCE=1", f"node record fss_arm_ros record --ros-args -p output:={tmp_path}/bags"
+    )
+    assert lab.run("up").returncode == 0
+    pid = lab.pid("record")
+    os.kill(pid, signal.SIGSTOP)
+    down = lab.run("down")
+    assert down.returncode == 1
+    assert "record did not stop and was killed" in lab.events()
+    assert lab.pid("record") is None
+
+
+@pytest.mark.slow
+def test_a_node_that_lost_its_keeper_is_stopped_all_the_same(laboratory, tmp_path):
+    lab = laboratory(f"node record fss_arm_ros record --ros-args -p output:={tmp_path}/bags")
+    assert lab.run("up").returncode == 0
+    os.kill(int((lab.logs / "record.keep").read_text()), signal.SIGKILL)
+    pid = lab.pid("record")
+    assert pid is not None
+    again = lab.run("up")
+    assert (again.returncode, again.stderr) == (
+        1,
+        "fss_up.sh: record runs, but nobody keeps it: fss_down.sh first\n",
+    )
+    assert lab.run("down").returncode == 0
+    assert lab.pid("record") is None
