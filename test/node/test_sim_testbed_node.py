@@ -70,7 +70,7 @@ def test_vicon_and_gyro_come_at_100_hz_evenly_stamped(spin, ears):
 def test_time_kept_goes_as_fast_as_asked_and_never_begins_at_zero(spin, ears):
     bed = testbed(keep_clock=True, speed=10.0)
     begin = bed.get_clock().now().nanoseconds
-    spin([bed, ears], lambda: len(ears.heard["clock"]) >= 500)
+    spin([bed, ears], lambda: len(ears.heard["clock"]) >= 100)
     took = bed.get_clock().now().nanoseconds - begin
     clocks = [stamp_ns(m.clock) for m in ears.heard["clock"]]
     assert clocks[0] > 1_000_000_000
