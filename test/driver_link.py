@@ -31,7 +31,10 @@ SAMPLE = Telemetry(
 class FakeLink:
     """Telemetry of a link whose clock began at host time `born` [ns]."""
 
-    def __init__(self, number: int = 1, boot: int = 1, born: int = 0, sequence: int = 0) -> None:
+    def __init__(
+        self, number: int = 1, boot: int = 1, born: int = 0, sequence: int = 0, key=None
+    ) -> None:
+        self.key = key
         self.frame = replace(SAMPLE, link=number, boot=boot, sequence=sequence)
         self.born = born
         self.taken: Command | None = None
@@ -45,7 +48,7 @@ class FakeLink:
         return (now - self.born) // 1000
 
     def take(self, data: bytes, now: int) -> None:
-        command = decode(data)
+        command = decode(data, self.key)
         assert isinstance(command, Command)
         assert command.boot in (0, self.frame.boot)
         assert self.taken is None or newer(command.sequence, self.taken.sequence)
@@ -80,16 +83,16 @@ class FakeLink:
             position=self.position,
             velocity=round(self.speed / VELOCITY_UNIT) if turned else 0,
         )
-        return encode(replace(self.frame, **changes))
+        return encode(replace(self.frame, **changes), self.key)
 
 
 class FakeTransport:
     """A link at the other end that measures once for each command frame, at its steady rate."""
 
-    def __init__(self, number=1, clock=time.time_ns):
+    def __init__(self, number=1, clock=time.time_ns, key=None):
         self.counts, self.trouble = Counter(), ""
         self.clock = clock
-        self.link = FakeLink(number, boot=5, born=clock() - 100 * SECOND)
+        self.link = FakeLink(number, boot=5, born=clock() - 100 * SECOND, key=key)
         self.talks = self.hears = True
         self.last = 0
         self.datagrams, self.arrival = deque(), Condition()

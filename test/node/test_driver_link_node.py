@@ -24,6 +24,8 @@ from fss_arm_driver.protocol import Mode, Order, State
 from fss_arm_msgs.msg import LinkCommand, LinkTelemetry
 from fss_arm_ros.convert import stamp_ns, to_time
 
+KEY = bytes(range(16))
+
 
 class User(Node):
     """Hears all that a link's node publishes, and asks of it."""
@@ -271,6 +273,7 @@ def test_a_wrong_baud_rate_is_said_in_one_line(start, tmp_path):
     [
         (("-p", "url:=tcp://x"), "url is 'tcp://x', expected tcp://HOST:PORT"),
         (("-p", "url:=serial:///dev/no"), "'serial:///dev/no' cannot be opened: No such file"),
+        (("-p", "keys:=/no/keys"), "No such file or directory: '/no/keys'"),
         (("-p", "link:=5"), "link is 5, expected 1 to 4, as arm 'paper' has"),
         (("-p", "timeout:=0.0"), "timeout is 0.0 s, expected above 0"),
         (("-p", "watchdog:=100.0"), "watchdog is 100.0 s"),
@@ -283,6 +286,42 @@ def test_what_cannot_run_says_so_in_one_line(start, arguments, words):
     assert program.wait() == 1
     assert words in program.output
     assert program.output.count("\n") == 1
+
+
+def test_a_link_without_a_key_among_keys_is_refused(start, tmp_path):
+    keys = tmp_path / "keys"
+    keys.write_text(f"1 {'0a' * 16}\n")
+    keys.chmod(0o600)
+    program = start(
+        "fss_arm_driver.link_node", "--ros-args", "-p", f"keys:={keys}", "-p", "link:=2"
+    )
+    assert program.wait() == 1
+    assert program.output.endswith("keys', which holds no key for link 2\n")
+    keys.chmod(0o644)
+    program = start("fss_arm_driver.link_node", "--ros-args", "-p", f"keys:={keys}")
+    assert program.wait() == 1
+    assert "has mode 644, expected 600" in program.output
+
+
+def test_unsigned_frames_over_a_network_are_warned_of(start):
+    arguments = "--ros-args", "-p", "url:=udp://192.0.2.1:9?bind=0"
+    program = start("fss_arm_driver.link_node", *arguments)
+    wait_until(lambda: "frames are not signed, so anybody" in program.output, 20.0, lambda: None)
+    program.stop()
+    assert "docs/security.md" in program.output
+
+
+def test_signed_frames_are_believed_and_answered(spin, tmp_path):
+    keys = tmp_path / "keys"
+    keys.write_text(f"1 {KEY.hex()}\n")
+    keys.chmod(0o600)
+    transport = FakeTransport(key=KEY)
+    node = LinkNode(1, transport=transport, **options(keys=str(keys)))
+    user = User()
+    spin([node, user], lambda: user.telemetry and user.joints and user.health)
+    assert user.values()["signed"] == "True"
+    assert KEY.hex() not in repr([node.get_parameter(name).value for name in node._parameters])
+    assert not any(node.session.counts[name] for name in ("signature", "unproven"))
 
 
 def test_one_process_hosts_all_links_and_is_up_soon(start, spin):

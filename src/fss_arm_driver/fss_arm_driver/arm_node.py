@@ -16,37 +16,16 @@ from std_srvs.srv import SetBool
 
 from fss_arm_driver.move import Move, MoveError, Profile, plan
 from fss_arm_driver.scale import Scale
-from fss_arm_model.description import Arm, load, paper_arm
+from fss_arm_driver.settings import ArmSettings
 from fss_arm_msgs.action import MoveArm
 from fss_arm_msgs.msg import LinkCommand, LinkTelemetry
 from fss_arm_ros.convert import SECOND
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.qos import command, subscribe_sensor
 from fss_arm_ros.run import run
-from fss_arm_ros.settings import declare, setting
+from fss_arm_ros.settings import declare
 
 ANSWER = 4.0  # a link's driver has answered by then [s]
-
-
-@dataclass(frozen=True)
-class ArmSettings:
-    """The parameters of an ArmNode."""
-
-    arm: str = setting("", "file of the arm's description; empty: the paper's arm")
-    rate: float = setting(5.0, "commands sent to each link a second during a move [1/s]")
-    time_to_live: float = setting(1.0, "of a command, and of what a link reported [s]")
-    tolerance: float = setting(0.005, "a joint nearer to its goal has reached it [rad]")
-    still: float = setting(0.01, "a joint slower than this is at rest [rad/s]")
-    patience: float = setting(5.0, "time that a move may take beyond what was planned [s]")
-
-    def __post_init__(self) -> None:
-        for name in ("rate", "time_to_live", "tolerance", "still", "patience"):
-            if not 0.0 < (value := getattr(self, name)) < 1e6:
-                raise ValueError(f"{name} is {value}, expected a positive number")
-
-    def description(self) -> Arm:
-        """The arm to move."""
-        return load(self.arm) if self.arm else paper_arm()
 
 
 @dataclass(frozen=True)

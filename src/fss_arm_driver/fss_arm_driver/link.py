@@ -1,15 +1,14 @@
 """The driver's side of one link as a state machine: datagrams in and out, no I/O and no clock.
 
-Which telemetry is believed, when the link counts as lost and is adopted again, and what it is told
-meanwhile, is as docs/protocol.md says. All times are the caller's, in integer nanoseconds.
+What a link is told when it is lost, adopted, armed, commanded or stopped is as docs/protocol.md
+says. All times are the caller's, in integer nanoseconds.
 """
 
-from collections import Counter, deque
+from collections import Counter
 from dataclasses import dataclass
 from enum import Enum
 from math import inf, nan
 
-from fss_arm_driver.clock import LinkClock
 from fss_arm_driver.protocol import (
     Command,
     FrameError,
@@ -21,17 +20,12 @@ from fss_arm_driver.protocol import (
     Telemetry,
     decode,
     encode,
-    newer,
 )
+from fss_arm_driver.reception import EARLY, SECOND, Reception
 from fss_arm_driver.scale import CommandError, Scale, SetPoint
 from fss_arm_model.description import Link
 
-SECOND = 1_000_000_000  # [ns]
-EARLY = SECOND // 10  # delays vary: a frame may seem to come from the future by so much
-MEMORY = 10 * SECOND  # how long a lost link and its clock are remembered
 PATIENCE = 2 * SECOND  # a link that has not armed by then is left disarmed
-SHORTEST_PERIOD = 1000  # of telemetry, in the link's clock [us]
-CANDIDATES = 16  # more than one, so that noise cannot displace a link that begins to talk
 STAMPS_KEPT = 1024  # of commands sent, which an echo may name
 
 
@@ -44,20 +38,11 @@ class Arming(Enum):
     STOPPED = "stopped"
 
 
-class Verdict(Enum):
-    """How a frame compares with an earlier one of the same link."""
-
-    FOLLOWS = "follows"
-    STALE = "stale"
-    REPEATED = "repeated"
-    REORDERED = "reordered"
-    JUMP = "jump"
-
-
 #: What may happen to a telemetry frame but to be believed.
 TROUBLES = (
     *(reason.value for reason in Refusal),
-    *("foreign", "impossible", "stale", "repeated", "reordered", "candidates", "missed"),
+    *("foreign", "impossible", "unproven"),
+    *("stale", "repeated", "reordered", "candidates", "missed"),
 )
 COUNTS = (
     *("received", "believed", *TROUBLES, "adopted", "lost"),
@@ -80,23 +65,6 @@ class Sample:
     armed: bool
 
 
-@dataclass(frozen=True, slots=True)
-class _Track:
-    """The last frame of a link, the clock that its frames are timed by, and their usual period."""
-
-    frame: Telemetry
-    clock: LinkClock
-    period: float = 0.0  # in the link's clock [us]; 0: not known yet
-
-    def then(self, frame: Telemetry) -> "_Track":
-        """The track with its next frame; a single late one hardly changes the usual period."""
-        steps = (frame.sequence - self.frame.sequence) & 0xFFFFFFFF
-        last = (frame.clock - self.frame.clock) / steps
-        if self.period:
-            last = self.period + (min(last, 2.0 * self.period) - self.period) / 8
-        return _Track(frame, self.clock, last)
-
-
 class LinkSession:
     """What the driver knows and wants of one link.
 
@@ -106,6 +74,7 @@ class LinkSession:
         timeout: silence after which the link is lost [s].
         watchdog: silence after which the link shall disarm itself [s].
         resolution: step of the clock that the caller reads [s].
+        key: that frames are signed under; None: they are not signed.
     """
 
     def __init__(
@@ -115,25 +84,26 @@ class LinkSession:
         timeout: float = 1.0,
         watchdog: float = 2.0,
         resolution: float = 0.0,
+        key: bytes | None = None,
     ) -> None:
-        self.number = number
+        self.number, self._key = number, key
         self.scale = Scale(description)
         self.counts = Counter(dict.fromkeys(COUNTS, 0))
         self.arming = Arming.DISARMED
-        self.lost = True
         self._timeout = round(timeout * SECOND)
         self._watchdog = round(watchdog * 1000)  # [ms]
-        self._resolution = round(resolution * SECOND)
+        self._reception = Reception(
+            self.scale, self._timeout, round(resolution * SECOND), key is not None, self.counts
+        )
         self._now = 0
-        self._heard = 0  # when a frame was last believed
-        self._track: _Track | None = None  # believed; remembered for a while when lost
-        self._candidates: deque[_Track] = deque(maxlen=CANDIDATES)  # on probation
+        self._boot = 0  # of the link that was followed last
         self._slow: dict[Slow, int] = {}
         self._stamp = 0  # of the last sample
         self._order: SetPoint | None = None
         self._expiry = 0  # of the order
         self._arm_asked = 0  # when
         self._sequence = 0
+        self._clock = 0  # stamp of the last frame sent [us]
         self._sent: dict[int, int] = {}  # low 32 bits of a command's stamp: when it was sent
 
     @property
@@ -142,22 +112,30 @@ class LinkSession:
         return self.arming is Arming.ARMED
 
     @property
+    def lost(self) -> bool:
+        """Whether nothing believable has come for the timeout, or ever."""
+        return self._reception.lost
+
+    @property
     def frame(self) -> Telemetry | None:
         """The last frame believed; None while the link is lost."""
-        return self._track.frame if self._track and not self.lost else None
+        track = self._reception.track
+        return track.frame if track and not self.lost else None
 
     @property
     def round_trip(self) -> float:
         """Time under way, there and back, of the exchange that maps the clock [s], or NaN."""
-        return self._track.clock.round_trip if self._track else nan
+        track = self._reception.track
+        return track.clock.round_trip if track else nan
 
     def deviation(self, now: int) -> float:
         """Standard deviation of a stamp [s]; infinite before a round trip."""
-        return self._track.clock.deviation(now) if self._track else inf
+        track = self._reception.track
+        return track.clock.deviation(now) if track else inf
 
     def silence(self, now: int) -> float:
         """Time since a frame was last believed [s]; infinite if none ever was."""
-        return 1e-9 * (now - self._heard) if self.counts["believed"] else inf
+        return 1e-9 * (now - self._reception.heard) if self.counts["believed"] else inf
 
     def arm(self, now: int) -> None:
         """Ask the link to arm, also after a stop; `arming` tells how far that has come.
@@ -214,16 +192,13 @@ class LinkSession:
     def tick(self, now: int) -> None:
         """Let time pass: loss, expiry, arming that came to nothing, a clock that was set back."""
         if now < self._now - EARLY:  # by less: a clock that is being corrected
-            self._lose()
-            self._track = None
-            self._candidates.clear()
+            self._reception.forget(now)
             self._sent.clear()
-            self._heard, self._stamp = now, 0
+            self._stamp = 0
+            self.disarm()
         self._now = now
-        if not self.lost and now - self._heard > self._timeout:
-            self._lose()
-        if self.lost and now - self._heard > MEMORY:
-            self._track = None
+        if self._reception.tick(now):
+            self.disarm()
         if self._order and now > self._expiry:
             self._order = None
         if self.arming is Arming.ARMING and now - self._arm_asked > PATIENCE:
@@ -232,28 +207,29 @@ class LinkSession:
     def command(self, now: int) -> bytes:
         """The frame to send now."""
         self.tick(now)
-        clock = now // 1000
-        self._sent[clock & 0xFFFFFFFF] = now
+        self._clock = max(now // 1000, self._clock + 1)  # greater each time: no command is a replay
+        self._sent[self._clock & 0xFFFFFFFF] = now
         if len(self._sent) > STAMPS_KEPT:
             del self._sent[next(iter(self._sent))]
         self._sequence = (self._sequence + 1) & 0xFFFFFFFF
         self.counts["sent"] += 1
         flags, expiry, order = self._wanted(now)
-        frame = self.frame
+        frame, track = self.frame, self._reception.track
         return encode(
             Command(
                 link=self.number,
                 flags=flags,
                 boot=frame.boot if frame else 0,
                 sequence=self._sequence,
-                clock=clock,
-                expiry=self._track.clock.to_link(expiry) if self._track and expiry else 0,
+                clock=self._clock,
+                expiry=track.clock.to_link(expiry) if track and expiry else 0,
                 mode=order.mode if order else Mode.OFF,
                 watchdog=self._watchdog,
                 set_point=order.value if order else 0,
                 velocity=order.velocity if order else 0,
                 acceleration=order.acceleration if order else 0,
-            )
+            ),
+            self._key,
         )
 
     def _wanted(self, now: int) -> tuple[int, int, SetPoint | None]:
@@ -275,80 +251,28 @@ class LinkSession:
         self.counts["received"] += 1
         if (frame := self._decode(data)) is None:
             return None
-        verdict = self._compare(self._track, frame, now, late=self._timeout)
-        if self._track and verdict is Verdict.FOLLOWS:
-            return self._believe(self._track, frame, now)
-        if verdict is not Verdict.JUMP:
-            self.counts[verdict.value] += 1
+        lost, echoed = self.lost, self._sent.get(frame.echo) if frame.echo else None
+        if not self._reception.take(frame, echoed, now):
             return None
-        for track in self._candidates if self.lost else ():
-            if self._compare(track, frame, now, late=EARLY) is Verdict.FOLLOWS:
-                return self._believe(track, frame, now)
-        self.counts["candidates"] += 1
-        self._candidates.append(_Track(frame, LinkClock(frame.clock, now, self._resolution)))
-        return None
+        if lost:  # nothing is wanted of a link that was not followed until now
+            self.disarm()
+        if frame.boot != self._boot:
+            self._boot, self._slow = frame.boot, {}
+        self._slow[Slow(frame.slow_id)] = frame.slow_value
+        self._follow_arming(frame, echoed)
+        return self._sample(frame, echoed, now)
 
     def _decode(self, data: bytes) -> Telemetry | None:
         """The telemetry of this link that these bytes are, or None, counted."""
         try:
-            frame = decode(data)
+            frame = decode(data, self._key)
         except FrameError as error:
             self.counts[error.reason.value] += 1
             return None
         if not isinstance(frame, Telemetry) or frame.link != self.number:
             self.counts["foreign"] += 1
             return None
-        if not self.scale.possible(frame):
-            self.counts["impossible"] += 1
-            return None
         return frame
-
-    def _compare(self, track: _Track | None, frame: Telemetry, now: int, late: int) -> Verdict:
-        """Whether `frame` follows from `track` and is at most `late` [ns] older than it seems."""
-        if track is None or frame.boot != track.frame.boot:
-            return Verdict.JUMP
-        age = now - track.clock.to_host(frame.clock)
-        if age > late:
-            return Verdict.STALE
-        if frame.sequence == track.frame.sequence:
-            return Verdict.REPEATED
-        if not newer(frame.sequence, track.frame.sequence):
-            return Verdict.REORDERED
-        period = frame.clock - track.frame.clock
-        steps = (frame.sequence - track.frame.sequence) & 0xFFFFFFFF
-        turned = frame.position - track.frame.position
-        known_to = track.clock.half_width(now)
-        early = EARLY + (known_to if known_to < self._timeout else 0)
-        if age < -early or period < steps * max(SHORTEST_PERIOD, track.period / 2):
-            return Verdict.JUMP
-        return Verdict.FOLLOWS if self.scale.reachable(turned, period) else Verdict.JUMP
-
-    def _believe(self, track: _Track, frame: Telemetry, now: int) -> Sample:
-        """Take `frame`, which follows from `track`, as the link's state."""
-        if self.lost:
-            self._adopt(frame)
-        self.counts["believed"] += 1
-        self.counts["missed"] += ((frame.sequence - track.frame.sequence) & 0xFFFFFFFF) - 1
-        # A link that was silent may not have counted meanwhile: its period is learned anew.
-        self._track = _Track(frame, track.clock) if self.lost else track.then(frame)
-        self._candidates.clear()
-        self._heard, self.lost = now, False
-        self._slow[Slow(frame.slow_id)] = frame.slow_value
-        echoed = self._sent.get(frame.echo) if frame.echo else None
-        self._follow_arming(frame, echoed)
-        return self._sample(frame, track.clock, echoed, now)
-
-    def _adopt(self, frame: Telemetry) -> None:
-        """A link that was not followed until now: nothing is wanted of it."""
-        self.counts["adopted"] += 1
-        self.disarm()
-        if self._track is None or frame.boot != self._track.frame.boot:
-            self._slow = {}
-
-    def _lose(self) -> None:
-        self.counts["lost"] += not self.lost
-        self.lost = True
-        self.disarm()
 
     def _follow_arming(self, frame: Telemetry, echoed: int | None) -> None:
         """Arming is done when the link says so in answer to what was sent since it was asked."""
@@ -358,7 +282,9 @@ class LinkSession:
         elif self.arming is Arming.ARMING and armed and echoed and echoed >= self._arm_asked:
             self.arming = Arming.ARMED
 
-    def _sample(self, frame: Telemetry, clock: LinkClock, echoed: int | None, now: int) -> Sample:
+    def _sample(self, frame: Telemetry, echoed: int | None, now: int) -> Sample:
+        assert self._reception.track
+        clock = self._reception.track.clock
         if echoed is None:
             clock.one_way(frame.clock, now)
         else:

@@ -4,7 +4,6 @@ A thread waits for datagrams and wakes the executor; all else happens in the exe
 """
 
 import sys
-from dataclasses import dataclass
 from typing import Any
 
 from rclpy.callback_groups import ReentrantCallbackGroup
@@ -19,45 +18,18 @@ from fss_arm_driver.link import SECOND, TROUBLES, Arming, LinkSession
 from fss_arm_driver.messages import joint_state, telemetry
 from fss_arm_driver.protocol import State
 from fss_arm_driver.scale import CommandError
+from fss_arm_driver.settings import LinkSettings
 from fss_arm_driver.transport import Transport, open_transport
 from fss_arm_driver.waker import Waker
-from fss_arm_model.description import Arm, load, paper_arm
 from fss_arm_msgs.msg import LinkCommand, LinkTelemetry
 from fss_arm_ros.convert import stamp_ns
 from fss_arm_ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
 from fss_arm_ros.qos import COMMAND, SENSOR
 from fss_arm_ros.run import run
-from fss_arm_ros.settings import declare, setting
+from fss_arm_ros.settings import declare
 
 SIMULATED_STEP = 0.01  # of /clock [s]
 LATCHED_WORDS = {State.STOPPED: "the link is stopped", State.WATCHDOG: "its watchdog tripped"}
-
-
-@dataclass(frozen=True)
-class LinkSettings:
-    """The parameters of a LinkNode."""
-
-    link: int = setting(1, "number of the link, as in its frames; 1 beside the base")
-    url: str = setting("udp://127.0.0.1:5001?bind=6001", "where the link's electronics are")
-    urls: tuple[str, ...] = setting((), "urls of links 1, 2, ... to host all in one process")
-    rate: float = setting(5.0, "command frames sent a second [1/s]")
-    timeout: float = setting(1.0, "silence after which the link counts as lost [s]")
-    watchdog: float = setting(2.0, "silence after which the link disarms itself [s]")
-    arm: str = setting("", "file of the arm's description; empty: the paper's arm")
-
-    def __post_init__(self) -> None:
-        if not 1 <= self.link <= 255:
-            raise ValueError(f"link is {self.link}, expected 1 to 255")
-        if not 0.1 <= self.rate <= 1000.0:
-            raise ValueError(f"rate is {self.rate} 1/s, expected 0.1 to 1000")
-        if not 0.0 < self.timeout <= 3600.0:
-            raise ValueError(f"timeout is {self.timeout} s, expected above 0 to 3600")
-        if not 0.001 <= self.watchdog <= 65.535:
-            raise ValueError(f"watchdog is {self.watchdog} s, expected 0.001 to 65.535")
-
-    def description(self) -> Arm:
-        """The arm that the link is part of."""
-        return load(self.arm) if self.arm else paper_arm()
 
 
 class LinkNode(Node):
@@ -77,16 +49,14 @@ class LinkNode(Node):
             overrides.append(Parameter("url", value=url))
         super().__init__(f"link_{number}", parameter_overrides=overrides, **options)
         self.settings = settings = declare(self, LinkSettings)
-        arm = settings.description()
-        if number > arm.n:
-            raise ValueError(f"link is {number}, expected 1 to {arm.n}, as arm {arm.name!r} has")
         simulated = self.get_parameter("use_sim_time").value
         self.session = LinkSession(
             number,
-            arm.links[number - 1],
+            settings.description(),
             settings.timeout,
             settings.watchdog,
             SIMULATED_STEP if simulated else 0.0,
+            settings.key(),
         )
         self.transport = transport or open_transport(settings.url)
         self.name = f"link_{number}"
@@ -94,6 +64,11 @@ class LinkNode(Node):
         self.reported = dict(self.session.counts), 0
         self.waiting: list[Future] = []
 
+        if settings.is_exposed():
+            self.get_logger().warning(
+                f"{settings.url}: frames are not signed, so anybody on this network can move the "
+                "link; see docs/security.md"
+            )
         self.joint_states = self.create_publisher(JointState, "joint_states", SENSOR)
         self.telemetry = self.create_publisher(LinkTelemetry, f"{self.name}/telemetry", SENSOR)
         self.create_subscription(LinkCommand, f"{self.name}/command", self.on_command, COMMAND)
@@ -192,6 +167,7 @@ class LinkNode(Node):
         self.reported = counts, now
         values = {
             "state": session.arming.value,
+            "signed": bool(self.settings.keys),
             "age [s]": session.silence(now),
             "round trip [s]": session.round_trip,
             "clock deviation [s]": session.deviation(now),

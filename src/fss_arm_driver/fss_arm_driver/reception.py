@@ -1,0 +1,138 @@
+"""Which telemetry of a link is believed, and when the link counts as lost (docs/protocol.md)."""
+
+from collections import Counter, deque
+from dataclasses import dataclass
+from enum import Enum
+
+from fss_arm_driver.clock import LinkClock
+from fss_arm_driver.protocol import Telemetry, newer
+from fss_arm_driver.scale import Scale
+
+SECOND = 1_000_000_000  # [ns]
+EARLY = SECOND // 10  # delays vary: a frame may seem to come from the future by so much
+MEMORY = 10 * SECOND  # how long a lost link and its clock are remembered
+SHORTEST_PERIOD = 1000  # of telemetry, in the link's clock [us]
+CANDIDATES = 16  # more than one, so that noise cannot displace a link that begins to talk
+
+
+class Verdict(Enum):
+    """How a frame compares with an earlier one of the same link."""
+
+    FOLLOWS = "follows"
+    STALE = "stale"
+    REPEATED = "repeated"
+    REORDERED = "reordered"
+    JUMP = "jump"
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """The last frame of a link, the clock that its frames are timed by, and their usual period."""
+
+    frame: Telemetry
+    clock: LinkClock
+    period: float = 0.0  # in the link's clock [us]; 0: not known yet
+
+    def then(self, frame: Telemetry) -> "Track":
+        """The track with its next frame; a single late one hardly changes the usual period."""
+        steps = (frame.sequence - self.frame.sequence) & 0xFFFFFFFF
+        last = (frame.clock - self.frame.clock) / steps
+        if self.period:
+            last = self.period + (min(last, 2.0 * self.period) - self.period) / 8
+        return Track(frame, self.clock, last)
+
+
+class Reception:
+    """Compares each frame with those before it. All times are the caller's, in nanoseconds.
+
+    Args:
+        scale: what the link could report at all.
+        timeout: silence after which the link is lost [ns].
+        resolution: step of the clock that the caller reads [ns].
+        prove: whether a frame that does not follow a link's last one must answer a command of the
+            last `timeout`, as signed frames may be a recording.
+        counts: what happened to the frames, by name.
+    """
+
+    def __init__(
+        self, scale: Scale, timeout: int, resolution: int, prove: bool, counts: Counter[str]
+    ) -> None:
+        self.lost = True
+        self.heard = 0  # when a frame was last believed
+        self.track: Track | None = None  # believed; remembered for a while when lost
+        self._scale, self._timeout, self._resolution = scale, timeout, resolution
+        self._prove, self._counts = prove, counts
+        self._candidates: deque[Track] = deque(maxlen=CANDIDATES)  # on probation
+
+    def tick(self, now: int) -> bool:
+        """Let time pass; whether the link was lost by it."""
+        lost = not self.lost and now - self.heard > self._timeout
+        if lost:
+            self.lost = True
+            self._counts["lost"] += 1
+        if self.lost and now - self.heard > MEMORY:
+            self.track = None
+        return lost
+
+    def forget(self, now: int) -> None:
+        """Begin anew: the clock was set back."""
+        self._counts["lost"] += not self.lost
+        self.lost, self.heard, self.track = True, now, None
+        self._candidates.clear()
+
+    def take(self, frame: Telemetry, echoed: int | None, now: int) -> bool:
+        """Whether to believe `frame`, which echoes a command sent at `echoed`, if any known."""
+        if not self._scale.possible(frame):
+            self._counts["impossible"] += 1
+            return False
+        verdict = self._compare(self.track, frame, now, late=self._timeout)
+        if verdict not in (Verdict.FOLLOWS, Verdict.JUMP):
+            self._counts[verdict.value] += 1
+            return False
+        answers = echoed is not None and now - echoed <= self._timeout
+        if self._prove and not answers and (self.lost or verdict is Verdict.JUMP):
+            self._counts["unproven"] += 1
+            return False
+        return self._follow(verdict, frame, now)
+
+    def _follow(self, verdict: Verdict, frame: Telemetry, now: int) -> bool:
+        """Believe a frame that follows, from the last one or a candidate; else keep it as one."""
+        if self.track and verdict is Verdict.FOLLOWS:
+            self._believe(self.track, frame, now)
+            return True
+        for track in self._candidates if self.lost else ():
+            if self._compare(track, frame, now, late=EARLY) is Verdict.FOLLOWS:
+                self._believe(track, frame, now)
+                return True
+        self._counts["candidates"] += 1
+        self._candidates.append(Track(frame, LinkClock(frame.clock, now, self._resolution)))
+        return False
+
+    def _compare(self, track: Track | None, frame: Telemetry, now: int, late: int) -> Verdict:
+        """Whether `frame` follows from `track` and is at most `late` [ns] older than it seems."""
+        if track is None or frame.boot != track.frame.boot:
+            return Verdict.JUMP
+        age = now - track.clock.to_host(frame.clock)
+        if age > late:
+            return Verdict.STALE
+        if frame.sequence == track.frame.sequence:
+            return Verdict.REPEATED
+        if not newer(frame.sequence, track.frame.sequence):
+            return Verdict.REORDERED
+        period = frame.clock - track.frame.clock
+        steps = (frame.sequence - track.frame.sequence) & 0xFFFFFFFF
+        turned = frame.position - track.frame.position
+        known_to = track.clock.half_width(now)
+        early = EARLY + (known_to if known_to < self._timeout else 0)
+        if age < -early or period < steps * max(SHORTEST_PERIOD, track.period / 2):
+            return Verdict.JUMP
+        return Verdict.FOLLOWS if self._scale.reachable(turned, period) else Verdict.JUMP
+
+    def _believe(self, track: Track, frame: Telemetry, now: int) -> None:
+        self._counts["adopted"] += self.lost
+        self._counts["believed"] += 1
+        self._counts["missed"] += ((frame.sequence - track.frame.sequence) & 0xFFFFFFFF) - 1
+        # A link that was silent may not have counted meanwhile: its period is learned anew.
+        self.track = Track(frame, track.clock) if self.lost else track.then(frame)
+        self._candidates.clear()
+        self.heard, self.lost = now, False

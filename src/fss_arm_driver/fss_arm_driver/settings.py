@@ -1,0 +1,83 @@
+"""The parameters of the driver's nodes, and what they amount to."""
+
+from dataclasses import dataclass
+from urllib.parse import urlsplit
+
+from fss_arm_driver.protocol import load_keys
+from fss_arm_model.description import Arm, Link, load, paper_arm
+from fss_arm_ros.settings import setting
+
+
+@dataclass(frozen=True)
+class LinkSettings:
+    """The parameters of a LinkNode."""
+
+    link: int = setting(1, "number of the link, as in its frames; 1 beside the base")
+    url: str = setting(
+        "udp://127.0.0.1:5001?bind=6001", "where the link is: udp://, tcp://, serial://"
+    )
+    urls: tuple[str, ...] = setting((), "urls of links 1, 2, ... to host all in one process")
+    rate: float = setting(5.0, "command frames sent a second [1/s]")
+    timeout: float = setting(1.0, "silence after which the link counts as lost [s]")
+    watchdog: float = setting(2.0, "silence after which the link disarms itself [s]")
+    keys: str = setting("", "file of the links' keys; empty: frames are not signed")
+    arm: str = setting("", "file of the arm's description; empty: the paper's arm")
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.link <= 255:
+            raise ValueError(f"link is {self.link}, expected 1 to 255")
+        if not 0.1 <= self.rate <= 1000.0:
+            raise ValueError(f"rate is {self.rate} 1/s, expected 0.1 to 1000")
+        if not 0.0 < self.timeout <= 3600.0:
+            raise ValueError(f"timeout is {self.timeout} s, expected above 0 to 3600")
+        if not 0.001 <= self.watchdog <= 65.535:
+            raise ValueError(f"watchdog is {self.watchdog} s, expected 0.001 to 65.535")
+
+    def description(self) -> Link:
+        """The link, as its arm's file has it.
+
+        Raises:
+            ValueError: the arm has no such link.
+        """
+        arm = load(self.arm) if self.arm else paper_arm()
+        if self.link > arm.n:
+            raise ValueError(f"link is {self.link}, expected 1 to {arm.n}, as arm {arm.name!r} has")
+        return arm.links[self.link - 1]
+
+    def is_exposed(self) -> bool:
+        """Whether unsigned frames go over a network, and not only within this computer."""
+        place = urlsplit(self.url)
+        local = place.hostname in ("127.0.0.1", "::1", "localhost")
+        return not self.keys and place.scheme in ("udp", "tcp") and not local
+
+    def key(self) -> bytes | None:
+        """The key that frames are signed under, if any.
+
+        Raises:
+            ValueError: keys are configured, but none for this link.
+        """
+        keys = load_keys(self.keys) if self.keys else {}
+        if self.keys and self.link not in keys:
+            raise ValueError(f"keys is {self.keys!r}, which holds no key for link {self.link}")
+        return keys.get(self.link)
+
+
+@dataclass(frozen=True)
+class ArmSettings:
+    """The parameters of an ArmNode."""
+
+    arm: str = setting("", "file of the arm's description; empty: the paper's arm")
+    rate: float = setting(5.0, "commands sent to each link a second during a move [1/s]")
+    time_to_live: float = setting(1.0, "of a command, and of what a link reported [s]")
+    tolerance: float = setting(0.005, "a joint nearer to its goal has reached it [rad]")
+    still: float = setting(0.01, "a joint slower than this is at rest [rad/s]")
+    patience: float = setting(5.0, "time that a move may take beyond what was planned [s]")
+
+    def __post_init__(self) -> None:
+        for name in ("rate", "time_to_live", "tolerance", "still", "patience"):
+            if not 0.0 < (value := getattr(self, name)) < 1e6:
+                raise ValueError(f"{name} is {value}, expected a positive number")
+
+    def description(self) -> Arm:
+        """The arm to move."""
+        return load(self.arm) if self.arm else paper_arm()
