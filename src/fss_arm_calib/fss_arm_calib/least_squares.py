@@ -1,0 +1,170 @@
+"""Weighted nonlinear least squares by Gauss-Newton steps, kept downhill and within bounds.
+
+Residuals and regressors are given divided by the observations' deviations, so that the inverse of
+Phi' Phi is the covariance of what is estimated.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import inf
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+#: A step below this changes a parameter by no more than rounding does, in its unit.
+ROUNDING = 1e-13
+
+#: A step below this is taken without asking whether it lowers the sum of squares [deviations].
+SHORT = 1e-6
+
+
+class Decomposition(NamedTuple):
+    """Singular values of the column-scaled regressor, Phi / scale = U diag(s) Vt.
+
+    Those too small against the largest are left out: along them the observations say nothing.
+    """
+
+    scale: Floats  # (p,)
+    U: Floats  # (m, rank)
+    s: Floats  # (rank,)
+    Vt: Floats  # (rank, p)
+    condition: float
+
+    @classmethod
+    def of(cls, Phi: Floats, max_condition: float) -> "Decomposition":
+        """Decompose a regressor (m, p); a column of zeros stands for a parameter held."""
+        norms = np.linalg.norm(Phi, axis=0)
+        scale = np.where(norms > 0.0, norms, 1.0)
+        U, s, Vt = np.linalg.svd(Phi / scale, full_matrices=False)
+        keep = s * max_condition > s[0]
+        condition = s[0] / s[-1] if len(s) == len(scale) and s[-1] > 0.0 else inf
+        return cls(scale, U[:, keep], s[keep], Vt[keep], float(condition))
+
+    def step(self, residuals: Floats, damping: float = 0.0) -> Floats:
+        """The step (p,) to the least squares; damping turns it to steepest descent (Levenberg)."""
+        return self.Vt.T @ (self.s / (self.s**2 + damping) * (self.U.T @ residuals)) / self.scale
+
+    def covariance(self) -> Floats:
+        """Inverse of Phi' Phi, (p, p); 0 along the directions left out."""
+        root = self.Vt.T / self.s / self.scale[:, None]
+        return root @ root.T
+
+    def undetermined(self) -> Floats:
+        """(p,) share of each parameter in the directions left out, 0 to 1."""
+        return 1.0 - np.sum(self.Vt**2, axis=0)
+
+
+class Linear(NamedTuple):
+    """A problem near some x: residuals - regressor @ dx."""
+
+    residuals: Floats  # (m,)
+    regressor: Floats  # (m, p)
+    cost: float  # the sum of squares that is to become least
+    extend: Callable[[Floats], Floats] | None = None  # from dx (p,) to a step of all unknowns
+
+
+@dataclass(frozen=True)
+class Minimum:
+    """Where the sum of squares is least."""
+
+    x: Floats  # all unknowns
+    linear: Linear  # there
+    basis: Decomposition  # there, parameters at a bound held
+    held: Mask  # (p,) which are at a bound that they would cross
+    iterations: int
+    last_update: float  # the largest step in the last iteration, in the parameter's deviations
+    converged: bool
+
+
+def minimize(
+    linearize: Callable[[Floats], Linear],
+    start: Floats,
+    bounds: tuple[Floats, Floats] | None = None,
+    tolerance: float = 1e-9,
+    max_iterations: int = 50,
+    max_condition: float = 1e3,
+) -> Minimum:
+    """Gauss-Newton; a step that would not lower the sum of squares is damped until it does.
+
+    Args:
+        linearize: the problem near x.
+        start: all unknowns, the p parameters first; those that follow are eliminated by `extend`.
+        bounds: least and largest value of each parameter, (p,) each.
+        tolerance: the update below which it has converged, in the parameter's deviations.
+        max_iterations: it gives up after so many, `converged` then is False.
+        max_condition: of the column-scaled regressor, beyond it parameters count as inseparable.
+    """
+    x, linear = start, linearize(start)
+    p = linear.regressor.shape[1]
+    low, high = bounds if bounds else (np.full(p, -inf), np.full(p, inf))
+    damping, converged = 0.0, False
+    for iteration in range(1, max_iterations + 1):  # noqa: B007
+        basis, held, step = _step(linear, x[:p], low, high, damping, max_condition)
+        deviations = np.sqrt(np.diag(basis.covariance()))
+        sizes = np.abs(step[deviations > 0.0]) / deviations[deviations > 0.0]
+        update = float(np.max(sizes, initial=0.0))
+        negligible = update < tolerance or float(np.max(np.abs(step), initial=0.0)) < ROUNDING
+        converged = damping == 0.0 and negligible
+        there = x + (linear.extend(step) if linear.extend else step)
+        there[:p] = np.clip(there[:p], low, high)
+        following = linearize(there)
+        # A step so short changes the sum of squares by its square: less than rounding does.
+        if update < SHORT or following.cost <= linear.cost:
+            x, linear = there, following
+            damping = damping / 10.0 if damping > 1e-3 else 0.0
+        else:
+            damping = max(10.0 * damping, 1e-3)
+        if converged:
+            break
+    basis, held, _ = _step(linear, x[:p], low, high, 0.0, max_condition)
+    return Minimum(x, linear, basis, held, iteration, update, converged)
+
+
+def _step(
+    linear: Linear, x: Floats, low: Floats, high: Floats, damping: float, max_condition: float
+) -> tuple[Decomposition, Mask, Floats]:
+    """The step, and which parameters it takes to a bound that they would cross.
+
+    Those are put there, and the step of the others is the best that then remains.
+    """
+    held, fixed = np.zeros(len(x), dtype=bool), np.zeros(len(x))
+    while True:
+        basis = Decomposition.of(np.where(held, 0.0, linear.regressor), max_condition)
+        step = fixed + basis.step(linear.residuals - linear.regressor @ fixed, damping)
+        crossing = ~held & ((x + step < low) | (x + step > high))
+        if not crossing.any():
+            return basis, held, step
+        held |= crossing
+        fixed = np.where(crossing, np.clip(x + step, low, high) - x, fixed)
+
+
+def eliminate(A: Floats, B: Floats, r: Floats) -> Linear:
+    """Blocks of rows, each with unknowns of its own, reduced to the p parameters they share.
+
+    With B = Q R of a block, its rows are projected: r - Q Q' r and A - Q Q' A. For a step dx of the
+    shared parameters the block's own follow as R^-1 Q' (r - A dx).
+
+    Args:
+        A: (blocks, rows, p) regressors of the shared parameters.
+        B: (blocks, rows, k) of each block's own, of full rank; k may be 0.
+        r: (blocks, rows) residuals.
+    """
+    Q, R = np.linalg.qr(B)
+    every = np.concatenate([A, r[..., None]], axis=2)
+    along = np.swapaxes(Q, 1, 2) @ every
+    rest = every - Q @ along
+    own = np.linalg.solve(R, along)
+
+    def extend(dx: Floats) -> Floats:
+        return np.concatenate([dx, (own[..., -1] - own[..., :-1] @ dx).ravel()])
+
+    return Linear(
+        residuals=rest[..., -1].ravel(),
+        regressor=rest[..., :-1].reshape(r.size, A.shape[-1]),
+        cost=float(np.sum(r**2)),
+        extend=extend,
+    )
