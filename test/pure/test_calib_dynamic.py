@@ -111,7 +111,10 @@ def test_errors_are_as_large_as_claimed():
 @pytest.mark.slow
 @pytest.mark.parametrize("words", ["I", "b_i I_i", NAMES, "m_i b_i I_i I_0 com_0"])
 def test_errors_are_as_large_as_claimed_over_500_trials(words):
-    nees, chi_square, held_out = trials(problem(several(16), words=words), 500, seed=3)
+    """What is assumed must be known well enough for its effect to be linear."""
+    knowledge = Knowledge() if "com_0" in words else Knowledge(I_0=0.005, com=0.002, m_0=0.02)
+    known = problem(several(16), words=words, knowledge=knowledge)
+    nees, chi_square, held_out = trials(known, 500, seed=3)
     assert nees == pytest.approx(1.0, abs=0.1)
     assert chi_square == pytest.approx(1.0, abs=0.02)
     assert held_out == pytest.approx(1.0, abs=0.02)
@@ -148,12 +151,14 @@ def test_a_maneuver_that_went_wrong_stands_out():
     leverage, error = solve(exact).checks
     assert np.argmax(error) == 7
     assert error[7] > 3.0 > np.delete(error, 7).max()
-    assert leverage.sum() < 13.0
+    assert leverage.sum() < 13.0 + 21.0  # parameters estimated and assumed
     assert (leverage > 0.0).all()
 
 
 def test_held_out_errors_are_those_of_predictions_from_the_others():
-    known = problem(several(10), words="b_i I_i", tilt=0.0, momentum=np.zeros(3))
+    exact = Knowledge(*10 * [0.0])
+    known = problem(several(10), ARM, "b_i I_i", exact, tilt=0.0, momentum=np.zeros(3))
+    known = replace(known, prior=np.full(8, np.inf))
     noisy = observe(known, ARM.vector(), at_rest(10), np.random.default_rng(6))
     _, error = solve(noisy).checks
     others = np.arange(10) != 3

@@ -27,7 +27,7 @@ from fss_arm_model.base_motion import Path, base_pose_sensitivities, base_poses
 from fss_arm_model.description import Arm, Base
 
 from .dynamic_parameters import Choice, parameter_names, to_vector, unit, values
-from .least_squares import Floats, Linear, Mask, Minimum, eliminate, minimize
+from .least_squares import Decomposition, Floats, Linear, Mask, Minimum, eliminate, minimize
 
 TILT = ("g_x", "g_y")  # acceleration of a free body down the table, world axes
 
@@ -232,12 +232,16 @@ class DynamicResult:
         return tuple(names[k] for k in self.assumed)
 
     @cached_property
+    def by_assumed(self) -> Floats:
+        """(rows, c) regressor C of the assumed parameters, weighted and reduced as the others."""
+        columns = np.pad(to_vector(self.problem.arm.n)[:, self.assumed], ((0, 8), (0, 0)))
+        return self.problem.reduced(self.minimum.x, columns).regressor
+
+    @cached_property
     def influence(self) -> Floats:
         """(p, c) shift of the estimate by an error of each assumed parameter, true less assumed."""
-        columns = np.pad(to_vector(self.problem.arm.n)[:, self.assumed], ((0, 8), (0, 0)))
-        C = self.problem.reduced(self.minimum.x, columns).regressor
-        Phi = self.minimum.linear.regressor[: len(C)]
-        return np.asarray(self.random @ (Phi.T @ C))
+        Phi = self.minimum.linear.regressor[: len(self.by_assumed)]
+        return np.asarray(self.random @ (Phi.T @ self.by_assumed))
 
     @cached_property
     def bias(self) -> Floats:
@@ -281,14 +285,31 @@ class DynamicResult:
         return np.where(np.isfinite(self.problem.sigma), away, np.nan)
 
     @property
-    def chi_square(self) -> float:
-        """The weighted sum of squares, that of the priors included."""
-        return self.minimum.linear.cost
-
-    @property
     def momenta(self) -> Floats:
         """(M, 3) momentum at each maneuver's start [N s, N s, N m s]."""
         return self.problem.states(self.minimum.x)[:, 3:6]
+
+    @cached_property
+    def _explained(self) -> tuple[Floats, Floats, Decomposition]:
+        """Residuals and regressor with the assumed parameters free within their deviations.
+
+        To first order; rows of the priors follow those of the maneuvers.
+        """
+        linear, C = self.minimum.linear, self.by_assumed
+        w, V = np.linalg.eigh(self.problem.assumed[np.ix_(self.assumed, self.assumed)])
+        C = C @ (V * np.sqrt(np.maximum(w, 0.0)))
+        rows = len(linear.residuals) - len(C)
+        upper = np.concatenate([linear.regressor, np.pad(C, ((0, rows), (0, 0)))], axis=1)
+        lower = np.eye(C.shape[1], upper.shape[1], len(self.values))
+        A = np.concatenate([upper, lower])
+        r = np.pad(linear.residuals, (0, len(lower)))
+        basis = Decomposition.of(A, MAX_CONDITION)
+        return r - A @ basis.step(r), A, basis
+
+    @property
+    def chi_square(self) -> float:
+        """Weighted sum of squares, priors included, less what errors of assumed values explain."""
+        return float(np.sum(self._explained[0] ** 2))
 
     @cached_property
     def checks(self) -> tuple[Floats, Floats]:
@@ -298,11 +319,10 @@ class DynamicResult:
         errors if it is held out and predicted from the others, in the deviations of that
         prediction. Its root mean square is about 1.
         """
-        count, linear = len(self.problem.poses), self.minimum.linear
-        rows = len(linear.residuals) - np.count_nonzero(np.isfinite(self.problem.known))
-        Phi = linear.regressor[:rows].reshape(count, -1, len(self.values))
-        r = linear.residuals[:rows].reshape(count, -1, 1)
-        H = Phi @ self.random @ np.swapaxes(Phi, 1, 2)
+        count, rows = len(self.problem.poses), len(self.by_assumed)
+        r, A, basis = self._explained
+        A, r = A[:rows].reshape(count, -1, A.shape[1]), r[:rows].reshape(count, -1, 1)
+        H = A @ basis.covariance() @ np.swapaxes(A, 1, 2)
         squares = (np.swapaxes(r, 1, 2) @ np.linalg.solve(np.eye(H.shape[1]) - H, r)).ravel()
         return np.trace(H, axis1=1, axis2=2), np.sqrt(squares / np.maximum(self.problem.free, 1))
 
