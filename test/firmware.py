@@ -68,10 +68,12 @@ class Joint(NamedTuple):
 class FirmwareLink:
     """A link's electronics in simulated time, a simulated drive behind them."""
 
-    def __init__(self, core: Core, number: int = 2, boot: int = 7) -> None:
-        self.core = core
+    def __init__(
+        self, core: Core, number: int = 2, boot: int = 7, key: bytes | None = None
+    ) -> None:
+        self.core, self.key = core, key
         self.clock = 0  # [us]
-        self.tell(f"start {number} {boot} -")
+        self.tell(f"start {number} {boot} {key.hex() if key else '-'}")
 
     def tell(self, request: str) -> None:
         """Let something happen to it."""
@@ -79,7 +81,7 @@ class FirmwareLink:
 
     def send(self, command: Command | bytes) -> bool:
         """Deliver a datagram; whether it was taken as a command."""
-        data = command if isinstance(command, bytes) else encode(command)
+        data = command if isinstance(command, bytes) else encode(command, self.key)
         answer = self.core.ask(f"send {data.hex() or '-'}")
         assert answer in ("taken", "refused")
         return answer == "taken"
@@ -88,7 +90,9 @@ class FirmwareLink:
         """Let time pass; what it sent meanwhile."""
         answer = self.core.ask(f"run {round(1e6 * seconds)}")
         self.clock += round(1e6 * seconds)
-        frames = [decode(bytes.fromhex(frame)) for frame in answer.split() if frame != "-"]
+        frames = [
+            decode(bytes.fromhex(frame), self.key) for frame in answer.split() if frame != "-"
+        ]
         assert all(isinstance(frame, Telemetry) for frame in frames)
         return frames
 

@@ -47,6 +47,7 @@ def test_the_firmware_agrees_with_the_python_codec_on_random_frames(core):
 # --- the link ------------------------------------------------------------------------------------
 
 BOOT, SECOND = 7, 1_000_000
+KEY = bytes(range(16))
 QUIET = Command(
     link=2, flags=0, boot=BOOT, sequence=1, clock=5, expiry=0, mode=Mode.OFF, watchdog=2000,
     set_point=0, velocity=0, acceleration=0,
@@ -272,6 +273,47 @@ def test_a_flood_does_not_keep_it_from_stopping(link):
     assert link.orders() == ["t 0"]
 
 
+# --- signed --------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def signed(core) -> FirmwareLink:
+    """A link with a key, moving, at two seconds; its last command has stamp 6."""
+    link = FirmwareLink(core, key=KEY)
+    link.run(1.0)
+    return moving(link, replace(MOVE, clock=6))
+
+
+ATTACKS = {
+    "not signed": encode(replace(MOVE, sequence=3, clock=7)),
+    "another key": encode(replace(MOVE, sequence=3, clock=7), bytes(range(1, 17))),
+    "another link's": encode(replace(MOVE, link=3, sequence=3, clock=7), KEY),
+    "replayed": encode(replace(MOVE, clock=6), KEY),
+    "stop from before": encode(replace(QUIET, flags=Order.STOP, sequence=9, clock=6), KEY),
+    "disarm from before": encode(replace(QUIET, sequence=9, clock=4), KEY),
+    "not signed stop": encode(replace(QUIET, flags=Order.STOP, sequence=9, clock=9)),
+    "another start's": encode(replace(MOVE, sequence=3, clock=7, boot=BOOT - 1), KEY),
+    "good signature of another frame": encode(replace(MOVE, sequence=3, clock=8), KEY)[:56]
+    + encode(replace(MOVE, sequence=3, clock=7), KEY)[56:],
+}
+
+
+@pytest.mark.parametrize("attack", ATTACKS)
+def test_an_attack_changes_nothing(signed, attack):
+    assert not signed.send(ATTACKS[attack])
+    assert signed.run(0.9)[-1].flags & LATCHES == State.ARMED
+    assert signed.orders() == []
+    assert signed.send(replace(QUIET, flags=Order.STOP, sequence=9, clock=7))
+    assert signed.run(0.2)[-1].flags & LATCHES == State.STOPPED
+
+
+def test_a_recorded_session_cannot_be_played_to_a_silent_link(signed):
+    signed.run(3.0)
+    for command in (replace(QUIET, clock=5), replace(MOVE, clock=6)):
+        assert not signed.send(command)
+    assert signed.run(0.2)[-1].flags & LATCHES == State.WATCHDOG
+
+
 # --- the link against the simulator's ------------------------------------------------------------
 
 
@@ -282,6 +324,7 @@ def clumsy_command(rng, clock, sequence):
         rng.choice([MOVE, TURN, PUSH]),
         sequence=(sequence + rng.choice([-1, 0, 1, 1, 1, 1, 1, 2])) & 0xFFFFFFFF,
         flags=flags,
+        clock=clock + rng.randint(-100_000, 0),
         boot=rng.choice([BOOT] * 9 + [BOOT + 1]),
         watchdog=rng.choice([500, 2000]),
         expiry=clock + rng.randint(-50_000, 2 * SECOND),
@@ -289,19 +332,22 @@ def clumsy_command(rng, clock, sequence):
     )
 
 
+@pytest.mark.parametrize("key", [None, KEY])
 @pytest.mark.parametrize("seed", range(4))
-def test_it_takes_arms_and_trips_as_the_simulated_link_does(link, seed):
-    simulated = LinkElectronics(2, paper_arm().links[1], BOOT)
+def test_it_takes_arms_and_trips_as_the_simulated_link_does(core, seed, key):
+    link = FirmwareLink(core, key=key)
+    link.run(1.0)
+    simulated = LinkElectronics(2, paper_arm().links[1], BOOT, key=key)
     rest = Motion(q=0.0, qd=0.0, current=0.0, torque=0.0)
     rng, sequence, seen = random.Random(seed), 0, set()
     for _ in range(200):
         command = clumsy_command(rng, link.clock, sequence)
         taken = link.send(command)
-        assert simulated.receive(encode(command), link.clock) == taken
+        assert simulated.receive(encode(command, key), link.clock) == taken
         sequence = command.sequence if taken else sequence
         for frame in link.run(rng.choice([0.05, 0.2, 0.2, 0.2, 0.4, 2.5])):
             simulated.demand(frame.clock, rest)
-            expected = decode(simulated.telemetry(frame.clock, rest))
+            expected = decode(simulated.telemetry(frame.clock, rest), key)
             assert frame.flags & LATCHES == expected.flags & LATCHES
             assert (frame.echo, frame.turnaround) == (expected.echo, expected.turnaround)
             seen.add(frame.flags & LATCHES)

@@ -115,7 +115,7 @@ std::string found(Words& words) {
   std::string frames;
   for (const uint8_t byte : bytes(words)) {
     if (const uint8_t* frame = reader.take(byte)) {
-      frames += (frames.empty() ? "" : " ") + to_hex(frame, kFrameSize);
+      frames += to_hex(frame, kFrameSize);
     }
   }
   return frames.empty() ? "-" : frames;
