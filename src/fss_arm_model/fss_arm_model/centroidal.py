@@ -1,0 +1,214 @@
+"""The floating arm seen from its own centre of mass, in absolute angles: the fast dynamics.
+
+The coordinates are y = (c_x, c_y, psi_0 .. psi_n): the centre of mass c of the whole, and the
+heading psi_k of each body's frame, u_k = exp(i psi_k). With kinematics.py's vectors in the bodies'
+own frames, d_k = D_k u_k and e_k = E_k u_k, the mass M of all bodies and M_k of those beyond k,
+
+    S_k = (D_k - b_k) u_k,   T_k = M b_k u_k,   M b_k = m_k E_k + M_k D_k
+
+so that the base's origin is r_0 = c - sum_k T_k / M and r_{k+1} = r_k + S_k + T_k / M. The centre
+of mass moves by itself, M c'' = F, and the angles by
+
+    sum_j A_ij psi''_j = Q_i + sum_j B_ij psi'_j^2
+    A_ij = A_ji = S_i . T_j,   B_ij = -B_ji = S_i x T_j                         for i < j
+    A_ii = I_i + m_i |E_i|^2 + M_i |D_i|^2 - M |b_i|^2
+
+The triangles of A are those of products of 2-vectors (A is semiseparable), and what joints add, as
+their rotors do, couples neighbours alone. So A is factored and solved in O(n) and never formed.
+Forces f_k on the pivots r_k, the last one of these the tip, and torques n_k on the bodies amount to
+
+    Q_k = n_k + S_k x (f_{k+1} + .. + f_{n+1}) - T_k / M x (f_0 + .. + f_k)
+
+In-kernel functions take y, v = y' and a = y'' of (2 + m,), m = n + 1; Q has forces on c in front.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ._cache import Complexes, Floats, helper
+from .kinematics import _cross, _dot, _mass, _moment
+
+
+class Bodies(NamedTuple):
+    """What is constant of base and links."""
+
+    p: Floats  # Arm.vector()
+    mass: float  # M
+    arms: Complexes  # (2, m): D - b and M b
+    inertia: Floats  # (2, m): diagonal of A, and what joints add beside it, to A_{k,k-1}
+
+
+class Turned(NamedTuple):
+    """The bodies' vectors as they are turned now, each complex (m,)."""
+
+    u: Complexes
+    S: Complexes
+    T: Complexes
+
+
+class Work(NamedTuple):
+    """Scratch, made once for many steps."""
+
+    x: Floats  # (2, 2 + m), as dx and total
+    dx: Floats
+    total: Floats
+    w: Complexes  # (m,)
+    beside: Floats  # (m,)
+
+
+@helper
+def _scaled(a: float, z: complex) -> complex:
+    return complex(a * z.real, a * z.imag)
+
+
+@helper
+def _bodies(p, rotor):  # type: ignore[no-untyped-def]
+    """The Bodies of p (8 + 6 n,), contiguous, with each joint's rotor (N^2 J, N J).
+
+    A rotor turns N times as fast as its joint against the body before it, in whose inertia J
+    counts, and so adds to the kinetic energy
+
+        N^2 J (psi'_k - psi'_{k-1})^2 / 2 + N J psi'_{k-1} (psi'_k - psi'_{k-1})
+    """
+    m = p.size // 6
+    arms, inertia = np.empty((2, m), np.complex128), np.empty((2, m))
+    M = 0.0
+    for k in range(m):
+        M += _mass(p, k)
+    beyond = M
+    for k in range(m):
+        mass = _mass(p, k)
+        beyond -= mass
+        if k == 0:
+            D, E = complex(p[4], p[5]), complex(p[2], p[3])
+        else:
+            D, E = complex(p[6 * k + 2], 0.0), complex(p[6 * k + 6], p[6 * k + 7])
+        Mb = _scaled(mass, E) + _scaled(beyond, D)
+        arms[0, k], arms[1, k] = D - _scaled(1.0 / M, Mb), Mb
+        about_pivot = _moment(p, k) + mass * _dot(E, E) + beyond * _dot(D, D)
+        inertia[0, k], inertia[1, k] = about_pivot - _dot(Mb, Mb) / M, 0.0
+    for k in range(1, m):
+        inertia[0, k - 1] += rotor[0] - 2.0 * rotor[1]
+        inertia[0, k] += rotor[0]
+        inertia[1, k] = rotor[1] - rotor[0]
+    return Bodies(p, M, arms, inertia)
+
+
+@helper
+def _turned(m):  # type: ignore[no-untyped-def]
+    kind = np.complex128
+    return Turned(np.empty(m, kind), np.empty(m, kind), np.empty(m, kind))
+
+
+@helper
+def _work(m):  # type: ignore[no-untyped-def]
+    x, dx, total = np.empty((2, 2 + m)), np.empty((2, 2 + m)), np.empty((2, 2 + m))
+    return Work(x, dx, total, np.empty(m, np.complex128), np.empty(m))
+
+
+@helper
+def _set(bodies, turned, k, u):  # type: ignore[no-untyped-def]
+    turned.u[k] = u
+    turned.S[k], turned.T[k] = bodies.arms[0, k] * u, bodies.arms[1, k] * u
+
+
+@helper
+def _turn(bodies, z, turned):  # type: ignore[no-untyped-def]
+    """Turn the bodies to the angles of y."""
+    for k in range(turned.u.size):
+        _set(bodies, turned, k, complex(math.cos(z[0, 2 + k]), math.sin(z[0, 2 + k])))
+
+
+@helper
+def _turn_on(bodies, start, z0, z, turned):  # type: ignore[no-untyped-def]
+    """Turn the bodies to z from `start`, where they are at z0: as exact, and cheap for small turns.
+
+    The series leave out less than 0.0625^10 / 10!, 3e-19.
+    """
+    for k in range(turned.u.size):
+        turn = z[0, 2 + k] - z0[0, 2 + k]
+        if abs(turn) > 0.0625:
+            u = complex(math.cos(z[0, 2 + k]), math.sin(z[0, 2 + k]))
+        else:
+            x = turn * turn
+            c = 1.0 + x * (-1 / 2 + x * (1 / 24 + x * (-1 / 720 + x * (1 / 40320))))
+            s = turn * (1.0 + x * (-1 / 6 + x * (1 / 120 + x * (-1 / 5040 + x * (1 / 362880)))))
+            u = start.u[k] * complex(c, s)
+        _set(bodies, turned, k, u)
+
+
+@helper
+def _rate(bodies, turned, force, torque, z, work, dz):  # type: ignore[no-untyped-def]
+    """Write a, with a force on the base's origin and torques on the bodies (m,); scratch work.
+
+    A = L diag(d) L^T with L_kj = T_k . w_j for j < k, and beside the diagonal R_k / d_{k-1} more,
+    R_k being what joints add. Rows share the sum P of d_j w_j w_j^T, a symmetric 2 x 2 matrix.
+    """
+    S, T, w, R, m = turned.S, turned.T, work.w, bodies.inertia, torque.size
+    before = _scaled(-1.0 / bodies.mass, force)  # less the spins psi'_j^2 S_j of bodies before k
+    for i in range(2 + m):
+        dz[0, i] = z[1, i]
+    dz[1, 0], dz[1, 1] = -before.real, -before.imag
+    beyond = 0j  # the spins psi'_j^2 T_j of bodies beyond k
+    for k in range(m):
+        beyond += _scaled(z[1, 2 + k] * z[1, 2 + k], T[k])
+    g = last = 0j
+    xx = xy = yy = forward = 0.0
+    inverse = 1.0  # of d_{k-1}
+    for k in range(m):
+        s, t, r = S[k], T[k], R[1, k]
+        spin, beside = z[1, 2 + k] * z[1, 2 + k], r * inverse
+        beyond -= _scaled(spin, t)
+        Q = torque[k] + _cross(s, beyond) - _cross(before, t)
+        before += _scaled(spin, s)
+        Pt = complex(xx * t.real + xy * t.imag, xy * t.real + yy * t.imag) + _scaled(r, last)
+        inverse = 1.0 / (R[0, k] - r * (_dot(t, last) + beside) - _dot(t, Pt))
+        forward = Q - _dot(t, g) - beside * forward
+        s -= Pt
+        last = _scaled(inverse, s)
+        xx += s.real * last.real
+        xy += s.real * last.imag
+        yy += s.imag * last.imag
+        g += _scaled(forward, last)
+        w[k], dz[1, 2 + k], work.beside[k] = last, forward * inverse, beside
+    back, beside, solved = 0j, 0.0, 0.0
+    for k in range(m - 1, -1, -1):
+        solved = dz[1, 2 + k] - _dot(w[k], back) - beside * solved
+        dz[1, 2 + k], beside = solved, work.beside[k]
+        back += _scaled(solved, T[k])
+
+
+@helper
+def _to_centroidal(bodies, q, qd, turned, z):  # type: ignore[no-untyped-def]
+    """Write y and v of the state q, qd (3 + n,), and turn the bodies there."""
+    p = bodies.p
+    z[0, 2], z[1, 2] = q[2], qd[2]
+    for k in range(1, turned.u.size):
+        z[0, 2 + k] = z[0, 1 + k] + p[6 * k + 3] + q[2 + k]
+        z[1, 2 + k] = z[1, 1 + k] + qd[2 + k]
+        if k == 1:
+            z[0, 3] += p[6]
+    _turn(bodies, z, turned)
+    c, cd = complex(q[0], q[1]), complex(qd[0], qd[1])
+    for k in range(turned.u.size):
+        c += turned.T[k] / bodies.mass
+        cd += 1j * _scaled(z[1, 2 + k] / bodies.mass, turned.T[k])
+    z[0, 0], z[0, 1], z[1, 0], z[1, 1] = c.real, c.imag, cd.real, cd.imag
+
+
+@helper
+def _from_centroidal(bodies, turned, z, q, qd):  # type: ignore[no-untyped-def]
+    """Write the state q, qd (3 + n,) of y and v, at which the bodies are turned."""
+    p = bodies.p
+    r, rd = complex(z[0, 0], z[0, 1]), complex(z[1, 0], z[1, 1])
+    for k in range(turned.u.size):
+        r -= _scaled(1.0 / bodies.mass, turned.T[k])
+        rd -= 1j * _scaled(z[1, 2 + k] / bodies.mass, turned.T[k])
+    q[0], q[1], qd[0], qd[1] = r.real, r.imag, rd.real, rd.imag
+    q[2], qd[2] = z[0, 2], z[1, 2]
+    for k in range(1, turned.u.size):
+        q[2 + k] = z[0, 2 + k] - z[0, 1 + k] - p[6 * k + 3]
+        qd[2 + k] = z[1, 2 + k] - z[1, 1 + k]
+    q[3] -= p[6]

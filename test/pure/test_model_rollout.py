@@ -1,0 +1,175 @@
+"""Rollouts against Pinocchio and MuJoCo with the same integrator, and against conservation laws."""
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+import pytest
+from model_arms import random_arm, random_states
+from model_oracles import mujoco_model, pinocchio_model
+from mujoco import rollout as mujoco_rollout
+from numpy.testing import assert_allclose
+
+from fss_arm_model import dynamics
+from fss_arm_model.description import paper_arm
+from fss_arm_model.momentum import momentum
+from fss_arm_model.rollout import STEP, rollout
+
+STEPS = 3000
+
+
+def driven(n, rng, steps=STEPS):
+    """An arm of n unlike links, a state, and smooth forces on all coordinates."""
+    q, qd = rng.uniform(-1.0, 1.0, (2, 3 + n))
+    t = STEP * np.arange(steps)[:, None]
+    tau = rng.uniform(0.1, 0.3, 3 + n) * np.sin(t * rng.uniform(1.0, 6.0, 3 + n))
+    return random_arm(n, rng), q, 0.2 * qd, tau
+
+
+def runge_kutta(rate, q, qd, tau, step=STEP):
+    for forces in tau:
+        a1 = rate(q, qd, forces)
+        v2 = qd + 0.5 * step * a1
+        a2 = rate(q + 0.5 * step * qd, v2, forces)
+        v3 = qd + 0.5 * step * a2
+        a3 = rate(q + 0.5 * step * v2, v3, forces)
+        v4 = qd + step * a3
+        a4 = rate(q + step * v3, v4, forces)
+        q = q + step / 6.0 * (qd + 2.0 * v2 + 2.0 * v3 + v4)
+        qd = qd + step / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
+    return q, qd
+
+
+@pytest.mark.parametrize("n", range(1, 9))
+def test_three_driven_seconds_end_where_pinocchio_ends(n):
+    arm, q, qd, tau = driven(n, np.random.default_rng(n))
+    model = pinocchio_model(arm)
+    data = model.createData()
+    theirs = runge_kutta(lambda *state: pin.aba(model, data, *state), q, qd, tau)
+    ours = rollout(arm.vector(), q, qd, tau)
+    assert_allclose([x[-1] for x in ours], theirs, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("n", range(1, 9))
+def test_three_driven_seconds_end_where_mujoco_ends(n):
+    arm, q, qd, tau = driven(n, np.random.default_rng(n))
+    model = mujoco_model(arm)
+    model.opt.integrator, model.opt.timestep = mujoco.mjtIntegrator.mjINT_RK4, STEP
+    state, _ = mujoco_rollout.rollout(
+        model, mujoco.MjData(model), np.concatenate([[0.0], q, qd]), tau[None],
+        control_spec=mujoco.mjtState.mjSTATE_QFRC_APPLIED.value,
+    )  # fmt: skip
+    ours = rollout(arm.vector(), q, qd, tau)
+    assert_allclose(np.concatenate([x[-1] for x in ours]), state[0, -1, 1:], rtol=0, atol=1e-9)
+
+
+def sums_over_bodies(p, q, qd):
+    """Linear momentum and angular momentum about the centre of mass, body by body."""
+    n = q.size - 3
+    mass, moment = np.append(p[0], p[10::6]), np.append(p[1], p[11::6])
+    r, turn = complex(q[0], q[1]), np.exp(1j * q[2])
+    v, omega = complex(qd[0], qd[1]), qd[2]
+    c, cd, rates = (
+        [r + complex(*p[2:4]) * turn],
+        [v + 1j * omega * complex(*p[2:4]) * turn],
+        [omega],
+    )
+    d = complex(*p[4:6]) * turn
+    heading = q[2] + p[6]
+    for k in range(n):
+        r, v = r + d, v + 1j * omega * d
+        a, theta_0, _, _, g, lateral = p[8 + 6 * k : 14 + 6 * k]
+        heading += theta_0 + q[3 + k]
+        omega += qd[3 + k]
+        turn = np.exp(1j * heading)
+        c.append(r + complex(g, lateral) * turn)
+        cd.append(v + 1j * omega * complex(g, lateral) * turn)
+        rates.append(omega)
+        d = a * turn
+    c, cd = np.array(c), np.array(cd)
+    P = mass @ cd
+    about = c - mass @ c / mass.sum()
+    return P.real, P.imag, (np.conj(about) * mass * cd).imag.sum() + moment @ rates
+
+
+@pytest.mark.parametrize("n", range(1, 9))
+def test_a_hundred_free_seconds_keep_momentum_and_energy(n):
+    rng = np.random.default_rng(n)
+    arm = paper_arm() if n == 4 else random_arm(n, rng)
+    q, qd = rng.uniform(-0.5, 0.5, (2, 3 + n))
+    p = arm.vector()
+    q_end, qd_end = (x[-1] for x in rollout(p, q, qd, np.zeros((100_000, 3 + n))))
+    before, after = sums_over_bodies(p, q, qd), sums_over_bodies(p, q_end, qd_end)
+    assert_allclose(after[:2], before[:2], rtol=0, atol=1e-12)
+    assert after[2] == pytest.approx(before[2], abs=1e-8)
+    energy = dynamics.kinetic_energy(p, q, qd)
+    assert dynamics.kinetic_energy(p, q_end, qd_end) == pytest.approx(energy, abs=1e-8)
+    assert np.abs(q_end - q)[3:].max() > 0.5  # it did move
+
+
+@pytest.mark.parametrize("n", [1, 4, 12, 32])
+def test_rotors_add_what_their_kinetic_energy_says(n):
+    """(H + H_rotors) qdd + h = tau, by a dense solution in joint coordinates."""
+    rng = np.random.default_rng(n)
+    p = np.concatenate([random_arm(1, rng).vector()] + [random_arm(2, rng).vector()[14:]] * (n - 1))
+    q, qd, tau = (x[0] for x in random_states(n, 1, rng))
+    across, along = rotor = (0.0026, 0.0026 / 30)
+    # Of joint k: N^2 J qd_k^2 / 2 + N J qd_k (theta' + qd_1 + .. + qd_{k-1})
+    H = dynamics.inertia_matrix(p, q)
+    for k in range(3, 3 + n):
+        H[k, k] += across
+        H[k, 2:k] += along
+        H[2:k, k] += along
+    qdd = np.linalg.solve(H, tau - dynamics.bias(p, q, qd))
+    step = 1e-7
+    ours = (rollout(p, q, qd, tau[None], step, rotor)[1][0] - qd) / step
+    assert_allclose(ours, qdd, rtol=0, atol=1e-5 * np.abs(qdd).max())
+
+
+def test_rotors_share_in_the_angular_momentum():
+    rng = np.random.default_rng(0)
+    arm, q, qd, tau = driven(4, rng)
+    tau[:, :3] = 0.0
+    p, rotor = arm.vector(), (0.0026, 8.7e-5)
+    q_end, qd_end = (x[-1] for x in rollout(p, q, qd, tau, rotor=rotor))
+
+    def total(q, qd):
+        return momentum(p, q, qd)[2] + rotor[1] * qd[3:].sum()
+
+    assert total(q_end, qd_end) == pytest.approx(total(q, qd), abs=1e-10)
+    assert abs(rotor[1] * (qd_end - qd)[3:].sum()) > 1e-6
+
+
+def test_a_batch_is_its_rollouts_whatever_the_threads():
+    rng = np.random.default_rng(3)
+    arm, _, _, tau = driven(3, rng, steps=50)
+    p, (q, qd, _) = arm.vector(), random_states(3, 7, rng)
+    batch = rollout(p, q, qd, tau)
+    assert batch[0].shape == batch[1].shape == (7, 50, 6)
+    for threads in (2, 8):
+        assert_allclose(rollout(p, q, qd, tau, threads=threads), batch, rtol=0, atol=0)
+    assert_allclose(rollout(p, q[4], qd[4], tau), [x[4] for x in batch], rtol=0, atol=0)
+
+
+def test_large_turns_within_a_step_are_as_exact():
+    """Angles are linear in joint coordinates, so that the method gives the same in either."""
+    p, step = random_arm(4, np.random.default_rng(0)).vector(), 0.1
+    q, qd, tau = (x[0] for x in random_states(4, 1, np.random.default_rng(1)))
+    theirs = runge_kutta(lambda *x: dynamics.forward_dynamics(p, *x), q, qd, tau[None], step)
+    ours = rollout(p, q, qd, tau[None], step)
+    assert np.abs(ours[0][0] - q)[2:].max() > 0.2
+    assert_allclose([x[0, 2:] for x in ours], [x[2:] for x in theirs], rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"qd": np.zeros(6)}, "qd and tau have the shapes"),
+        ({"tau": np.zeros(7)}, "qd and tau have the shapes"),
+        ({"step": 0.0}, "step is 0.0"),
+        ({"threads": 0}, "threads 0"),
+    ],
+)
+def test_what_does_not_fit_is_refused(change, words):
+    given = {"q": np.zeros(7), "qd": np.zeros(7), "tau": np.zeros((1, 7)), **change}
+    with pytest.raises(ValueError, match=words):
+        rollout(paper_arm().vector(), **given)
