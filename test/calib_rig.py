@@ -1,20 +1,26 @@
 """An arm that goes from posture to posture, as its streams of readings and poses."""
 
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from geometry_msgs.msg import PoseStamped
+from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 
 from fss_arm_calib.rests import BASE, TIP
 from fss_arm_model.description import paper_arm
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_ros.convert import SECOND, pose_stamped, to_time
+from fss_arm_ros.qos import SENSOR
+from fss_arm_ros.recording import Recording
 
 START = 1_700_000_000 * SECOND
 ARM = paper_arm()
 COUNT = 2 * np.pi / 240_000
 POSTURES = np.array([[0.0, 0.1, -0.1, 0.2], [0.5, -0.4, 0.8, -0.2], [-0.7, -0.4, 0.3, 1.0]])
 TOPICS = {BASE: "vicon/fss/fss", TIP: "vicon/end_effector/end_effector"}
+TYPES = {"joint_states": JointState, **dict.fromkeys(TOPICS.values(), PoseStamped)}
 
 
 class Sample(NamedTuple):
@@ -85,3 +91,18 @@ def message(sample: Sample) -> tuple[str, Any]:
     if value is None:
         pose.pose.orientation.w = 0.0
     return TOPICS[stream], pose
+
+
+def record(folder, samples, topics=TYPES, late=lambda sample: SECOND // 100) -> Path:
+    """The samples as a bag of some of the topics, in many chunks, received `late(sample)` ns late."""
+    bag = Recording(folder)
+    kinds = {t: f"{k.__module__.split('.')[0]}/msg/{k.__name__}" for t, k in TYPES.items()}
+    connections = {t: bag.add(f"/{t}", kinds[t], [SENSOR]) for t in topics}
+    for k, sample in enumerate(samples):
+        if k % 200 == 199:
+            bag.flush()
+        topic, content = message(sample)
+        if topic in connections:
+            bag.write(connections[topic], sample.t + late(sample), serialize_message(content))
+    bag.close()
+    return bag.path

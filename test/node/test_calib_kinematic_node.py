@@ -5,12 +5,9 @@ from dataclasses import fields
 
 import numpy as np
 import pytest
-from calib_rig import ARM, SECOND, TOPICS, Rig, at, message
-from geometry_msgs.msg import PoseStamped
+from calib_rig import ARM, TYPES, Rig, at, message, record
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.serialization import serialize_message
-from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from fss_arm_calib.from_bag import main as from_bag
@@ -27,13 +24,7 @@ from fss_arm_model.description import from_yaml, load, paper_arm, save
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_msgs.msg import KinematicCalibration, KinematicObservations
 from fss_arm_ros.bags import BagError
-from fss_arm_ros.qos import LATCHED, SENSOR, sensor
-from fss_arm_ros.recording import Recording
-
-TYPES = {"joint_states": JointState, **dict.fromkeys(TOPICS.values(), PoseStamped)}
-MESSAGE_TYPES = {
-    topic: f"{kind.__module__.split('.')[0]}/msg/{kind.__name__}" for topic, kind in TYPES.items()
-}
+from fss_arm_ros.qos import LATCHED, sensor
 
 
 class Bed(Node):
@@ -96,17 +87,6 @@ def play(spin):
 def ask_to_solve(spin, bed, node):
     answer = bed.solver.call_async(Trigger.Request())
     return spin([bed, node], lambda: answer.done() and answer.result())
-
-
-def record(folder, samples):
-    """The samples as a bag."""
-    bag = Recording(folder)
-    topics = {t: bag.add(f"/{t}", kind, [SENSOR]) for t, kind in MESSAGE_TYPES.items()}
-    for sample in samples:
-        topic, content = message(sample)
-        bag.write(topics[topic], sample.t + SECOND // 100, serialize_message(content))
-    bag.close()
-    return bag.path
 
 
 @pytest.fixture(scope="module")

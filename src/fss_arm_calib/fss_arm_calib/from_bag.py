@@ -12,15 +12,19 @@ from rich.console import Console
 
 from fss_arm_model.description import Arm, from_yaml, load, paper_arm, save
 from fss_arm_ros.bags import BagError, Bags, digest, open_bags
+from fss_arm_ros.bulk import pieces, poses
+from fss_arm_ros.convert import SECOND
 
 from . import report
-from .messages import feed_joints, feed_pose
+from .messages import feed_joints
 from .rests import BASE, TIP, Observation, RestFinder
 from .settings import CalibrationSettings
 from .verdict import FAIL, NOT_EVALUATED, PASS, Calibration, calibrate
 
 EXIT_CODES = {PASS: 0, FAIL: 2, NOT_EVALUATED: 3}
 USER_ERROR = 1
+
+PIECE = 0.2  # of the horizon that streams may lag each other by: what is read at once
 
 EPILOG = "Exit codes: 0 pass, 1 the command cannot be carried out, 2 fail, 3 not evaluated."
 
@@ -45,8 +49,11 @@ def solve_bag(
 
 
 def source(bags: Bags) -> str:
-    """The bags' names with the SHA-256 of each one's data."""
-    return ", ".join(f"{path.name} {digest(path)}" for path in bags.paths)
+    """The bags' names with the SHA-256 of each one's data, and what was lost of damaged ones."""
+    lost = {
+        r.path: f" ({r.messages} messages recovered, {r.lost} bytes lost)" for r in bags.recovered
+    }
+    return ", ".join(f"{path.name} {digest(path)}{lost.get(path, '')}" for path in bags.paths)
 
 
 def observations(
@@ -72,11 +79,12 @@ def observations(
         if bags.topics[topic].msgtype != kind:
             raise BagError(f"{topic} is of type {bags.topics[topic].msgtype}, expected {kind}")
     found: list[Observation] = []
-    for topic, _, _, message in bags.messages({joints, base, tip}):
-        if topic == joints:
-            found += feed_joints(finder, message)
-        else:
-            found += feed_pose(finder, BASE if topic == base else TIP, message)
+    span = round(PIECE * settings.horizon * SECOND)
+    for piece in pieces(bags.raw({joints, base, tip}), span):
+        for data in piece.get(joints, ()):
+            found += feed_joints(finder, bags.deserialize(data, "sensor_msgs/msg/JointState"))
+        for subject, topic in ((BASE, base), (TIP, tip)):
+            found += finder.poses(subject, *poses(piece.get(topic, ())))
     return found + finder.close()
 
 

@@ -23,7 +23,7 @@ class Stage:
     value: float
     threshold: float
     reason: str  # with value and threshold, in words
-    needed: bool = True  # to be evaluated at all; a stage that fails always counts
+    needed: bool = True  # to be evaluated; a stage that fails always counts
 
 
 def at_most(name: str, value: float, threshold: float, reason: str, failing: str = "") -> Stage:
@@ -46,12 +46,15 @@ def by_chance(name: str, chi_square: float, freedom: int, least: float, failing:
 
 
 def conclude(stages: Sequence[Stage]) -> tuple[str, str]:
-    """The verdict of all stages and its reason, what failed first."""
-    failed = [s for s in stages if s.verdict == FAIL]
+    """The verdict of all stages, and its reason: what lacks, what failed, what is well.
+
+    What lacks something that is needed is not judged: a failure may follow from that.
+    """
     missing = [s for s in stages if s.verdict == NOT_EVALUATED and s.needed]
-    others = [s for s in stages if s not in failed and s not in missing]
-    verdict = FAIL if failed else NOT_EVALUATED if missing else PASS
-    return verdict, "; ".join(s.reason for s in [*failed, *missing, *others] if s.reason)
+    failed = [s for s in stages if s.verdict == FAIL]
+    others = [s for s in stages if s not in missing and s not in failed]
+    verdict = NOT_EVALUATED if missing else FAIL if failed else PASS
+    return verdict, "; ".join(s.reason for s in [*missing, *failed, *others] if s.reason)
 
 
 @dataclass(frozen=True)

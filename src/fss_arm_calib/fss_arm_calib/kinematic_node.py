@@ -121,6 +121,8 @@ class KinematicNode(Node):
         }
         if streams.silent:
             return Health(WARN, f"waiting for {', '.join(streams.silent)}", values)
+        if streams.strange:
+            return Health(WARN, f"the arm has no {', '.join(streams.strange)}", values)
         return Health(OK, f"{len(self.observations)} observations", values)
 
 

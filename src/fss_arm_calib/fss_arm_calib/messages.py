@@ -25,7 +25,7 @@ def feed_joints(finder: RestFinder, message: Any) -> list[Observation]:
     t, found = stamp_ns(message.header.stamp), []
     for name, q in zip(message.name, message.position, strict=False):
         number = name.removeprefix("joint_")
-        if number.isdecimal() and 1 <= int(number) <= len(finder.joints):
+        if number.isdecimal():
             found += finder.joint(int(number), t, float(q))
     return found
 

@@ -71,7 +71,8 @@ def table(calibration: Any, truth: Arm | None = None) -> Group:
         residuals.add_row(name, "deg" if unit == "rad" else unit, *row)
 
     verdict = Text.assemble((c.verdict.replace("_", " "), _STYLE[c.verdict]), f": {c.reason}")
-    return Group(parameters, residuals, verdict)
+    origin = Text(f"by {c.provenance.software} from {c.provenance.source}", style="dim")
+    return Group(parameters, residuals, verdict, origin)
 
 
 def plot(calibration: Any, path: str | PathLike[str]) -> None:

@@ -73,6 +73,7 @@ class Streams:
     """What befell the streams that observations are from."""
 
     silent: tuple[str, ...] = ()  # not heard yet
+    strange: tuple[str, ...] = ()  # joints heard that the arm does not have
     refused: Mapping[str, int] = field(default_factory=dict)  # samples, by stream and reason
     set_back: Mapping[str, float] = field(default_factory=dict)  # longest step back of stamps [s]
 
@@ -147,6 +148,7 @@ class RestFinder:
         self.joints = [_Joint(f"joint_{i}") for i in range(1, n + 1)]
         s = self.settings
         self.subjects = {name: Poses(name, s.max_speed, s.max_turn) for name in (BASE, TIP)}
+        self._strange: set[int] = set()
         self._pending: list[_Rest] = []
         self._settled = 0  # when the present rest began to count
         self._confirmed = -1  # up to when all joints are known to rest
@@ -155,7 +157,10 @@ class RestFinder:
         self._until_cleaning = _CLEANING
 
     def joint(self, i: int, t: int, q: float) -> list[Observation]:
-        """A reading q [rad] of joint i, 1 to n."""
+        """A reading q [rad] of joint i; beyond n it is another arm's, and counted as such."""
+        if not 1 <= i <= len(self.joints):
+            self._strange.add(i)
+            return []
         joint = self.joints[i - 1]
         if not isfinite(q):
             joint.refused["not finite"] += 1
@@ -201,6 +206,7 @@ class RestFinder:
         every = self._streams
         return Streams(
             silent=tuple(stream.name for stream in every if stream.newest < 0),
+            strange=tuple(f"joint_{i}" for i in sorted(self._strange)),
             refused={
                 f"{stream.name} {why}": number
                 for stream in every

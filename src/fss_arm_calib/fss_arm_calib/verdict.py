@@ -128,7 +128,12 @@ def calibrate(
         loss=s.loss,
     )
     streams = streams or Streams()
-    stages = [_rests(observations, s), _clocks(streams, s), _enough(problem, streams, s)]
+    stages = [
+        _joints(streams, arm),
+        _rests(observations, s),
+        _clocks(streams, s),
+        _enough(problem, streams, s),
+    ]
     solution: Solution | None = None
     if stages[-1].verdict == PASS:
         try:
@@ -224,6 +229,13 @@ def _held_out(
         except NotIdentifiable:
             pass
     return held_out[:0], result.predicted(problem.only(held_out[:0]))
+
+
+def _joints(streams: Streams, arm: Arm) -> Stage:
+    strange = streams.strange
+    reason = f"{', '.join(strange)} heard, but {arm.name!r} has {count(arm.n, 'joint')}"
+    verdict = NOT_EVALUATED if strange else PASS
+    return Stage("joints", verdict, arm.n + len(strange), arm.n, reason if strange else "")
 
 
 def _rests(observations: Sequence[Observation], s: CalibrationSettings) -> Stage:

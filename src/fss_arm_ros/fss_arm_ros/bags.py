@@ -127,7 +127,18 @@ class Bags:
     ) -> Iterator[tuple[str, str, int, Any]]:
         """As `raw`, with the messages deserialized into rosbags' classes."""
         for topic, msgtype, receipt, data in self.raw(topics):
-            yield topic, msgtype, receipt, self._reader.deserialize(data, msgtype)
+            yield topic, msgtype, receipt, self.deserialize(data, msgtype)
+
+    def deserialize(self, data: bytes, msgtype: str) -> Any:
+        """A message as one of rosbags' classes.
+
+        Raises:
+            BagError: the data are not of that type.
+        """
+        try:
+            return self._reader.deserialize(data, msgtype)
+        except Exception as error:  # rosbags parses damaged bytes as they come
+            raise BagError(f"{_list(self.paths)}: damaged: {error}") from None
 
 
 def open_bags(paths: AnyPath | Iterable[AnyPath]) -> Bags:

@@ -1,0 +1,130 @@
+"""How long a bag takes into the calibration, beside reading and deserializing it with rosbags.
+
+An hour of four links at 5 Hz and two VICON subjects at 100 Hz: 792,000 messages, 180 rests.
+"""
+
+import argparse
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from statistics import median
+from tempfile import TemporaryDirectory
+from time import perf_counter
+
+import numpy as np
+from rosbags.highlevel import AnyReader
+
+from fss_arm_calib.from_bag import solve_bag
+from fss_arm_calib.postures import DEFAULT
+from fss_arm_calib.settings import CalibrationSettings
+from fss_arm_model.description import paper_arm
+from fss_arm_model.kinematics import tip_pose
+from fss_arm_ros.qos import SENSOR
+from fss_arm_ros.recording import Recording
+
+SECOND = 1_000_000_000
+START = 1_700_000_000 * SECOND
+REST, MOVE = 18.0, 2.0  # [s]
+JOINTS = "/joint_states"
+SUBJECTS = "/vicon/fss/fss", "/vicon/end_effector/end_effector"
+
+
+def readings(t: np.ndarray) -> np.ndarray:
+    """(k, 4) joint angles at times (k,) [s]: rests at the default postures, smooth moves."""
+    k, within = np.divmod(t, REST + MOVE)
+    share = np.clip((within - REST) / MOVE, 0.0, 1.0)[:, None]
+    here, there = (DEFAULT[(k.astype(int) + d) % len(DEFAULT)] for d in (0, 1))
+    return here + (3.0 * share**2 - 2.0 * share**3) * (there - here)
+
+
+def cdr_pose(t: int, x: float, y: float, heading: float) -> bytes:
+    """A serialized geometry_msgs/PoseStamped."""
+    turn = 0.0, 0.0, np.sin(0.5 * heading), np.cos(0.5 * heading)
+    head = struct.pack("<iII6s6x", *divmod(t, SECOND), 6, b"world\0")
+    return b"\0\1\0\0" + head + struct.pack("<7d", x, y, 0.0, *turn)
+
+
+def cdr_joint(t: int, i: int, q: float) -> bytes:
+    """A serialized sensor_msgs/JointState of one link."""
+    head = struct.pack("<iIIB3xII8s", *divmod(t, SECOND), 1, 0, 1, 8, b"joint_%d\0" % i)
+    return b"\0\1\0\0" + head + b"".join(struct.pack("<I4xd", 1, v) for v in (q, 0.0, 0.0))
+
+
+def messages(length: float, noise: float) -> Iterator[tuple[int, str, bytes]]:
+    """Stamp, topic and data of all messages, in order."""
+    rng = np.random.default_rng(1)
+    arm = paper_arm().vector()
+    t = np.arange(0.0, length, 0.01)
+    base = np.stack([0.3 + 2e-4 * t, 1.0 - 1e-4 * t, 3.0 + 1e-4 * t], axis=-1)
+    tip = tip_pose(arm, np.concatenate([base, readings(t)], axis=-1))
+    rest_error = rng.normal(size=(1 + int(length / (REST + MOVE)), 3)) * [0.0177, 0.0177, 0.0125]
+    tip += rest_error[(t // (REST + MOVE)).astype(int)]
+    rows: list[tuple[int, str, bytes]] = []
+    for topic, poses in zip(SUBJECTS, (base, tip), strict=True):
+        poses = poses + noise * rng.normal(size=poses.shape)
+        stamps = (START + np.round(t * SECOND)).astype(np.int64).tolist()
+        rows += [
+            (at, topic, cdr_pose(at, *pose))
+            for at, pose in zip(stamps, poses.tolist(), strict=True)
+        ]
+    for i in range(1, 5):
+        t = np.arange(0.03 * i, length, 0.2)
+        stamps = (START + np.round(t * SECOND)).astype(np.int64).tolist()
+        angles = readings(t)[:, i - 1].tolist()
+        rows += [
+            (at, JOINTS, cdr_joint(at, i, q)) for at, q in zip(stamps, angles, strict=True)
+        ]
+    yield from sorted(rows, key=lambda row: row[0])
+
+
+def write(folder: Path, length: float) -> Path:
+    """The bag, as `record` writes it."""
+    bag = Recording(folder)
+    topics = {JOINTS: bag.add(JOINTS, "sensor_msgs/msg/JointState", [SENSOR])}
+    for topic in SUBJECTS:
+        topics[topic] = bag.add(topic, "geometry_msgs/msg/PoseStamped", [SENSOR])
+    for t, topic, data in messages(length, 3e-4):
+        bag.write(topics[topic], t + SECOND // 200, data)
+    bag.close()
+    return bag.path
+
+
+def read(bag: Path) -> int:
+    """What the peer does: read and deserialize all messages."""
+    count = 0
+    with AnyReader([bag]) as reader:
+        for connection, _, data in reader.messages():
+            reader.deserialize(data, connection.msgtype)
+            count += 1
+    return count
+
+
+def calibrate(bag: Path) -> str:
+    """What we do."""
+    calibration = solve_bag(bag, CalibrationSettings())
+    return f"{calibration.verdict}, {calibration.observations_used} observations"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--minutes", type=float, default=60.0)
+    parser.add_argument("--repeat", type=int, default=3)
+    options = parser.parse_args()
+    with TemporaryDirectory() as folder:
+        bag = write(Path(folder), 60.0 * options.minutes)
+        size = sum(file.stat().st_size for file in bag.iterdir())
+        print(f"{read(bag)} messages, {size / 1e6:.0f} MB; {calibrate(bag)}")
+        taken: dict[str, list[float]] = {"rosbags": [], "calibration": []}
+        for _ in range(options.repeat):
+            for name, run in (("rosbags", read), ("calibration", calibrate)):
+                begin = perf_counter()
+                run(bag)
+                taken[name].append(perf_counter() - begin)
+    peer, ours = median(taken["rosbags"]), median(taken["calibration"])
+    print(f"rosbags alone, read and deserialize: {peer:8.2f} s (median of {options.repeat})")
+    print(f"into the calibration:                {ours:8.2f} s")
+    print(f"ratio: {ours / peer:.2f} (at most 1.5)")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,169 @@
+"""Bags that something is wrong with: each ends in a named error or in a verdict that says it."""
+
+import re
+from math import nan
+
+import numpy as np
+import pytest
+from calib_rig import ARM, TOPICS, TYPES, Rig, at, record
+
+from fss_arm_calib.from_bag import main as from_bag
+from fss_arm_calib.from_bag import solve_bag
+from fss_arm_calib.kinematic import OFFSETS
+from fss_arm_calib.postures import DEFAULT
+from fss_arm_calib.rests import BASE, TIP
+from fss_arm_calib.settings import CalibrationSettings
+from fss_arm_calib.verdict import FAIL, NOT_EVALUATED, PASS
+from fss_arm_model.description import save
+from fss_arm_ros.bags import BagError
+from fss_arm_ros.convert import SECOND
+
+
+@pytest.fixture(scope="module")
+def samples():
+    """Eight postures, VICON at 25 Hz."""
+    return Rig(DEFAULT[:8], rest=3.2, rate=25.0).samples()
+
+
+def arm_file(folder, arm):
+    save(arm, folder / "arm.yaml")
+    return CalibrationSettings(arm=str(folder / "arm.yaml"))
+
+
+def with_links(count):
+    return type(ARM)(ARM.name, ARM.base, (ARM.links * 2)[:count])
+
+
+def swapped(sample):
+    if not isinstance(sample.stream, str):
+        return sample
+    return sample._replace(stream=BASE if sample.stream == TIP else TIP)
+
+
+def test_nothing_is_wrong_with_this_one(samples, tmp_path):
+    calibration = solve_bag(record(tmp_path, samples))
+    assert calibration.verdict == PASS
+    assert calibration.provenance.source.startswith("bag_0 ")
+    assert len(calibration.provenance.source) == len("bag_0 ") + 64
+    assert calibration.refused == ()
+
+
+@pytest.mark.parametrize(("share", "verdict"), [(0.9, PASS), (0.4, NOT_EVALUATED)])
+def test_of_a_truncated_bag_whole_chunks_are_used(samples, tmp_path, share, verdict):
+    bag = record(tmp_path, samples)
+    (bag / "metadata.yaml").unlink()
+    file = bag / "bag_0.mcap"
+    file.write_bytes(file.read_bytes()[: int(share * file.stat().st_size)])
+    calibration = solve_bag(bag)
+    assert calibration.verdict == verdict
+    assert re.search(r"^bag_0 [0-9a-f]{64} \(\d+ messages recovered", calibration.provenance.source)
+    assert (calibration.observations_used >= 6) == (verdict == PASS)
+
+
+def test_a_damaged_chunk_is_named(samples, tmp_path, capsys):
+    bag = record(tmp_path, samples)
+    data = bytearray((bag / "bag_0.mcap").read_bytes())
+    middle = len(data) // 3
+    data[middle : middle + 4096] = bytes(4096)
+    (bag / "bag_0.mcap").write_bytes(data)
+    assert from_bag([str(bag)]) == 1
+    error = capsys.readouterr().err
+    assert error.startswith(f"from_bag: {bag}: damaged, try doctor --repair")
+    assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize("missing", TYPES)
+def test_a_missing_topic_is_named(samples, tmp_path, missing):
+    bag = record(tmp_path, samples[:1000], [topic for topic in TYPES if topic != missing])
+    with pytest.raises(BagError, match=f"no /{missing} in .*, which has "):
+        solve_bag(bag)
+
+
+@pytest.mark.parametrize("missing", TYPES)
+def test_a_topic_without_messages_is_named(samples, tmp_path, missing):
+    kept = [s for s in samples[:1000] if TOPICS.get(s.stream, "joint_states") != missing]
+    calibration = solve_bag(record(tmp_path, kept))
+    assert calibration.verdict == NOT_EVALUATED
+    name = {v: k for k, v in TOPICS.items()}.get(missing, "joint_1, joint_2, joint_3, joint_4")
+    assert f"nothing heard of {name}" in calibration.reason
+
+
+@pytest.mark.parametrize(
+    ("links", "words"),
+    [(5, "nothing heard of joint_5"), (3, "joint_4 heard, but 'paper' has 3 joints")],
+)
+def test_an_arm_of_other_joints_is_named(samples, tmp_path, links, words):
+    settings = arm_file(tmp_path, with_links(links))
+    calibration = solve_bag(record(tmp_path / "bag", samples), settings)
+    assert calibration.verdict == NOT_EVALUATED
+    assert words in calibration.reason
+
+
+def test_an_arm_of_other_lengths_does_not_fit(samples, tmp_path):
+    longer = ARM.with_kinematics([0.45, *ARM.vector()[[14, 20, 26]], 0, 0, 0, 0.2, 0.0, 0.3])
+    settings = arm_file(tmp_path, longer)
+    settings = CalibrationSettings(arm=settings.arm, parametrization=OFFSETS)
+    calibration = solve_bag(record(tmp_path / "bag", samples), settings)
+    assert calibration.verdict == FAIL
+    assert "residuals are larger than the assumed deviations allow" in calibration.reason
+
+
+@pytest.mark.parametrize("stream", [3, BASE])
+def test_numbers_that_are_none_are_refused(samples, tmp_path, stream):
+    """One in ten does no harm; all leave nothing to calibrate from."""
+    value = (nan, 0.0, 0.0) if isinstance(stream, str) else nan
+    some = [s._replace(value=value) if s.stream == stream and k % 10 == 0 else s
+            for k, s in enumerate(samples)]  # fmt: skip
+    why = f"{BASE} occluded" if stream == BASE else "joint_3 not finite"
+    harmed = sum(s.value is value for s in some)
+    calibration = solve_bag(record(tmp_path / "some", some))
+    assert calibration.verdict == PASS
+    assert dict(zip(calibration.refused_kinds, calibration.refused, strict=True)) == {why: harmed}
+    every = [s._replace(value=value) if s.stream == stream else s for s in samples]
+    calibration = solve_bag(record(tmp_path / "every", every))
+    assert calibration.verdict == NOT_EVALUATED
+    assert f"samples refused: {sum(s.value is value for s in every)} {why}" in calibration.reason
+
+
+@pytest.mark.parametrize("streams", [{2}, {BASE, TIP}])
+def test_a_clock_that_runs_back_is_named(samples, tmp_path, streams):
+    """By 12 s, at 25 s: what comes after may hide a rest."""
+
+    def is_back(sample):
+        return sample.stream in streams and at(25.0) < sample.t
+
+    back = [s._replace(t=s.t - 12 * SECOND) if is_back(s) else s for s in samples]
+    heard = {id(b): s.t - b.t for s, b in zip(samples, back, strict=True)}
+    calibration = solve_bag(record(tmp_path, back, late=lambda sample: heard[id(sample)]))
+    assert calibration.verdict == NOT_EVALUATED
+    assert re.search(r"clock of \w+ ran back by 1[12]", calibration.reason)
+
+
+def test_swapped_subjects_are_named(samples, tmp_path):
+    calibration = solve_bag(record(tmp_path / "all", map(swapped, samples)))
+    assert calibration.verdict == FAIL
+    assert "base and end effector are swapped" in calibration.reason
+
+    # from the fifth posture's approach to the sixth's departure
+    some = [swapped(s) if at(20.0) < s.t < at(30.0) else s for s in samples]
+    calibration = solve_bag(record(tmp_path / "some", some))
+    refused = dict(zip(calibration.refused_kinds, calibration.refused, strict=True))
+    assert refused[f"{BASE} jump"] > 0
+    assert refused[f"{TIP} jump"] > 0
+    assert calibration.verdict == FAIL
+    assert "base and end effector are swapped in observations 5" in calibration.reason
+
+
+def test_what_is_no_pose_is_named(samples, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("calib_rig.serialize_message", lambda _: b"\0\1\0\0" + bytes(24))
+    bag = record(tmp_path, [s for s in samples[:50] if isinstance(s.stream, str)])
+    assert from_bag([str(bag)]) == 1
+    assert "28 bytes are no geometry_msgs/PoseStamped" in capsys.readouterr().err
+
+
+def test_the_result_is_the_same_whatever_is_read_at_once(samples, tmp_path):
+    bag = record(tmp_path, samples)
+    once = solve_bag(bag, CalibrationSettings(horizon=1e4))
+    bits = solve_bag(bag, CalibrationSettings(horizon=20.0))
+    assert np.array_equal(once.values, bits.values)
+    assert once.observations_hash == bits.observations_hash
