@@ -94,7 +94,7 @@ def message(sample: Sample) -> tuple[str, Any]:
 
 
 def record(folder, samples, topics=TYPES, late=lambda sample: SECOND // 100) -> Path:
-    """The samples as a bag of some of the topics, in many chunks, received `late(sample)` ns late."""
+    """The samples as a bag of some topics, in many chunks, received `late(sample)` ns late."""
     bag = Recording(folder)
     kinds = {t: f"{k.__module__.split('.')[0]}/msg/{k.__name__}" for t, k in TYPES.items()}
     connections = {t: bag.add(f"/{t}", kinds[t], [SENSOR]) for t in topics}

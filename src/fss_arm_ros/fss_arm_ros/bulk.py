@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from .convert import SECOND
 
-LITTLE = 1  # the second byte of a message with the low byte first
+LITTLE = b"\1"  # the second byte of a message with the low byte first
 
 
 class SerializedError(ValueError):
@@ -48,15 +48,15 @@ def _layout(message: bytes) -> bytes:
 
 def _alike(messages: list[bytes]) -> Poses:
     size = len(messages[0])
-    order = "<" if size > 1 and messages[0][1] == LITTLE else ">"
-    rows = np.frombuffer(b"".join(messages), dtype=np.uint8).reshape(-1, size)[:, 4:]
-    text = int(rows[0, 8:12].copy().view(f"{order}u4")[0]) if size >= 16 else 0
+    little = messages[0][1:2] == LITTLE
+    text = int.from_bytes(messages[0][12:16], "little" if little else "big")
     first = -(-(12 + text) // 8) * 8  # of the seven numbers
     if size < 4 + first + 56:
         raise SerializedError(f"{size} bytes are no geometry_msgs/PoseStamped")
+    rows = np.frombuffer(b"".join(messages), dtype=np.uint8).reshape(-1, size)[:, 4:]
 
     def column(begin: int, end: int, kind: str) -> npt.NDArray[np.generic]:
-        return np.ascontiguousarray(rows[:, begin:end]).view(f"{order}{kind}")
+        return np.ascontiguousarray(rows[:, begin:end]).view(f"{'<' if little else '>'}{kind}")
 
     time = column(0, 8, "u4").astype(np.int64)  # both parts of it are positive
     numbers = column(first, first + 56, "f8").astype(np.float64)

@@ -1,0 +1,88 @@
+"""Many poses at once against one by one."""
+
+import struct
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import PoseStamped
+from rclpy.serialization import deserialize_message, serialize_message
+
+from fss_arm_ros.bulk import SerializedError, pieces, poses
+from fss_arm_ros.convert import SECOND, PoseError, planar_pose, stamp_ns, to_time
+
+FRAMES = "", "w", "map", "world", "vicon/world"
+
+
+def serialized(seed: int, count: int = 400) -> list[bytes]:
+    """Poses of several frames, some occluded, some not finite."""
+    rng, found = np.random.default_rng(seed), []
+    for k in range(count):
+        message = PoseStamped()
+        message.header.stamp = to_time(1_700_000_000 * SECOND + k * 10_000_001)
+        message.header.frame_id = FRAMES[(k // 50) % len(FRAMES)]
+        p, o = message.pose.position, message.pose.orientation
+        p.x, p.y, p.z, o.x, o.y, o.z, o.w = rng.normal(size=7).tolist()
+        if k % 31 == 0:
+            o.x = o.y = o.z = o.w = 0.0
+        if k % 37 == 0:
+            p.z = float("nan")
+        found.append(serialize_message(message))
+    return found
+
+
+def one_by_one(messages: list[bytes]) -> tuple[list[int], list[tuple[float, ...]]]:
+    stamps, seen = [], []
+    for data in messages:
+        message = deserialize_message(data, PoseStamped)
+        stamps.append(stamp_ns(message.header.stamp))
+        try:
+            seen.append(planar_pose(message.pose))
+        except PoseError:
+            seen.append((np.nan,) * 3)
+    return stamps, seen
+
+
+def swap_bytes(data: bytes) -> bytes:
+    """The same message with the high byte first (frame id of five letters)."""
+    head = struct.unpack_from("<iII", data, 4)
+    numbers = struct.unpack_from("<7d", data, 28)
+    return b"\0\0\0\0" + struct.pack(">iII", *head) + data[16:28] + struct.pack(">7d", *numbers)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_all_at_once_are_those_one_by_one_to_the_last_bit(seed):
+    messages = serialized(seed)
+    found = poses(messages)
+    stamps, seen = one_by_one(messages)
+    assert found.stamp.tolist() == stamps
+    np.testing.assert_array_equal(found.pose, seen)
+
+
+def test_either_byte_order_is_read():
+    messages = [m for m in serialized(3) if b"world\0" in m[:24] and b"vicon" not in m]
+    assert len(messages) == 50
+    mixed = [swap_bytes(m) if k % 3 == 0 else m for k, m in enumerate(messages)]
+    np.testing.assert_array_equal(poses(mixed).pose, poses(messages).pose)
+    assert np.array_equal(poses(mixed).stamp, poses(messages).stamp)
+
+
+def test_none_are_none():
+    assert poses([]).stamp.shape == (0,)
+    assert poses([]).pose.shape == (0, 3)
+
+
+@pytest.mark.parametrize("size", [0, 1, 4, 12, 15, 16, 28, 70])
+def test_what_is_no_pose_is_refused(size):
+    (message,) = serialized(4, 1)
+    with pytest.raises(SerializedError, match=f"{size} bytes are no geometry_msgs/PoseStamped"):
+        poses([message[:size]])
+
+
+def test_pieces_keep_the_order_within_a_topic():
+    raw = [("ab"[k % 3 == 0], "type", 10 * k, bytes([k])) for k in range(20)]
+    found = list(pieces(raw, 55))
+    assert len(found) == 4
+    for topic in "ab":
+        got = b"".join(data for piece in found for data in piece.get(topic, ()))
+        assert got == b"".join(data for name, _, _, data in raw if name == topic)
+    assert list(pieces([], 55)) == []
