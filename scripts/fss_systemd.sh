@@ -1,13 +1,13 @@
 #!/bin/sh
 # Writes systemd units for a configuration, a service for each node and a target for all.
-# usage: fss_systemd.sh FOLDER [CONFIG]     /etc/systemd/system; config/fss.sh by default
+# usage: fss_systemd.sh FOLDER [CONFIG]     config/fss.sh by default
 set -eu
 fss_scripts=$(CDPATH='' cd -- "$(dirname -- "$0")" && pwd -P)
 # shellcheck source=scripts/fss/config.sh
 . "$fss_scripts/fss/config.sh"
 [ $# -gt 0 ] || fail "usage: fss_systemd.sh FOLDER [CONFIG]"
+mkdir -p -- "$1" || exit 1
 folder=$(readlink -f -- "$1")
-if [ ! -d "$folder" ] || [ ! -w "$folder" ]; then fail "$1: expected a folder to write to"; fi
 read_config "${2:-}"
 
 # Services start one after the other and stop the other way round, as `After` has it.
@@ -57,4 +57,4 @@ Wants=$(for name in $fss_nodes; do printf '%s-%s.service ' "$fss_name" "$name"; 
 [Install]
 WantedBy=multi-user.target
 END
-echo "written to $folder; next: systemctl daemon-reload && systemctl start $fss_name.target"
+echo "written to $folder; next: sudo cp $folder/* /etc/systemd/system && sudo systemctl daemon-reload"

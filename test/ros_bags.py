@@ -28,11 +28,13 @@ def joint_state(k: int) -> JointState:
 
 def fill(recording: Recording, count: int, first: int = 0, chunk: int = 10) -> None:
     """Record `count` joint states 10 ms apart, and a latched text at the beginning."""
-    text = recording.add("/robot_description", "std_msgs/msg/String", [LATCHED])
-    states = recording.add("/joint_states", "sensor_msgs/msg/JointState", [SENSOR])
-    recording.write(text, START + first * SECOND // 100, serialize_message(String(data="arm")))
+    recording.add("/robot_description", "std_msgs/msg/String", [LATCHED])
+    recording.add("/joint_states", "sensor_msgs/msg/JointState", [SENSOR])
+    begin = START + first * SECOND // 100
+    recording.write("/robot_description", begin, serialize_message(String(data="arm")))
     for k in range(first, first + count):
-        recording.write(states, START + k * SECOND // 100, serialize_message(joint_state(k)))
+        receipt = START + k * SECOND // 100
+        recording.write("/joint_states", receipt, serialize_message(joint_state(k)))
         if (k + 1) % chunk == 0:
             recording.flush()
 

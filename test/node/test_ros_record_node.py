@@ -41,7 +41,7 @@ def test_all_that_is_published_is_in_the_bag(spin, tmp_path):
     assert hidden.get_subscription_count() == 0
     graph = {
         topic: str(record.get_publishers_info_by_topic(topic)[0].topic_type_hash)
-        for topic in record.connections
+        for topic in record.recording.topics
     }
     record.close()
     with open_bags(tmp_path) as bags:
@@ -62,7 +62,7 @@ def test_only_the_topics_asked_for(spin, tmp_path):
     other = node.create_publisher(Int64, "other", SENSOR)
     record = recorder(tmp_path, topics=["wanted"])
     spin([node, record], wanted.get_subscription_count)
-    assert set(record.connections) == {"/wanted"}
+    assert set(record.recording.topics) == {"/wanted"}
     assert other.get_subscription_count() == 0
 
 
@@ -123,7 +123,7 @@ def test_a_type_that_is_not_installed_is_said_once(spin, tmp_path, monkeypatch):
     spin([node, record], lambda: record.refused == {"/data"})
     record.discover()
     assert asked == ["std_msgs/msg/Int64"]
-    assert record.connections == {}
+    assert record.recording.topics == {}
 
 
 def test_a_subscription_asks_for_what_all_publishers_grant():

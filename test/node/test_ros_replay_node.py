@@ -62,9 +62,9 @@ def test_messages_are_byte_for_byte_those_recorded_and_at_their_pace(spin, tmp_p
 
 def test_latched_topics_are_latched_for_those_who_come_late(spin, tmp_path):
     recording = Recording(tmp_path)
-    text = recording.add("/robot_description", "std_msgs/msg/String", [LATCHED])
+    recording.add("/robot_description", "std_msgs/msg/String", [LATCHED])
     for k in range(3):
-        recording.write(text, START + k, serialize_message(String(data=f"arm {k}")))
+        recording.write("/robot_description", START + k, serialize_message(String(data=f"arm {k}")))
     recording.close()
     player = replay(tmp_path, rate=0.0, hold=True)
     spin(player, lambda: player.state == "holding")
@@ -98,10 +98,10 @@ def test_clock_follows_the_times_of_receipt(spin, tmp_path):
 
 def test_commands_are_left_out(spin, tmp_path):
     recording = Recording(tmp_path)
-    stop = recording.add("/arm/stop", "std_msgs/msg/Empty", [SENSOR])
-    result = recording.add("/calibration/text", "std_msgs/msg/String", [LATCHED])
-    recording.write(stop, START, serialize_message(Empty()))
-    recording.write(result, START, serialize_message(String(data="pass")))
+    recording.add("/arm/stop", "std_msgs/msg/Empty", [SENSOR])
+    recording.add("/calibration/text", "std_msgs/msg/String", [LATCHED])
+    recording.write("/arm/stop", START, serialize_message(Empty()))
+    recording.write("/calibration/text", START, serialize_message(String(data="pass")))
     recording.close()
     player = replay(tmp_path, rate=0.0, hold=True)
     spin(player, lambda: player.state == "holding")

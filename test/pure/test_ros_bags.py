@@ -13,7 +13,7 @@ from fss_arm_ros.bags import BagError, find, is_sound, open_bags, repair
 from fss_arm_ros.definitions import definition
 from fss_arm_ros.doctor import main as doctor
 from fss_arm_ros.qos import SENSOR
-from fss_arm_ros.recording import Recording, bag_qos, next_bag
+from fss_arm_ros.recording import Limits, Recording, bag_qos, next_bag
 
 
 def test_rosbags_reads_what_was_written(tmp_path):
@@ -214,3 +214,23 @@ def test_a_bag_still_being_recorded_reads_as_far_as_it_is(tmp_path):
     with open_bags(recording.path) as bags:
         assert states(bags.messages()) == list(range(40))
     recording.close()
+
+
+@pytest.mark.parametrize("limits", [Limits(size=20_000), Limits(span=SECOND)])
+def test_a_recording_goes_on_in_the_next_bag_and_reads_as_one(tmp_path, limits):
+    recording = Recording(tmp_path, limits)
+    fill(recording, 350)
+    recording.close()
+    bags = find(tmp_path)
+    assert len(bags) > 2
+    for bag in bags:
+        assert bag.stat().st_size
+        assert is_sound(bag)
+        with Reader(bag) as reader:  # each has all topics
+            assert {c.topic for c in reader.connections} == {"/joint_states", "/robot_description"}
+            assert reader.duration <= (limits.span or reader.duration)
+            size = (bag / f"{bag.name}.mcap").stat().st_size
+            assert size <= (2 * limits.size or size)  # what a chunk and the index add
+    with open_bags(tmp_path) as whole:
+        assert states(whole.messages()) == list(range(350))
+        assert whole.topics["/robot_description"].messages == 1

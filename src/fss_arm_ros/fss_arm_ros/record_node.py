@@ -4,20 +4,24 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from math import inf
 from pathlib import Path
+from shutil import disk_usage
 from typing import Any
 
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
-from rosbags.interfaces import Connection
 
+from .convert import SECOND
 from .definitions import NotInstalledError, message_class
 from .diagnostics import OK, WARN, Diagnostics, Health
-from .recording import Recording
+from .recording import Limits, Recording
 from .run import run
 from .settings import declare, setting
+
+MEGABYTE = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -26,14 +30,24 @@ class RecordSettings:
 
     output: str = setting("", "folder of the bags; the next of bag_0, bag_1, ... is written")
     topics: tuple[str, ...] = setting((), "names of the topics to record; none: all there are")
+    split_size: float = setting(2000.0, "a larger bag is ended and the next begun [MB]; 0: never")
+    split_time: float = setting(3600.0, "likewise a longer one [s]; 0: never")
+    reserve: float = setting(1000.0, "warn if less is left on the disk [MB]")
 
     def __post_init__(self) -> None:
         if not self.output:
             raise ValueError("output is empty, expected the folder of the bags: -p output:=DIR")
+        for name in ("split_size", "split_time", "reserve"):
+            if not 0.0 <= getattr(self, name) < inf:
+                raise ValueError(f"{name} is {getattr(self, name)}, must not be negative")
+
+    def limits(self) -> Limits:
+        """When the next bag is begun."""
+        return Limits(round(self.split_size * MEGABYTE), round(self.split_time * SECOND))
 
 
 class RecordNode(Node):
-    """Records topics, as they come up, into the next bag of a folder.
+    """Records topics, as they come up, into the next bags of a folder.
 
     Hidden topics (a part of the name begins with `_`, as those of actions) are left out.
     At most the last second is lost when it is killed. The time of receipt is the node's:
@@ -42,11 +56,10 @@ class RecordNode(Node):
 
     def __init__(self, **options: Any) -> None:
         super().__init__("record", **options)
-        settings = declare(self, RecordSettings)
+        settings = self.settings = declare(self, RecordSettings)
         self.topics = {self.resolve_topic_name(topic) for topic in settings.topics}
-        self.recording = Recording(Path(settings.output))
+        self.recording = Recording(Path(settings.output), settings.limits())
         self.heard: dict[str, Subscription] = {}
-        self.connections: dict[str, Connection] = {}
         self.refused: set[str] = set()
         self.counts: Counter[str] = Counter()
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -69,23 +82,23 @@ class RecordNode(Node):
         """Subscribe to a topic, in place of a subscription that not all publishers match."""
         try:
             kind = message_class(msgtype)
-            if topic not in self.connections:
-                self.connections[topic] = self.recording.add(topic, msgtype, offered)
+            if topic not in self.recording.topics:
+                self.recording.add(topic, msgtype, offered)
         except NotInstalledError as error:
             self.refused.add(topic)
             self.get_logger().warning(f"{topic} is not recorded: {error}")
             return
         if topic in self.heard:
             self.destroy_subscription(self.heard[topic])
-        take = partial(self.take, self.connections[topic])
+        take = partial(self.take, topic)
         self.heard[topic] = self.create_subscription(kind, topic, take, match(offered), raw=True)
 
-    def take(self, connection: Connection, data: bytes) -> None:
+    def take(self, topic: str, data: bytes) -> None:
         """Keep one serialized message."""
         receipt = self.get_clock().now().nanoseconds
         if receipt > 0:  # simulated time stands at 0 before the first /clock
-            self.attempt(self.recording.write, connection, receipt, data)
-            self.counts[connection.topic] += 1
+            self.attempt(self.recording.write, topic, receipt, data)
+            self.counts[topic] += 1
 
     def attempt(self, step: Callable[..., None], *args: Any) -> None:
         """Do a step of the recording; end the process if the disk refuses it."""
@@ -99,10 +112,14 @@ class RecordNode(Node):
 
     def health(self) -> Health:
         """Where the recording goes and how much it has, by topic."""
-        values = {"bag": self.recording.path, "messages": self.counts.total(), **self.counts}
+        free = disk_usage(self.recording.folder).free / MEGABYTE
+        values = {"bag": self.recording.path, "free [MB]": free}
+        values |= {"messages": self.counts.total(), **self.counts}
         if self.get_clock().now().nanoseconds == 0:
             return Health(WARN, "waiting for /clock", values)
-        return Health(OK, f"recording {len(self.connections)} topics", values)
+        if free < self.settings.reserve:
+            return Health(WARN, f"only {free:.0f} MB are left on the disk", values)
+        return Health(OK, f"recording {len(self.recording.topics)} topics", values)
 
     def close(self) -> None:
         """End the bag."""

@@ -1,7 +1,8 @@
 """Writing a rosbag2 (MCAP) bag that outlives a SIGKILL."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
@@ -27,55 +28,80 @@ def next_bag(folder: Path) -> Path:
     return folder / f"bag_{max((int(n) + 1 for n in numbers if n.isdecimal()), default=0)}"
 
 
+@dataclass(frozen=True)
+class Limits:
+    """When the next bag is begun; 0: never for that reason."""
+
+    size: int = 0  # of its file [bytes]
+    span: int = 0  # from its first message [ns]
+
+
 class Recording:
-    """The next numbered bag of a folder, open for writing.
+    """The next numbered bags of a folder, the last one open for writing.
 
     Between two calls of `flush` messages are in memory only. A killed process leaves a bag
     without index and metadata.yaml; `fss_arm_ros.bags` reads it all the same.
     """
 
-    def __init__(self, folder: Path) -> None:
-        """Open the bag.
+    def __init__(self, folder: Path, limits: Limits = Limits()) -> None:
+        """Open the first bag.
 
         Raises:
             OSError: it cannot be made.
         """
         if (folder / "metadata.yaml").exists():
             raise FileExistsError(f"{folder} is a bag itself; give a folder for bags")
-        self.path = next_bag(folder)
+        self.folder, self.limits = folder, limits
+        self.topics: dict[str, Callable[[], Connection]] = {}  # each begins a topic in a bag
+        self._open()
+
+    def _open(self) -> None:
+        """Begin the next bag, with all topics there are."""
+        self.path = next_bag(self.folder)
         self.writer = Writer(self.path, version=9, storage_plugin=StoragePlugin.MCAP)
         try:
             self.writer.open()
         except WriterError as error:  # another recorder was quicker
             raise FileExistsError(str(error)) from None
         self._storage.bio.flush()
+        self.connections = {topic: begin() for topic, begin in self.topics.items()}
 
     @property
     def _storage(self) -> McapWriter:
         return cast(McapWriter, self.writer.storage)
 
-    def add(self, topic: str, msgtype: str, offered: Iterable[Any]) -> Connection:
+    def add(self, topic: str, msgtype: str, offered: Iterable[Any]) -> None:
         """Begin a topic with the QoS profiles that its publishers offer.
 
         Raises:
             NotInstalledError: the type's definition is not there.
         """
         text, digest = definition(msgtype)
-        return self.writer.add_connection(
-            topic,
-            msgtype,
-            msgdef=text,
-            rihs01=digest,
-            offered_qos_profiles=[bag_qos(profile) for profile in offered],
-        )
+        qos = [bag_qos(profile) for profile in offered]
 
-    def write(self, connection: Connection, receipt: int, data: bytes) -> None:
+        def begin() -> Connection:
+            return self.writer.add_connection(
+                topic, msgtype, msgdef=text, rihs01=digest, offered_qos_profiles=qos
+            )
+
+        self.topics[topic], self.connections[topic] = begin, begin()
+
+    def write(self, topic: str, receipt: int, data: bytes) -> None:
         """Keep a serialized message, received at `receipt` [ns].
 
         Raises:
             OSError: as of `flush`, which a full chunk does not wait for.
         """
-        self.writer.write(connection, receipt, data)
+        if self._full(receipt):
+            self.close()
+            self._open()
+        self.writer.write(self.connections[topic], receipt, data)
+
+    def _full(self, receipt: int) -> bool:
+        """Whether a message received then belongs into the next bag."""
+        size, span = self.limits.size, self.limits.span
+        begun = min(self.writer.min_timestamp, receipt)  # a bag without messages has none
+        return (0 < size <= self._storage.bio.tell()) or (0 < span <= receipt - begun)
 
     def flush(self) -> None:
         """Hand everything to the operating system as a whole chunk.
