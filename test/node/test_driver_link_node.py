@@ -48,15 +48,15 @@ class User(Node):
 
 
 def options(**parameters):
-    parameters = {"rate": RATE, "timeout": 2.0, **parameters}
+    parameters = {"rate": RATE, "timeout": 5.0, **parameters}
     return {"parameter_overrides": [Parameter(name, value=v) for name, v in parameters.items()]}
 
 
 @pytest.fixture
-def bench(spin):
-    """A link's node, its user, and what they need to meet."""
-    transport = FakeTransport()
-    node, user = LinkNode(1, transport=transport, **options()), User()
+def bench(spin, request):
+    """A link's node with these parameters, its user, and what they need to meet."""
+    transport, parameters = FakeTransport(), getattr(request, "param", {})
+    node, user = LinkNode(1, transport=transport, **options(**parameters)), User()
 
     def until(condition, timeout=10.0):
         return spin([node, user], condition, timeout)
@@ -74,7 +74,7 @@ def arm(user, until, data=True):
 
 
 def order(user, **fields):
-    fields = {"mode": Mode.POSITION, "time_to_live": 2.0, **fields}
+    fields = {"mode": Mode.POSITION, "time_to_live": 10.0, **fields}
     message = LinkCommand(**fields)
     message.header.stamp = user.get_clock().now().to_msg()
     user.command.publish(message)
@@ -99,6 +99,7 @@ def test_each_frame_is_a_joint_state_and_a_telemetry(bench):
     assert abs(stamps[-1] - transport.link.born - 1000 * message.clock) < 0.05 * SECOND
 
 
+@pytest.mark.parametrize("bench", [{"timeout": 1.5}], indirect=True)
 def test_one_message_for_each_valid_frame_and_none_for_others(bench):
     _, user, transport, until = bench
     transport.talks = False
@@ -113,6 +114,7 @@ def test_one_message_for_each_valid_frame_and_none_for_others(bench):
     assert int(values["crc"]) == 1
 
 
+@pytest.mark.parametrize("bench", [{"timeout": 1.5}], indirect=True)
 def test_a_silent_link_shows_as_an_error_and_comes_back_disarmed(bench):
     node, user, transport, until = bench
     until(lambda: user.level() == DiagnosticStatus.OK)
@@ -138,9 +140,10 @@ def test_commands_move_an_armed_link_only(bench):
     assert transport.link.position == 0
     assert arm(user, until).message == "link_1 is armed"
     until(lambda: user.telemetry[-1].armed)
-    order(user, set_point=0.05, max_velocity=0.1)
+    order(user, set_point=0.05, max_velocity=0.1, time_to_live=60.0)
     until(lambda: user.joints[-1].position[0] == pytest.approx(0.05, abs=1e-4))
     assert transport.link.taken.velocity == 38197
+    order(user, set_point=0.05, time_to_live=0.5)
     until(lambda: transport.link.taken.flags & Order.HOLD)  # the command has expired
     assert arm(user, until, data=False).success
     until(lambda: not user.telemetry[-1].armed)
@@ -225,7 +228,7 @@ def test_a_link_that_starts_later_and_is_unplugged(spin, tmp_path, kind):
     end = ENDS[kind](tmp_path)
     if kind != "pty":
         end.unplug()
-    node, user = LinkNode(1, end.url, **options()), User()
+    node, user = LinkNode(1, end.url, **options(timeout=1.5)), User()
     spin([node, user], lambda: node.session.counts["sent"] > 3)  # to nobody
     if kind != "pty":
         end.replug()

@@ -133,6 +133,12 @@ class LinkSession:
         track = self._reception.track
         return track.clock.deviation(now) if track else inf
 
+    @property
+    def drift(self) -> float:
+        """How much faster than the link's the host's clock runs."""
+        track = self._reception.track
+        return track.clock.drift if track else nan
+
     def silence(self, now: int) -> float:
         """Time since a frame was last believed [s]; infinite if none ever was."""
         return 1e-9 * (now - self._reception.heard) if self.counts["believed"] else inf

@@ -171,6 +171,7 @@ class LinkNode(Node):
             "age [s]": session.silence(now),
             "round trip [s]": session.round_trip,
             "clock deviation [s]": session.deviation(now),
+            "clock drift [ppm]": 1e6 * session.drift,
             **counts,
             **self.transport.counts,
         }

@@ -7,6 +7,9 @@ from fss_arm_driver.protocol import Slow
 from fss_arm_msgs.msg import LinkTelemetry
 from fss_arm_ros.convert import to_time
 
+MILLISECOND = 1_000_000  # [ns]
+OR_OLDER = 255  # as the age of a torque sample [ms]
+
 
 def joint_state(number: int, sample: Sample) -> JointState:
     """A sample as the joint's state at the time of the measurement."""
@@ -48,4 +51,6 @@ def telemetry(sample: Sample) -> LinkTelemetry:
     )
     message.header.stamp = to_time(sample.stamp)
     message.header.frame_id = f"link_{frame.link}"
+    if frame.torque_age < OR_OLDER:
+        message.torque_stamp = to_time(sample.stamp - frame.torque_age * MILLISECOND)
     return message

@@ -10,7 +10,7 @@ from fss_arm_driver.scale import Scale
 
 SECOND = 1_000_000_000  # [ns]
 EARLY = SECOND // 10  # delays vary: a frame may seem to come from the future by so much
-MEMORY = 10 * SECOND  # how long a lost link and its clock are remembered
+MEMORY = 60 * SECOND  # how long a lost link and its clock are remembered
 SHORTEST_PERIOD = 1000  # of telemetry, in the link's clock [us]
 CANDIDATES = 16  # more than one, so that noise cannot displace a link that begins to talk
 
