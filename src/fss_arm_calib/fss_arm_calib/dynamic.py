@@ -76,10 +76,10 @@ class DynamicProblem:
         return tuple(unit(name) for name in self.names)
 
     @cached_property
-    def own(self) -> Mask:
-        """(6,) which of pose and momentum at its start each maneuver has as unknowns."""
+    def own(self) -> npt.NDArray[np.intp]:
+        """(k,) which of pose and momentum at its start, 0 to 5, each maneuver has as unknowns."""
         seen = np.isfinite(self.sigma).any(axis=(0, 1))
-        return np.concatenate([seen, seen & (self.momentum > 0.0)])
+        return np.flatnonzero(np.concatenate([seen, seen & (self.momentum > 0.0)]))
 
     @cached_property
     def known(self) -> Floats:
@@ -140,7 +140,7 @@ class DynamicProblem:
         p = len(self.names)
         states = np.zeros((len(self.poses), 8))
         states[:, :3] = self.poses[:, 0]
-        states[:, np.flatnonzero(self.own)] = unknowns[p:].reshape(len(states), -1)
+        states[:, self.own] = unknowns[p:].reshape(len(states), -1)
         if self.tilt > 0.0:
             states[:, 6:] = unknowns[p - 2 : p]
         return states
@@ -150,9 +150,20 @@ class DynamicProblem:
         return base_poses(self.vector(unknowns), self.path, self.states(unknowns))
 
     @cached_property
+    def looked_at(self) -> npt.NDArray[np.intp]:
+        """Which of the 3 m coordinates of poses are observed in any maneuver."""
+        return np.flatnonzero(np.isfinite(self.sigma).any(axis=0))
+
+    @cached_property
+    def weight(self) -> Floats:
+        """1 / sigma of those, (M, rows)."""
+        return 1.0 / self.sigma.reshape(len(self.sigma), -1)[:, self.looked_at]
+
+    @cached_property
     def believed(self) -> npt.NDArray[np.intp]:
         """Which components of the momentum are unknowns about which something is known."""
-        return np.flatnonzero(self.own[3:] & np.isfinite(self.momentum))
+        momenta = self.own[self.own >= 3] - 3
+        return momenta[np.isfinite(self.momentum[momenta])]
 
     def reduced(self, unknowns: Floats, columns: Floats) -> Linear:
         """The observations near some values, each maneuver's own unknowns eliminated.
@@ -161,11 +172,12 @@ class DynamicProblem:
             unknowns: all of them.
             columns: (8 + 6 n + 8, c) what the regressor is by, as to_model.
         """
-        states, count = self.states(unknowns), len(self.poses)
+        states = self.states(unknowns)
         poses, J = base_pose_sensitivities(self.vector(unknowns), self.path, states)
-        weight = 1.0 / self.sigma
-        rows = (J * weight[..., None]).reshape(count, -1, J.shape[-1])
-        r = (np.where(weight > 0.0, self.poses - poses, 0.0) * weight).reshape(count, -1)
+        count = len(poses)
+        rows = J.reshape(count, -1, J.shape[-1])[:, self.looked_at] * self.weight[..., None]
+        away = (self.poses - poses).reshape(count, -1)[:, self.looked_at]
+        r = np.where(self.weight > 0.0, away, 0.0) * self.weight
         A, B = rows @ columns, rows[..., len(self.origin) : -2][..., self.own]
         if self.believed.size:
             sigma = self.momentum[self.believed]
@@ -193,7 +205,7 @@ class DynamicProblem:
     def free(self) -> npt.NDArray[np.intp]:
         """(M,) observations of each maneuver, less its own unknowns."""
         seen = np.isfinite(self.sigma).sum(axis=(1, 2))
-        return np.asarray(seen + self.believed.size - np.count_nonzero(self.own))
+        return np.asarray(seen + self.believed.size - self.own.size)
 
     @property
     def degrees_of_freedom(self) -> int:

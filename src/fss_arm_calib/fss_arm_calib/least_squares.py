@@ -76,7 +76,7 @@ class Minimum:
     basis: Decomposition  # there, parameters at a bound held
     held: Mask  # (p,) which are at a bound that they would cross
     iterations: int
-    last_update: float  # the largest step in the last iteration, in the parameter's deviations
+    last_update: float  # the largest step that would be next, in the parameter's deviations
     converged: bool
 
 
@@ -101,14 +101,16 @@ def minimize(
     x, linear = start, linearize(start)
     p = linear.regressor.shape[1]
     low, high = bounds if bounds else (np.full(p, -inf), np.full(p, inf))
-    damping, converged = 0.0, False
-    for iteration in range(1, max_iterations + 1):  # noqa: B007
+    damping = 0.0
+    for iteration in range(max_iterations + 1):
         basis, held, step = _step(linear, x[:p], low, high, damping, max_condition)
         deviations = np.sqrt(np.diag(basis.covariance()))
         sizes = np.abs(step[deviations > 0.0]) / deviations[deviations > 0.0]
         update = float(np.max(sizes, initial=0.0))
         negligible = update < tolerance or float(np.max(np.abs(step), initial=0.0)) < ROUNDING
         converged = damping == 0.0 and negligible
+        if converged or iteration == max_iterations:
+            break
         there = x + (linear.extend(step) if linear.extend else step)
         there[:p] = np.clip(there[:p], low, high)
         following = linearize(there)
@@ -118,9 +120,6 @@ def minimize(
             damping = damping / 10.0 if damping > 1e-3 else 0.0
         else:
             damping = max(10.0 * damping, 1e-3)
-        if converged:
-            break
-    basis, held, _ = _step(linear, x[:p], low, high, 0.0, max_condition)
     return Minimum(x, linear, basis, held, iteration, update, converged)
 
 

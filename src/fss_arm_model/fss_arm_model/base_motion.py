@@ -29,7 +29,7 @@ from .kinematics import _THREE, _dot, _mass, _moment
 #: What follows Arm.vector() in the columns of base_pose_sensitivities.
 STATE_NAMES = ("x", "y", "theta", "p_x", "p_y", "L", "g_x", "g_y")
 
-_DIGITS = 14.0 * math.log(10.0)  # of a panel's quadrature
+_DIGITS = 12.0 * math.log(10.0)  # of a panel's quadrature
 
 
 class Path(NamedTuple):
@@ -95,29 +95,32 @@ def sampled(
         qd: the rates then [rad/s].
 
     Returns:
-        The law, and all times as its edges.
+        The law, and as its edges the times of joints that move.
     """
     series = [
         tuple(np.asarray(part, dtype=float) for part in joint)
         for joint in zip(times, q, qd, strict=True)
     ]
 
-    def law(t: Floats) -> tuple[Floats, Floats]:
-        both = [_hermite(t, *joint) for joint in series]
-        return np.column_stack([a for a, _ in both]), np.column_stack([b for _, b in both])
+    moving = [i for i, (_, q, qd) in enumerate(series) if qd.any() or np.ptp(q) > 0.0]
+    resting = np.array([joint[1][0] for joint in series])
 
-    return law, np.unique(np.concatenate([joint[0] for joint in series]))
+    def law(t: Floats) -> tuple[Floats, Floats]:
+        angles, rates = np.tile(resting, (len(t), 1)), np.zeros((len(t), len(series)))
+        for i in moving:
+            angles[:, i], rates[:, i] = _hermite(t, *series[i])
+        return angles, rates
+
+    return law, np.unique(np.concatenate([[], *(series[i][0] for i in moving)]))
 
 
 def _hermite(t: Floats, knots: Floats, q: Floats, qd: Floats) -> tuple[Floats, Floats]:
-    if len(knots) == 1:
-        return np.full(len(t), q[0]), np.zeros(len(t))
-    k = np.clip(np.searchsorted(knots, t, "right") - 1, 0, len(knots) - 2)
+    k = np.minimum(np.searchsorted(knots[1:-1], t, "right"), len(knots) - 2)
     h = knots[k + 1] - knots[k]
-    x = np.clip((t - knots[k]) / h, 0.0, 1.0)
+    x = np.maximum(np.minimum((t - knots[k]) / h, 1.0), 0.0)
+    y = 1.0 - x
     slope = (q[k + 1] - q[k]) / h
     first, last = qd[k] - slope, qd[k + 1] - slope
-    y = 1.0 - x
     angle = q[k] * y + q[k + 1] * x + x * y * (y * first - x * last) * h
     rate = slope + y * (1.0 - 3.0 * x) * first + x * (3.0 * x - 2.0) * last
     return angle, np.where((t >= knots[0]) & (t <= knots[-1]), rate, 0.0)
