@@ -96,6 +96,10 @@ class FirmwareLink:
         assert all(isinstance(frame, Telemetry) for frame in frames)
         return frames
 
+    def frame(self) -> Telemetry:
+        """The next one that it sends."""
+        return self.run(0.25)[-1]
+
     def orders(self) -> list[str]:
         """What the drive was told since the last call, but for readings."""
         answer = self.core.ask("orders")

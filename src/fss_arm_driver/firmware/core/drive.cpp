@@ -11,10 +11,13 @@ constexpr uint8_t kTrajectory = 0x00, kCommandedCurrent = 0x02, kCurrent = 0x0c,
                   kCommandedVelocity = 0x2f, kPosition = 0x32, kAccelerationLimit = 0x36,
                   kDecelerationLimit = 0x37, kStatus = 0xa0, kFaults = 0xa4,
                   kProfileType = 0xc8, kTrajectoryStatus = 0xc9, kTarget = 0xca,
-                  kProfileVelocity = 0xcb, kProfileAcceleration = 0xcc, kProfileDeceleration = 0xcd;
+                  kProfileVelocity = 0xcb, kProfileAcceleration = 0xcc, kProfileDeceleration = 0xcd,
+                  kAbortDeceleration = 0xcf;
 
-constexpr uint8_t kReadings[] = {kPosition, kVelocity, kCurrent, kStatus, kTrajectoryStatus};
-constexpr uint8_t kSlowReadings[] = {kFaults, kSupply, kTemperature};  // one after each round
+constexpr uint8_t kReadings[] = {kPosition, kVelocity,         kCurrent,
+                                 kStatus,   kTrajectoryStatus, kDesiredState};
+constexpr uint8_t kSlowReadings[] = {kFaults, kSupply, kTemperature,
+                                     kAbortDeceleration};  // one after each round
 
 // Status bits with which it cannot move: short, over-temperature, under-voltage, feedback, latched
 // fault.
@@ -41,6 +44,9 @@ Mode mode_of(Demand::Goal goal) {
     default: return Mode::Off;
   }
 }
+
+// An acceleration [10 counts/s^2] as velocity mode has it [1000 counts/s^2].
+int32_t to_limit(int32_t acceleration) { return acceleration < 100 ? 1 : acceleration / 100; }
 
 // A line to the drive.
 struct Line {
@@ -102,8 +108,15 @@ void Drive::poll(uint64_t now) {
 
 void Drive::demand(const Demand& demand) {
   if (demand == asked_ && !refused_) return;
-  asked_ = demand_ = demand;
-  refused_ = braked_ = zeroed_ = false;
+  asked_ = demand;
+  refused_ = false;
+  begin(demand);
+}
+
+void Drive::begin(const Demand& demand) {
+  demand_ = demand;
+  outdated_ = true;
+  braked_ = false;
   step_ = 0;
 }
 
@@ -141,7 +154,7 @@ void Drive::reply(uint64_t now) {
   const Waiting waiting = waiting_;
   waiting_ = Waiting::Nothing;
   if (waiting == Waiting::Ok && ok) {
-    take_ok(now);
+    take_ok();
   } else if (waiting == Waiting::Ok && error) {
     take_error();
   } else if (waiting == Waiting::Value && value) {
@@ -174,9 +187,8 @@ void Drive::connect(uint64_t now) {
       turn_ = 0;
       mode_ = Mode::Off;
       refused_ = true;  // whatever was asked must be asked again
-      demand_ = Demand{};
-      referenced_ = braked_ = zeroed_ = paused_ = false;
-      step_ = 0;
+      begin(Demand{});
+      referenced_ = paused_ = false;
       board_.set_baud(baud_);
       send("\r", 1, now);
       quiet_until_ = now + kClearTime;
@@ -195,8 +207,8 @@ void Drive::connect(uint64_t now) {
       quiet_until_ = now + kSwitchTime;
       phase_ = Phase::Probe;
       break;
-    default:
-      get(kDesiredState, now);
+    case Phase::Running:
+      break;
   }
 }
 
@@ -209,13 +221,7 @@ void Drive::read_next(uint64_t now) {
 
 void Drive::take_value(int32_t value, uint64_t now) {
   if (phase_ == Phase::Probe) {
-    phase_ = baud_ == kBaud ? Phase::Ask : Phase::Rate;
-    return;
-  }
-  if (phase_ == Phase::Ask) {  // a mode that is none of ours is braked as current mode is
-    const bool known = value == 0 || value == 11 || value == 21;
-    mode_ = known ? static_cast<Mode>(value) : Mode::Current;
-    phase_ = Phase::Running;
+    phase_ = baud_ == kBaud ? Phase::Running : Phase::Rate;
     alive_ = now;
     return;
   }
@@ -225,8 +231,10 @@ void Drive::take_value(int32_t value, uint64_t now) {
     case kCurrent: next_.current = value; break;
     case kStatus: next_.status = static_cast<uint32_t>(value); break;
     case kFaults: faults_ = static_cast<uint32_t>(value); break;
+    case kDesiredState: take_mode(value); break;
     case kSupply: supply_ = value; break;
     case kTemperature: temperature_ = value; break;
+    case kAbortDeceleration: abort_ = value; break;
     case kTrajectoryStatus:
       homings_ = static_cast<uint16_t>(homings_ + (!referenced_ && value & kReferencedBit));
       referenced_ = value & kReferencedBit;
@@ -240,6 +248,16 @@ void Drive::take_value(int32_t value, uint64_t now) {
   paused_ = false;
 }
 
+// The drive may be in another mode than was acknowledged, as acknowledgements get lost. One that is
+// none of ours is braked as current mode is.
+void Drive::take_mode(int32_t value) {
+  const bool known = value == 0 || value == 11 || value == 21;
+  const Mode mode = known ? static_cast<Mode>(value) : Mode::Current;
+  if (mode == mode_) return;
+  mode_ = mode;
+  begin(demand_);
+}
+
 void Drive::end_turn() {
   turn_ = 0;
   ++slow_turn_;
@@ -250,94 +268,104 @@ void Drive::end_turn() {
 bool Drive::order_next(uint64_t now) {
   if (paused_ || measured_.clock == 0) return false;
   if (clearing_ && mode_ == Mode::Off) {  // one that is on would move on by itself
-    return order(Part::Clear, {kFaults, static_cast<int32_t>(faults_)}, now);
+    order({kFaults, static_cast<int32_t>(faults_)}, now);
+    return true;
   }
   const Demand::Goal goal = demand_.goal;
   const bool other_mode = mode_ != mode_of(goal);
   if (goal == Demand::Hold || goal == Demand::Release || (goal != Demand::Off && other_mode)) {
-    if (mode_ == Mode::Off) braked_ = true;
-    if (!braked_) return brake(now);
+    if (!braked_) {
+      if (follow(brake(), now)) return true;
+      braked_ = true;
+      braked_at_ = mode_ == Mode::Off ? 0 : now;
+      step_ = 0;
+    }
     if (!at_rest()) return false;
   }
-  return program(now);
+  return follow(program(), now);
 }
 
-bool Drive::brake(uint64_t now) {
-  if (mode_ == Mode::Position) return order(Part::Brake, {kTrajectory, kAbort}, now);
-  if (!zeroed_) return order(Part::Brake, {kCommandedVelocity, 0}, now);
-  return order(Part::Brake, {kDesiredState, static_cast<int32_t>(Mode::Velocity)}, now);
+// Gives the next order of a plan; false: there are no more.
+bool Drive::follow(const Plan& plan, uint64_t now) {
+  for (; step_ < plan.size; ++step_) {
+    const Write& write = plan.writes[step_];
+    if (write.variable == kDesiredState && write.value == static_cast<int32_t>(mode_)) continue;
+    order(write, now);
+    return true;
+  }
+  return false;
 }
 
-// The next of the writes that make up a goal; the mode comes last where a set-point left over from
-// before would be followed.
-bool Drive::program(uint64_t now) {
-  const Mode mode = mode_of(demand_.goal);
-  const Write desired = {kDesiredState, static_cast<int32_t>(mode)};
+// In every mode with the drive's own abort deceleration.
+Drive::Plan Drive::brake() const {
+  Plan plan;
+  if (mode_ == Mode::Position) {
+    plan.add(kTrajectory, kAbort);
+  } else if (mode_ != Mode::Off) {
+    if (abort_) plan.add(kDecelerationLimit, to_limit(abort_));
+    plan.add(kCommandedVelocity, 0);
+    plan.add(kDesiredState, static_cast<int32_t>(Mode::Velocity));
+  }
+  return plan;
+}
+
+// The mode comes last where a set-point left over from before would be followed.
+Drive::Plan Drive::program() const {
+  Plan plan;
   const int32_t acceleration = demand_.acceleration;
-  const int32_t limit = acceleration < 100 ? 1 : acceleration / 100;  // [1000 counts/s^2]
-  Write writes[8];
-  uint8_t count = 0;
+  const auto mode = static_cast<int32_t>(mode_of(demand_.goal));
   switch (demand_.goal) {
     case Demand::Current:
-      writes[count++] = {kCommandedCurrent, demand_.set_point};
-      writes[count++] = desired;
+      plan.add(kCommandedCurrent, demand_.set_point);
+      plan.add(kDesiredState, mode);
       break;
     case Demand::Velocity:
       if (acceleration) {
-        writes[count++] = {kAccelerationLimit, limit};
-        writes[count++] = {kDecelerationLimit, limit};
+        plan.add(kAccelerationLimit, to_limit(acceleration));
+        plan.add(kDecelerationLimit, to_limit(acceleration));
       }
-      writes[count++] = {kCommandedVelocity, demand_.set_point};
-      writes[count++] = desired;
+      plan.add(kCommandedVelocity, demand_.set_point);
+      plan.add(kDesiredState, mode);
       break;
     case Demand::Position:
-      writes[count++] = desired;
-      writes[count++] = {kProfileType, 0};
-      writes[count++] = {kTarget, demand_.set_point};
-      writes[count++] = {kProfileVelocity, demand_.velocity};
+      plan.add(kDesiredState, mode);
+      plan.add(kProfileType, 0);
+      plan.add(kTarget, demand_.set_point);
+      plan.add(kProfileVelocity, demand_.velocity);
       if (acceleration) {
-        writes[count++] = {kProfileAcceleration, acceleration};
-        writes[count++] = {kProfileDeceleration, acceleration};
+        plan.add(kProfileAcceleration, acceleration);
+        plan.add(kProfileDeceleration, acceleration);
       }
-      writes[count++] = {kTrajectory, kStart};
+      plan.add(kTrajectory, kStart);
       break;
     default:
-      writes[count++] = desired;
+      plan.add(kDesiredState, mode);
   }
-  while (step_ < count && writes[step_].variable == kDesiredState && mode_ == mode) ++step_;
-  return step_ < count && order(Part::Program, writes[step_], now);
+  return plan;
 }
 
-void Drive::take_ok(uint64_t now) {
-  if (write_.variable == kDesiredState) mode_ = static_cast<Mode>(write_.value);
-  switch (part_) {
-    case Part::Clear:
-      clearing_ = false;
-      faults_ = 0;
-      break;
-    case Part::Brake:
-      zeroed_ = write_.variable != kTrajectory;
-      braked_ = mode_ == Mode::Position || mode_ == Mode::Velocity;
-      braked_at_ = now;
-      break;
-    case Part::Program:
-      ++step_;
+void Drive::take_ok() {
+  if (write_.variable == kFaults) {
+    clearing_ = false;
+    faults_ = 0;
+    return;
   }
+  if (write_.variable == kDesiredState) mode_ = static_cast<Mode>(write_.value);
+  if (!outdated_) ++step_;
 }
 
 // What cannot be done is held instead, and what cannot be held is switched off.
 void Drive::take_error() {
   paused_ = true;
-  if (part_ == Part::Clear) {
+  if (write_.variable == kFaults) {
     clearing_ = false;
     return;
   }
-  const bool moving = demand_.goal > Demand::Hold;
-  demand_ = Demand{};
-  demand_.goal = moving ? Demand::Hold : Demand::Off;
+  if (outdated_) return;
+  Demand instead;
+  instead.goal = demand_.goal > Demand::Hold ? Demand::Hold : Demand::Off;
   refused_ = true;
-  braked_ = zeroed_ = false;
-  step_ = 0;
+  begin(instead);
 }
 
 // --- lines --------------------------------------------------------------------------------------
@@ -352,18 +380,17 @@ void Drive::get(uint8_t variable, uint64_t now) {
   send(line.text, line.size, now);
 }
 
-bool Drive::order(Part part, Write write, uint64_t now) {
+void Drive::order(Write write, uint64_t now) {
   Line line;
   line.add(write.variable == kTrajectory ? "t" : "s");
   if (write.variable != kTrajectory) line.add_variable(write.variable);
   line.add(write.value);
   line.add("\r");
-  part_ = part;
   write_ = write;
+  outdated_ = false;
   variable_ = 0;
   waiting_ = Waiting::Ok;
   send(line.text, line.size, now);
-  return true;
 }
 
 // A line that the board cannot take fails as if it were not answered.

@@ -66,31 +66,38 @@ class Drive {
   uint16_t homings() const { return homings_; }
 
  private:
-  enum class Phase : uint8_t { Begin, Probe, Rate, Switch, Ask, Running };
+  enum class Phase : uint8_t { Begin, Probe, Rate, Switch, Running };
   enum class Waiting : uint8_t { Nothing, Value, Ok };
-  enum class Part : uint8_t { Clear, Brake, Program };
 
   struct Write {  // variable 0: the trajectory command `t`
     uint8_t variable;
     int32_t value;
   };
+  struct Plan {  // writes in their order
+    Write writes[8];
+    uint8_t size = 0;
+    void add(uint8_t variable, int32_t value) { writes[size++] = {variable, value}; }
+  };
 
+  void begin(const Demand& demand);
   void receive(uint64_t now);
   void reply(uint64_t now);
   void take_value(int32_t value, uint64_t now);
+  void take_mode(int32_t value);
   void end_turn();
-  void take_ok(uint64_t now);
+  void take_ok();
   void take_error();
   void fail(uint64_t now);
   void proceed(uint64_t now);
   void connect(uint64_t now);
   void read_next(uint64_t now);
   bool order_next(uint64_t now);
-  bool brake(uint64_t now);
-  bool program(uint64_t now);
+  bool follow(const Plan& plan, uint64_t now);
+  Plan brake() const;
+  Plan program() const;
   bool at_rest() const;
   void get(uint8_t variable, uint64_t now);
-  bool order(Part part, Write write, uint64_t now);
+  void order(Write write, uint64_t now);
   void send(const char* text, size_t size, uint64_t now);
 
   Board& board_;
@@ -103,8 +110,8 @@ class Drive {
   uint32_t baud_ = 9600;
   uint64_t alive_ = 0;        // when it was last connected to or measured
   uint8_t variable_ = 0;      // that is read
-  Part part_ = Part::Program;
   Write write_ = {};
+  bool outdated_ = false;     // it was given for an earlier demand
   char line_[24] = {};
   size_t line_size_ = 0;
 
@@ -113,16 +120,16 @@ class Drive {
   bool refused_ = false;     // what was asked
   bool clearing_ = false;
   bool paused_ = false;      // no orders until it has been measured anew
-  bool braked_ = false, zeroed_ = false;
+  bool braked_ = false;
   uint64_t braked_at_ = 0;
-  uint8_t step_ = 0;
-  Mode mode_ = Mode::Off;    // as acknowledged
+  uint8_t step_ = 0;         // of the plan that is followed
+  Mode mode_ = Mode::Off;    // as acknowledged or read
 
   // What it reports.
   uint8_t turn_ = 0, slow_turn_ = 0;
   Measurement measured_, next_;
   uint32_t faults_ = 0;
-  int32_t supply_ = 0, temperature_ = 0;
+  int32_t supply_ = 0, temperature_ = 0, abort_ = 0;
   bool referenced_ = false;
   uint16_t homings_ = 0;
 };

@@ -12,8 +12,10 @@ namespace {
 constexpr uint64_t kLatency = 500;         // from a line's end to its reply [us]
 constexpr uint64_t kStep = 1000;           // of the motion [us]
 constexpr double kDt = 1e-6 * kStep;
+constexpr double kFastest = 800'000.0;     // 200 turns a minute [counts/s]
 constexpr double kFriction = 200'000.0;    // deceleration of the free joint [counts/s^2]
 constexpr double kPull = 400'000.0;        // acceleration by a current [counts/s^2/A]
+constexpr size_t kLog = 10'000;            // lines kept
 constexpr uint32_t kLatched = 1u << 22, kDisabled = 1u << 12, kReset = 1u << 20, kMoving = 1u << 27;
 constexpr int kUnknown = 9, kReadOnly = 11, kNotEnabled = 31, kParse = 33;
 
@@ -75,8 +77,8 @@ void DriveModel::latch_faults(uint32_t bits) {
   moving_ = false;
 }
 
-std::vector<std::string> DriveModel::take_log() {
-  std::vector<std::string> log;
+std::deque<std::string> DriveModel::take_log() {
+  std::deque<std::string> log;
   log.swap(log_);
   return log;
 }
@@ -108,6 +110,7 @@ void DriveModel::hear(const Byte& byte) {
 
 void DriveModel::execute(const std::string& line, uint64_t now) {
   log_.push_back(line);
+  if (log_.size() > kLog) log_.pop_front();
   const std::string reply = answer(line) + "\r";
   answered_ = std::max(answered_, now + kLatency);
   for (const char character : reply) {
@@ -198,6 +201,7 @@ void DriveModel::step() {
   } else {
     follow_profile();
   }
+  velocity_ = std::clamp(velocity_, -kFastest, kFastest);
   position_ += velocity_ * kDt;
 }
 

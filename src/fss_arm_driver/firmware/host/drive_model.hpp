@@ -33,7 +33,7 @@ class DriveModel {
   double velocity() const { return velocity_; }  // [counts/s]
   int mode() const { return registers_.at(0x24); }
   uint32_t baud() const { return baud_; }
-  std::vector<std::string> take_log();  // the lines that came since the last call
+  std::deque<std::string> take_log();  // the newest lines that came since the last call
 
  private:
   struct Byte {
@@ -57,7 +57,7 @@ class DriveModel {
   std::map<uint8_t, int32_t> registers_;
   std::string line_;
   std::deque<Byte> to_drive_, to_computer_;
-  std::vector<std::string> log_;
+  std::deque<std::string> log_;
   uint32_t computer_baud_ = 9600, baud_ = 9600;
   uint64_t sent_ = 0, answered_ = 0;  // when the wires are free again
   uint64_t now_ = 0;                  // of the motion
