@@ -117,6 +117,7 @@ class KinematicNode(Node):
         values = {
             "observations": len(self.observations),
             "verdict": self.calibration.verdict,
+            "time offset [s]": streams.offset.value,
             **{f"refused: {kind}": number for kind, number in streams.refused.items()},
         }
         if streams.silent:

@@ -42,6 +42,8 @@ class Hole(NamedTuple):
 class Poses:
     """The poses of a subject, in order of their stamps [ns].
 
+    It is asked in time as the joints' stamps tell it, `lag` more than motion capture's.
+
     Args:
         name: of the subject.
         max_speed: a pose that is farther from the last one than this allows is refused [m/s].
@@ -51,6 +53,7 @@ class Poses:
     def __init__(self, name: str, max_speed: float, max_turn: float) -> None:
         self.name, self.max_speed, self.max_turn = name, max_speed, max_turn
         self.first = self.newest = -1
+        self.lag = 0  # [ns]
         self.refused: Counter[str] = Counter()
         self.set_back = 0  # longest step back of the stamps [ns]
         self.t = array("q")
@@ -114,21 +117,31 @@ class Poses:
             or turn > HEADING_NOISE + self.max_turn * seconds
         )
 
+    @property
+    def begun(self) -> int:
+        """The first stamp."""
+        return self.first + self.lag
+
+    @property
+    def reached(self) -> int:
+        """The newest stamp."""
+        return self.newest + self.lag
+
     def slice(self, begin: int, end: int, moved: int = -1) -> tuple[Stamps, Floats]:
         """Stamps and poses of an interval, with the last one before and the first one after it.
 
         Without those frozen since before `moved`, a moment at which the subject was moving.
         """
-        a = max(bisect_right(self.t, begin) - 1, 0)
-        b = bisect_left(self.t, end) + 1
-        fresh = np.array(self.since[a:b]) > moved
+        a = max(bisect_right(self.t, begin - self.lag) - 1, 0)
+        b = bisect_left(self.t, end - self.lag) + 1
+        fresh = np.array(self.since[a:b]) > moved - self.lag
         poses = np.array(self.xyh[3 * a : 3 * b]).reshape(-1, 3)
-        return np.array(self.t[a:b])[fresh], poses[fresh]
+        return np.array(self.t[a:b])[fresh] + self.lag, poses[fresh]
 
     def frozen(self, begin: int, end: int, moved: int) -> int:
         """How many poses of an interval `slice` leaves out."""
-        a, b = bisect_left(self.t, begin), bisect_right(self.t, end)
-        return int(np.sum(np.array(self.since[a:b]) <= moved))
+        a, b = bisect_left(self.t, begin - self.lag), bisect_right(self.t, end - self.lag)
+        return int(np.sum(np.array(self.since[a:b]) <= moved - self.lag))
 
     def holes(self, begin: int, end: int, gap: float, moved: int = -1) -> list[Hole]:
         """Silences longer than `gap` [ns] that reach into an interval."""
@@ -146,5 +159,5 @@ class Poses:
 
     def forget(self, before: float) -> None:
         """Drop all but the last one of what is older."""
-        k = max(bisect_right(self.t, before) - 1, 0)
+        k = max(bisect_right(self.t, before - self.lag) - 1, 0)
         del self.t[:k], self.since[:k], self.xyh[: 3 * k]

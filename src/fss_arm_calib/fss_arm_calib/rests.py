@@ -22,6 +22,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from .alignment import LONGEST_MOVE, Alignment, Offset
 from .kinematic import wrap
 from .poses import (
     FROZEN,
@@ -54,6 +55,7 @@ class Observation:
     scatter: tuple[float, ...] = (nan, nan, nan)  # of single frames about tip, 1 sigma
     joint_samples: int = 0  # fewest readings of one joint averaged
     vicon_frames: int = 0  # pairs of poses averaged
+    time_offset: float = 0.0  # of the joints' stamps against motion capture's, as allowed for [s]
     used: bool = True
     reason: str = ""  # why it is not used
 
@@ -76,6 +78,7 @@ class Streams:
     strange: tuple[str, ...] = ()  # joints heard that the arm does not have
     refused: Mapping[str, int] = field(default_factory=dict)  # samples, by stream and reason
     set_back: Mapping[str, float] = field(default_factory=dict)  # longest step back of stamps [s]
+    offset: Offset = field(default_factory=Offset)  # between the clocks
 
 
 class _Rest(NamedTuple):
@@ -148,11 +151,13 @@ class RestFinder:
         self.joints = [_Joint(f"joint_{i}") for i in range(1, n + 1)]
         s = self.settings
         self.subjects = {name: Poses(name, s.max_speed, s.max_turn) for name in (BASE, TIP)}
+        self.alignment = Alignment(n, s.still, s.settle + s.shortest)
         self._strange: set[int] = set()
         self._pending: list[_Rest] = []
         self._settled = 0  # when the present rest began to count
         self._confirmed = -1  # up to when all joints are known to rest
         self._observed = False  # the present rest is done with
+        self._aligned = 0  # begin of the last rest that the clocks were aligned for
         self._resting_at = resting_at
         self._until_cleaning = _CLEANING
 
@@ -193,11 +198,11 @@ class RestFinder:
         """What can be said with no more samples to come: the last rest, if long enough."""
         while any(joint.waiting for joint in self.joints):
             self._take_oldest()
-        found = [self._observe(rest, over=True) for rest in self._pending]
-        self._pending.clear()
         newest = max(joint.newest for joint in self.joints)
+        rests, self._pending = self._pending, []
+        found = [self._observe_ended(rest) for rest in rests]
         if not self._done() and (rest := self._rest(newest)):
-            found.append(self._observe(rest, over=True))
+            found.append(self._observe_ended(rest))
             self._observed = found[-1] is not None
         return [observation for observation in found if observation]
 
@@ -214,6 +219,7 @@ class RestFinder:
                 if number
             },
             set_back={stream.name: stream.set_back / _SECOND for stream in every},
+            offset=self.alignment.offset,
         )
 
     @property
@@ -227,6 +233,7 @@ class RestFinder:
     def _take_oldest(self) -> None:
         joint = min((j for j in self.joints if j.waiting), key=lambda j: j.waiting[0][0])
         t, q = joint.waiting.popleft()
+        self.alignment.reading(self.joints.index(joint) + 1, t, q)
         if joint.last >= 0 and joint.still_with(q, self.settings.still):
             joint.extend(t, q, self.settings.joint_gap * _SECOND)
         else:
@@ -268,16 +275,52 @@ class RestFinder:
 
     def _collect(self) -> list[Observation]:
         """Observations that every stream has passed by now."""
-        seen = min(self.subjects[BASE].newest, self.subjects[TIP].newest)
         found = []
-        while self._pending and self._pending[0].end <= seen:
+        while self._pending and self._pending[0].end <= self._seen:
+            self._align(self._pending[0].begin, self._pending[0].end)
+            if self._pending[0].end > self._seen:
+                break  # by the new offset
             found.append(self._observe(self._pending.pop(0), over=True))
-        if not self._pending and self._long_enough(seen) and (rest := self._rest()):
-            found.append(self._observe(rest._replace(end=min(rest.end, seen)), over=False))
-            self._observed = found[-1] is not None
+        if not self._pending:
+            self._align(self._settled, min(self._seen, self._confirmed))
+            if self._long_enough(self._seen) and (rest := self._rest()):
+                until = min(rest.end, self._seen)
+                found.append(self._observe(rest._replace(end=until), over=False))
+                self._observed = found[-1] is not None
         if self._until_cleaning <= 0:
             self._forget()
         return [observation for observation in found if observation]
+
+    @property
+    def _seen(self) -> int:
+        """Up to when both subjects have been heard."""
+        return min(poses.reached for poses in self.subjects.values())
+
+    def _observe_ended(self, rest: _Rest) -> Observation | None:
+        """The observation of a rest, with no more samples to come."""
+        self._align(rest.begin, min(rest.end, self._seen))
+        return self._observe(rest, over=True)
+
+    def _align(self, begin: int, until: int) -> None:
+        """Learn the clocks' offset from the move before a rest that all have heard of by now."""
+        heard = begin + round(self.settings.shortest * _SECOND)
+        if self._aligned == begin or until < heard:
+            return
+        self._aligned = begin
+        move = self.alignment.move(begin - round(self.settings.settle * _SECOND))
+        if not move:
+            return
+        search = round(self.alignment.search * _SECOND)
+        first, last = move[0] - search, move[1] + search
+        gap = self.settings.vicon_gap * _SECOND
+        if any(poses.holes(first, last, gap) for poses in self.subjects.values()):
+            return
+        t, seen = self._from_base(first, last)
+        lag = self.subjects[BASE].lag
+        self.alignment.learn(*move, heard, t - lag, np.unwrap(seen[:, 2]))
+        if self.alignment.offset.deviation < inf:
+            for poses in self.subjects.values():
+                poses.lag = round(self.alignment.offset.value * _SECOND)
 
     def _long_enough(self, seen: int) -> bool:
         """Whether the present rest may hold an interval of full length, told without arrays."""
@@ -290,7 +333,7 @@ class RestFinder:
             round(s * _SECOND) for s in (self.settings.shortest, self.settings.longest)
         )
         # A stream that has not begun is no gap.
-        begin = max(rest.begin, *(poses.first for poses in self.subjects.values()))
+        begin = max(rest.begin, *(poses.begun for poses in self.subjects.values()))
         if rest.end - begin < shortest or any(p.first < 0 for p in self.subjects.values()):
             return None
         holes = [hole for hole in rest.holes if hole.end > begin and hole.start < rest.end]
@@ -315,12 +358,9 @@ class RestFinder:
         for joint, q in zip(self.joints, inside, strict=True):
             if not len(q):
                 return _unused(rest, f"no reading of {joint.name}")
-        t, tip = self.subjects[TIP].slice(begin, end, rest.moved)
-        t_base, base = self.subjects[BASE].slice(begin, end, rest.moved)
-        paired = (t >= max(begin, t_base[0])) & (t <= min(end, t_base[-1]))
-        if np.count_nonzero(paired) < 2:
+        seen = self._from_base(begin, end, rest.moved)[1]
+        if len(seen) < 2:
             return _unused(rest, "fewer than 2 pairs of poses")
-        seen = _in_base(_interpolated(t[paired] - begin, t_base - begin, base), tip[paired])
         together = _together(seen)
         self.subjects[TIP].refused[JUMP] += int(np.sum(~together))
         if np.mean(together) < 1.0 - MOST_CONTRADICTING:
@@ -337,7 +377,20 @@ class RestFinder:
             scatter=tuple(np.sqrt(np.sum(away**2, axis=0) / (len(away) - 1)).tolist()),
             joint_samples=min(map(len, inside)),
             vicon_frames=len(seen),
+            time_offset=self.subjects[BASE].lag / _SECOND,
         )
+
+    def _from_base(
+        self, begin: int, end: int, moved: int = -1
+    ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
+        """Stamps and poses of the end effector seen from the base within an interval."""
+        t, tip = self.subjects[TIP].slice(begin, end, moved)
+        t_base, base = self.subjects[BASE].slice(begin, end, moved)
+        if not len(t_base):
+            return t[:0], tip[:0]
+        paired = (t >= max(begin, t_base[0])) & (t <= min(end, t_base[-1]))
+        seen = _in_base(_interpolated(t[paired] - begin, t_base - begin, base), tip[paired])
+        return t[paired], seen
 
     def _forget(self) -> None:
         """Drop what no observation will ask for: the past, and what lies beyond the horizon."""
@@ -347,9 +400,15 @@ class RestFinder:
             past = min(past, self._pending[0].begin)
         if not self._observed:
             past = min(past, max(j.start for j in self.joints))
-        horizon = max(stream.newest for stream in self._streams) - self.settings.horizon * _SECOND
-        for stream in self._streams:
-            stream.forget(max(past, horizon))
+        horizon = max(stream.newest for stream in self._streams)
+        horizon -= round(self.settings.horizon * _SECOND)
+        for joint in self.joints:
+            joint.forget(max(past, horizon))
+        # A rest's clocks are aligned by the move before it.
+        past -= round((LONGEST_MOVE + 2.0 * self.alignment.search) * _SECOND)
+        for poses in self.subjects.values():
+            poses.forget(max(past, horizon))
+        self.alignment.forget(max(past, horizon))
 
 
 def _pieces(begin: int, end: int, holes: list[Hole]) -> list[tuple[int, int]]:

@@ -89,6 +89,8 @@ class Calibration:
     gaps: int
     refused_kinds: tuple[str, ...]
     refused: tuple[int, ...]
+    time_offset: float
+    time_offset_deviation: float
     arm: str
     guess: str
     description: str
@@ -168,6 +170,8 @@ def calibrate(
         gaps=len(observations) - len(used),
         refused_kinds=tuple(streams.refused),
         refused=tuple(streams.refused.values()),
+        time_offset=streams.offset.value,
+        time_offset_deviation=streams.offset.deviation,
         arm=arm.name,
         guess=to_yaml(arm),
         description=to_yaml(solution.result.calibrated()) if solution and verdict == PASS else "",

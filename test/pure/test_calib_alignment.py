@@ -1,0 +1,113 @@
+"""The clocks' offset from moves at constant acceleration, speed and deceleration."""
+
+import numpy as np
+import pytest
+from calib_rig import ARM, POSTURES, SECOND, Rig
+
+from fss_arm_calib.alignment import Alignment, Offset, mean_offset, offset_of_move
+from fss_arm_calib.postures import DEFAULT
+from fss_arm_calib.rests import RestFinder
+from fss_arm_model.kinematics import tip_in_base
+
+SPEED, ACCELERATION = 0.5, 1.0
+
+
+def path(t: np.ndarray, turn: float) -> np.ndarray:
+    """A joint's angle when it turns by `turn` from time 0 on."""
+    size = abs(turn)
+    ramp = min(SPEED / ACCELERATION, np.sqrt(size / ACCELERATION))
+    length = size / (ACCELERATION * ramp) + ramp
+    t = np.clip(t, 0.0, length)
+    angle = np.where(t < ramp, 0.5 * ACCELERATION * t**2, ACCELERATION * ramp * (t - 0.5 * ramp))
+    braking = size - 0.5 * ACCELERATION * (length - t) ** 2
+    return np.sign(turn) * np.where(t > length - ramp, braking, angle)
+
+
+def offset_seen(rng, delta, noise=0.0, n=4, search=1.0):
+    """What is found of a random move whose joints' stamps are `delta` s late."""
+    turns, start = rng.uniform(-2.0, 2.0, n), rng.uniform(0.0, 0.1, n)
+    end = 2.0 / SPEED + SPEED / ACCELERATION + 0.1
+    q = []
+    for turn, begin in zip(turns, start, strict=True):
+        t = np.arange(-3.0 + rng.uniform(0.0, 0.2), end + 1.5, 0.2)
+        q.append((t + delta, path(t - begin, turn)))
+    seen = np.arange(-3.0, end + 3.0, 0.01)
+    psi = sum(path(seen - begin, turn) for turn, begin in zip(turns, start, strict=True))
+    psi = 1.0 + psi + noise * rng.normal(size=len(seen))
+    return offset_of_move(np.array([delta, end + delta]), q, seen, psi, search)
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-3, 1.2e-2])
+@pytest.mark.parametrize("delta", [-0.7, -0.1, 0.0, 0.05, 0.6])
+def test_the_offset_of_a_move_is_found_within_its_deviation(delta, noise):
+    rng = np.random.default_rng(3)
+    found = [offset_seen(rng, delta, noise) for _ in range(20)]
+    known = [offset for offset in found if offset.deviation < np.inf]
+    assert len(known) >= 17  # of the others all joints together hardly turned the end effector
+    errors = np.array([offset.value - delta for offset in known])
+    deviations = np.array([offset.deviation for offset in known])
+    assert np.abs(errors).max() < 0.003 + noise
+    assert np.mean((errors / deviations) ** 2) < 1.5
+    assert np.median(deviations) < 0.0015 + noise
+
+
+def test_the_deviation_of_the_mean_of_many_moves_is_true():
+    rng = np.random.default_rng(4)
+    squares = []
+    for _ in range(40):
+        moves = [o for o in (offset_seen(rng, 0.05, 1e-3) for _ in range(10)) if o.deviation < 1.0]
+        mean = mean_offset(moves)
+        squares.append(((mean.value - 0.05) / mean.deviation) ** 2)
+    assert 0.5 < np.mean(squares) < 2.0
+    assert mean.deviation < 0.0005
+
+
+def test_what_tells_nothing_is_no_offset():
+    rng = np.random.default_rng(5)
+    assert not offset_seen(rng, 1.5).deviation < np.inf  # beyond the search
+    t = np.arange(-2.0, 4.0, 0.2)
+    turning, back = (t, path(t, 1.0)), (t, path(t, -1.0))
+    seen = np.arange(-2.0, 4.0, 0.01)
+    nothing = offset_of_move(np.array([0.0, 2.5]), [turning, back], seen, 0.0 * seen, 1.0)
+    assert nothing.deviation == np.inf
+    assert np.isnan(nothing.value)
+
+
+def test_moves_that_contradict_each_other_widen_the_deviation():
+    mean = mean_offset([Offset(0.0, 0.001), Offset(0.02, 0.001)])
+    assert mean.value == pytest.approx(0.01)
+    assert mean.deviation == pytest.approx(0.01)
+    assert mean_offset([Offset(0.3, 0.002)]) == Offset(0.3, pytest.approx(0.002))
+
+
+def test_without_moves_there_is_nothing_to_learn():
+    alignment = Alignment(2, 1e-3, 1.0)
+    for k in range(20):
+        for i in (1, 2):
+            alignment.reading(i, k * SECOND // 5, 0.5)
+    assert alignment.move(3 * SECOND) is None
+    alignment.learn(0, SECOND, SECOND, np.empty(0, np.int64), np.empty(0))
+    assert alignment.offset.deviation == np.inf
+
+
+@pytest.mark.parametrize("late", [-0.9, -0.03, 0.04, 0.9])
+def test_the_finder_allows_for_the_offset(late):
+    """All joints' stamps are late: the windows of poses would reach into the next move."""
+    rig = Rig(np.array([*POSTURES, *DEFAULT[:5]]), rest=2.6)
+    finder, found = RestFinder(4), []
+    for s in rig.samples():
+        if isinstance(s.stream, str):
+            found += finder.pose(s.stream, s.t, s.value)
+        else:
+            found += finder.joint(s.stream, s.t + round(late * SECOND), s.value)
+    found += finder.close()
+    offset = finder.streams().offset
+    assert offset.value == pytest.approx(late, abs=0.003)
+    assert offset.deviation < 0.003
+    # Nothing had moved before the first rest, and its poses may be those of the move after it.
+    assert found[0].time_offset == 0.0
+    assert found[0].used or found[0].reason == "poses contradict each other"
+    assert [o.used for o in found[1:]] == [True] * 7
+    for observation, posture in zip(found[1:], rig.postures[1:], strict=True):
+        assert observation.time_offset == pytest.approx(late, abs=0.005)
+        assert observation.tip == pytest.approx(tip_in_base(ARM.vector(), posture), abs=1e-4)
