@@ -26,7 +26,7 @@ import numpy.typing as npt
 from fss_arm_model.description import Arm, kinematic_index, kinematic_names
 from fss_arm_model.kinematics import tip_in_base, tip_regressor
 
-Floats = npt.NDArray[np.float64]
+from .least_squares import Floats, Linear, Minimum, minimize
 
 FULL, EQUAL, OFFSETS = "full", "equal", "offsets"
 PARAMETRIZATIONS = (FULL, EQUAL, OFFSETS)
@@ -37,12 +37,6 @@ HEADING_DEVIATION = float(np.radians(0.715))
 
 #: A parameter's share in the undetermined directions from which on it is named.
 NOTICEABLE = 1e-3
-
-#: A step below this changes a parameter by no more than rounding does [m, rad].
-ROUNDING = 1e-13
-
-#: A step below this is taken without asking whether it lowers the cost [deviations].
-SHORT = 1e-6
 
 
 class Loss(NamedTuple):
@@ -224,6 +218,16 @@ class KinematicProblem:
         """(s,) rho'(d_k^2)."""
         return LOSSES[self.loss].weight(self.distances(xi))
 
+    def linear(self, xi: Floats) -> Linear:
+        """The weighted problem near xi."""
+        distances = self.distances(xi)
+        root = np.repeat(np.sqrt(LOSSES[self.loss].weight(distances)), 3)
+        return Linear(
+            residuals=root * (self.residuals(xi) / self.sigma).ravel(),
+            regressor=root[:, None] * self.regressor(xi),
+            cost=float(np.sum(LOSSES[self.loss].cost(distances))),
+        )
+
     def is_mirrored(self, xi: Floats) -> bool:
         """Whether a length is negative."""
         return bool((self.all_parameters(xi)[: self.arm.n] < 0.0).any())
@@ -340,52 +344,6 @@ def _lengths(z: Floats, covariance: Floats) -> Floats:
     return np.sqrt(np.maximum(np.einsum("ki,kij,kj->k", z, inverse, z), 0.0))
 
 
-class _Decomposition(NamedTuple):
-    """Singular values of the column-scaled regressor, Phi / scale = U diag(s) Vt.
-
-    Those too small against the largest are left out: along them the observations say nothing.
-    """
-
-    scale: Floats  # (p,)
-    U: Floats  # (3s, rank)
-    s: Floats  # (rank,)
-    Vt: Floats  # (rank, p)
-    condition: float
-
-    @classmethod
-    def of(cls, Phi: Floats, max_condition: float) -> "_Decomposition":
-        norms = np.linalg.norm(Phi, axis=0)
-        scale = np.where(norms > 0.0, norms, 1.0)
-        U, s, Vt = np.linalg.svd(Phi / scale, full_matrices=False)
-        keep = s * max_condition > s[0]
-        condition = s[0] / s[-1] if len(s) == len(scale) and s[-1] > 0.0 else inf
-        return cls(scale, U[:, keep], s[keep], Vt[keep], float(condition))
-
-    def step(self, residuals: Floats, damping: float) -> Floats:
-        """Eq. 4; a positive damping turns and shortens it towards steepest descent (Levenberg)."""
-        return self.Vt.T @ (self.s / (self.s**2 + damping) * (self.U.T @ residuals)) / self.scale
-
-    def covariance(self) -> Floats:
-        root = self.Vt.T / self.s / self.scale[:, None]
-        return root @ root.T
-
-    def undetermined(self) -> Floats:
-        """(p,) share of each parameter in the directions left out, 0 to 1."""
-        return 1.0 - np.sum(self.Vt**2, axis=0)
-
-
-class _Fit(NamedTuple):
-    """Where an iteration ended."""
-
-    xi: Floats
-    cost: float
-    basis: _Decomposition
-    weights: Floats
-    iterations: int
-    update: float
-    converged: bool
-
-
 def solve(
     problem: KinematicProblem,
     tolerance: float = 1e-9,
@@ -410,68 +368,47 @@ def solve(
     """
     guess = problem.initial if start is None else np.asarray(start, dtype=float)
     starts = [_linear_stage(problem, guess), *_closed_form(problem)]
-    limits = tolerance, max_iterations, max_condition
     freedom = max(problem.tip.size - len(guess), 1)
-    fits: list[_Fit] = []
+    fits: list[Minimum] = []
+
+    def iterate(xi: Floats) -> Minimum:
+        fits.append(
+            minimize(
+                problem.linear,
+                problem.folded(xi),
+                tolerance=tolerance,
+                max_iterations=max_iterations,
+                max_condition=max_condition,
+            )
+        )
+        return fits[-1]
+
     for xi in sorted(starts, key=problem.cost):
-        fits.append(_iterate(problem, problem.folded(xi), *limits))
-        if problem.is_mirrored(fits[-1].xi):
-            fits.append(_iterate(problem, problem.folded(fits[-1].xi), *limits))
-        if fits[-1].converged and fits[-1].cost < freedom + 10.0 * np.sqrt(2.0 * freedom):
+        fit = iterate(xi)
+        if problem.is_mirrored(fit.x):
+            fit = iterate(fit.x)
+        if fit.converged and fit.linear.cost < freedom + 10.0 * np.sqrt(2.0 * freedom):
             break  # no other minimum can be so much better that chance does not explain it
-    best = min(fits, key=lambda fit: (not fit.converged, fit.cost))
-    missing = len(best.xi) - len(best.basis.s)
+    best = min(fits, key=lambda fit: (not fit.converged, fit.linear.cost))
+    missing = len(best.x) - len(best.basis.s)
     if missing:
         shares = zip(problem.names, best.basis.undetermined(), strict=True)
         names = tuple(name for name, share in shares if share > NOTICEABLE)
         raise NotIdentifiable(names, missing, best.basis.condition)
     angles = np.array(problem.units) == "rad"
+    weights = problem.weights(best.x)
     return KinematicResult(
         problem=problem,
-        values=np.where(angles, wrap(best.xi), best.xi),
+        values=np.where(angles, wrap(best.x), best.x),
         covariance=best.basis.covariance(),
-        residuals=problem.residuals(best.xi),
-        weights=best.weights,
-        chi_square=float(best.weights @ problem.distances(best.xi)),
+        residuals=problem.residuals(best.x),
+        weights=weights,
+        chi_square=float(weights @ problem.distances(best.x)),
         condition_number=best.basis.condition,
         iterations=best.iterations,
-        last_update=best.update,
+        last_update=best.last_update,
         converged=best.converged,
     )
-
-
-def _iterate(
-    problem: KinematicProblem,
-    xi: Floats,
-    tolerance: float,
-    max_iterations: int,
-    max_condition: float,
-) -> _Fit:
-    """Eq. 4 from `xi` on; a step that would not lower the cost is damped until it does."""
-
-    def weigh(xi: Floats) -> tuple[Floats, _Decomposition]:
-        root = np.repeat(np.sqrt(problem.weights(xi)), 3)
-        return root, _Decomposition.of(root[:, None] * problem.regressor(xi), max_condition)
-
-    (root, basis), cost = weigh(xi), problem.cost(xi)
-    damping, converged = 0.0, False
-    for iteration in range(1, max_iterations + 1):  # noqa: B007
-        residuals = root * (problem.residuals(xi) / problem.sigma).ravel()
-        step = basis.step(residuals, damping)
-        update = float(np.max(np.abs(step) / np.sqrt(np.diag(basis.covariance()))))
-        negligible = update < tolerance or float(np.max(np.abs(step))) < ROUNDING
-        converged = damping == 0.0 and negligible
-        next_cost = problem.cost(xi + step)
-        # A step so short changes the cost by its square: less than rounding does.
-        if update < SHORT or next_cost <= cost:
-            xi, cost = xi + step, next_cost
-            root, basis = weigh(xi)
-            damping = damping / 10.0 if damping > 1e-3 else 0.0
-        else:
-            damping = max(10.0 * damping, 1e-3)
-        if converged:
-            break
-    return _Fit(xi, cost, basis, root[::3] ** 2, iteration, update, converged)
 
 
 def _turns(problem: KinematicProblem) -> npt.NDArray[np.complex128]:
