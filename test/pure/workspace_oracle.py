@@ -65,3 +65,55 @@ def reachable(p, limits, points, rng, hopes=None, samples=100_000, starts=6, goo
         start = q[rng.integers(samples, size=len(rest))]
         found[rest] = descend(p, limits, points[rest], start)[1] < good
     return found
+
+
+def elbows(arm, point, q1, q2):
+    """All postures of four links with the tip at a point and the first two joints given.
+
+    The last two are a triangle whose elbow is on either side; shapes (2, ..., 4), NaN where none.
+    """
+    a = [link.a for link in arm.links]
+    offset = [arm.base.mount[2], *(link.theta_0 for link in arm.links[1:])]
+    heading = q1 + offset[0]
+    joint = complex(*arm.base.mount[:2]) + a[0] * np.exp(1j * heading)
+    heading = heading + q2 + offset[1]
+    joint = joint + a[1] * np.exp(1j * heading)
+    rest = point - joint
+    with np.errstate(invalid="ignore"):
+        bend = np.arccos((np.abs(rest) ** 2 - a[2] ** 2 - a[3] ** 2) / (2.0 * a[2] * a[3]))
+    bend = np.stack([bend, -bend])
+    first = np.angle(rest) - np.angle(a[2] + a[3] * np.exp(1j * bend)) - heading
+    q = [q1 + 0.0 * bend, q2 + 0.0 * bend, first - offset[2], bend - offset[3]]
+    q = np.stack(np.broadcast_arrays(*q), axis=-1)
+    return (q + np.pi) % (2.0 * np.pi) - np.pi
+
+
+def exhaustive(arm, limits, point, measure, count=100, peaks=24, zooms=16):
+    """The largest `measure(q)` of four links over a grid of the first two joints, then finer."""
+
+    def scan(q1, q2):
+        q = elbows(arm, point, q1, q2)
+        good = ((q >= limits[:, 0]) & (q <= limits[:, 1])).all(axis=-1)
+        w = np.full(good.shape, -1.0)
+        w[good] = measure(q[good])
+        return w
+
+    axes = [np.linspace(low, high, count) for low, high in limits[:2]]
+    q1, q2 = np.meshgrid(*axes, indexing="ij")
+    w = scan(q1, q2)
+    best = w.max()
+    padded = np.pad(w, ((0, 0), (1, 1), (1, 1)), constant_values=-1.0)
+    around = [padded[:, i : i + count, j : j + count] for i in range(3) for j in range(3)]
+    tops = np.flatnonzero((w >= np.max(around, axis=0)) & (w > 0.0))
+    tops = tops[np.argsort(-w.ravel()[tops])][:peaks] % q1.size
+    x, y, size = q1.ravel()[tops], q2.ravel()[tops], [axis[1] - axis[0] for axis in axes]
+    grid = np.linspace(-1.0, 1.0, 9)
+    for _ in range(zooms):
+        fine = x[:, None, None] + size[0] * grid[:, None] + 0.0 * grid
+        other = y[:, None, None] + 0.0 * grid[:, None] + size[1] * grid
+        w = scan(fine, other).max(axis=0).reshape(len(x), -1)
+        k = w.argmax(axis=1)
+        best = max(best, w.max(initial=-1.0))
+        x, y = (m.reshape(len(x), -1)[np.arange(len(x)), k] for m in (fine, other))
+        size = [0.6 * s for s in size]
+    return best

@@ -7,7 +7,7 @@ rate. Leading dimensions broadcast. The notation is kinematics.py's.
 import numpy as np
 import numpy.typing as npt
 
-from ._cache import Floats, kernel
+from ._cache import Complexes, Floats, helper, kernel
 from .dynamics import _join
 from .kinematics import _THREE, _TWO, _chain, _cross, _dot, _mass, _moment, checked
 
@@ -44,10 +44,9 @@ def _momentum(p: Floats, q: Floats, qd: Floats, _t: Floats, out: Floats) -> None
     out[0], out[1], out[2] = P.real, P.imag, L - _cross(S / M, P)
 
 
-@kernel("(p),(m),(t),(n)->(t,n)")
-def _generalized_jacobian(p: Floats, q: Floats, _t: Floats, _n: Floats, J: Floats) -> None:
-    d, e = np.empty((2, q.size - 2), np.complex128)
-    _chain(p, q, d, e)
+@helper
+def _floating(p: Floats, d: Complexes, e: Complexes, J: Floats) -> None:
+    """Write the generalized Jacobian (3, n), without allocation, from the bodies' d and e."""
     tip, M, S, K = 0j, 0.0, 0j, 0.0
     for k in range(d.size - 1, -1, -1):
         M, S, K = _join(p, k, d, e, M, S, K)
@@ -64,6 +63,13 @@ def _generalized_jacobian(p: Floats, q: Floats, _t: Floats, _n: Floats, J: Float
         v = -1j * (omega * com + S_k / M)
         v += 1j * (omega * tip + tip - r)
         J[0, k - 1], J[1, k - 1], J[2, k - 1] = v.real, v.imag, omega + 1.0
+
+
+@kernel("(p),(m),(t),(n)->(t,n)")
+def _generalized_jacobian(p: Floats, q: Floats, _t: Floats, _n: Floats, J: Floats) -> None:
+    d, e = np.empty((2, q.size - 2), np.complex128)
+    _chain(p, q, d, e)
+    _floating(p, d, e, J)
 
 
 def system_com(p: npt.ArrayLike, q: npt.ArrayLike) -> Floats:

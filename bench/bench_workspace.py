@@ -1,0 +1,89 @@
+"""How long the maps take, beside plain numpy sampling: `python bench/bench_workspace.py`.
+
+One core unless said otherwise, after the kernels are compiled. Times are medians of three runs; of
+the processor too, as other programs may run.
+"""
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import time
+from collections.abc import Callable
+from statistics import median
+from typing import Any
+
+import numpy as np
+
+from fss_arm_model.description import Arm, paper_arm
+from fss_arm_workspace.fixed import fixed_workspace, joint_limits
+from fss_arm_workspace.manipulability import FIXED, FLOATING, Grid, Map, manipulability_map
+
+CELL = 0.01  # [m]
+RUNS = 3
+
+
+def timed(work: Callable[[], Any]) -> tuple[float, float, Any]:
+    """Seconds, seconds of the processor, and what `work` made."""
+    times, processor, result = [], [], None
+    for _ in range(RUNS):
+        begin = time.perf_counter(), time.process_time()
+        result = work()
+        times.append(time.perf_counter() - begin[0])
+        processor.append(time.process_time() - begin[1])
+    return median(times), median(processor), result
+
+
+def sampled_map(arm: Arm, grid: Grid, count: int, seed: int = 0) -> np.ndarray:
+    """The largest w of random postures in each cell, as one would write it in numpy: fixed base."""
+    rng, best = np.random.default_rng(seed), np.full(grid.width * grid.height, np.nan)
+    a = np.array([link.a for link in arm.links])
+    offset = np.array([arm.base.mount[2], *(link.theta_0 for link in arm.links[1:])])
+    low, high = joint_limits(arm).T
+    for _ in range(max(1, count // 500_000)):
+        q = rng.uniform(low, high, (min(count, 500_000), arm.n))
+        heading = np.cumsum(q + offset, axis=1)
+        reach = np.cumsum((a * np.exp(1j * heading))[:, ::-1], axis=1)[:, ::-1]
+        tip = complex(*arm.base.mount[:2]) + reach[:, 0]
+        J = np.stack([-reach.imag, reach.real], axis=1)
+        w = np.sqrt(np.linalg.det(J @ J.transpose(0, 2, 1)).clip(0.0))
+        column = ((tip.real - grid.x) / grid.cell).astype(int)
+        row = ((tip.imag - grid.y) / grid.cell).astype(int)
+        np.fmax.at(best, row * grid.width + column, w)
+    return best.reshape(grid.height, grid.width)
+
+
+def main() -> None:
+    arm = paper_arm()
+    manipulability_map(arm, FIXED, cell=0.1)
+    boundary, _, region = timed(lambda: fixed_workspace(arm))
+    print(f"boundary in {len(region.arcs)} exact arcs: {1e3 * boundary:.1f} ms")
+    maps: dict[str, Map] = {}
+    for name, kind in (("fixed", FIXED), ("floating", FLOATING)):
+        for workers in (1, 2, 4):
+            taken, processor, maps[name] = timed(
+                lambda: manipulability_map(arm, kind, cell=CELL, workers=workers)  # noqa: B023
+            )
+            cells = int(np.isfinite(maps[name].w).sum())
+            print(
+                f"{name} base, best of all postures, {cells} cells of 1 cm, {workers} threads: "
+                f"{taken:.2f} s, of the processor {processor:.2f} s, "
+                f"{1e6 * processor / cells:.1f} us a cell"
+            )
+    fixed = maps["fixed"]
+    for count in (500_000, 4_000_000, 16_000_000):
+        begin = time.perf_counter()
+        error = np.abs(sampled_map(arm, fixed.grid, count) - fixed.w)
+        taken = time.perf_counter() - begin
+        empty = np.isnan(error[np.isfinite(fixed.w)]).mean()
+        print(
+            f"numpy, fixed base, {count} random postures: {taken:.1f} s, "
+            f"error of w: median {np.nanmedian(error):.4f}, "
+            f"95 % {np.nanquantile(error, 0.95):.4f}, largest {np.nanmax(error):.3f} m^2; "
+            f"{100 * empty:.1f} % of the cells empty"
+        )
+    print("(ours: within 1e-4 of an exhaustive search, see test_workspace_manipulability.py)")
+
+
+if __name__ == "__main__":
+    main()

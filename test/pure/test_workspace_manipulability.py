@@ -1,0 +1,132 @@
+"""Measures and ellipsoids against Pinocchio, best postures against exhaustive search."""
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from model_arms import random_arm
+from numpy.testing import assert_allclose
+from model_oracles import pinocchio_model
+from workspace_oracle import exhaustive, tips
+
+from fss_arm_model.description import paper_arm
+from fss_arm_workspace.fixed import joint_limits
+from fss_arm_workspace.manipulability import (
+    FIXED,
+    FIXED_POSE,
+    FLOATING,
+    FLOATING_POSE,
+    Grid,
+    Search,
+    ellipsoid,
+    jacobian,
+    measure,
+    singularity,
+)
+
+KINDS = [FIXED, FLOATING, FIXED_POSE, FLOATING_POSE]
+
+
+def pinocchio_jacobian(arm, q_m, kind):
+    model = pinocchio_model(arm)
+    data, q = model.createData(), np.concatenate([np.zeros(3), q_m])
+    J = pin.computeFrameJacobian(model, data, q, 1, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
+    J = J[[0, 1, 5]]
+    if not kind[0]:
+        return J[: int(kind[1]), 3:]
+    H = pin.crba(model, data, q)
+    H = np.triu(H) + np.triu(H, 1).T
+    return (J[:, 3:] - J[:, :3] @ np.linalg.solve(H[:3, :3], H[:3, 3:]))[: int(kind[1])]
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=str)
+@pytest.mark.parametrize("n", [2, 4, 7])
+def test_ellipsoids_are_those_of_pinocchios_jacobians(n, kind):
+    rng = np.random.default_rng(n)
+    arm = random_arm(n, rng)
+    for q in rng.uniform(-3.0, 3.0, (50, n)):
+        theirs = pinocchio_jacobian(arm, q, kind)
+        radii, axes = ellipsoid(jacobian(arm, q, kind))
+        shape = axes.T @ np.diag(radii**2) @ axes
+        assert_allclose(shape, theirs @ theirs.T, atol=1e-9)
+        w = np.sqrt(max(np.linalg.det(theirs @ theirs.T), 0.0))
+        assert measure(arm.vector(), q, kind) == pytest.approx(w, rel=1e-9, abs=1e-7)
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=str)
+@pytest.mark.parametrize("count", [20, pytest.param(1000, marks=pytest.mark.slow)])
+def test_the_best_posture_is_that_of_an_exhaustive_search(kind, count):
+    arm, rng = paper_arm(), np.random.default_rng(3)
+    search, limits = Search(arm, kind), joint_limits(arm)
+    x, y = rng.uniform(-1.7, 1.7, (2, 4 * count))
+    points = (x + 1j * y)[search.region.contains(x + 1j * y)][:count]
+    best = search.at(np.stack([points.real, points.imag], axis=-1))
+    assert len(best.w) == count
+    assert_allclose(tips(arm.vector(), best.q), points, atol=1e-9)
+    assert (best.q >= limits[:, 0]).all()
+    assert (best.q <= limits[:, 1]).all()
+    assert_allclose(measure(arm.vector(), best.q, kind), best.w, atol=1e-9)
+    known = [exhaustive(arm, limits, z, lambda q: measure(arm.vector(), q, kind)) for z in points]
+    assert (best.w > np.array(known) - 1e-4).all()
+    assert np.quantile(np.abs(best.w - known), 0.95) < 1e-4  # the grid itself may lack an edge
+
+
+@pytest.mark.parametrize("n", [2, 3, 5])
+def test_other_numbers_of_links(n):
+    """Each reachable point has a posture; with two links there are two to choose from."""
+    rng = np.random.default_rng(n)
+    arm = random_arm(n, rng)
+    search = Search(arm, FLOATING, spacing=0.04 if n < 4 else 0.1)
+    inner = Grid.around(search.region, 0.05).inside(search.region)
+    points = inner[search.region.distance(inner) > 1e-3]
+    best = search.at(np.stack([points.real, points.imag], axis=-1))
+    assert_allclose(tips(arm.vector(), best.q), points, atol=1e-9)
+    q = rng.uniform(*joint_limits(arm).T, (200, n))
+    z = tips(arm.vector(), q)
+    best = search.at(np.stack([z.real, z.imag], axis=-1))
+    assert (best.w > measure(arm.vector(), q, FLOATING) - 1e-6).all()
+
+
+def test_threads_change_nothing():
+    one, two = (Search(paper_arm(), spacing=0.2, workers=workers).coarse for workers in (1, 2))
+    assert_allclose(one.q, two.q, rtol=0, atol=0)
+
+
+def test_a_straight_arm_is_singular_on_a_fixed_base_but_not_on_a_floating_one():
+    arm = paper_arm()
+    straight = -np.array([link.theta_0 for link in arm.links])
+    assert singularity(arm, straight) == (True, False)
+    assert measure(arm.vector(), straight, FIXED) == pytest.approx(0.0, abs=1e-7)
+    assert measure(arm.vector(), straight, FLOATING) > 0.005
+
+
+def test_a_straight_arm_in_line_with_the_bases_centre_of_mass_is_singular_on_both():
+    arm = paper_arm()
+    in_line = replace(arm, base=replace(arm.base, mount=(0.2, 0.0, 0.0)))
+    straight = -np.array([link.theta_0 for link in arm.links])
+    assert singularity(in_line, straight) == (True, True)
+
+
+def test_a_dynamic_singularity_that_geometry_does_not_show():
+    """Between two postures where det(J*) of a two-link arm has unlike signs lies a zero of it."""
+    arm = replace(paper_arm(), links=paper_arm().links[:2])
+
+    def det(q_2):
+        return np.linalg.det(jacobian(arm, np.array([1.0, q_2]), FLOATING))
+
+    low, high = 0.05, 1.5
+    signs = [np.sign(det(q)) for q in np.linspace(-low - 0.5, high, 40)]
+    assert len(set(signs)) == 2
+    grid = np.linspace(-low - 0.5, high, 40)
+    k = int(np.flatnonzero(np.diff(signs))[0])
+    low, high = grid[k], grid[k + 1]
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if np.sign(det(middle)) == np.sign(det(low)) else (low, middle)
+    assert singularity(arm, np.array([1.0, low])) == (False, True)
+
+
+def test_an_arm_of_one_link_has_no_map():
+    with pytest.raises(ValueError, match="the arm has 1 link, expected 2 or more"):
+        Search(replace(paper_arm(), links=paper_arm().links[:1]))
