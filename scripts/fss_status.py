@@ -25,15 +25,9 @@ from rich.markup import escape
 from rich.table import Table
 
 from fss_arm_msgs.msg import LinkTelemetry
-from fss_arm_ros.definitions import NotInstalledError, message_class
+from fss_arm_ros.definitions import MEASUREMENTS, NotInstalledError, message_class
 from fss_arm_ros.qos import LATCHED
 
-MEASUREMENTS = (
-    "sensor_msgs/msg/JointState",
-    "sensor_msgs/msg/Imu",
-    "geometry_msgs/msg/PoseStamped",
-    "fss_arm_msgs/msg/LinkTelemetry",
-)
 LOOSE = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)  # slows no publisher
 SPAN = 2.0  # rates are taken over [s]
 REPORT = 3.0  # older than this, a node's report says nothing of it any more [s]

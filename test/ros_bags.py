@@ -8,11 +8,16 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
+from fss_arm_ros.convert import stamp_ns
 from fss_arm_ros.qos import LATCHED, SENSOR
 from fss_arm_ros.recording import Recording
 
 SECOND = 1_000_000_000
 START = 1_700_000_000 * SECOND
+STEP = SECOND // 100
+
+#: A bag that holds the first version of our messages.
+FIRST = Path(__file__).parent / "data/first"
 
 
 def joint_state(k: int) -> JointState:
@@ -22,18 +27,24 @@ def joint_state(k: int) -> JointState:
     message = JointState(
         name=[f"joint_{k % 4 + 1}"], position=[0.001 * k], velocity=[0.1], effort=[-0.5 * k]
     )
-    message.header.stamp = Time(sec=k, nanosec=k)
+    sec, nanosec = divmod(START + k * STEP, SECOND)
+    message.header.stamp = Time(sec=sec, nanosec=nanosec)
     return message
+
+
+def number(message: Any) -> int:
+    """The k of a joint state."""
+    return (stamp_ns(message.header.stamp) - START) // STEP
 
 
 def fill(recording: Recording, count: int, first: int = 0, chunk: int = 10) -> None:
     """Record `count` joint states 10 ms apart, and a latched text at the beginning."""
     recording.add("/robot_description", "std_msgs/msg/String", [LATCHED])
     recording.add("/joint_states", "sensor_msgs/msg/JointState", [SENSOR])
-    begin = START + first * SECOND // 100
+    begin = START + first * STEP
     recording.write("/robot_description", begin, serialize_message(String(data="arm")))
     for k in range(first, first + count):
-        receipt = START + k * SECOND // 100
+        receipt = START + k * STEP
         recording.write("/joint_states", receipt, serialize_message(joint_state(k)))
         if (k + 1) % chunk == 0:
             recording.flush()
@@ -58,4 +69,4 @@ def make_killed_bag(folder: Path, count: int = 100, first: int = 0) -> Path:
 
 def states(messages: Any) -> list[int]:
     """The numbers k of the joint states among messages as `Bags.messages` gives them."""
-    return [m.header.stamp.sec for topic, _, _, m in messages if topic == "/joint_states"]
+    return [number(m) for topic, _, _, m in messages if topic == "/joint_states"]

@@ -7,11 +7,12 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
-from ros_bags import START, make_bag, make_killed_bag
+from ros_bags import FIRST, START, STEP, joint_state, make_bag, make_killed_bag, number
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Empty, String
 
+from fss_arm_msgs.msg import KinematicCalibration
 from fss_arm_ros.bags import open_bags
 from fss_arm_ros.qos import LATCHED, SENSOR, subscribe_sensor
 from fss_arm_ros.recording import Recording
@@ -35,7 +36,7 @@ def ended(spin, nodes, timeout=20.0):
 def test_nothing_is_lost_at_full_speed(spin, tmp_path, make):
     node, got = Node("reader"), []
     subscribe_sensor(
-        node, JointState, "joint_states", lambda m: got.append(m.header.stamp.sec), keep_all=True
+        node, JointState, "joint_states", lambda m: got.append(number(m)), keep_all=True
     )
     player = replay(make(tmp_path, 1000), rate=0.0, wait_for=["joint_states"])
     assert ended(spin, [player, node]) == 0
@@ -119,3 +120,76 @@ def test_waiting_in_vain_is_told(spin, tmp_path):
 def test_waiting_for_what_is_not_played_is_told(spin, tmp_path):
     player = replay(make_bag(tmp_path, 1), wait_for=["joint_sates"])
     assert "/joint_sates is not played" in ended(spin, [player])
+
+
+def latched_and_volatile(folder):
+    """A bag with a text a second, latched, and joint states all the time, for 3 s."""
+    recording = Recording(folder)
+    recording.add("/robot_description", "std_msgs/msg/String", [LATCHED])
+    recording.add("/joint_states", "sensor_msgs/msg/JointState", [SENSOR])
+    for k in range(300):
+        receipt = START + k * STEP
+        if k % 100 == 0:
+            text = String(data=f"arm {k // 100}")
+            recording.write("/robot_description", receipt, serialize_message(text))
+        recording.write("/joint_states", receipt + 1, serialize_message(joint_state(k)))
+    recording.close()
+    return folder
+
+
+def test_a_start_within_says_first_what_was_latched_last(spin, tmp_path):
+    node, got = Node("reader"), []
+    keep = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    node.create_subscription(String, "robot_description", lambda m: got.append(m.data), keep)
+    subscribe_sensor(
+        node, JointState, "joint_states", lambda m: got.append(number(m)), keep_all=True
+    )
+    wait_for = ["joint_states", "robot_description"]
+    player = replay(latched_and_volatile(tmp_path), rate=0.0, start=1.5, wait_for=wait_for)
+    assert ended(spin, [player, node]) == 0
+    spin(node, lambda: len(got) == 152)
+    assert [m for m in got if isinstance(m, str)] == ["arm 1", "arm 2"]
+    assert [m for m in got if isinstance(m, int)] == list(range(150, 300))
+
+
+def test_a_loop_begins_again_at_the_start(spin, tmp_path):
+    node, got = Node("reader"), []
+    subscribe_sensor(
+        node, JointState, "joint_states", lambda m: got.append(number(m)), keep_all=True
+    )
+    bag = latched_and_volatile(tmp_path)
+    player = replay(
+        bag, rate=0.0, start=2.9, loop=True, topics=["joint_states"], wait_for=["joint_states"]
+    )
+    spin([player, node], lambda: len(got) >= 25)
+    assert got[:25] == [*range(290, 300), *range(290, 300), *range(290, 295)]
+    assert list(player.players) == ["/joint_states"]
+
+
+def test_a_start_behind_the_end_is_refused(ros, tmp_path):
+    with pytest.raises(ValueError, match=r"start is 9\.0 s, but the bags last 2\.990 s"):
+        replay(latched_and_volatile(tmp_path), start=9.0)
+
+
+def test_a_topic_with_another_publisher_ends_the_replay(spin, tmp_path):
+    node = Node("link_1")
+    node.create_publisher(JointState, "joint_states", SENSOR)
+    player = replay(make_bag(tmp_path, 10), discovery=10.0)
+    said = ended(spin, [player, node])
+    assert said == "/joint_states is published by link_1: stop that, or choose topics"
+    assert player.played == 0
+
+
+def test_messages_of_the_first_version_are_played_as_present_ones(spin, tmp_path):
+    """The bag is older than fields of its results, which replay gives their defaults."""
+    topic = "calibration/kinematic"
+    with open_bags(FIRST) as bags:
+        ((_, _, _, recorded),) = bags.messages([f"/{topic}"])
+    assert not hasattr(recorded, "provenance")
+    node, got = Node("reader"), []
+    node.create_subscription(KinematicCalibration, f"recorded/{topic}", got.append, LATCHED)
+    player = replay(FIRST, rate=0.0, hold=True)
+    spin([player, node], lambda: got)
+    assert got[0].verdict == recorded.verdict
+    assert list(got[0].values) == list(recorded.values)
+    assert got[0].provenance == KinematicCalibration().provenance

@@ -4,40 +4,53 @@ import pytest
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, ReliabilityPolicy
 
 from fss_arm_ros.bags import Topic
+from fss_arm_ros.playlist import choose, played_as, profile
 from fss_arm_ros.qos import LATCHED, SENSOR
 from fss_arm_ros.recording import bag_qos
-from fss_arm_ros.replay_node import played_as, profile
 
 
 @pytest.mark.parametrize(
-    ("recorded", "played"),
+    ("recorded", "msgtype", "played"),
     [
-        ("/joint_states", "/joint_states"),
-        ("/lab/vicon/fss/fss", "/lab/vicon/fss/fss"),
-        ("/link_1/telemetry", "/link_1/telemetry"),
-        ("/robot_description", "/robot_description"),
-        ("/link_1/command", None),
-        ("/lab/link_1/command", None),
-        ("/thrusters/command", None),
-        ("/thrusters/anything", None),
-        ("/arm/stop", None),
-        ("/lab/arm/stop", None),
-        ("/clock", None),
-        ("/rosout", None),
-        ("/parameter_events", None),
-        ("/calibration/kinematic", "recorded/calibration/kinematic"),
-        ("/lab/calibration/observations", "recorded/lab/calibration/observations"),
-        ("/diagnostics", "recorded/diagnostics"),
+        ("/joint_states", "sensor_msgs/msg/JointState", "/joint_states"),
+        ("/lab/vicon/fss/fss", "geometry_msgs/msg/PoseStamped", "/lab/vicon/fss/fss"),
+        ("/link_1/telemetry", "fss_arm_msgs/msg/LinkTelemetry", "/link_1/telemetry"),
+        ("/robot_description", "std_msgs/msg/String", "/robot_description"),
+        ("/link_1/command", "fss_arm_msgs/msg/LinkCommand", None),
+        ("/lab/link_1/command", "fss_arm_msgs/msg/LinkCommand", None),
+        ("/thrusters/command", "std_msgs/msg/UInt8", None),
+        ("/thrusters/anything", "sensor_msgs/msg/JointState", None),
+        ("/arm/stop", "std_msgs/msg/Empty", None),
+        ("/lab/arm/stop", "std_msgs/msg/Empty", None),
+        ("/clock", "rosgraph_msgs/msg/Clock", None),
+        ("/rosout", "rcl_interfaces/msg/Log", None),
+        ("/parameter_events", "rcl_interfaces/msg/ParameterEvent", None),
+        ("/calibration/kinematic", "fss_arm_msgs/msg/X", "recorded/calibration/kinematic"),
+        ("/base/state", "nav_msgs/msg/Odometry", "recorded/base/state"),
+        ("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", "recorded/diagnostics"),
     ],
 )
-def test_nothing_that_moves_the_arm_is_played_and_verdicts_go_aside(recorded, played):
-    assert played_as(recorded) == played
+def test_nothing_that_moves_the_arm_is_played_and_results_go_aside(recorded, msgtype, played):
+    assert played_as(recorded, msgtype) == played
+    topics = {recorded: Topic(msgtype, 7, [], "", "")}
+    assert choose(topics) == ({recorded: played} if played else {})
+
+
+def test_what_is_asked_for_is_played_in_place_but_commands_never():
+    topics = dict.fromkeys(["/calibration/kinematic", "/arm/stop", "/a"], Topic("", 7, [], "", ""))
+    assert choose(topics, ["calibration/kinematic"]) == {
+        "/calibration/kinematic": "/calibration/kinematic"
+    }
+    with pytest.raises(ValueError, match="/arm/stop moves the arm"):
+        choose(topics, ["/a", "arm/stop"])
+    with pytest.raises(ValueError, match="/b is not in the bags, which have"):
+        choose(topics, ["/b"])
 
 
 def test_volatile_topics_keep_all_and_latched_ones_hold_what_was_recorded():
-    volatile = profile(Topic("", 7, [bag_qos(SENSOR)], ""))
+    volatile = profile(Topic("", 7, [bag_qos(SENSOR)], "", ""))
     assert volatile.history == HistoryPolicy.KEEP_ALL
     assert volatile.reliability == ReliabilityPolicy.RELIABLE
-    latched = profile(Topic("", 7, [bag_qos(LATCHED)], ""))
+    latched = profile(Topic("", 7, [bag_qos(LATCHED)], "", ""))
     assert latched.depth == 7
     assert latched.durability == DurabilityPolicy.TRANSIENT_LOCAL

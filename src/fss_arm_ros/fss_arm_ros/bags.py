@@ -37,6 +37,7 @@ class Topic(NamedTuple):
     messages: int
     qos: list[Qos]  # as offered by its publishers
     hash: str  # RIHS01 of the type; empty: not known
+    definition: str  # of the type, as in the bag
 
 
 @dataclass(frozen=True)
@@ -97,16 +98,30 @@ class Bags:
         """The topics by name."""
         topics: dict[str, Topic] = {}
         for c in sorted(self._reader.connections, key=lambda c: c.topic):
-            _, count, qos, _ = topics.get(c.topic, Topic("", 0, [], ""))
+            _, count, qos, *_ = topics.get(c.topic, Topic("", 0, [], "", ""))
             qos = qos + cast(ConnectionExtRosbag2, c.ext).offered_qos_profiles
-            topics[c.topic] = Topic(c.msgtype, count + c.msgcount, qos, c.digest)
+            topics[c.topic] = Topic(c.msgtype, count + c.msgcount, qos, c.digest, c.msgdef.data)
         return topics
 
-    def raw(self, topics: Collection[str] | None = None) -> Iterator[tuple[str, str, int, bytes]]:
+    @property
+    def span(self) -> tuple[int, int]:
+        """Times of receipt of the first and the last message [ns]; (0, 0) if there is none."""
+        if not self._reader.message_count:
+            return 0, 0
+        return self._reader.start_time, self._reader.end_time - 1
+
+    def raw(
+        self,
+        topics: Collection[str] | None = None,
+        start: int | None = None,
+        stop: int | None = None,
+    ) -> Iterator[tuple[str, str, int, bytes]]:
         """Topic, message type, time of receipt [ns] and serialized message, in order of receipt.
 
         Args:
             topics: names of those to read; all by default.
+            start: the first time of receipt to read [ns].
+            stop: the first one not to read [ns].
 
         Raises:
             BagError: damage is met on the way.
@@ -115,7 +130,7 @@ class Bags:
         if not wanted:
             return
         try:
-            for connection, receipt, data in self._reader.messages(wanted):
+            for connection, receipt, data in self._reader.messages(wanted, start, stop):
                 yield connection.topic, connection.msgtype, receipt, data
         except OSError:
             raise

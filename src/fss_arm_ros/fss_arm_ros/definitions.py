@@ -1,4 +1,4 @@
-"""Message definitions as installed: what a bag must hold to be read where they are not."""
+"""Message definitions: as installed, and as earlier versions of them in bags."""
 
 from functools import cache
 from importlib import import_module
@@ -6,8 +6,19 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
+from numpy import ndarray
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+#: Types of what sensors publish.
+MEASUREMENTS = frozenset(
+    {
+        "sensor_msgs/msg/JointState",
+        "sensor_msgs/msg/Imu",
+        "geometry_msgs/msg/PoseStamped",
+        "fss_arm_msgs/msg/LinkTelemetry",
+    }
+)
 
 
 class NotInstalledError(LookupError):
@@ -49,6 +60,40 @@ def definition(msgtype: str) -> Definition:
     first, *others = texts
     parts = [texts[first]] + [f"MSG: {n.replace('/msg/', '/')}\n{texts[n]}" for n in others]
     return Definition(("=" * 80 + "\n").join(parts), store.hash_rihs01(msgtype))
+
+
+def extends(msgtype: str, text: str) -> bool:
+    """Whether the installed version of a type has all that another definition of it has.
+
+    Raises:
+        NotInstalledError: it is not installed.
+    """
+    present: Any = get_types_from_msg(definition(msgtype).text, msgtype)
+    earlier: Any = get_types_from_msg(text, msgtype)
+    return all(
+        name in present and all(field in present[name][1] for field in fields)
+        for name, (_, fields) in earlier.items()
+    )
+
+
+def upgrade(earlier: Any, kind: Any) -> Any:
+    """A message of an earlier version as one of `kind`; fields that it lacks get their defaults."""
+    message = kind()
+    for name, of in kind.get_fields_and_field_types().items():
+        if hasattr(earlier, name):
+            setattr(message, name, _present(getattr(earlier, name), of))
+    return message
+
+
+def _present(value: Any, of: str) -> Any:
+    """A field's value for rclpy; `of` is its type, as `sequence<std_msgs/Header>`."""
+    if isinstance(value, list | ndarray):
+        element = of.removeprefix("sequence<").partition("[")[0].partition(",")[0].rstrip(">")
+        plain = value if isinstance(value, list) else value.tolist()
+        return [_present(v, element) for v in plain]
+    if of == "octet":
+        return bytes([value])
+    return upgrade(value, message_class(of.replace("/", "/msg/"))) if "/" in of else value
 
 
 def _collect(msgtype: str, texts: dict[str, str]) -> None:

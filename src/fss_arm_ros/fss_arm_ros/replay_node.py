@@ -1,7 +1,7 @@
 """Plays bags back onto the topics they came from."""
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from math import inf
 from time import monotonic
@@ -12,14 +12,13 @@ from rclpy.clock import ClockType
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
-from rosbags.interfaces import QosDurability
 from rosgraph_msgs.msg import Clock
 
-from .bags import BagError, Topic, open_bags
-from .convert import SECOND, to_time
-from .definitions import NotInstalledError, definition, message_class
+from .bags import BagError, open_bags
+from .convert import SECOND, seconds, to_time
+from .definitions import NotInstalledError, definition, extends, message_class, upgrade
 from .diagnostics import OK, Diagnostics, Health
+from .playlist import choose, is_latched, profile
 from .run import RCLError, run
 from .settings import declare, setting
 
@@ -29,6 +28,7 @@ STALL = 0.1  # longest step of bag time: after a pause the replay goes on, it do
 BURST = 50  # messages between two acknowledgements
 PATIENCE = 0.05  # with an acknowledgement; it comes with a heartbeat, which may be slow [s]
 CLOCK_STEP = SECOND // 100  # [ns]
+RIVALS = 0.25  # from one look for other publishers to the next [s]
 
 
 @dataclass(frozen=True)
@@ -36,6 +36,13 @@ class ReplaySettings:
     """The parameters of a ReplayNode."""
 
     rate: float = setting(1.0, "multiple of the recorded pace; 0: as fast as subscribers take it")
+    start: float = setting(0.0, "begin so long after the first message [s]")
+    loop: bool = setting(False, "begin again at the end")
+    topics: tuple[str, ...] = setting(
+        (),
+        "play these and no others, in place; none: measurements in place, others but commands "
+        "under recorded/",
+    )
     clock: bool = setting(False, "publish /clock from the times of receipt")
     hold: bool = setting(False, "stay up after the end, so that latched topics stay, too")
     wait_for: tuple[str, ...] = setting((), "topics that must have a subscriber before the start")
@@ -43,33 +50,18 @@ class ReplaySettings:
     discovery: float = setting(3.0, "time for subscribers to show up if wait_for is empty [s]")
 
     def __post_init__(self) -> None:
-        for name in ("rate", "deadline", "discovery"):
+        for name in ("rate", "start", "deadline", "discovery"):
             if not getattr(self, name) >= 0.0:
                 raise ValueError(f"{name} is {getattr(self, name)}, must not be negative")
-
-
-def played_as(topic: str) -> str | None:
-    """The topic that a recorded one is played back on; None: it is not.
-
-    What makes something move, and what ROS itself publishes, is never played. Verdicts go
-    under recorded/: they must not be taken for those of the nodes that run now.
-    """
-    parts = topic.strip("/").split("/")
-    if parts[-1] == "command" or {"arm", "thrusters"} & set(parts):
-        return None
-    if topic in ("/clock", "/rosout", "/parameter_events"):
-        return None
-    if "calibration" in parts or topic == "/diagnostics":
-        return f"recorded{topic}"
-    return topic
 
 
 class ReplayNode(Node):
     """Plays bags, or folders of bags, back as one, in order of receipt.
 
     Nothing is lost on the way: volatile topics are published reliably and keep all, so that a
-    slow subscriber that keeps all slows the replay. Latched topics are latched. Commands are
-    never played back; calibration/* and diagnostics come under recorded/.
+    slow subscriber that keeps all slows the replay. Latched topics are latched; after a start
+    within the bags they say first what they said last. Measurements are played in place, what was
+    computed under recorded/, commands never. A topic with another publisher ends the replay.
     """
 
     def __init__(self, *bags: str, **options: Any) -> None:
@@ -78,9 +70,14 @@ class ReplayNode(Node):
         self.bags = open_bags(bags)
         for damage in self.bags.recovered:
             self.get_logger().warning(str(damage))
+        self.begin, self.end = self.bags.span
+        self.begin += round(self.settings.start * SECOND)
+        if self.begin > self.end:
+            length = seconds(self.end - self.bags.span[0])
+            raise ValueError(f"start is {self.settings.start} s, but the bags last {length:.3f} s")
+        self.upgraded: dict[str, Any] = {}  # recorded topics of an earlier type: the present one
         self.players = self.make_players()
         self.clock = self.create_publisher(Clock, "/clock", 1) if self.settings.clock else None
-        self.total = sum(self.bags.topics[topic].messages for topic in self.players)
         self.played = 0
         self.state = "waiting for subscribers"
         self.turn = monotonic()  # when the last tick was
@@ -88,23 +85,25 @@ class ReplayNode(Node):
         self.steps = self.play()
         steady = NodeClock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(TICK, lambda: next(self.steps, None), clock=steady)
+        self.create_timer(RIVALS, self.refuse_rivals, clock=steady)
         Diagnostics(self, self.health)
 
     def make_players(self) -> dict[str, Publisher]:
         """A publisher for each recorded topic that is played back, by recorded name."""
         players = {}
-        for topic, about in self.bags.topics.items():
-            if (name := played_as(topic)) is None:
-                continue
+        for topic, name in choose(self.bags.topics, self.settings.topics).items():
+            about = self.bags.topics[topic]
             try:
-                if about.hash not in ("", definition(about.msgtype).hash):
-                    raise NotInstalledError(f"{about.msgtype} is installed in another version")
                 kind = message_class(about.msgtype)
+                if about.hash not in ("", definition(about.msgtype).hash):
+                    if not extends(about.msgtype, about.definition):
+                        raise NotInstalledError(f"{about.msgtype} is installed in another version")
+                    self.upgraded[topic] = kind
             except NotInstalledError as error:
                 self.get_logger().warning(f"{topic} is not played: {error}")
                 continue
             players[topic] = self.create_publisher(kind, name, profile(about))
-        left = ", ".join(set(self.bags.topics) - set(players)) or "nothing"
+        left = ", ".join(sorted(set(self.bags.topics) - set(players))) or "nothing"
         self.get_logger().info(f"playing {', '.join(players) or 'nothing'}; leaving out {left}")
         return players
 
@@ -112,15 +111,10 @@ class ReplayNode(Node):
         """The whole replay; yields whenever it has to wait for a tick."""
         yield from self.wait_for_subscribers()
         try:
-            for count, (topic, _, receipt, data) in enumerate(self.bags.raw(self.players), 1):
-                yield from self.pace(receipt)
-                while not self.publish(self.players[topic], data):
-                    yield
-                self.played = count
-                if count * 10 // self.total > (count - 1) * 10 // self.total:
-                    self.get_logger().info(f"{count} of {self.total} messages")
-                if self.settings.rate == 0.0 and count % BURST == 0:
-                    yield from self.wait_for_acknowledgement(PATIENCE)
+            yield from self.play_once()
+            while self.settings.loop:
+                self.get_logger().info("begins again")
+                yield from self.play_once()
         except BagError as error:
             raise SystemExit(str(error)) from None
         self.state = "waiting until all is acknowledged"
@@ -129,6 +123,47 @@ class ReplayNode(Node):
         self.get_logger().info(f"played {self.played} messages; {self.state}")
         if not self.settings.hold:
             raise SystemExit(0)
+
+    def play_once(self) -> Iterator[None]:
+        """From the start to the end."""
+        self.bag_time, tenth = 0, 0
+        for topic, msgtype, data in self.latched_before():
+            yield from self.send(topic, msgtype, data)
+        for topic, msgtype, receipt, data in self.bags.raw(self.players, self.begin):
+            yield from self.pace(receipt)
+            yield from self.send(topic, msgtype, data)
+            if self.settings.rate == 0.0 and self.played % BURST == 0:
+                yield from self.wait_for_acknowledgement(PATIENCE)
+            if (now := 10 * (receipt - self.begin) // max(1, self.end - self.begin)) > tenth:
+                tenth = now
+                self.get_logger().info(f"{10 * tenth} %")
+
+    def latched_before(self) -> Iterable[tuple[str, str, bytes]]:
+        """What latched topics said last before the start."""
+        latched = [topic for topic in self.players if is_latched(self.bags.topics[topic])]
+        last: dict[str, tuple[str, str, bytes]] = {}
+        for topic, msgtype, _, data in self.bags.raw(latched, stop=self.begin):
+            last[topic] = topic, msgtype, data
+        return last.values()
+
+    def send(self, topic: str, msgtype: str, data: bytes) -> Iterator[None]:
+        """Publish, as soon as all subscribers have room."""
+        message: Any = data
+        if topic in self.upgraded:
+            message = upgrade(self.bags.deserialize(data, msgtype), self.upgraded[topic])
+        while not self.publish(self.players[topic], message):
+            yield
+        self.played += 1
+
+    def refuse_rivals(self) -> None:
+        """End if somebody else publishes what is played."""
+        for player in [*self.players.values(), *([self.clock] if self.clock else [])]:
+            if self.count_publishers(player.topic_name) > 1:
+                others = {p.node_name for p in self.get_publishers_info_by_topic(player.topic_name)}
+                names = ", ".join(sorted(others - {self.get_name()})) or "another replay"
+                raise SystemExit(
+                    f"{player.topic_name} is published by {names}: stop that, or choose topics"
+                )
 
     def wait_for_subscribers(self) -> Iterator[None]:
         """Until the topics of wait_for are subscribed to, or anybody had the time to subscribe."""
@@ -168,10 +203,10 @@ class ReplayNode(Node):
                 return
             yield
 
-    def publish(self, player: Publisher, data: bytes) -> bool:
+    def publish(self, player: Publisher, message: Any) -> bool:
         """Publish; False if a subscriber has no room for more, which is to be tried again."""
         try:
-            player.publish(data)
+            player.publish(message)
         except RCLError:
             if not self.context.ok():
                 raise
@@ -186,23 +221,13 @@ class ReplayNode(Node):
 
     def health(self) -> Health:
         """What it is doing, and how far it is."""
-        return Health(OK, self.state, {"played": self.played, "messages": self.total})
+        at = max(0.0, seconds(self.bag_time - self.begin))
+        values = {"played": self.played, "at [s]": at, "of [s]": seconds(self.end - self.begin)}
+        return Health(OK, self.state, values)
 
     def close(self) -> None:
         """Leave the bags."""
         self.bags.close()
-
-
-def profile(topic: Topic) -> QoSProfile:
-    """How a topic is played back: latched with room for all of it, else keeping all."""
-    reliable = ReliabilityPolicy.RELIABLE
-    if any(qos.durability == QosDurability.TRANSIENT_LOCAL for qos in topic.qos):
-        return QoSProfile(
-            depth=max(1, topic.messages),
-            reliability=reliable,
-            durability=DurabilityPolicy.TRANSIENT_LOCAL,
-        )
-    return QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=reliable)
 
 
 def main() -> int:

@@ -1,0 +1,51 @@
+"""The policy for changing messages: what was recorded with the first version stays readable."""
+
+from collections import Counter
+
+import numpy as np
+import pytest
+from ros_bags import FIRST
+from rosbags.rosbag2 import Reader
+
+from fss_arm_calib.from_bag import solve_bag
+from fss_arm_calib.settings import CalibrationSettings
+from fss_arm_ros.bags import open_bags
+from fss_arm_ros.definitions import definition, extends, message_class, upgrade
+
+
+def test_all_of_the_first_bag_is_read_and_is_of_types_that_only_grew():
+    with open_bags(FIRST) as bags, Reader(FIRST) as strict:
+        assert not bags.recovered
+        got = Counter(topic for topic, *_ in bags.messages())
+        assert got.total() == strict.message_count > 2000
+        for topic, about in bags.topics.items():
+            assert got[topic] == about.messages > 0
+            assert extends(about.msgtype, about.definition), topic
+        for _, msgtype, _, message in bags.messages():
+            upgrade(message, message_class(msgtype))  # field checks are on
+
+
+def test_the_first_bag_gives_the_result_that_was_found_then():
+    with open_bags(FIRST) as bags:
+        ((_, _, _, then),) = bags.messages({"/calibration/kinematic"})
+    now = solve_bag(FIRST, CalibrationSettings(arm="config/cad.yaml"))
+    assert (now.verdict, list(now.names)) == (then.verdict, list(then.names))
+    deviations = np.sqrt(np.diag(np.reshape(then.covariance, (len(then.names), -1))))
+    # The poses were thinned to a tenth when the bag was put away.
+    assert (np.abs(now.values - then.values) < deviations).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "grew"),
+    [
+        (("float64 time_to_live", "float64 time_to_live\nfloat64 another"), False),
+        (("float64 time_to_live", "float32 time_to_live"), False),
+        (("uint8 mode ", "uint8 kind "), False),
+        (("float64 time_to_live", "# float64 time_to_live"), True),
+        (("builtin_interfaces/Time stamp", "int64 stamp"), False),
+    ],
+)
+def test_a_type_that_lost_or_changed_a_field_is_told_from_one_that_grew(change, grew):
+    text = definition("fss_arm_msgs/msg/LinkCommand").text
+    assert text.replace(*change) != text
+    assert extends("fss_arm_msgs/msg/LinkCommand", text.replace(*change)) is grew
