@@ -1,34 +1,37 @@
-"""Tells what a bag holds and whether it is whole; repairs it on request."""
+"""Tells what bags hold and how healthy they are; repairs damage on request."""
 
 import argparse
 import sys
-from collections import defaultdict
 from collections.abc import Sequence
-from itertools import pairwise
+from math import isnan
 from pathlib import Path
 
 from rich import box
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
-from .bags import BagError, Bags, find, is_sound, open_bags, repair
+from .bags import BagError, Bags, find, open_bags, repair
 from .convert import seconds
+from .health import Stream, findings, remark, streams
 
-SOUND, DAMAGED, UNREADABLE = 0, 1, 2
+HEALTHY, UNREADABLE, ILL = 0, 1, 2
 
 
 def main(args: Sequence[str] | None = None) -> int:
     """Entry point.
 
     Returns:
-        0: the bags are whole, or are so now; 1: damaged, and not repaired; 2: not readable.
+        0: the bags are whole and nothing is wrong with them; 1: not readable; 2: damaged, or
+        something is wrong.
     """
     parser = argparse.ArgumentParser(
         prog="doctor",
-        description=f"{__doc__} Exit code 0: whole, or repaired; 1: damaged; 2: not readable.",
+        description=f"{__doc__} Exit code 0: healthy, or repaired to be so; 1: not readable; "
+        "2: damaged, or with findings.",
     )
     parser.add_argument(
-        "bags", metavar="BAG", nargs="+", type=Path, help="a bag, or a folder of bags"
+        "bags", metavar="BAG", nargs="+", type=Path, help="a bag, or a folder of bags, taken as one"
     )
     parser.add_argument(
         "--repair",
@@ -37,47 +40,51 @@ def main(args: Sequence[str] | None = None) -> int:
         "the damaged files are kept as *.damaged",
     )
     options = parser.parse_args(args)
-    console = Console(highlight=False, soft_wrap=True, width=None if sys.stdout.isatty() else 110)
+    console = Console(highlight=False, soft_wrap=True, width=None if sys.stdout.isatty() else 120)
     try:
-        code = SOUND
-        for bag in [bag for path in options.bags for bag in find(path)]:
-            code = max(code, examine(bag, options.repair, console))
-        return code
+        healthy = [examine(path, options.repair, console) for path in options.bags]
+        return HEALTHY if all(healthy) else ILL
     except (BagError, OSError) as error:
         print(f"doctor: {error}", file=sys.stderr)
         return UNREADABLE
 
 
-def examine(bag: Path, mend: bool, console: Console) -> int:
-    """Print what a bag holds and its damage, and repair it if asked to; return the exit code."""
-    if mend and (recovered := repair(bag)):
-        console.print(f"repaired: {recovered}")
-    whole = is_sound(bag)
-    with open_bags(bag) as bags:
-        console.print(table(bag, bags))
-        for damage in bags.recovered:
-            console.print(f"damaged: {damage}; doctor --repair makes it whole", style="red")
-    return SOUND if whole else DAMAGED
+def examine(path: Path, mend: bool, console: Console) -> bool:
+    """Print what the bags of a path hold and what is wrong, and repair them if asked to."""
+    for bag in find(path) if mend else ():
+        if recovered := repair(bag):
+            console.print(f"repaired: {escape(str(recovered))}")
+    with open_bags(path) as bags:
+        heard = streams(bags)
+        console.print(table(path, bags, heard))
+        wrong = [f"damaged: {damage}; doctor --repair makes it whole" for damage in bags.recovered]
+        for name, topic in bags.topics.items():
+            wrong += [f"{name}: {what}" for what in findings(topic, heard[name], bags.span[0])]
+            if said := remark(topic):
+                console.print(f"{name} {said}")
+    for line in wrong:
+        console.print(escape(line), style="red")
+    console.print("[red]not healthy[/]" if wrong else "[green]healthy[/]")
+    return not wrong
 
 
-def table(bag: Path, bags: Bags) -> Table:
-    """One line a topic: how many messages, how often, and the longest silence between two."""
-    receipts: dict[str, list[int]] = defaultdict(list)
-    for topic, _, receipt, _ in bags.raw():
-        receipts[topic].append(receipt)
-    every = [receipt for times in receipts.values() for receipt in times]
-    span = f"{seconds(max(every) - min(every)):.3f} s" if every else "empty"
+def table(path: Path, bags: Bags, heard: dict[str, Stream]) -> Table:
+    """Topics, their types, counts, rates and longest gaps."""
+    begin, end = bags.span
+    count = sum(topic.messages for topic in bags.topics.values())
+    span = f"{seconds(end - begin):.3f} s" if count else "empty"
+    several = f" in {len(bags.paths)} bags" if len(bags.paths) > 1 else ""
     rows = Table(
-        title=f"{bag}: {len(every)} messages, {span}", box=box.SIMPLE, title_justify="left"
+        title=escape(f"{path}: {count} messages, {span}{several}"),
+        box=box.SIMPLE,
+        title_justify="left",
     )
     rows.add_column("topic", overflow="fold")
     rows.add_column("type", overflow="fold")
     for heading in ("messages", "rate [Hz]", "longest gap [s]"):
-        rows.add_column(heading, justify="right")
-    for topic, about in bags.topics.items():
-        times = receipts[topic]
-        gaps = [b - a for a, b in pairwise(times)]
-        rate = f"{len(gaps) / seconds(sum(gaps)):.2f}" if sum(gaps) else "-"
-        gap = f"{seconds(max(gaps)):.3f}" if gaps else "-"
-        rows.add_row(topic, about.msgtype, str(len(times)), rate, gap)
+        rows.add_column(escape(heading), justify="right")
+    for name, topic in bags.topics.items():
+        rate, gap = heard[name].rate, heard[name].longest_gap
+        numbers = ("-" if isnan(rate) else f"{rate:.2f}", "-" if isnan(gap) else f"{gap:.3f}")
+        rows.add_row(name, topic.msgtype.replace("/msg/", "/"), str(topic.messages), *numbers)
     return rows

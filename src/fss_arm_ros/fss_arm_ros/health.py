@@ -1,0 +1,127 @@
+"""How fit a bag is to calibrate from: gaps, clocks, types and QoS, topic by topic."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from struct import Struct
+
+import numpy as np
+from rosbags.interfaces import QosReliability
+
+from .bags import Bags, Topic
+from .convert import SECOND
+from .definitions import MEASUREMENTS, NotInstalledError, definition, extends
+
+PERIODS = 5  # of a steady topic; a longer silence is a gap
+SHORTEST_GAP = SECOND // 5  # [ns]
+JUMP = SECOND // 2  # of stamps against times of receipt, from one message to the next [ns]
+APART = 2 * SECOND  # stamps that far from the times of receipt are of another clock [ns]
+
+STAMP = Struct("<4xiI")  # of a message that begins with a header, little-endian as DDS writes it
+
+
+@dataclass(frozen=True)
+class Stream:
+    """When the messages of a topic came, and when they say they were measured."""
+
+    receipts: np.ndarray  # [ns]
+    stamps: np.ndarray  # [ns]; empty: they have none
+
+    @property
+    def rate(self) -> float:
+        """Messages a second; NaN: fewer than two."""
+        if len(self.receipts) < 2 or self.receipts[-1] <= self.receipts[0]:
+            return float("nan")
+        return (len(self.receipts) - 1) * SECOND / float(self.receipts[-1] - self.receipts[0])
+
+    @property
+    def longest_gap(self) -> float:
+        """The longest silence [s]; NaN: fewer than two messages."""
+        return float(np.diff(self.receipts).max() / SECOND) if len(self.receipts) > 1 else np.nan
+
+
+def streams(bags: Bags) -> dict[str, Stream]:
+    """The times of all messages, by topic.
+
+    Raises:
+        BagError: damage is met on the way.
+    """
+    receipts: dict[str, list[int]] = {topic: [] for topic in bags.topics}
+    stamps: dict[str, list[int]] = {topic: [] for topic in bags.topics}
+    for topic, msgtype, receipt, data in bags.raw():
+        receipts[topic].append(receipt)
+        if msgtype in MEASUREMENTS:
+            sec, nanosec = STAMP.unpack_from(data)
+            stamps[topic].append(sec * SECOND + nanosec)
+    return {
+        topic: Stream(np.array(receipts[topic], np.int64), np.array(stamps[topic], np.int64))
+        for topic in receipts
+    }
+
+
+def remark(topic: Topic) -> str:
+    """What is worth knowing of a topic, though nothing is wrong; empty: nothing."""
+    try:
+        present = definition(topic.msgtype).hash
+    except NotInstalledError:
+        return ""
+    grew = topic.hash not in ("", present) and extends(topic.msgtype, topic.definition)
+    return "is of an earlier version of its type; replay adds what it lacks" if grew else ""
+
+
+def findings(topic: Topic, stream: Stream, begin: int) -> Iterator[str]:
+    """What is wrong with a topic, a sentence each; times count from `begin` [ns]."""
+    yield from _of_type(topic)
+    if topic.msgtype not in MEASUREMENTS:
+        return
+    if not len(stream.receipts):
+        yield "has no messages"
+        return
+    if any(qos.reliability == QosReliability.BEST_EFFORT for qos in topic.qos):
+        yield "was published best effort: messages may have been lost"
+    yield from _gaps(stream.receipts, begin)
+    yield from _clocks(stream, begin)
+
+
+def _of_type(topic: Topic) -> Iterator[str]:
+    """Whether the type is installed in a version that the bag's can be read as."""
+    try:
+        present = definition(topic.msgtype).hash
+    except NotInstalledError as error:
+        yield f"{error}; replay leaves it out"
+        return
+    if topic.hash not in ("", present) and not extends(topic.msgtype, topic.definition):
+        yield f"{topic.msgtype} is installed in another version; replay leaves it out"
+
+
+def _gaps(receipts: np.ndarray, begin: int) -> Iterator[str]:
+    """Silences that are long for a steady topic."""
+    silences = np.diff(receipts)
+    if not len(silences):
+        return
+    gaps = np.flatnonzero(silences > max(PERIODS * np.median(silences), SHORTEST_GAP))
+    if len(gaps):
+        worst = gaps[np.argmax(silences[gaps])]
+        yield (
+            f"{_count(len(gaps), 'gap')}, the longest of {silences[worst] / SECOND:.3f} s "
+            f"at {(receipts[worst] - begin) / SECOND:.3f} s"
+        )
+
+
+def _clocks(stream: Stream, begin: int) -> Iterator[str]:
+    """Stamps that jump against the times of receipt, or are of another clock."""
+    delays = stream.receipts - stream.stamps
+    jumps = np.flatnonzero(np.abs(np.diff(delays)) > JUMP)
+    if len(jumps):
+        first = jumps[0]
+        yield (
+            f"{_count(len(jumps), 'jump')} of its clock, the first by "
+            f"{-np.diff(delays)[first] / SECOND:+.3f} s "
+            f"at {(stream.receipts[first + 1] - begin) / SECOND:.3f} s"
+        )
+    delay = float(np.median(delays)) / SECOND
+    if abs(delay) * SECOND > APART:
+        yield f"its stamps are {abs(delay):.3f} s {'before' if delay > 0 else 'after'} the receipt"
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}{'s' * (number != 1)}"

@@ -1,0 +1,95 @@
+"""What the doctor finds."""
+
+import numpy as np
+import pytest
+from ros_bags import FIRST, SECOND, START
+from rosbags.interfaces import Qos
+
+from fss_arm_ros.bags import Topic, open_bags
+from fss_arm_ros.definitions import definition
+from fss_arm_ros.doctor import main as doctor
+from fss_arm_ros.health import Stream, findings, remark, streams
+from fss_arm_ros.qos import LATCHED, SENSOR, sensor
+from fss_arm_ros.recording import bag_qos
+
+JOINTS = "sensor_msgs/msg/JointState"
+
+
+def topic(msgtype=JOINTS, qos: Qos | None = None, **change):
+    known = definition(msgtype)
+    made = Topic(msgtype, 1, [qos or bag_qos(SENSOR)], known.hash, known.text)
+    return made._replace(**change)
+
+
+def found(receipts, delay=0.003, about=None):
+    """The findings on messages received at these times [s], stamped `delay` [s] earlier."""
+    came = START + np.round(np.asarray(receipts) * SECOND).astype(np.int64)
+    stamps = came - np.round(np.broadcast_to(delay, came.shape) * SECOND).astype(np.int64)
+    return list(findings(about or topic(), Stream(came, stamps), START))
+
+
+STEADY = np.arange(1000) * 0.01
+
+
+def test_a_steady_stream_has_no_findings():
+    assert found(STEADY) == []
+    jitter = np.random.default_rng(1).normal(0.0, 0.002, len(STEADY))
+    assert found(np.sort(STEADY + jitter), delay=0.02) == []
+
+
+@pytest.mark.parametrize(
+    ("receipts", "delay", "said"),
+    [
+        (STEADY + 1.5 * (STEADY > 4.0), 0.003, "1 gap, the longest of 1.510 s at 4.000 s"),
+        (
+            STEADY + 0.3 * (STEADY > 4.0) + 0.5 * (STEADY > 6.0),
+            0.003,
+            "2 gaps, the longest of 0.510 s at 6.300 s",
+        ),
+        (STEADY, 0.003 + 3.2 * (STEADY > 5.0), "1 jump of its clock, the first by -3.200 s"),
+        (STEADY, 0.003 - 0.7 * (STEADY > 5.0), "1 jump of its clock, the first by +0.700 s"),
+        (STEADY, 3600.0, "its stamps are 3600.000 s before the receipt"),
+        (STEADY, -30.0, "its stamps are 30.000 s after the receipt"),
+        ([], 0.0, "has no messages"),
+    ],
+)
+def test_what_is_wrong_with_the_times_is_said_in_numbers(receipts, delay, said):
+    (only,) = found(receipts, delay)
+    assert only.startswith(said)
+
+
+def test_a_slow_topic_may_be_silent_for_longer():
+    assert found(np.arange(20) * 1.0) == []
+    assert len(found(np.append(np.arange(20), 30.0))) == 1
+
+
+def test_topics_that_come_now_and_then_have_no_gaps():
+    assert found([0.0, 0.1, 0.2, 60.0], about=topic("std_msgs/msg/String")) == []
+
+
+def test_best_effort_is_said():
+    (only,) = found(STEADY, about=topic(qos=bag_qos(sensor(best_effort=True))))
+    assert "best effort" in only
+    assert found(STEADY, about=topic(qos=bag_qos(LATCHED))) == []
+
+
+def test_types_that_are_missing_or_have_changed_are_said():
+    missing = Topic("no_such_msgs/msg/Thing", 1, [], "RIHS01_x", "float64 x\n")
+    (only,) = found(STEADY, about=missing)
+    assert only == "no_such_msgs/msg/Thing is not installed; replay leaves it out"
+    lost = definition(JOINTS).text.replace("string[] name", "string[] name\nfloat64 more")
+    (only,) = found(STEADY, about=topic(hash="RIHS01_other", definition=lost))
+    assert only == f"{JOINTS} is installed in another version; replay leaves it out"
+
+
+def test_the_bag_of_the_first_version_is_healthy_and_its_version_is_remarked(capsys):
+    with open_bags(FIRST) as bags:
+        remarks = {name: remark(about) for name, about in bags.topics.items()}
+        heard = streams(bags)
+    assert "earlier version" in remarks["/calibration/kinematic"]
+    assert not remarks["/joint_states"]
+    assert heard["/vicon/fss/fss"].rate == pytest.approx(10.0, rel=0.02)
+    assert doctor([str(FIRST)]) == 0
+    said = capsys.readouterr().out
+    assert "/calibration/kinematic is of an earlier version" in said
+    assert max(map(len, said.splitlines())) <= 120
