@@ -80,11 +80,11 @@ def messages(length: float, noise: float) -> Iterator[tuple[int, str, bytes]]:
 def write(folder: Path, length: float) -> Path:
     """The bag, as `record` writes it."""
     bag = Recording(folder)
-    topics = {JOINTS: bag.add(JOINTS, "sensor_msgs/msg/JointState", [SENSOR])}
+    bag.add(JOINTS, "sensor_msgs/msg/JointState", [SENSOR])
     for topic in SUBJECTS:
-        topics[topic] = bag.add(topic, "geometry_msgs/msg/PoseStamped", [SENSOR])
+        bag.add(topic, "geometry_msgs/msg/PoseStamped", [SENSOR])
     for t, topic, data in messages(length, 3e-4):
-        bag.write(topics[topic], t + SECOND // 200, data)
+        bag.write(topic, t + SECOND // 200, data)
     bag.close()
     return bag.path
 

@@ -97,12 +97,13 @@ def record(folder, samples, topics=TYPES, late=lambda sample: SECOND // 100) -> 
     """The samples as a bag of some topics, in many chunks, received `late(sample)` ns late."""
     bag = Recording(folder)
     kinds = {t: f"{k.__module__.split('.')[0]}/msg/{k.__name__}" for t, k in TYPES.items()}
-    connections = {t: bag.add(f"/{t}", kinds[t], [SENSOR]) for t in topics}
+    for topic in topics:
+        bag.add(f"/{topic}", kinds[topic], [SENSOR])
     for k, sample in enumerate(samples):
         if k % 200 == 199:
             bag.flush()
         topic, content = message(sample)
-        if topic in connections:
-            bag.write(connections[topic], sample.t + late(sample), serialize_message(content))
+        if topic in topics:
+            bag.write(f"/{topic}", sample.t + late(sample), serialize_message(content))
     bag.close()
     return bag.path
