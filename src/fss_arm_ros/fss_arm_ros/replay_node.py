@@ -39,9 +39,7 @@ class ReplaySettings:
     start: float = setting(0.0, "begin so long after the first message [s]")
     loop: bool = setting(False, "begin again at the end")
     topics: tuple[str, ...] = setting(
-        (),
-        "play these and no others, in place; none: measurements in place, others but commands "
-        "under recorded/",
+        (), "play these alone, in place; none: measurements in place, results under recorded/"
     )
     clock: bool = setting(False, "publish /clock from the times of receipt")
     hold: bool = setting(False, "stay up after the end, so that latched topics stay, too")
