@@ -9,6 +9,7 @@ import pytest
 from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu
 from std_srvs.srv import SetBool
@@ -16,7 +17,6 @@ from std_srvs.srv import SetBool
 from fss_arm_driver.protocol import Command, Mode, Order, Telemetry, decode, encode
 from fss_arm_msgs.srv import ResetTestbed, StepTime
 from fss_arm_ros.convert import planar_pose, stamp_ns
-from fss_arm_ros.definitions import message_class
 from fss_arm_ros.qos import sensor
 from fss_sim import testbed_node
 
@@ -123,46 +123,46 @@ def test_flat_out_nobody_is_waited_for_but_drivers(spin, ears):
 class Session:
     """All that a test bed says in a scripted session in stepped time, byte for byte."""
 
-    def __init__(self, bed, spin, call):
-        self.bed, self.spin, self.call = bed, spin, call
-        self.node = Node("session", start_parameter_services=False, enable_rosout=False)
-        self.topics, self.streams = {}, [[] for _ in bed.sockets]
-        known = bed.get_publisher_names_and_types_by_node("testbed", "/")
-        for topic, (kind,) in known:
-            if topic not in OF_REAL_TIME:
-                heard = self.topics[topic] = []
-                kind = message_class(kind)
-                self.node.create_subscription(kind, topic, heard.append, sensor(), raw=True)
-        self.hosts = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in bed.sockets]
+    def __init__(self, bed, call):
+        self.bed, self.call = bed, call
+        self.topics, self.streams = {}, [[] for _ in bed.wires]
+        for publisher in bed.publishers:
+            if publisher.topic_name not in OF_REAL_TIME:
+                self.record(publisher, self.topics.setdefault(publisher.topic_name, []))
+        self.hosts = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in bed.wires]
         for host in self.hosts:
             host.bind(("127.0.0.1", 0))
             host.setblocking(False)
 
+    def record(self, publisher, said):
+        publish = publisher.publish
+
+        def spy(message):
+            said.append(message if isinstance(message, bytes) else serialize_message(message))
+            publish(message)
+
+        publisher.publish = spy
+
     def run(self, seed):
-        """What is heard of a session: by topic, and by link."""
+        """What is said in a session: by topic, and by link."""
         assert self.call(self.bed, "sim/reset", ResetTestbed, seed=seed).success
-        for heard in (*self.topics.values(), *self.streams):
-            heard.clear()
+        for said in (*self.topics.values(), *self.streams):
+            said.clear()
         for k, frames in enumerate((30, 1, 69, 50)):
-            for i, (host, port) in enumerate(
-                zip(self.hosts, (s.port for s in self.bed.sockets), strict=True), 1
-            ):
+            for i, host in enumerate(self.hosts):
                 order = replace(
-                    QUIET, link=i, sequence=k + 1, clock=1000 * k + 1, boot=min(k, 1),
+                    QUIET, link=i + 1, sequence=k + 1, clock=1000 * k + 1, boot=min(k, 1),
                     flags=Order.ARM if k else 0, expiry=60_000_000 if k else 0,
-                    mode=Mode.POSITION if k else Mode.OFF, set_point=10_000 * k * i,
+                    mode=Mode.POSITION if k else Mode.OFF, set_point=10_000 * k * (i + 1),
                     velocity=300_000, acceleration=3000,
                 )  # fmt: skip
-                host.sendto(encode(order), ("127.0.0.1", port))
+                host.sendto(encode(order), ("127.0.0.1", self.bed.wires[i].port))
             assert self.call(self.bed, "sim/step", StepTime, frames=frames).success
             for host, stream in zip(self.hosts, self.streams, strict=True):
                 with suppress(BlockingIOError):
                     while True:
                         stream.append(host.recv(100))
-        self.spin(
-            [self.bed, self.node], lambda: all(len(heard) == 150 for heard in self.topics.values())
-        )
-        topics = {topic: tuple(heard) for topic, heard in self.topics.items()}
+        topics = {topic: tuple(said) for topic, said in self.topics.items()}
         return topics, [tuple(stream) for stream in self.streams]
 
     def close(self):
@@ -170,16 +170,35 @@ class Session:
             host.close()
 
 
-def test_the_same_seed_and_script_give_the_same_bytes_in_stepped_time(spin, ears, call):
-    bed = testbed(keep_clock=True, paused=True, preset="paper")
-    with closing(Session(bed, spin, call)) as session:
+SCRIPT = """
+- {at: 0.1, part: link_1, fault: corruption, value: 0.5}
+- {at: 0.1, part: link_1, fault: jitter, value: 0.2}
+- {at: 0.2, part: link_2, fault: reordering, value: 0.5}
+- {at: 0.2, part: link_2, fault: duplication, value: 0.5}
+- {at: 0.5, part: link_3, fault: dead, duration: 0.1}
+- {at: 0.5, part: fss, fault: dropout, value: 0.3, duration: 0.5}
+- {at: 0.5, part: end_effector, fault: occlusion, value: 0.3}
+- {at: 1.0, part: fog, fault: bias, value: 0.01}
+"""
+
+
+def test_the_same_seed_and_script_give_the_same_bytes_in_stepped_time(spin, call, tmp_path):
+    (tmp_path / "faults.yaml").write_text(SCRIPT)
+    bed = testbed(
+        keep_clock=True, paused=True, preset="paper", telemetry_rate=20.0,
+        faults=str(tmp_path / "faults.yaml"),
+    )  # fmt: skip
+    with closing(Session(bed, call)) as session:
         topics, streams = session.run(seed=7)
-        assert {"/clock", "/vicon/fss/fss", "/fog/imu"} <= topics.keys()
-        assert min(map(len, streams)) >= 7
-        assert abs(bed.testbed.plant.q[3:]).min() > 0.1  # the arm did move
+        assert len(topics["/clock"]) == len(topics["/vicon/end_effector/end_effector"]) == 150
+        assert len(topics["/vicon/fss/fss"]) < 150
+        assert len(topics["/sim/faults"]) == 5  # at each time of the script
+        assert min(map(len, streams)) > 5
+        assert abs(bed.testbed.plant.q[3:]).max() > 0.1  # the arm did move
         assert session.run(seed=7) == (topics, streams)
-        other, _ = session.run(seed=8)
-        assert other["/vicon/fss/fss"] != topics["/vicon/fss/fss"]
+        other = session.run(seed=8)
+        assert other[0]["/vicon/fss/fss"] != topics["/vicon/fss/fss"]
+        assert other[1][0] != streams[0]
 
 
 def test_a_link_answers_who_sends_it_a_good_command(spin, ears):
@@ -187,8 +206,8 @@ def test_a_link_answers_who_sends_it_a_good_command(spin, ears):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as host:
         host.bind(("127.0.0.1", 0))
         host.setblocking(False)
-        host.sendto(b"noise", ("127.0.0.1", bed.sockets[0].port))
-        host.sendto(encode(QUIET), ("127.0.0.1", bed.sockets[0].port))
+        host.sendto(b"noise", ("127.0.0.1", bed.wires[0].port))
+        host.sendto(encode(QUIET), ("127.0.0.1", bed.wires[0].port))
 
         def answer():
             try:
@@ -208,7 +227,7 @@ def test_it_goes_on_from_its_state_file(spin, ears, tmp_path):
     first.save()
     last = stamp_ns(ears.heard["clock"][-1].clock)
     second = testbed(state_file=path, keep_clock=True)
-    assert second.testbed.links[0].gate.boot == 2
+    assert second.testbed.links[0].electronics.gate.boot == 2
     np.testing.assert_allclose(second.testbed.plant.q[3:], [0.1, 0.2, 0.3, 0.4], atol=1e-6)
     assert second.stamp() > last
     second.close()

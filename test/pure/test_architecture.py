@@ -24,7 +24,7 @@ ALLOWED = {
     "fss_arm_model": MODEL,
     "fss_arm_ros": ROS | {"fss_arm_model", "numpy", "rosbags", "mcap", "rich"},
     "fss_arm_driver": ROS | {"fss_arm_model.description", "fss_arm_ros", "serial"},
-    "fss_sim": ROS | {"fss_arm_model", "fss_arm_ros", "fss_arm_driver.protocol", "numpy"},
+    "fss_sim": ROS | {"fss_arm_model", "fss_arm_ros", "fss_arm_driver.protocol", "numpy", "yaml"},
     "fss_arm_calib": ROS
     | {"fss_arm_model", "fss_arm_ros", "numpy", "scipy", "yaml", "rich", "matplotlib"},
     "fss_arm_workspace": ROS

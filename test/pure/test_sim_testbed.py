@@ -8,7 +8,9 @@ import pytest
 from fss_arm_driver.protocol import decode
 from fss_arm_model.description import paper_arm
 from fss_sim import testbed
-from fss_sim.sensors import PRESETS, RATE, Sensors, compose
+from fss_sim.faults import GyroFaults, SubjectFaults
+from fss_sim.noise import PRESETS, Noise
+from fss_sim.sensors import RATE, SEEN, Sensors, compose
 from fss_sim.testbed import OUTAGE, State, StateError
 
 BEGIN = State(frame=0, boots=1, rests=0, q=(0.0,) * 7, qd=(0.0,) * 7)
@@ -16,7 +18,7 @@ STILL, MOVING = np.zeros(4), np.full(4, 0.1)
 
 
 def seen_from_base(sight):
-    (x, y, theta), (u, v, phi) = sight.base, sight.tip
+    (x, y, theta), (u, v, phi) = sight.base.pose, sight.tip.pose
     z = complex(u - x, v - y) * np.exp(-1j * theta)
     return z.real, z.imag, phi - theta
 
@@ -38,7 +40,7 @@ def test_each_rest_has_its_own_error_of_the_stated_size():
 
 def test_an_error_stays_for_its_rest():
     sensors = Sensors(PRESETS["paper"], seed=1)
-    sights = [sensors.look(k, (0, 0, 0), (1, 0, 0), 0.0, STILL).tip for k in range(200)]
+    sights = [sensors.look(k, (0, 0, 0), (1, 0, 0), 0.0, STILL).tip.pose for k in range(200)]
     white = np.std(sights, axis=0)
     np.testing.assert_allclose(white, [3e-4, 3e-4, math.radians(0.05)], rtol=0.2)
 
@@ -46,7 +48,8 @@ def test_an_error_stays_for_its_rest():
 def test_without_noise_the_truth_is_seen():
     sensors = Sensors(PRESETS["ideal"], seed=1)
     sight = sensors.look(5, (0.1, 0.2, 0.3), (1.0, 0.5, 0.2), 0.7, STILL)
-    assert sight == ((0.1, 0.2, 0.3), compose((0.1, 0.2, 0.3), (1.0, 0.5, 0.2)), 0.7)
+    tip = compose((0.1, 0.2, 0.3), (1.0, 0.5, 0.2))
+    assert (sight.base.pose, sight.tip.pose, sight.rate) == ((0.1, 0.2, 0.3), tip, 0.7)
 
 
 def run(bed, frames):
@@ -65,7 +68,7 @@ def test_vicon_and_telemetry_tell_of_the_same_arm():
     state = State(0, 1, 0, (0.1, 0.2, 0.3, 0.4, -0.3, 0.2, 0.1), (0.0,) * 7)
     bed = testbed.Testbed(paper_arm(), PRESETS["ideal"], 1, state)
     reports = run(bed, 30)
-    frames = [decode(data) for r in reports for data in r.telemetry if data]
+    frames = [decode(d.data) for r in reports for link in r.telemetry for d in link]
     assert {f.link for f in frames} == {1, 2, 3, 4}
     for f in frames:
         assert f.position == round(state.q[2 + f.link] * 240_000 / (2 * math.pi))
@@ -88,7 +91,7 @@ def test_it_resumes_after_all_that_was_reported_with_its_links_started_again(tmp
     again = testbed.Testbed(paper_arm(), PRESETS["paper"], 1, resumed)
     np.testing.assert_array_equal(again.plant.q, bed.plant.q)
     report = next(r for r in (again.step() for _ in range(100)) if r.telemetry[0])
-    assert decode(report.telemetry[0]).boot == 2
+    assert decode(report.telemetry[0][0].data).boot == 2
 
 
 @pytest.mark.parametrize("text", ["", "{}", "[1]", '{"frame": 1, "boots": 1, "rests": 0, "q": [0],'
@@ -98,3 +101,51 @@ def test_a_file_that_is_no_state_is_refused_by_name(tmp_path, text):
     path.write_text(text)
     with pytest.raises(StateError, match=r"state\.json"):
         State.load(path, 4)
+
+
+def look(faults, frames=2000, **gyro):
+    sensors = Sensors(PRESETS["ideal"], seed=1)
+    return [
+        sensors.look(
+            k, (0.01 * k, 0.0, 0.5), (1.0, 0.0, 0.0), 0.1, STILL, faults, SEEN, GyroFaults(**gyro)
+        )
+        for k in range(frames)
+    ]  # fmt: skip
+
+
+def test_vicon_drops_out_and_loses_sight_as_often_as_told():
+    dropped = sum(s.base is None for s in look(SubjectFaults(dropout=0.3)))
+    occluded = sum(s.base.occluded for s in look(SubjectFaults(occlusion=0.3)))
+    for count in (dropped, occluded):
+        assert count / 2000 == pytest.approx(0.3, abs=4 * (0.21 / 2000) ** 0.5)
+    assert not any(s.tip.occluded for s in look(SubjectFaults(occlusion=1.0)))
+    assert all(s.base.occluded for s in look(SubjectFaults(occlusion=1.0), 10))
+
+
+def test_vicon_is_late_turned_or_frozen_as_told():
+    late = [s.base.pose[0] for s in look(SubjectFaults(latency=0.2), 100)]
+    np.testing.assert_allclose(late[20:], 0.01 * np.arange(80), atol=1e-12)
+    assert look(SubjectFaults(swap=math.pi / 2), 3)[-1].base.pose == (0.02, 0.0, 0.5 + math.pi / 2)
+    sensors = Sensors(PRESETS["default"], seed=1)
+    poses = [
+        sensors.look(k, (0.01 * k, 0, 0), (1, 0, 0), 0.0, STILL, SubjectFaults(frozen=k >= 5)).base
+        for k in range(10)
+    ]
+    assert len(set(poses[:5])) == 5
+    assert set(poses[4:]) == {poses[4]}
+
+
+def test_the_gyro_is_off_by_bias_walk_and_scale():
+    assert [s.rate for s in look(SEEN, 3, bias=0.02)] == pytest.approx([0.12] * 3)
+    assert sum(s.rate is None for s in look(SEEN, dropout=0.5)) == pytest.approx(1000, abs=90)
+    scales, walks = [], []
+    for seed in range(300):
+        sensors = Sensors(Noise(gyro_scale=1e-3, gyro_walk=1e-4), seed)
+        seen = [
+            sensors.look(k, (0, 0, 0), (1, 0, 0), 1.0, STILL).rate - 1.0 for k in (0, 2500, 2550)
+        ]
+        scales.append(seen[0])
+        walks.append(seen[1] - seen[0])
+        assert abs(seen[2] - seen[1]) < 5e-4  # no step
+    assert np.std(scales) == pytest.approx(1e-3, rel=0.17)  # 4 sigma of 300 draws
+    assert np.std(walks) == pytest.approx(5e-4, rel=0.17)  # after 25 s

@@ -4,11 +4,13 @@ The dataclass is the one place where a parameter's default, unit and description
 its `__post_init__` the one place where values are checked.
 """
 
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import field, fields
 from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
-from rcl_interfaces.msg import ParameterDescriptor
+from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 
 Settings = TypeVar("Settings")
 
@@ -24,22 +26,20 @@ def setting(default: Any, about: str) -> Any:
     return field(default=default, metadata={"about": about})
 
 
-def declare(node: Node, kind: type[Settings]) -> Settings:
+def declare(node: Node, kind: type[Settings], live: bool = False) -> Settings:
     """Declare each field of `kind`, a dataclass, as a read-only parameter; return them read.
 
     Fields are bool, int, float, str or tuples of one of them (`tuple[str, ...]`). An integer is
-    taken where a float is asked for.
+    taken where a float is asked for. With `live`, `declare_live` follows, and looks for parameters
+    that do not exist.
 
     Raises:
         SettingError: a parameter was given a value of another type, or `kind` has no such field.
         ValueError: `kind` refuses a value.
     """
     hints = get_type_hints(kind)
-    unknown = _given(node) - set(hints)
-    if unknown:
-        raise SettingError(
-            f"no parameter {', '.join(sorted(unknown))}; there are {', '.join(hints)}"
-        )
+    if not live:
+        _refuse(_given(node) - set(hints), hints)
     values = {}
     for f in fields(kind):  # type: ignore[arg-type]
         # Dynamic: a static type would refuse 1 for 1.0, and take an empty list for bytes.
@@ -49,6 +49,52 @@ def declare(node: Node, kind: type[Settings]) -> Settings:
         value = node.declare_parameter(f.name, f.default, about).value
         values[f.name] = _convert(f.name, value, hints[f.name])
     return kind(**values)
+
+
+def declare_live(
+    node: Node, kinds: Mapping[str, type], take: Callable[[str, str, float], None]
+) -> None:
+    """Declare each field of each of `kinds`, dataclasses of floats, as a parameter PREFIX.FIELD.
+
+    Args:
+        node: its parameters may be set from now on.
+        kinds: by prefix; a field's metadata tells `about` and `range`, lowest and highest.
+        take: called with prefix, field and value whenever one is set, also at the start if it is
+            not the default; its ValueError refuses the value.
+
+    Raises:
+        SettingError: a parameter was given that does not exist, or not of this type or range.
+    """
+    names = {f"{prefix}.{f.name}": (prefix, f) for prefix in kinds for f in fields(kinds[prefix])}
+
+    def on_set(parameters: list[Parameter]) -> SetParametersResult:
+        try:
+            for parameter in parameters:
+                if parameter.name in names:
+                    prefix, f = names[parameter.name]
+                    take(prefix, f.name, _convert(parameter.name, parameter.value, float))
+        except ValueError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    for name, (_, f) in names.items():
+        low, high = f.metadata["range"]
+        about = ParameterDescriptor(
+            description=f"{f.metadata['about']}, {low:.4g} to {high:.4g}", dynamic_typing=True
+        )
+        node.declare_parameter(name, f.default, about)
+    _refuse(_given(node), names)
+    node.add_on_set_parameters_callback(on_set)
+    given = [node.get_parameter(name) for name in names if name in node._parameter_overrides]
+    if not (result := on_set(given)).successful:
+        raise SettingError(result.reason)
+
+
+def _refuse(unknown: set[str], known: Iterable[str]) -> None:
+    if unknown:
+        raise SettingError(
+            f"no parameter {', '.join(sorted(unknown))}; there are {', '.join(known)}"
+        )
 
 
 def _given(node: Node) -> set[str]:

@@ -20,15 +20,15 @@ from fss_arm_driver.protocol import (
     encode,
 )
 from fss_arm_model.description import Link
+from fss_sim.instruments import Instruments, make
 from fss_sim.plant import Demand, Motion
 
-TORQUE_PERIOD = 12_500  # of the torque converter, 80 samples a second [us]
 STILL = 1e-3  # a joint slower than this is at rest [rad/s]
 
 # The servo drive's status word.
 DISABLED, AT_HIGHEST, AT_LOWEST, IN_MOTION = 1 << 12, 1 << 16, 1 << 17, 1 << 27
 
-SUPPLY, BATTERY, TEMPERATURE, FIRMWARE = 240, 148, 31, 0x010000  # 24.0 V, 14.8 V, deg C, 1.0.0
+SUPPLY, TEMPERATURE, FIRMWARE = 240, 31, 0x010000  # 24.0 V, deg C, 1.0.0
 
 
 class LinkElectronics:
@@ -43,12 +43,20 @@ class LinkElectronics:
         boot: which start this is, 1 to 65535.
         rate: of telemetry [frames/s].
         key: that frames are signed under, if any.
+        instruments: without errors by default.
     """
 
     def __init__(
-        self, number: int, link: Link, boot: int, rate: float = 5.0, key: bytes | None = None
+        self,
+        number: int,
+        link: Link,
+        boot: int,
+        rate: float = 5.0,
+        key: bytes | None = None,
+        instruments: Instruments | None = None,
     ) -> None:
         self.link = link
+        self.instruments = instruments or make(link.torque_sensor)
         self.gate = Gate(number, boot, key)
         self.armed = self.stopped = self.watchdog_tripped = False
         drive = link.drive
@@ -58,8 +66,6 @@ class LinkElectronics:
         self._period = round(1e6 / rate)  # [us]
         self._periods = -1  # of the clock, at the last frame
         self._sequence = 0  # of the next frame
-        self._torque_clock = -TORQUE_PERIOD
-        self._torque = 0
 
     def receive(self, data: bytes, clock: int) -> bool:
         """Obey or refuse a datagram that has come; return whether it was taken."""
@@ -84,10 +90,8 @@ class LinkElectronics:
 
     def telemetry(self, clock: int, motion: Motion) -> bytes | None:
         """The frame that is due now, measured now; None between frames."""
-        if clock - self._torque_clock >= TORQUE_PERIOD:
-            sensor = self.link.torque_sensor
-            self._torque_clock = clock
-            self._torque = _signed(motion.torque / sensor.gain + sensor.zero, 24)
+        encoder, torque = self.instruments.encoder, self.instruments.torque
+        torque.look(clock, motion.torque)
         if clock // self._period == self._periods:
             return None
         self._periods = clock // self._period
@@ -102,14 +106,14 @@ class LinkElectronics:
             clock=clock,
             echo=command.clock & 0xFFFFFFFF if command else 0,
             turnaround=min(clock - gate.arrival, 0xFFFFFFFF) if command else 0,
-            position=_signed(motion.q / self._count, 32),
-            velocity=_signed(motion.qd / self._count / VELOCITY_UNIT, 32),
+            position=_signed(encoder.reading(motion.q) / self._count, 32),
+            velocity=_signed(encoder.rate(motion.q, motion.qd) / self._count / VELOCITY_UNIT, 32),
             current=_signed(self.link.drive.direction * motion.current / CURRENT_UNIT, 16),
             mode=self._demand.mode,
             slow_id=slow,
             status=self._status(motion),
-            torque=self._torque,
-            torque_age=min((clock - self._torque_clock) // 1000, 255),
+            torque=torque.counts,
+            torque_age=min(torque.age(clock) // 1000, 255),
             slow_value=self._slow_value(slow),
         )
         return encode(frame, gate.key)
@@ -140,7 +144,7 @@ class LinkElectronics:
             self._acceleration = min(asked, drive.max_acceleration)
         speed = min(command.velocity * VELOCITY_UNIT * count, drive.max_velocity)
         if command.mode == Mode.POSITION:
-            set_point = command.set_point * self._count
+            set_point = self.instruments.encoder.angle(command.set_point * self._count)
         elif command.mode == Mode.VELOCITY:
             set_point = command.set_point * VELOCITY_UNIT * self._count
             speed = min(abs(set_point), drive.max_velocity)
@@ -168,7 +172,7 @@ class LinkElectronics:
         return {
             Slow.FAULTS: 0,
             Slow.SUPPLY: SUPPLY,
-            Slow.BATTERY: BATTERY,
+            Slow.BATTERY: _signed(10.0 * self.instruments.battery.volts, 32),
             Slow.TEMPERATURE: TEMPERATURE,
             Slow.FIRMWARE: FIRMWARE,
             Slow.HOMINGS: 1,

@@ -4,62 +4,107 @@ Every error is a function of the seed and of a counter alone, of the frame or of
 a run can be resumed anywhere and repeats itself whatever the pace it is computed at.
 """
 
-from dataclasses import dataclass
-from math import cos, radians, sin
+from collections import deque
+from math import cos, sin
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+
+from fss_sim.faults import GyroFaults, SubjectFaults
+from fss_sim.noise import Noise
 
 Pose = tuple[float, float, float]  # x [m], y [m], heading [rad]
 
 RATE = 100  # frames of VICON and samples of the FOG a second
 MOVING = 1e-3  # a joint faster than this moves [rad/s]
 REST = RATE // 5  # frames without a moving joint that make a rest
+MEMORY = RATE  # frames that VICON's latency may last
+BLOCK = 256  # frames whose random numbers are drawn at once
 
-_FRAME, _REST, _RUN = range(3)  # the streams of random numbers
+SEEN, HEARD = SubjectFaults(), GyroFaults()  # nothing is wrong
 
-
-@dataclass(frozen=True)
-class Noise:
-    """Standard deviations of the sensors' errors; none by default."""
-
-    position_noise: float = 0.0  # white, each VICON pose and axis [m]
-    heading_noise: float = 0.0  # white, each VICON pose [rad]
-    rest_position_error: float = 0.0  # end effector seen from the base, each axis, for a rest [m]
-    rest_heading_error: float = 0.0  # likewise [rad]
-    gyro_noise: float = 0.0  # white, each sample [rad/s]
-    gyro_bias: float = 0.0  # for the run [rad/s]
+_FRAME, _REST, _RUN, _CHANCE, _WALK = range(5)  # the streams of random numbers
 
 
-#: `paper`: the errors of a rest that give the residuals of Sec. 4.1, 0.015 m and 0.683 degrees.
-PRESETS = {
-    "ideal": Noise(),
-    "default": Noise(
-        position_noise=0.0003,
-        heading_noise=radians(0.05),
-        rest_position_error=0.001,
-        rest_heading_error=radians(0.1),
-        gyro_noise=radians(0.01),
-        gyro_bias=radians(0.003),
-    ),
-    "paper": Noise(
-        position_noise=0.0003,
-        heading_noise=radians(0.05),
-        rest_position_error=0.0177,
-        rest_heading_error=radians(0.715),
-        gyro_noise=radians(0.01),
-        gyro_bias=radians(0.003),
-    ),
-}
+class Seen(NamedTuple):
+    """What a VICON receiver publishes of a subject."""
+
+    pose: Pose  # in the world
+    occluded: bool = False  # the pose says nothing
 
 
 class Sight(NamedTuple):
-    """What the sensors report at one instant."""
+    """What the sensors report at one instant; None: nothing."""
 
-    base: Pose  # in the world
-    tip: Pose  # of the end effector, in the world
-    rate: float  # of the base, by the FOG [rad/s]
+    base: Seen | None
+    tip: Seen | None  # of the end effector
+    rate: float | None  # of the base, by the FOG [rad/s]
+
+
+class Chance:
+    """Random numbers by frame, `width` of each kind: normal and uniform ones."""
+
+    def __init__(self, seed: int, width: int) -> None:
+        self._seed, self._width = seed, width
+        self._block = -1
+        self._normal = self._uniform = np.empty((0, 0))
+
+    def normal(self, frame: int) -> npt.NDArray[np.float64]:
+        """(width,) of mean 0 and deviation 1."""
+        self._draw(frame // BLOCK)
+        row: npt.NDArray[np.float64] = self._normal[frame % BLOCK]
+        return row
+
+    def uniform(self, frame: int) -> list[float]:
+        """(width,) from 0 to 1."""
+        self._draw(frame // BLOCK)
+        row: list[float] = self._uniform[frame % BLOCK].tolist()
+        return row
+
+    def _draw(self, block: int) -> None:
+        if block != self._block:
+            size = BLOCK, self._width
+            self._block = block
+            self._normal = _random(self._seed, _FRAME, block).standard_normal(size)
+            self._uniform = _random(self._seed, _CHANCE, block).random(size)
+
+
+class Walk:
+    """A random walk that is 0 at time 0 and has the deviation sqrt(t) at time t [s]."""
+
+    def __init__(self, seed: int) -> None:
+        self._random = _random(seed, _WALK, 0)
+        self._values = np.zeros(1)  # at 0, 1, 2, ... s
+
+    def at(self, frame: int) -> float:
+        """Its value at a frame; straight from one second to the next."""
+        second, part = divmod(frame, RATE)
+        while second + 1 >= len(self._values):
+            steps = np.cumsum(self._random.standard_normal(len(self._values)))
+            self._values = np.concatenate([self._values, self._values[-1] + steps])
+        a, b = self._values[second : second + 2].tolist()
+        return float(a + (b - a) * part / RATE)
+
+
+class Camera:
+    """One subject as VICON reports it, late and with its faults."""
+
+    def __init__(self, latency: int) -> None:
+        self._latency = latency  # [frames]
+        self._poses: deque[Pose] = deque(maxlen=MEMORY + 1)
+        self._reported = (0.0, 0.0, 0.0)
+
+    def report(self, pose: Pose, faults: SubjectFaults, lost: float, hidden: float) -> Seen | None:
+        """What comes of a picture; `lost` and `hidden`, from 0 to 1, are its chances."""
+        self._poses.append(pose)
+        late = min(self._latency + round(faults.latency * RATE), len(self._poses) - 1)
+        if lost < faults.dropout:
+            return None
+        if not faults.frozen:
+            x, y, heading = self._poses[-1 - late]
+            self._reported = x, y, heading + faults.swap
+        return Seen(self._reported, occluded=hidden < faults.occlusion)
 
 
 class Sensors:
@@ -74,11 +119,24 @@ class Sensors:
     def __init__(self, noise: Noise, seed: int, rests: int = 0) -> None:
         self.noise, self.seed, self.rests = noise, seed, rests
         self._still = 0
-        self._gyro_bias = noise.gyro_bias * self._normal(_RUN, 0, 1)[0]
+        self._bias, self._scale = _random(seed, _RUN, 0).standard_normal(2).tolist()
+        self._walk = Walk(seed)
+        self._chance = Chance(seed, 7)
+        self._white = np.array([noise.position_noise] * 2 + [noise.heading_noise])
+        latency = round(noise.vicon_latency * RATE)
+        self._base, self._tip = Camera(latency), Camera(latency)
         self._draw_rest()
 
     def look(
-        self, frame: int, base: Pose, tip: Pose, rate: float, qd: npt.NDArray[np.float64]
+        self,
+        frame: int,
+        base: Pose,
+        tip: Pose,
+        rate: float,
+        qd: npt.NDArray[np.float64],
+        base_faults: SubjectFaults = SEEN,
+        tip_faults: SubjectFaults = SEEN,
+        gyro_faults: GyroFaults = HEARD,
     ) -> Sight:
         """What is seen in a frame.
 
@@ -91,16 +149,24 @@ class Sensors:
             tip: true pose of the end effector in the frame of the base.
             rate: true angular velocity of the base [rad/s].
             qd: (n,) joint velocities [rad/s]; the error of a rest is redrawn when they leave 0.
+            base_faults: what is wrong with the base's markers.
+            tip_faults: likewise, the end effector's.
+            gyro_faults: what is wrong with the FOG.
         """
         self._follow(qd)
-        noise = self.noise
-        white = self._normal(_FRAME, frame, 7)
-        deviations = np.array(2 * [noise.position_noise] + [noise.heading_noise])
-        seen_base = np.array(base) + deviations * white[:3]
+        noise, white, chance = self.noise, self._chance.normal(frame), self._chance.uniform(frame)
+        seen_base = (np.array(base) + self._white * white[:3]).tolist()
         seen_tip = np.array(compose(base, (np.array(tip) + self._error).tolist()))
-        seen_tip += deviations * white[3:6]
-        seen_rate = rate + self._gyro_bias + noise.gyro_noise * white[6]
-        return Sight(tuple(seen_base.tolist()), tuple(seen_tip.tolist()), float(seen_rate))
+        seen_tip = (seen_tip + self._white * white[3:6]).tolist()
+        bias = noise.gyro_bias * self._bias + gyro_faults.bias
+        bias += noise.gyro_walk * self._walk.at(frame)
+        scale = 1.0 + noise.gyro_scale * self._scale
+        seen_rate = scale * rate + bias + noise.gyro_noise * float(white[6])
+        return Sight(
+            self._base.report(tuple(seen_base), base_faults, *chance[:2]),
+            self._tip.report(tuple(seen_tip), tip_faults, *chance[2:4]),
+            None if chance[4] < gyro_faults.dropout else seen_rate,
+        )
 
     def _follow(self, qd: npt.NDArray[np.float64]) -> None:
         """Count rests: one ends with the first motion after it, which redraws its error."""
@@ -115,10 +181,11 @@ class Sensors:
     def _draw_rest(self) -> None:
         noise = self.noise
         deviations = np.array(2 * [noise.rest_position_error] + [noise.rest_heading_error])
-        self._error = deviations * self._normal(_REST, self.rests, 3)
+        self._error = deviations * _random(self.seed, _REST, self.rests).standard_normal(3)
 
-    def _normal(self, stream: int, counter: int, size: int) -> npt.NDArray[np.float64]:
-        return np.random.default_rng((self.seed, stream, counter)).standard_normal(size)
+
+def _random(seed: int, stream: int, counter: int) -> np.random.Generator:
+    return np.random.default_rng((seed, stream, counter))
 
 
 def compose(a: Pose, b: Pose) -> Pose:

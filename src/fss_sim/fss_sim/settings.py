@@ -5,8 +5,11 @@ from pathlib import Path
 
 from fss_arm_model.description import Arm, load, paper_arm
 from fss_arm_ros.settings import setting
-from fss_sim.sensors import PRESETS, RATE, Noise
+from fss_sim.noise import PRESETS, Noise
+from fss_sim.pty import LinkTerminal
+from fss_sim.sensors import RATE
 from fss_sim.testbed import State
+from fss_sim.udp import LinkSocket
 
 
 @dataclass(frozen=True)
@@ -16,6 +19,9 @@ class TestbedSettings:
     arm: str = setting("", "file of the true arm's description; empty: the paper's arm")
     host: str = setting("127.0.0.1", "address that the links' UDP ports are opened on")
     ports: tuple[int, ...] = setting((), "the links' UDP ports, 0: any; empty: 5001, 5002, ...")
+    terminals: tuple[str, ...] = setting(
+        (), "paths of pseudo-terminals to reach the links by, as by RS-232; empty: UDP"
+    )
     telemetry_rate: float = setting(5.0, "telemetry frames of each link [1/s]")
     keys: str = setting("", "file of the links' keys; empty: frames are not signed")
     seed: int = setting(1, "of all the sensors' errors")
@@ -27,7 +33,17 @@ class TestbedSettings:
     )
     rest_heading_error: float = setting(-1.0, "likewise [rad]; < 0: the preset's")
     gyro_noise: float = setting(-1.0, "of a FOG sample, 1 sigma [rad/s]; < 0: the preset's")
+    vicon_latency: float = setting(-1.0, "of VICON's poses [s]; < 0: the preset's")
     gyro_bias: float = setting(-1.0, "of the FOG, each run, 1 sigma [rad/s]; < 0: the preset's")
+    gyro_walk: float = setting(-1.0, "of that bias in 1 s, 1 sigma [rad/s]; < 0: the preset's")
+    gyro_scale: float = setting(-1.0, "scale error of the FOG, 1 sigma; < 0: the preset's")
+    encoder_error: float = setting(-1.0, "of an encoder, largest [rad]; < 0: the preset's")
+    torque_noise: float = setting(-1.0, "of a torque sample, 1 sigma [N m]; < 0: the preset's")
+    torque_zero: float = setting(-1.0, "of a torque sensor, 1 sigma [N m]; < 0: the preset's")
+    torque_rate: int = setting(80, "samples of a torque converter [1/s], 10 or 80")
+    clock_drift: float = setting(-1.0, "of a link's clock, relative, 1 sigma; < 0: the preset's")
+    battery: float = setting(1.0, "charge of the links' batteries at the begin, 0 to 1")
+    faults: str = setting("", "file of a fault script (docs/simulator.md); empty: none")
     base: tuple[float, ...] = setting((0.0, 0.0, 0.0), "pose at the begin: x, y [m], heading [rad]")
     q: tuple[float, ...] = setting((), "joint angles at the begin [rad]; empty: all 0")
     keep_clock: bool = setting(False, "publish /clock; else the stamps are ROS time as it is")
@@ -53,6 +69,12 @@ class TestbedSettings:
                 f"speed is {self.speed} and paused {str(self.paused).lower()}, "
                 "expected 1 and false without keep_clock"
             )
+        if self.torque_rate not in (10, 80):
+            raise ValueError(f"torque_rate is {self.torque_rate}, expected 10 or 80")
+        if not 0.0 < self.battery <= 1.0:
+            raise ValueError(f"battery is {self.battery}, expected above 0 to 1")
+        if not self.encoder_error <= 0.01:
+            raise ValueError(f"encoder_error is {self.encoder_error} rad, expected at most 0.01")
         if len(self.base) != 3:
             raise ValueError(f"base has {len(self.base)} numbers, expected 3")
 
@@ -64,6 +86,18 @@ class TestbedSettings:
         """The preset's deviations, with those given in their places."""
         given = {f.name: getattr(self, f.name) for f in fields(Noise)}
         return replace(PRESETS[self.preset], **{k: v for k, v in given.items() if v >= 0.0})
+
+    def script(self) -> str:
+        """The fault script's text."""
+        return Path(self.faults).read_text(encoding="utf-8") if self.faults else ""
+
+    def wires(self, n: int) -> list[LinkSocket | LinkTerminal]:
+        """Open what each link is reached by."""
+        if not self.terminals:
+            return [LinkSocket(self.host, port) for port in self.link_ports(n)]
+        if len(self.terminals) != n:
+            raise ValueError(f"terminals has {len(self.terminals)} paths, expected {n}")
+        return [LinkTerminal(path) for path in self.terminals]
 
     def link_ports(self, n: int) -> tuple[int, ...]:
         """One port for each link."""

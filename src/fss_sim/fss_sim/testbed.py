@@ -8,18 +8,20 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from fss_arm_model.description import Arm
-from fss_sim.electronics import LinkElectronics
+from fss_sim.channel import SECOND, Datagram
+from fss_sim.faults import Event, Faults
+from fss_sim.link import Link
+from fss_sim.noise import Noise
 from fss_sim.plant import Plant
-from fss_sim.sensors import RATE, Noise, Sensors, Sight
+from fss_sim.sensors import RATE, Sensors, Sight
 
-FRAME = 1_000_000_000 // RATE  # [ns]
+FRAME = SECOND // RATE  # [ns]
 OUTAGE = RATE  # frames: how far time moves on while a testbed is not running
-UPTIME = 10_000_000  # links were switched on within this time before the testbed [us]
 
 
 class StateError(ValueError):
@@ -70,7 +72,8 @@ class Report(NamedTuple):
     """What comes out of one frame."""
 
     sight: Sight
-    telemetry: Sequence[bytes | None]  # of each link, None between its frames
+    telemetry: Sequence[Sequence[Datagram]]  # that arrives, of each link
+    faulted: bool  # the faults in force are others than before
 
 
 class Testbed:
@@ -78,11 +81,14 @@ class Testbed:
 
     Args:
         arm: the true parameters.
-        noise: of the sensors.
-        seed: of the sensors' errors and the links' clocks.
+        noise: of the instruments.
+        seed: of all errors.
         state: where to begin.
         rate: of the links' telemetry [frames/s].
         keys: by link, that frames are signed under.
+        torque_rate: samples of the torque converters a second.
+        charge: of the links' batteries, 0 to 1.
+        script: faults to come.
     """
 
     def __init__(
@@ -93,38 +99,63 @@ class Testbed:
         state: State,
         rate: float = 5.0,
         keys: Mapping[int, bytes] | None = None,
+        torque_rate: int = 80,
+        charge: float = 1.0,
+        script: Sequence[Event] = (),
     ) -> None:
         self.plant = Plant(arm, state.q, state.qd)
         self.sensors = Sensors(noise, seed, state.rests)
+        self.faults = Faults(arm.n, script)
         keys = keys or {}
         self.links = [
-            LinkElectronics(i, k, state.boots, rate, keys.get(i))
+            Link(i, k, noise, seed, state.boots, rate, keys.get(i), torque_rate, charge)
             for i, k in enumerate(arm.links, 1)
         ]
-        self.frame, self._boots, self._begin = state.frame, state.boots, state.frame
-        uptimes = np.random.default_rng((seed, state.boots)).integers(UPTIME, size=arm.n)
-        self._uptimes: list[int] = uptimes.tolist()
+        self.frame, self._boots = state.frame, state.boots
+        for link in self.links:
+            link.start(self._boots, self.now, link.uptime)
         self._momentum = self.plant.momentum()
+
+    @property
+    def now(self) -> int:
+        """Time of the last frame since the first begin [ns]."""
+        return self.frame * FRAME
 
     def step(self) -> Report:
         """Let one frame's time pass."""
+        faulted = self.faults.advance(self.now / SECOND)
+        self._supply()
         for i, link in enumerate(self.links):
-            self.plant.command(i, link.demand(self._clock(i), self.plant.motion(i)))
+            self.plant.command(i, link.demand(self.now, self.plant.motion(i)))
         self.plant.advance(1.0 / RATE)
         self.frame += 1
-        plant = self.plant
+        plant, of = self.plant, self.faults
         rate, qd = float(plant.qd[2]), plant.qd[3:]
-        sight = self.sensors.look(self.frame, plant.base, plant.tip, rate, qd)
-        telemetry = [k.telemetry(self._clock(i), plant.motion(i)) for i, k in enumerate(self.links)]
-        return Report(sight, telemetry)
+        sight = self.sensors.look(
+            self.frame, plant.base, plant.tip, rate, qd, of.base, of.tip, of.gyro
+        )
+        telemetry = [
+            link.report(self.now, plant.motion(i), 1.0 / RATE, of.links[i])
+            for i, link in enumerate(self.links)
+        ]
+        return Report(sight, telemetry, faulted)
 
-    def receive(self, link: int, data: bytes, late: int = 0) -> bool:
+    def receive(self, link: int, data: bytes, peer: Any = None, late: int = 0) -> None:
         """Hand a datagram to a link, counted from 0, `late` ns after the last frame.
 
-        Returns:
-            Whether the link took it: its sender is the one to send telemetry to.
+        A link's telemetry goes to the peer whose datagram it took last as a command.
         """
-        return self.links[link].receive(data, self._clock(link) + late // 1000)
+        self.links[link].put(data, peer, self.now + late, self.faults.links[link])
+
+    def _supply(self) -> None:
+        """Take power from links, or give it back; a link that starts has never started so."""
+        for link, faults in zip(self.links, self.faults.links, strict=True):
+            powered = not faults.dead and link.instruments.battery.charge > 0.0
+            if link.electronics and not powered:
+                link.stop()
+            elif powered and not link.electronics:
+                self._boots = self._boots % 65535 + 1
+                link.start(self._boots, self.now)
 
     def state(self) -> State:
         """What to save."""
@@ -134,7 +165,3 @@ class Testbed:
     def momentum_drift(self) -> float:
         """How much of the momentum was gained or lost since the start [kg m/s, kg m^2/s]."""
         return float(np.abs(self.plant.momentum() - self._momentum).max())
-
-    def _clock(self, link: int) -> int:
-        """A link's own clock at the last frame [us]."""
-        return self._uptimes[link] + (self.frame - self._begin) * (FRAME // 1000)

@@ -16,17 +16,18 @@ from sensor_msgs.msg import Imu
 from std_srvs.srv import SetBool
 
 from fss_arm_driver.protocol import load_keys
+from fss_arm_msgs.msg import SimFaults
 from fss_arm_msgs.srv import ResetTestbed, StepTime
 from fss_arm_ros.convert import SECOND, pose_stamped, to_time
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
-from fss_arm_ros.qos import SENSOR
+from fss_arm_ros.qos import LATCHED, SENSOR
 from fss_arm_ros.run import run
-from fss_arm_ros.settings import declare
+from fss_arm_ros.settings import declare, declare_live
+from fss_sim.faults import kinds, read_script
 from fss_sim.pace import Clocked, FlatOut, Pace
-from fss_sim.sensors import RATE, Sight
+from fss_sim.sensors import RATE, Seen, Sight
 from fss_sim.settings import TestbedSettings
 from fss_sim.testbed import FRAME, State, Testbed
-from fss_sim.udp import LinkSocket
 
 BURST = RATE  # frames made up for at once, so that the node remains responsive
 SAVED = RATE // 5  # frames from one writing of the state file to the next
@@ -38,17 +39,21 @@ class TestbedNode(Node):
 
     def __init__(self, **options: Any) -> None:
         super().__init__("testbed", **options)
-        self.settings = settings = declare(self, TestbedSettings)
+        self.settings = settings = declare(self, TestbedSettings, live=True)
         self.arm = arm = settings.description()
         self.keys = load_keys(settings.keys) if settings.keys else {}
-        self.sockets = [LinkSocket(settings.host, port) for port in settings.link_ports(arm.n)]
+        self.script = settings.script()
+        self.wires = settings.wires(arm.n)
         self.base = self.create_publisher(PoseStamped, "vicon/fss/fss", SENSOR)
         self.tip = self.create_publisher(PoseStamped, "vicon/end_effector/end_effector", SENSOR)
         self.gyro = self.create_publisher(Imu, "fog/imu", SENSOR)
         if settings.keep_clock:
             self.clock = self.create_publisher(ClockMessage, "/clock", 10)
         self.seed, self.paused = settings.seed, settings.paused
+        self.faults = self.create_publisher(SimFaults, "sim/faults", LATCHED)
+        self.set_faults: dict[tuple[str, str], float] = {}
         self.begin(settings.begin(arm.n))
+        declare_live(self, kinds(arm.n), self.on_fault)
         self.create_service(SetBool, "sim/pause", self.on_pause)
         self.create_service(StepTime, "sim/step", self.on_step)
         self.create_service(ResetTestbed, "sim/reset", self.on_reset)
@@ -62,10 +67,21 @@ class TestbedNode(Node):
         """Make the test bed in this state, and let its time begin now."""
         settings = self.settings
         self.testbed = Testbed(
-            self.arm, settings.noise(), self.seed, state, settings.telemetry_rate, self.keys
+            self.arm,
+            settings.noise(),
+            self.seed,
+            state,
+            settings.telemetry_rate,
+            self.keys,
+            settings.torque_rate,
+            settings.battery,
+            read_script(self.script),
         )
+        for (part, fault), value in self.set_faults.items():
+            self.testbed.faults.set(part, fault, value)
         self.pace = self.new_pace()
         self.save()
+        self.publish_faults()
 
     def new_pace(self) -> Pace:
         """The pace that is asked for, from the present frame on."""
@@ -89,11 +105,13 @@ class TestbedNode(Node):
 
     def make_frame(self) -> None:
         """Let one frame's time pass and report it."""
-        sight, telemetry = self.testbed.step()
+        sight, telemetry, faulted = self.testbed.step()
         self.publish(self.stamp(), sight)
-        for socket, data in zip(self.sockets, telemetry, strict=True):
-            if data is not None:
-                socket.send(data)
+        for wire, datagrams in zip(self.wires, telemetry, strict=True):
+            for datagram in datagrams:
+                wire.send(*datagram)
+        if faulted:
+            self.publish_faults()
         if self.testbed.frame % SAVED == 0:
             self.save()
 
@@ -125,8 +143,8 @@ class TestbedNode(Node):
     ) -> ResetTestbed.Response:
         """Begin anew from the parameters, whatever the state file holds."""
         self.seed = request.seed if request.seed >= 0 else self.seed
-        for socket in self.sockets:
-            socket.reset()
+        for wire in self.wires:
+            wire.reset()
         self.begin(self.settings.fresh(self.arm.n))
         response.success, response.message = True, f"begun with seed {self.seed}"
         return response
@@ -136,13 +154,32 @@ class TestbedNode(Node):
         epoch = SECOND if self.settings.keep_clock else self.pace.epoch
         return epoch + self.testbed.frame * FRAME
 
+    def on_fault(self, part: str, fault: str, value: float) -> None:
+        """A parameter was set."""
+        self.testbed.faults.set(part, fault, value)
+        self.set_faults[part, fault] = value
+        self.publish_faults()
+
+    def publish_faults(self) -> None:
+        """Publish what is wrong."""
+        message = SimFaults(script=self.script)
+        message.header.stamp = to_time(self.stamp())
+        for part, fault, value in self.testbed.faults.in_force():
+            message.part.append(part)
+            message.fault.append(fault)
+            message.value.append(value)
+        self.faults.publish(message)
+
     def publish(self, stamp: int, sight: Sight) -> None:
         """Publish what the sensors see."""
         settings = self.settings
         if settings.keep_clock:
             self.clock.publish(ClockMessage(clock=to_time(stamp)))
-        self.base.publish(pose_stamped(stamp, settings.world_frame, sight.base))
-        self.tip.publish(pose_stamped(stamp, settings.world_frame, sight.tip))
+        for publisher, seen in ((self.base, sight.base), (self.tip, sight.tip)):
+            if seen:
+                publisher.publish(vicon_pose(stamp, settings.world_frame, seen))
+        if sight.rate is None:
+            return
         imu = Imu()
         imu.header.stamp, imu.header.frame_id = to_time(stamp), settings.base_frame
         imu.orientation_covariance[0] = imu.linear_acceleration_covariance[0] = -1.0  # not measured
@@ -154,11 +191,10 @@ class TestbedNode(Node):
         """Hand datagrams to the links, as arrived now, or at the last frame if time is kept."""
         late = 0 if self.settings.keep_clock else self.pace.late(self.testbed.frame)
         late = min(max(late, 0), FRAME - 1)
-        for link, socket in enumerate(self.sockets):
-            for data, sender in socket.receive():
+        for link, wire in enumerate(self.wires):
+            for data, sender in wire.receive():
                 self.pace.hear(link, self.testbed.frame)
-                if self.testbed.receive(link, data, late):
-                    socket.answer(sender)
+                self.testbed.receive(link, data, sender, late)
 
     def save(self) -> None:
         """Write the state file."""
@@ -179,23 +215,33 @@ class TestbedNode(Node):
             "rests": self.testbed.sensors.rests,
             "clock jumps": self.pace.jumps,
         }
-        for link, socket in zip(self.testbed.links, self.sockets, strict=True):
-            refused = link.gate.refused.total()
-            values[f"link {link.gate.number}"] = f"port {socket.port}, {refused} refused"
+        for link, wire in zip(self.testbed.links, self.wires, strict=True):
+            values[f"link {link.number}"] = f"{wire.place}, {link.refused} refused"
+        for part, fault, value in self.testbed.faults.in_force():
+            values[f"fault {part}.{fault}"] = value
         state = "paused" if self.paused else "too slow" if slow else "running"
         return Health(WARN if slow else OK, state, values)
 
     def close(self) -> None:
         """Keep the state and give the ports back."""
         self.save()
-        for socket in self.sockets:
-            socket.close()
+        for wire in self.wires:
+            wire.close()
 
     def _own_time(self) -> int:
         return int(time.monotonic_ns() * self.settings.speed)
 
     def _ros_time(self) -> int:
         return int(self.get_clock().now().nanoseconds)
+
+
+def vicon_pose(stamp: int, frame_id: str, seen: Seen) -> PoseStamped:
+    """A pose as the common VICON receivers publish it: of an occluded subject, zero throughout."""
+    if not seen.occluded:
+        return pose_stamped(stamp, frame_id, seen.pose)
+    message = pose_stamped(stamp, frame_id, (0.0, 0.0, 0.0))
+    message.pose.orientation.w = 0.0
+    return message
 
 
 def main() -> int:

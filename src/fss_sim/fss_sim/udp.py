@@ -2,6 +2,7 @@
 
 import socket
 from contextlib import suppress
+from typing import Any
 
 BATCH = 64  # datagrams read at once, so that a flood cannot keep the test bed from its work
 LARGEST = 2048  # [bytes] read of one; a longer one is no frame either way
@@ -17,7 +18,6 @@ class LinkSocket:
     def __init__(self, host: str, port: int) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
-        self._peer: tuple[str, int] | None = None
         try:
             self._socket.bind((host, port))
         except OSError as error:
@@ -29,7 +29,12 @@ class LinkSocket:
         """The port it has."""
         return int(self._socket.getsockname()[1])
 
-    def receive(self) -> list[tuple[bytes, tuple[str, int]]]:
+    @property
+    def place(self) -> str:
+        """Where a driver finds it."""
+        return f"port {self.port}"
+
+    def receive(self) -> list[tuple[bytes, Any]]:
         """The datagrams that have come and their senders, at most BATCH."""
         got = []
         try:
@@ -39,21 +44,16 @@ class LinkSocket:
             pass
         return got
 
-    def answer(self, peer: tuple[str, int]) -> None:
-        """Send to this address from now on."""
-        self._peer = peer
-
-    def send(self, data: bytes) -> None:
-        """Send a datagram, once it is known where to; one that cannot be sent is lost."""
-        if self._peer is not None:
+    def send(self, data: bytes, peer: Any) -> None:
+        """Send a datagram to the peer, if there is one; one that cannot be sent is lost."""
+        if peer is not None:
             with suppress(OSError):
-                self._socket.sendto(data, self._peer)
+                self._socket.sendto(data, peer)
 
     def reset(self) -> None:
-        """Forget what has come, and who sent it."""
+        """Forget what has come."""
         while self.receive():
             pass
-        self._peer = None
 
     def close(self) -> None:
         """Give the port back."""

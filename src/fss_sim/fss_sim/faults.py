@@ -1,0 +1,190 @@
+"""What goes wrong in the test bed: kinds of faults, those in force, and scripts of them.
+
+A script is YAML, a list of
+
+    {at: 12.0, part: link_2, fault: loss, value: 0.2, duration: 30.0}
+
+`at` and `duration` in seconds of the simulation, without `duration` to its end; `part` link_<i>,
+fss, end_effector or fog; `value` 1 by default.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, replace
+from math import inf, isfinite, pi
+from typing import Any
+
+import yaml
+
+
+class FaultError(ValueError):
+    """There is no such fault, or not of this size; the message says what there is."""
+
+
+def fault(about: str, least: float = 0.0, most: float = 1.0) -> Any:
+    """A field of a class of faults: what it means, and its range; 0 is no fault."""
+    return field(default=0.0, metadata={"about": about, "range": (least, most)})
+
+
+@dataclass(frozen=True)
+class LinkFaults:
+    """Between a link and its driver, each way alike, and its power."""
+
+    loss: float = fault("share of the datagrams that are lost")
+    delay: float = fault("of every datagram [s]", most=10.0)
+    jitter: float = fault("most that the delay is longer or shorter by, evenly [s]", most=10.0)
+    duplication: float = fault("share of the datagrams that come twice")
+    reordering: float = fault("share of the datagrams that come after the next one")
+    corruption: float = fault("share of the datagrams with a bit flipped")
+    dead: float = fault("1: without power; at its end the link starts anew, which is a reboot")
+
+
+@dataclass(frozen=True)
+class SubjectFaults:
+    """Of a VICON subject."""
+
+    dropout: float = fault("share of the frames that are not published")
+    occlusion: float = fault("share of the frames without the subject: pose and quaternion zero")
+    swap: float = fault("markers are taken for each other: turned by [rad]", -pi, pi)
+    frozen: float = fault("1: the last pose is repeated with fresh stamps")
+    latency: float = fault("how much older than their stamps the poses are [s]")
+
+
+@dataclass(frozen=True)
+class GyroFaults:
+    """Of the FOG."""
+
+    dropout: float = fault("share of the samples that are not published")
+    bias: float = fault("step of the bias [rad/s]", -1.0, 1.0)
+
+
+Groups = dict[str, Any]  # LinkFaults, SubjectFaults or GyroFaults, by part
+BASE, TIP, GYRO = "fss", "end_effector", "fog"
+NO_FAULTS = LinkFaults()
+
+
+def kinds(n: int) -> dict[str, type]:
+    """The parts of a test bed of n links, and what faults each can have."""
+    links = {f"link_{i}": LinkFaults for i in range(1, n + 1)}
+    return {**links, BASE: SubjectFaults, TIP: SubjectFaults, GYRO: GyroFaults}
+
+
+@dataclass(frozen=True)
+class Event:
+    """One fault of a script."""
+
+    at: float  # [s]
+    part: str
+    fault: str
+    value: float = 1.0
+    duration: float = inf  # [s]
+
+    def __post_init__(self) -> None:
+        if not (isfinite(self.at) and self.at >= 0.0 and self.duration > 0.0):
+            raise FaultError(
+                f"{self.part} {self.fault} is at {self.at} s for {self.duration} s, "
+                "expected 0 or more, and above 0"
+            )
+
+
+class Faults:
+    """The faults in force: those that were set, and over them those of a script.
+
+    Args:
+        n: number of links.
+        script: its events; of two at once of the same kind, the later one counts.
+
+    Raises:
+        FaultError: an event that cannot be.
+    """
+
+    def __init__(self, n: int, script: Sequence[Event] = ()) -> None:
+        groups = {part: kind() for part, kind in kinds(n).items()}
+        self._set = groups
+        self._script = sorted(script, key=lambda event: event.at)
+        self._edges = sorted({t for e in script for t in (e.at, e.at + e.duration)}, reverse=True)
+        self._now = 0.0
+        self._take(groups)
+        for event in script:
+            self._changed(groups, event.part, event.fault, event.value)
+
+    def set(self, part: str, name: str, value: float) -> None:
+        """Set a fault by hand; 0 ends it.
+
+        Raises:
+            FaultError: there is no such fault, or not of this size.
+        """
+        self._set = self._changed(self._set, part, name, value)
+        self._renew()
+
+    def advance(self, now: float) -> bool:
+        """Let the script go on to a time [s]; return whether that changed anything."""
+        self._now = now
+        passed = False
+        while self._edges and self._edges[-1] <= now:
+            self._edges.pop()
+            passed = True
+        if not passed:
+            return False
+        before = self._all
+        self._renew()
+        return before != self._all
+
+    def in_force(self) -> list[tuple[str, str, float]]:
+        """What is wrong: of what part, which fault, how much."""
+        return [
+            (part, f.name, getattr(group, f.name))
+            for part, group in self._all.items()
+            for f in fields(group)
+            if getattr(group, f.name)
+        ]
+
+    def _renew(self) -> None:
+        groups = self._set
+        for e in self._script:
+            if e.at <= self._now < e.at + e.duration:
+                groups = self._changed(groups, e.part, e.fault, e.value)
+        self._take(groups)
+
+    def _take(self, groups: Groups) -> None:
+        self._all = groups
+        self.base: SubjectFaults = groups[BASE]
+        self.tip: SubjectFaults = groups[TIP]
+        self.gyro: GyroFaults = groups[GYRO]
+        self.links: list[LinkFaults] = [g for g in groups.values() if isinstance(g, LinkFaults)]
+
+    @staticmethod
+    def _changed(groups: Groups, part: str, name: str, value: float) -> Groups:
+        if part not in groups:
+            raise FaultError(f"no faults of {part!r}, expected one of {', '.join(groups)}")
+        known = {f.name: f.metadata["range"] for f in fields(groups[part])}
+        if name not in known:
+            raise FaultError(f"{part} has no fault {name!r}, expected one of {', '.join(known)}")
+        low, high = known[name]
+        if not low <= value <= high:
+            raise FaultError(f"{part}.{name} is {value:g}, expected {low:.4g} to {high:.4g}")
+        return {**groups, part: replace(groups[part], **{name: float(value)})}
+
+
+def read_script(text: str) -> list[Event]:
+    """The events of a fault script; none if it is empty.
+
+    Raises:
+        FaultError: it is none; the message says why.
+    """
+    try:
+        given = yaml.safe_load(text) or []
+        if not isinstance(given, list):
+            raise FaultError(f"{type(given).__name__}, expected a list")
+        return [_event(entry) for entry in given]
+    except (yaml.YAMLError, FaultError) as error:
+        raise FaultError(f"no fault script: {' '.join(str(error).split())}") from None
+
+
+def _event(entry: Any) -> Event:
+    kinds = {"at": float, "part": str, "fault": str, "value": float, "duration": float}
+    try:
+        return Event(**{key: kinds[key](value) for key, value in dict(entry).items()})
+    except FaultError:
+        raise
+    except (TypeError, ValueError, KeyError) as error:
+        raise FaultError(f"{entry!r}, expected {', '.join(kinds)}: {error}") from None
