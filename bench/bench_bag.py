@@ -71,9 +71,7 @@ def messages(length: float, noise: float) -> Iterator[tuple[int, str, bytes]]:
         t = np.arange(0.03 * i, length, 0.2)
         stamps = (START + np.round(t * SECOND)).astype(np.int64).tolist()
         angles = readings(t)[:, i - 1].tolist()
-        rows += [
-            (at, JOINTS, cdr_joint(at, i, q)) for at, q in zip(stamps, angles, strict=True)
-        ]
+        rows += [(at, JOINTS, cdr_joint(at, i, q)) for at, q in zip(stamps, angles, strict=True)]
     yield from sorted(rows, key=lambda row: row[0])
 
 
