@@ -13,10 +13,12 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu
 from std_srvs.srv import SetBool
 
+from fss_arm_driver.link_node import LinkNode
 from fss_arm_driver.protocol import Command, Mode, Order, Telemetry, decode, encode
+from fss_arm_msgs.msg import SimFaults
 from fss_arm_msgs.srv import ResetTestbed, StepTime
-from fss_arm_ros.convert import planar_pose, stamp_ns
-from fss_arm_ros.qos import sensor
+from fss_arm_ros.convert import PoseError, planar_pose, stamp_ns
+from fss_arm_ros.qos import LATCHED, sensor
 from fss_sim import testbed_node
 
 OF_REAL_TIME = {"/diagnostics", "/rosout", "/parameter_events"}
@@ -219,6 +221,14 @@ def test_a_link_answers_who_sends_it_a_good_command(spin, ears):
     assert (frame.link, frame.boot, frame.echo) == (1, 1, 1)
 
 
+def test_the_driver_reaches_links_on_terminals(spin, tmp_path):
+    paths = [str(tmp_path / f"link_{i}") for i in (1, 2, 3, 4)]
+    bed = testbed(keep_clock=True, speed=5.0, terminals=paths, q=[0.0, 0.3, 0.0, 0.0])
+    link = LinkNode(2, f"serial://{paths[1]}?baud=115200")
+    spin([bed, link], lambda: link.session.frame)
+    assert link.session.scale.position(link.session.frame.position) == pytest.approx(0.3, abs=0.01)
+
+
 def test_it_goes_on_from_its_state_file(spin, ears, tmp_path):
     path = str(tmp_path / "state.json")
     first = testbed(state_file=path, keep_clock=True, q=[0.1, 0.2, 0.3, 0.4])
@@ -233,9 +243,40 @@ def test_it_goes_on_from_its_state_file(spin, ears, tmp_path):
     second.destroy_node()
 
 
+def test_faults_are_set_live_and_published(spin, ears, call):
+    bed, said = testbed(keep_clock=True, paused=True, **{"link_2.loss": 0.25}), []
+    ears.create_subscription(SimFaults, "sim/faults", said.append, LATCHED)
+
+    def in_force():
+        return list(zip(said[-1].part, said[-1].fault, said[-1].value, strict=True)) if said else []
+
+    spin([bed, ears], lambda: in_force() == [("link_2", "loss", 0.25)])
+    (result,) = bed.set_parameters([Parameter("end_effector.occlusion", value=1)])
+    assert result.successful
+    spin([bed, ears], lambda: len(in_force()) == 2)
+    assert call(bed, "sim/step", StepTime, frames=3).success
+    spin([bed, ears], lambda: len(ears.heard["tip"]) == 3)
+    pose = ears.heard["tip"][-1].pose
+    with pytest.raises(PoseError, match="occluded"):
+        planar_pose(pose)
+    assert call(bed, "sim/reset", ResetTestbed, seed=-1).success
+    spin([bed, ears], lambda: len(said) >= 3 and len(in_force()) == 2)  # they stay
+    for name, value in (("link_1.loss", 2.0), ("link_1.loss", "much"), ("fog.bias", 9.0)):
+        (result,) = bed.set_parameters([Parameter(name, value=value)])
+        assert not result.successful
+        assert name in result.reason
+    bed.set_parameters([Parameter("link_2.loss", value=0.0)])
+    spin([bed, ears], lambda: in_force() == [("end_effector", "occlusion", 1.0)])
+
+
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
+        ({"link_5.loss": 0.1}, "no parameter link_5.loss"),
+        ({"fss.swap": 7.0}, "fss.swap is 7"),
+        ({"torque_rate": 50}, "expected 10 or 80"),
+        ({"battery": 0.0}, "battery is 0.0"),
+        ({"terminals": ["/tmp/a"]}, "expected 4"),
         ({"preset": "none"}, "preset is 'none'"),
         ({"speed": 5.0}, "without keep_clock"),
         ({"paused": True}, "without keep_clock"),
