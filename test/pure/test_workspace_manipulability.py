@@ -6,8 +6,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from model_arms import random_arm
-from numpy.testing import assert_allclose
 from model_oracles import pinocchio_model
+from numpy.testing import assert_allclose
 from workspace_oracle import exhaustive, tips
 
 from fss_arm_model.description import paper_arm
