@@ -29,11 +29,15 @@ ALLOWED = {
     | {"fss_arm_model", "fss_arm_ros", "numpy", "scipy", "yaml", "rich", "matplotlib"},
     "fss_arm_workspace": ROS
     | {"fss_arm_model", "fss_arm_ros", "numpy", "scipy", "rich", "matplotlib"},
+    "fss_arm_view": ROS | {"tf2_msgs", "fss_arm_model", "fss_arm_ros", "numpy", "rerun"},
 }
 
 # Where the mathematics of a package meets ROS: its nodes, and these.
 EDGES = {"settings", "messages", "from_bag"}
-MATHEMATICS = {"fss_arm_model", "fss_arm_driver", "fss_sim", "fss_arm_calib", "fss_arm_workspace"}
+MATHEMATICS = {
+    "fss_arm_model", "fss_arm_driver", "fss_sim", "fss_arm_calib", "fss_arm_workspace",
+    "fss_arm_view",
+}  # fmt: skip
 
 
 def find_modules() -> dict[str, Path]:

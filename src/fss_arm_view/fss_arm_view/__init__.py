@@ -1,0 +1,1 @@
+"""The base's reaction to the arm, computed and shown."""

@@ -1,0 +1,196 @@
+"""The base's pose and twist from VICON poses and gyro rates.
+
+Position and heading are unrelated for a filter that knows no forces, and x and y are alike: one
+Kalman filter of position and velocity, whose covariance x and y share, and one of heading, rate and
+the gyro's bias. Accelerations are white noise (Bar-Shalom, Li, Kirubarajan, Estimation with
+Applications to Tracking and Navigation, 2001, section 6.2.2).
+"""
+
+from bisect import insort
+from collections import Counter
+from dataclasses import dataclass
+from math import inf, pi, sqrt
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float64]
+
+HORIZON = 50_000_000  # how long a stream may lag the other [ns]
+GATE = 5.0  # deviations at which a measurement is refused
+LOST = 10  # poses refused in a row after which the last one is believed
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Deviations that the filter reckons with, 1 sigma."""
+
+    position: float = 0.001  # of a VICON pose, each axis [m]
+    heading: float = 0.009  # [rad]
+    rate: float = 0.001  # of a gyro sample [rad/s]
+    bias_walk: float = 1e-5  # of the gyro's bias, after 1 s [rad/s]
+    acceleration: float = 0.05  # of the base, as velocity after 1 s [m/s]
+    angular_acceleration: float = 0.3  # likewise [rad/s]
+
+
+class Estimate(NamedTuple):
+    """The base at a moment."""
+
+    t: int  # [ns]
+    pose: Floats  # (3,) x, y [m], unwrapped heading [rad]
+    twist: Floats  # (3,) [m/s, m/s, rad/s]
+    pose_variance: Floats  # (3,)
+    twist_variance: Floats  # (3,)
+
+    def at(self, t: int) -> "Estimate":
+        """The same motion a little earlier or later."""
+        return self._replace(t=t, pose=self.pose + (t - self.t) * 1e-9 * self.twist)
+
+
+class _Kalman:
+    """One filter: state x (k,) or (k, c) for c alike, its covariance P (k, k)."""
+
+    def __init__(self, x: Floats, variances: tuple[float, ...], densities: tuple[float, ...]):
+        self.x, self.P = x, np.diag(variances)
+        self.densities = densities  # of the noise driving rate, and what follows it
+
+    def predict(self, dt: float) -> None:
+        """The first state moves with the second, which is driven by noise."""
+        F = np.eye(len(self.P))
+        F[0, 1] = dt
+        Q = np.zeros_like(self.P)
+        Q[:2, :2] = self.densities[0] * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
+        for i, density in enumerate(self.densities[1:], 2):
+            Q[i, i] = density * dt
+        self.x = F @ self.x
+        self.P = F @ self.P @ F.T + Q
+
+    def distance(self, h: Floats, innovation: Floats | float, variance: float) -> float:
+        """The innovation in its deviations; the largest, where states are alike."""
+        return float(np.abs(innovation).max() / sqrt(h @ self.P @ h + variance))
+
+    def update(self, h: Floats, innovation: Floats | float, variance: float) -> None:
+        """Take a measurement h x with the given innovation."""
+        Ph = self.P @ h
+        gain = Ph / (h @ Ph + variance)
+        self.x = self.x + (np.outer(gain, innovation) if self.x.ndim == 2 else gain * innovation)
+        self.P = self.P - np.outer(gain, Ph)
+
+
+_POSITION = np.array([1.0, 0.0])
+_HEADING = np.array([1.0, 0.0, 0.0])
+_GYRO = np.array([0.0, 1.0, 1.0])
+
+
+class BaseFilter:
+    """Merges the two streams by their stamps; one may lag the other by HORIZON.
+
+    A measurement further than GATE deviations off, or older than what was merged already, is
+    refused and counted; after LOST refused poses in a row the base is believed to be there.
+    """
+
+    def __init__(self, errors: Errors | None = None) -> None:
+        self.errors = errors or Errors()
+        self.refused: Counter[str] = Counter()
+        self.waiting: list[tuple[int, int, tuple[float, ...]]] = []
+        self.t = -1
+        self.lost = 0
+        self.position: _Kalman | None = None
+        self.heading: _Kalman | None = None
+
+    def pose(self, t: int, x: float, y: float, heading: float) -> list[Estimate]:
+        """Take a VICON pose at t [ns]; return the estimates at all poses merged by it."""
+        return self._take(t, (x, y, heading))
+
+    def rate(self, t: int, omega: float) -> list[Estimate]:
+        """Take a gyro sample at t [ns]; return the estimates at all poses merged by it."""
+        return self._take(t, (omega,))
+
+    def _take(self, t: int, sample: tuple[float, ...]) -> list[Estimate]:
+        if t < self.t:
+            self.refused["late"] += 1
+            return []
+        insort(self.waiting, (t, len(sample), sample))
+        until, merged = self.waiting[-1][0] - HORIZON, 0
+        found = []
+        for at, size, values in self.waiting:
+            if at > until:
+                break
+            merged += 1
+            if size == 1:
+                self._merge_rate(at, values[0])
+            elif self._merge_pose(at, values):
+                found.append(self._estimate())
+        del self.waiting[:merged]
+        return found
+
+    def _move(self, t: int) -> None:
+        assert self.position is not None
+        assert self.heading is not None
+        self.position.predict((t - self.t) * 1e-9)
+        self.heading.predict((t - self.t) * 1e-9)
+        self.t = t
+
+    def _merge_rate(self, t: int, omega: float) -> None:
+        if self.heading is None:
+            return
+        self._move(t)
+        variance = self.errors.rate**2
+        innovation = omega - _GYRO @ self.heading.x
+        if self.heading.distance(_GYRO, innovation, variance) > GATE and self.lost < LOST:
+            self.refused["gyro"] += 1
+            return
+        self.heading.update(_GYRO, innovation, variance)
+
+    def _merge_pose(self, t: int, pose: tuple[float, ...]) -> bool:
+        e = self.errors
+        if self.position is None or self.heading is None or self.lost >= LOST:
+            self._begin(t, pose)
+            return True
+        self._move(t)
+        away = np.array(pose[:2]) - self.position.x[0]
+        turned = (pose[2] - self.heading.x[0] + pi) % (2 * pi) - pi
+        off = max(
+            self.position.distance(_POSITION, away, e.position**2),
+            self.heading.distance(_HEADING, turned, e.heading**2),
+        )
+        if off > GATE:
+            self.refused["pose"] += 1
+            self.lost += 1
+            return False
+        self.lost = 0
+        self.position.update(_POSITION, away, e.position**2)
+        self.heading.update(_HEADING, turned, e.heading**2)
+        return True
+
+    def _begin(self, t: int, pose: tuple[float, ...]) -> None:
+        e, turns = self.errors, 0.0
+        if self.heading is not None:
+            turns = 2 * pi * round((self.heading.x[0] - pose[2]) / (2 * pi))
+        self.t, self.lost = t, 0
+        self.position = _Kalman(
+            np.array([pose[:2], (0.0, 0.0)]), (e.position**2, 0.1**2), (e.acceleration**2,)
+        )
+        self.heading = _Kalman(
+            np.array([pose[2] + turns, 0.0, 0.0]),
+            (e.heading**2, 0.1**2, 0.01**2),
+            (e.angular_acceleration**2, e.bias_walk**2),
+        )
+
+    def _estimate(self) -> Estimate:
+        assert self.position is not None
+        assert self.heading is not None
+        (x, y), (vx, vy) = self.position.x
+        heading, omega, _ = self.heading.x
+        line, turn = np.diag(self.position.P), np.diag(self.heading.P)
+        return Estimate(
+            self.t,
+            np.array([x, y, heading]),
+            np.array([vx, vy, omega]),
+            np.array([line[0], line[0], turn[0]]),
+            np.array([line[1], line[1], turn[1]]),
+        )
+
+
+NOWHERE = Estimate(-1, np.full(3, np.nan), np.full(3, np.nan), np.full(3, inf), np.full(3, inf))

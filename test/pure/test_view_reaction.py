@@ -1,0 +1,253 @@
+"""The base's reaction, against the free-floating equations of motion integrated step by step."""
+
+from math import radians
+
+import numpy as np
+import pytest
+
+from fss_arm_model.description import load, paper_arm
+from fss_arm_model.dynamics import bias, inertia_matrix
+from fss_arm_model.momentum import momentum
+from fss_arm_view.base_filter import BaseFilter, Errors, Estimate
+from fss_arm_view.reaction import BaseReaction, ReactionSettings, spread
+
+STEP = 0.001  # [s]
+
+
+def trapezoid(t, begin, angle, rate=0.5, acceleration=1.0):
+    """Angle, rate and acceleration of a servo drive's profile."""
+    ramp, sign = rate / acceleration, np.sign(angle)
+    cruise = abs(angle) / rate - ramp
+    u = t - begin
+    edges = [0.0, ramp, ramp + cruise, 2 * ramp + cruise]
+    qdd = (
+        sign
+        * acceleration
+        * ((u >= edges[0]) * (u < edges[1]) * 1.0 - (u >= edges[2]) * (u < edges[3]) * 1.0)
+    )
+    qd = sign * acceleration * (np.clip(u, 0, ramp) - (np.clip(u, edges[2], edges[3]) - edges[2]))
+    q = sign * (
+        0.5 * acceleration * np.clip(u, 0, ramp) ** 2
+        + rate * (np.clip(u, edges[1], edges[2]) - ramp)
+        + rate * (np.clip(u, edges[2], edges[3]) - edges[2])
+        - 0.5 * acceleration * (np.clip(u, edges[2], edges[3]) - edges[2]) ** 2
+    )
+    return q, qd, qdd
+
+
+class Flight:
+    """Joints that follow their laws, and the base that floats with a given twist at first."""
+
+    def __init__(self, arm, twist=(0.0, 0.0, 0.0), end=8.0):
+        p, n = arm.vector(), arm.n
+        self.t = np.arange(0.0, end, STEP)
+        angles = [radians(60), -radians(45), radians(30), -radians(20)]
+        laws = [trapezoid(self.t, 2.0 + 0.1 * k, angles[k % 4]) for k in range(n)]
+        self.q, self.qd, self.qdd = (np.array(part).T for part in zip(*laws, strict=True))
+        state = np.concatenate([np.zeros(3), self.q[0]])
+        rate = np.concatenate([twist, self.qd[0]])
+        kept = momentum(p, state, rate)
+        self.pose, self.twist = np.empty((2, len(self.t), 3))
+        pose = np.zeros(3)
+
+        def twist_at(pose, q, qd):
+            # The twist with which the momentum is what it was.
+            x = np.concatenate([pose, q])
+            none = momentum(p, x, np.concatenate([np.zeros(3), qd]))
+            by_twist = np.column_stack([momentum(p, x, np.eye(3 + n)[k]) for k in range(3)])
+            return np.linalg.solve(by_twist, kept - none)
+
+        for k in range(len(self.t)):
+            self.pose[k] = pose
+            self.twist[k] = twist_at(pose, self.q[k], self.qd[k])
+            if k + 1 < len(self.t):
+                half_q, half_qd, _ = (
+                    np.array(part) for part in zip(
+                        *(trapezoid(self.t[k] + STEP / 2, 2.0 + 0.1 * j, angles[j % 4])
+                          for j in range(n)), strict=True)
+                )  # fmt: skip
+                a = self.twist[k]
+                b = twist_at(pose + STEP / 2 * a, half_q, half_qd)
+                c = twist_at(pose + STEP / 2 * b, half_q, half_qd)
+                d = twist_at(pose + STEP * c, self.q[k + 1], self.qd[k + 1])
+                pose = pose + STEP / 6 * (a + 2 * b + 2 * c + d)
+        self.momentum = kept
+
+    def index(self, t):
+        return round(t * 1e-9 / STEP)
+
+
+def follow(reaction, flight, every, spread_out=True):
+    """Feed readings every so many milliseconds, one joint after the other, and poses at 100 Hz."""
+    found = []
+    n = len(reaction.joints)
+    for k in range(len(flight.t)):
+        t = k * 1_000_000
+        for i in range(n):
+            if (k - (i if spread_out else 0)) % every == 0:
+                reaction.joint(i, t, flight.q[k, i], flight.qd[k, i], 0.1)
+        if k % 10 == 0:
+            still = np.full(3, 1e-6)
+            reaction.base(Estimate(t, flight.pose[k], flight.twist[k], still, still))
+        if k % 100 == 0 and (until := reaction.known_until()) > reaction.t:
+            got = reaction.advance(until)
+            if got:
+                found.append(got)
+    return found
+
+
+@pytest.fixture(scope="module")
+def flight():
+    return Flight(paper_arm(), (0.01, -0.02, radians(0.5)))
+
+
+@pytest.mark.parametrize(("every", "bound"), [(200, 2e-3), (2, 5e-6)])
+def test_the_prediction_goes_where_the_base_goes(flight, every, bound):
+    found = follow(BaseReaction(paper_arm()), flight, every)
+    assert len(found) > 50
+    for r in found:
+        k = flight.index(r.t)
+        np.testing.assert_allclose(r.predicted, flight.pose[k], rtol=0, atol=bound)
+        np.testing.assert_allclose(r.measured, flight.pose[k], rtol=0, atol=1e-4)
+    moved = flight.pose[flight.index(found[-1].t), 2]
+    assert abs(moved) > 0.3  # or it would be no test
+    assert {r.anchor for r in found} != {found[0].anchor}  # anew before the motion
+
+
+def test_momentum_is_that_of_the_flight(flight):
+    found = follow(BaseReaction(paper_arm()), flight, 2)
+    for r in found:
+        # Twists 10 ms apart are interpolated, over jumps of the acceleration.
+        np.testing.assert_allclose(r.momentum, flight.momentum, rtol=0, atol=5e-3)
+    np.testing.assert_allclose(found[-1].momentum_drift, 0.0, atol=1e-4)
+
+
+def test_the_first_joint_carries_what_accelerates_the_base(flight):
+    arm = paper_arm()
+    found = follow(BaseReaction(arm), flight, 2)
+    p = arm.vector()
+    ramps = 0
+    for r in found:
+        k = flight.index(r.t)
+        near = flight.qdd[k - 110 : k + 111]
+        if k < 120 or k + 120 > len(flight.t) or (near != near[0]).any():
+            continue  # accelerations jump within the difference
+        ramps += bool(near.any())
+        x = np.concatenate([flight.pose[k], flight.q[k]])
+        xd = np.concatenate([flight.twist[k], flight.qd[k]])
+        base = (flight.twist[k + 5] - flight.twist[k - 5]) / (10 * STEP)
+        tau = inertia_matrix(p, x) @ np.concatenate([base, flight.qdd[k]]) + bias(p, x, xd)
+        assert r.torque == pytest.approx(tau[3], abs=1e-3)
+        # The whole base's momentum changes by what link 1 does to it; its centre is its origin.
+        np.testing.assert_allclose(r.force, -arm.base.mass * base[:2], rtol=0, atol=2e-3)
+        np.testing.assert_allclose(r.torque_measured, 0.1)
+    assert ramps >= 3
+
+
+def test_the_band_holds_what_a_wrong_parameter_does(flight):
+    arm = paper_arm()
+    covariance = spread(["a_1 .. a_3"], [0.005**2], arm)
+    exact = ReactionSettings(position=1e-9, heading=1e-9)
+    wrong = arm.with_kinematics(
+        [*(k.a + 0.005 for k in arm.links[:3]), arm.links[3].a,
+         *(k.theta_0 for k in arm.links[1:]), *arm.base.mount]
+    )  # fmt: skip
+    right, off = (follow(BaseReaction(a, covariance, exact), flight, 20)[-1] for a in (arm, wrong))
+    away = np.abs(off.predicted - right.predicted)
+    # One parameter, wrong by its deviation: as far off as the band is wide, to first order.
+    np.testing.assert_allclose(right.predicted_deviation, away, rtol=0.05)
+    assert (away > 5e-5).all()
+
+
+def test_the_band_grows_with_the_time_since_the_drift_was_fitted(flight):
+    settings = ReactionSettings(position=0.01, heading=0.02)
+    found = follow(BaseReaction(paper_arm(), settings=settings), flight, 20)
+    begun = [r for r in found if r.anchor == found[-1].anchor]
+    band = np.array([r.predicted_deviation for r in begun])
+    assert (np.diff(band[:, :2], axis=0) > 0.0).all()
+    # A line through 200 poses of 2 s: its slope's deviation times 6 s, and its height's.
+    slope = 0.01 * np.sqrt(12 / 200) / 2.0
+    since = (begun[-1].t - begun[-1].anchor) * 1e-9
+    assert band[-1, 0] == pytest.approx(np.hypot(slope * (since + 1.0), 0.01 / 200**0.5), rel=0.1)
+
+
+def test_an_unknown_parameter_is_named():
+    with pytest.raises(ValueError, match=r"'mass_9' is not a parameter of 'paper'"):
+        spread(["mass_9"], [1.0], paper_arm())
+
+
+def test_a_base_that_nobody_sees_has_no_reaction():
+    reaction = BaseReaction(paper_arm())
+    assert reaction.known_until() == -1
+    for i in range(4):
+        assert reaction.joint(i, 0, 0.0, 0.0, 0.0)
+    assert not reaction.joint(0, 0, 0.0, 0.0, 0.0)  # not newer
+    assert reaction.known_until() == -1
+    assert reaction.advance(0) is None
+
+
+def test_unlike_links_and_base_centre_of_mass():
+    arm = load("config/truth.yaml")
+    flight = Flight(arm, end=5.0)
+    found = follow(BaseReaction(arm), flight, 4)
+    np.testing.assert_allclose(
+        found[-1].predicted, flight.pose[flight.index(found[-1].t)], rtol=0, atol=5e-6
+    )
+
+
+# The filter.
+
+
+def fly(filter_, errors, seed, end=20.0):
+    """A base that turns and drifts; poses at 100 Hz, the gyro at 100 Hz with a bias."""
+    rng = np.random.default_rng(seed)
+    found = []
+    truth = lambda t: np.array([0.05 * t, -0.02 * t, 3.0 + 0.2 * t + 0.3 * np.sin(t)])  # noqa: E731
+    for k in range(int(end * 100)):
+        t = k * 10_000_000
+        x, y, heading = truth(t * 1e-9) + rng.normal(
+            0, [errors.position, errors.position, errors.heading]
+        )
+        omega = 0.2 + 0.3 * np.cos(t * 1e-9 + 0.005) + 0.003 + rng.normal(0, errors.rate)
+        found += filter_.rate(t + 5_000_000, omega)
+        wrapped = (heading + np.pi) % (2 * np.pi) - np.pi
+        found += filter_.pose(t, x, y, wrapped)
+    return found, truth
+
+
+def test_the_filter_is_as_good_as_it_says():
+    errors = Errors(bias_walk=1e-6)
+    found, truth = fly(BaseFilter(errors), errors, 1)
+    late = [e for e in found if e.t > 10_000_000_000]
+    off = np.array([e.pose - truth(e.t * 1e-9) for e in late])
+    assert (np.abs(off) < 5.0 * np.sqrt(late[-1].pose_variance)).all()
+    assert np.abs(off[:, 2]).max() < 0.5 * errors.heading  # the gyro helps
+    assert late[-1].pose[2] > 3.0 + 3.0  # unwrapped
+    rates = np.array([e.twist[2] - 0.2 - 0.3 * np.cos(e.t * 1e-9) for e in late])
+    assert np.abs(rates).max() < 5.0 * late[-1].twist_variance[2] ** 0.5  # bias 0.003 found
+
+
+def test_a_swapped_subject_is_refused_and_a_moved_one_believed_in_the_end():
+    filter_ = BaseFilter()
+    for k in range(100):
+        filter_.pose(k * 10_000_000, 0.0, 0.0, 0.0)
+    for k in range(100, 105):
+        filter_.pose(k * 10_000_000, 1.0, 1.0, 1.0)
+    found = [e for k in range(105, 200) for e in filter_.pose(k * 10_000_000, 0.0, 0.0, 0.0)]
+    assert filter_.refused == {"pose": 5}
+    assert max(np.abs(e.pose).max() for e in found) < 1e-6
+    found = [e for k in range(200, 260) for e in filter_.pose(k * 10_000_000, 1.0, 1.0, 1.0)]
+    np.testing.assert_allclose(found[-1].pose, 1.0, atol=1e-6)
+
+
+def test_late_and_interleaved_samples_are_put_in_order():
+    merged, sorted_ = BaseFilter(), BaseFilter()
+    samples = [(k * 10_000_000, (0.001 * k, 0.0, 0.0)) for k in range(50)]
+    lagging = [samples[k ^ 1] for k in range(50)]
+    a = [e for t, pose in samples for e in sorted_.pose(t, *pose)]
+    b = [e for t, pose in lagging for e in merged.pose(t, *pose)]
+    k = min(len(a), len(b))
+    assert k > 40
+    np.testing.assert_array_equal([e.pose for e in a[:k]], [e.pose for e in b[:k]])
+    merged.pose(10_000_000, 0.0, 0.0, 0.0)
+    assert merged.refused == {"late": 1}
