@@ -90,7 +90,7 @@ look_for_needs() {
     missing+=("Python 3.11 or 3.12") packages+=(python3-dev python3-venv)
   fi
   [[ $ros == jazzy ]] || return 0
-  for name in ament_cmake rosidl_default_generators common_interfaces; do
+  for name in ament_cmake rosidl_default_generators common_interfaces tf2_msgs; do
     ament_has "$name" || { missing+=("$name") packages+=("ros-jazzy-${name//_/-}"); }
   done
 }
@@ -168,6 +168,19 @@ END
   done
 }
 
+# The wheels lack tf2_msgs; its one message that is needed goes into .venv beside them.
+add_tf2_msgs() (
+  export PATH=$venv/bin:$PATH VIRTUAL_ENV=$venv AMENT_PREFIX_PATH=$venv CMAKE_PREFIX_PATH=$venv
+  build=$(mktemp -d)
+  trap 'rm -rf "$build"' EXIT
+  if ! { cmake -S "$root/scripts/tf2_msgs" -B "$build" -DCMAKE_INSTALL_PREFIX="$venv" \
+    -DBUILD_TESTING=OFF && cmake --build "$build" -j "$(nproc)" --target install; } >"$log" 2>&1
+  then
+    tail -n 25 "$log" >&2
+    die "tf2_msgs could not be built"
+  fi
+)
+
 make_venv() {
   local free needed options=()
   [[ $ros == jazzy || $(uname -sm) == "Linux x86_64" ]] ||
@@ -191,7 +204,7 @@ add_packages() {
   say "installing the pinned packages for $ros${dev:+ and those of the tests} (a minute or two)"
   rm -f "$venv/.stamp-packages"
   pip -r "$requirements.txt" ${dev:+-r "$requirements-dev.txt"}
-  [[ $ros == jazzy ]] || repair_wheels
+  [[ $ros == jazzy ]] || { repair_wheels; add_tf2_msgs; }
   echo "$pins" >"$venv/.stamp-packages"
   [[ -z $dev ]] || echo "$dev_pins" >"$venv/.stamp-dev"
 }

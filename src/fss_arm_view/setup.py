@@ -11,4 +11,9 @@ setup(
     ],
     description="The reaction of the base to the arm, computed and shown live.",
     license="Apache-2.0",
+    entry_points={
+        "console_scripts": [
+            "base_reaction = fss_arm_view.base_reaction_node:main",
+        ],
+    },
 )

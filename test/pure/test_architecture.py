@@ -13,7 +13,7 @@ SOURCES = Path(__file__).parents[2] / "src"
 MESSAGES = {
     "action_msgs", "builtin_interfaces", "diagnostic_msgs", "fss_arm_msgs", "geometry_msgs",
     "nav_msgs", "rcl_interfaces", "rosgraph_msgs", "sensor_msgs", "std_msgs", "std_srvs",
-    "visualization_msgs",
+    "tf2_msgs", "visualization_msgs",
 }  # fmt: skip
 ROS = MESSAGES | {"rclpy", "ament_index_python"}
 MODEL = {"numpy", "scipy", "numba", "yaml"}
@@ -29,7 +29,7 @@ ALLOWED = {
     | {"fss_arm_model", "fss_arm_ros", "numpy", "scipy", "yaml", "rich", "matplotlib"},
     "fss_arm_workspace": ROS
     | {"fss_arm_model", "fss_arm_ros", "numpy", "scipy", "rich", "matplotlib"},
-    "fss_arm_view": ROS | {"tf2_msgs", "fss_arm_model", "fss_arm_ros", "numpy", "rerun"},
+    "fss_arm_view": ROS | {"fss_arm_model", "fss_arm_ros", "numpy", "rerun"},
 }
 
 # Where the mathematics of a package meets ROS: its nodes, and these.

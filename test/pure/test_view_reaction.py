@@ -8,8 +8,9 @@ import pytest
 from fss_arm_model.description import load, paper_arm
 from fss_arm_model.dynamics import bias, inertia_matrix
 from fss_arm_model.momentum import momentum
-from fss_arm_view.base_filter import BaseFilter, Errors, Estimate
-from fss_arm_view.reaction import BaseReaction, ReactionSettings, spread
+from fss_arm_view.base_filter import BaseFilter, Estimate
+from fss_arm_view.reaction import BaseReaction, spread
+from fss_arm_view.settings import ReactionSettings, SensorErrors
 
 STEP = 0.001  # [s]
 
@@ -147,7 +148,7 @@ def test_the_first_joint_carries_what_accelerates_the_base(flight):
 def test_the_band_holds_what_a_wrong_parameter_does(flight):
     arm = paper_arm()
     covariance = spread(["a_1 .. a_3"], [0.005**2], arm)
-    exact = ReactionSettings(position=1e-9, heading=1e-9)
+    exact = ReactionSettings(position_error=1e-9, heading_error=1e-9)
     wrong = arm.with_kinematics(
         [*(k.a + 0.005 for k in arm.links[:3]), arm.links[3].a,
          *(k.theta_0 for k in arm.links[1:]), *arm.base.mount]
@@ -160,7 +161,7 @@ def test_the_band_holds_what_a_wrong_parameter_does(flight):
 
 
 def test_the_band_grows_with_the_time_since_the_drift_was_fitted(flight):
-    settings = ReactionSettings(position=0.01, heading=0.02)
+    settings = ReactionSettings(position_error=0.01, heading_error=0.02)
     found = follow(BaseReaction(paper_arm(), settings=settings), flight, 20)
     begun = [r for r in found if r.anchor == found[-1].anchor]
     band = np.array([r.predicted_deviation for r in begun])
@@ -206,9 +207,9 @@ def fly(filter_, errors, seed, end=20.0):
     for k in range(int(end * 100)):
         t = k * 10_000_000
         x, y, heading = truth(t * 1e-9) + rng.normal(
-            0, [errors.position, errors.position, errors.heading]
+            0, [errors.position_error, errors.position_error, errors.heading_error]
         )
-        omega = 0.2 + 0.3 * np.cos(t * 1e-9 + 0.005) + 0.003 + rng.normal(0, errors.rate)
+        omega = 0.2 + 0.3 * np.cos(t * 1e-9 + 0.005) + 0.003 + rng.normal(0, errors.rate_error)
         found += filter_.rate(t + 5_000_000, omega)
         wrapped = (heading + np.pi) % (2 * np.pi) - np.pi
         found += filter_.pose(t, x, y, wrapped)
@@ -216,12 +217,12 @@ def fly(filter_, errors, seed, end=20.0):
 
 
 def test_the_filter_is_as_good_as_it_says():
-    errors = Errors(bias_walk=1e-6)
+    errors = SensorErrors(bias_walk=1e-6)
     found, truth = fly(BaseFilter(errors), errors, 1)
     late = [e for e in found if e.t > 10_000_000_000]
     off = np.array([e.pose - truth(e.t * 1e-9) for e in late])
     assert (np.abs(off) < 5.0 * np.sqrt(late[-1].pose_variance)).all()
-    assert np.abs(off[:, 2]).max() < 0.5 * errors.heading  # the gyro helps
+    assert np.abs(off[:, 2]).max() < 0.5 * errors.heading_error  # the gyro helps
     assert late[-1].pose[2] > 3.0 + 3.0  # unwrapped
     rates = np.array([e.twist[2] - 0.2 - 0.3 * np.cos(e.t * 1e-9) for e in late])
     assert np.abs(rates).max() < 5.0 * late[-1].twist_variance[2] ** 0.5  # bias 0.003 found

@@ -8,30 +8,19 @@ Applications to Tracking and Navigation, 2001, section 6.2.2).
 
 from bisect import insort
 from collections import Counter
-from dataclasses import dataclass
-from math import inf, pi, sqrt
+from math import pi, sqrt
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+
+from .settings import SensorErrors
 
 Floats = npt.NDArray[np.float64]
 
 HORIZON = 50_000_000  # how long a stream may lag the other [ns]
 GATE = 5.0  # deviations at which a measurement is refused
 LOST = 10  # poses refused in a row after which the last one is believed
-
-
-@dataclass(frozen=True)
-class Errors:
-    """Deviations that the filter reckons with, 1 sigma."""
-
-    position: float = 0.001  # of a VICON pose, each axis [m]
-    heading: float = 0.009  # [rad]
-    rate: float = 0.001  # of a gyro sample [rad/s]
-    bias_walk: float = 1e-5  # of the gyro's bias, after 1 s [rad/s]
-    acceleration: float = 0.05  # of the base, as velocity after 1 s [m/s]
-    angular_acceleration: float = 0.3  # likewise [rad/s]
 
 
 class Estimate(NamedTuple):
@@ -90,8 +79,8 @@ class BaseFilter:
     refused and counted; after LOST refused poses in a row the base is believed to be there.
     """
 
-    def __init__(self, errors: Errors | None = None) -> None:
-        self.errors = errors or Errors()
+    def __init__(self, errors: SensorErrors | None = None) -> None:
+        self.errors = errors or SensorErrors()
         self.refused: Counter[str] = Counter()
         self.waiting: list[tuple[int, int, tuple[float, ...]]] = []
         self.t = -1
@@ -136,7 +125,7 @@ class BaseFilter:
         if self.heading is None:
             return
         self._move(t)
-        variance = self.errors.rate**2
+        variance = self.errors.rate_error**2
         innovation = omega - _GYRO @ self.heading.x
         if self.heading.distance(_GYRO, innovation, variance) > GATE and self.lost < LOST:
             self.refused["gyro"] += 1
@@ -152,16 +141,16 @@ class BaseFilter:
         away = np.array(pose[:2]) - self.position.x[0]
         turned = (pose[2] - self.heading.x[0] + pi) % (2 * pi) - pi
         off = max(
-            self.position.distance(_POSITION, away, e.position**2),
-            self.heading.distance(_HEADING, turned, e.heading**2),
+            self.position.distance(_POSITION, away, e.position_error**2),
+            self.heading.distance(_HEADING, turned, e.heading_error**2),
         )
         if off > GATE:
             self.refused["pose"] += 1
             self.lost += 1
             return False
         self.lost = 0
-        self.position.update(_POSITION, away, e.position**2)
-        self.heading.update(_HEADING, turned, e.heading**2)
+        self.position.update(_POSITION, away, e.position_error**2)
+        self.heading.update(_HEADING, turned, e.heading_error**2)
         return True
 
     def _begin(self, t: int, pose: tuple[float, ...]) -> None:
@@ -170,11 +159,11 @@ class BaseFilter:
             turns = 2 * pi * round((self.heading.x[0] - pose[2]) / (2 * pi))
         self.t, self.lost = t, 0
         self.position = _Kalman(
-            np.array([pose[:2], (0.0, 0.0)]), (e.position**2, 0.1**2), (e.acceleration**2,)
+            np.array([pose[:2], (0.0, 0.0)]), (e.position_error**2, 0.1**2), (e.acceleration**2,)
         )
         self.heading = _Kalman(
             np.array([pose[2] + turns, 0.0, 0.0]),
-            (e.heading**2, 0.1**2, 0.01**2),
+            (e.heading_error**2, 0.1**2, 0.01**2),
             (e.angular_acceleration**2, e.bias_walk**2),
         )
 
@@ -191,6 +180,3 @@ class BaseFilter:
             np.array([line[0], line[0], turn[0]]),
             np.array([line[1], line[1], turn[1]]),
         )
-
-
-NOWHERE = Estimate(-1, np.full(3, np.nan), np.full(3, np.nan), np.full(3, inf), np.full(3, inf))

@@ -20,25 +20,13 @@ from fss_arm_model.dynamics import bias, inertia_matrix, inverse_dynamics, kinet
 from fss_arm_model.momentum import momentum, system_com
 
 from .base_filter import Estimate
+from .settings import ReactionSettings
 
 Floats = npt.NDArray[np.float64]
 
 _SECOND = 1_000_000_000  # [ns]
 _KEPT = 5 * _SECOND  # of the past
 _THETA_E = 7  # where it stands in Arm.vector()
-
-
-@dataclass(frozen=True)
-class ReactionSettings:
-    """When the arm rests, and how its base's motion is judged."""
-
-    still: float = 0.005  # joint rate below which a joint rests [rad/s]
-    anchor: float = 2.0  # longest drift that a prediction begins from [s]
-    shortest: float = 0.5  # such drift [s]
-    centre: float = 0.1  # half the interval that accelerations are differences over [s]
-    window: float = 30.0  # that the momenta's drift is a slope over [s]
-    position: float = 0.001  # of a VICON pose, 1 sigma [m]
-    heading: float = 0.009  # likewise [rad]
 
 
 class Anchor(NamedTuple):
@@ -70,6 +58,7 @@ class Reaction:
     torque: float  # of the base on link 1 about the first joint [N m]
     torque_measured: float  # link 1's sensor [N m]
     q: Floats  # (n,) joint readings [rad]
+    com: Floats  # (2,) centre of mass of the whole [m]
 
 
 class _Joint:
@@ -143,7 +132,7 @@ class BaseReaction:
         """The last moment of which all is known [ns]; -1: none."""
         if not self.past or not all(joint.t for joint in self.joints):
             return -1
-        centre = int(self.settings.centre * _SECOND)
+        centre = int(self.settings.half_difference * _SECOND)
         return min(min(joint.t[-1] for joint in self.joints) - centre, self.past[-1].t)
 
     def advance(self, t: int) -> Reaction | None:
@@ -200,10 +189,10 @@ class BaseReaction:
     def _drift(self, t: int) -> Anchor | None:
         """The system's centre of mass on a straight line, turning evenly, since the arm rests."""
         s, p = self.settings, self.p
-        begin = max(self.resting_since, t - int(s.anchor * _SECOND))
+        begin = max(self.resting_since, t - int(s.longest_drift * _SECOND))
         poses = np.array([e.pose for e in self.past if begin <= e.t <= t])
         times = np.array([(e.t - t) * 1e-9 for e in self.past if begin <= e.t <= t])
-        if len(poses) < 3 or t - begin < s.shortest * _SECOND:
+        if len(poses) < 3 or t - begin < s.shortest_drift * _SECOND:
             return None
         q = np.array([joint.q[bisect_right(joint.t, t) - 1] for joint in self.joints])
         states = np.column_stack([poses, np.tile(q, (len(poses), 1))])
@@ -215,7 +204,7 @@ class BaseReaction:
         pose = line - [lever.real, lever.imag, 0.0]
         state = np.concatenate([pose, q])
         # Filtered poses are smoother than those the filter is fed; these give the deviations.
-        of_pose = np.diag([s.position, s.position, s.heading]) ** 2
+        of_pose = np.diag([s.position_error, s.position_error, s.heading_error]) ** 2
         to_com = np.array([[1.0, 0.0, -lever.imag], [0.0, 1.0, lever.real], [0.0, 0.0, 1.0]])
         rates = np.zeros((3, len(state)))
         rates[:, :3] = np.linalg.inv(to_com).T  # of the base, for each rate of the centre of mass
@@ -264,17 +253,17 @@ class BaseReaction:
         assert self.anchor
         s, p, n = self.settings, self.p, len(self.joints)
         now = (t - self.origin) * 1e-9
-        q, qd = law(np.array([now - s.centre, now, now + s.centre]))
+        q, qd = law(np.array([now - s.half_difference, now, now + s.half_difference]))
         state = np.concatenate([measured.pose, q[1]])
         rate = np.concatenate([measured.twist, qd[1]])
         P = momentum(p, state, rate)
         by_rate = np.column_stack([momentum(p, state, row) for row in np.eye(3 + n)[:3]])
         self.momenta.append((t * 1e-9, P))
-        while self.momenta[0][0] < t * 1e-9 - s.window:
+        while self.momenta[0][0] < t * 1e-9 - s.drift_window:
             self.momenta.popleft()
         # Without external force the base's acceleration follows from the joints'.
         H, h = inertia_matrix(p, state), bias(p, state, rate)
-        qdd = (qd[2] - qd[0]) / (2.0 * s.centre)
+        qdd = (qd[2] - qd[0]) / (2.0 * s.half_difference)
         base = -np.linalg.solve(H[:3, :3], H[:3, 3:] @ qdd + h[:3])
         tau = inverse_dynamics(p, state, rate, np.concatenate([base, qdd]))
         first = self.joints[0]
@@ -295,6 +284,7 @@ class BaseReaction:
             float(tau[3]),
             first.effort[k],
             q[1],
+            system_com(p, state),
         )
 
     def _force(self, state: Floats, rate: Floats, acceleration: Floats) -> Floats:

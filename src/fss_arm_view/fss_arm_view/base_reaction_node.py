@@ -1,0 +1,176 @@
+"""The node `base_reaction`: the base's motion, predicted and measured, as topics a bag keeps."""
+
+import sys
+from math import cos, sin
+from typing import Any
+
+from geometry_msgs.msg import PoseStamped, TransformStamped
+from nav_msgs.msg import Odometry
+from rclpy.node import Node
+from sensor_msgs.msg import Imu, JointState
+from tf2_msgs.msg import TFMessage
+
+from fss_arm_model.description import from_yaml, load, paper_arm
+from fss_arm_msgs.msg import BaseReaction as BaseReactionMessage
+from fss_arm_msgs.msg import KinematicCalibration
+from fss_arm_ros.convert import SECOND, PoseError, planar_pose, seconds, stamp_ns, to_time
+from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
+from fss_arm_ros.qos import LATCHED, SENSOR, subscribe_sensor
+from fss_arm_ros.run import run
+from fss_arm_ros.settings import declare
+
+from .base_filter import BaseFilter, Estimate
+from .reaction import BaseReaction, Reaction, spread
+from .settings import BaseReactionSettings
+
+
+class BaseReactionNode(Node):
+    """Publishes base/state and base_reaction, with the newest calibration that passed."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__("base_reaction", **options)
+        s = self.settings = declare(self, BaseReactionSettings)
+        self.arm = load(s.arm) if s.arm else paper_arm()
+        self.filter = BaseFilter(s)
+        self.reaction = BaseReaction(self.arm, settings=s)
+        self.occluded = 0
+        self.state = self.create_publisher(Odometry, "base/state", SENSOR)
+        self.transform = self.create_publisher(TFMessage, "/tf", SENSOR)
+        self.reacted = self.create_publisher(BaseReactionMessage, "base_reaction", SENSOR)
+        subscribe_sensor(self, JointState, s.joints_topic, self.on_joints)
+        subscribe_sensor(self, PoseStamped, s.base_topic, self.on_pose)
+        subscribe_sensor(self, Imu, s.gyro_topic, self.on_gyro)
+        self.create_subscription(
+            KinematicCalibration, "calibration/kinematic", self.on_calibration, LATCHED
+        )
+        self.diagnostics = Diagnostics(self, self.health)
+
+    def on_joints(self, message: JointState) -> None:
+        """Readings of one link or more; the reaction at all moments that are known now."""
+        t = stamp_ns(message.header.stamp)
+        for name, *values in zip(
+            message.name, message.position, message.velocity, message.effort, strict=True
+        ):
+            i = int(name.rpartition("_")[2]) - 1
+            if 0 <= i < self.arm.n:
+                self.reaction.joint(i, t, *values)
+        self.advance()
+
+    def on_pose(self, message: PoseStamped) -> None:
+        """A pose of the base."""
+        try:
+            pose = planar_pose(message.pose)
+        except PoseError:
+            self.occluded += 1
+            return
+        self.take(self.filter.pose(stamp_ns(message.header.stamp), *pose))
+
+    def on_gyro(self, message: Imu) -> None:
+        """A sample of the base's rate."""
+        t, rate = stamp_ns(message.header.stamp), message.angular_velocity.z
+        self.take(self.filter.rate(t, rate))
+
+    def on_calibration(self, message: KinematicCalibration) -> None:
+        """Predict with it from the next rest on."""
+        if message.verdict == KinematicCalibration.PASS:
+            self.arm = from_yaml(message.description)
+            covariance = spread(message.names, message.covariance, self.arm)
+            self.reaction.describe(self.arm, covariance)
+            self.get_logger().info(f"predicts with the calibration of {self.arm.name}")
+
+    def take(self, estimates: list[Estimate]) -> None:
+        """Publish the base's motion and keep it."""
+        for estimate in estimates:
+            self.reaction.base(estimate)
+            self.state.publish(odometry(estimate, self.settings))
+            self.transform.publish(transforms(estimate, self.settings))
+
+    def advance(self) -> None:
+        """Publish the reaction, `rate` times a second."""
+        until, period = self.reaction.known_until(), int(SECOND / self.settings.rate)
+        if until - self.reaction.t > SECOND:
+            self.step(until)
+        while self.reaction.t + period <= until:
+            self.step(self.reaction.t + period)
+
+    def step(self, t: int) -> None:
+        """Publish the reaction at t."""
+        found = self.reaction.advance(t)
+        if found:
+            self.reacted.publish(to_message(found, self.arm.name, self.settings.world_frame))
+
+    def health(self) -> Health:
+        """For diagnostics."""
+        now = self.get_clock().now().nanoseconds
+        values: dict[str, float] = {
+            "poses occluded": self.occluded,
+            **{f"{what} refused": count for what, count in self.filter.refused.items()},
+        }
+        if self.reaction.anchor is None:
+            return Health(WARN, "waiting for joints and base at rest", values)
+        behind = seconds(now - self.reaction.t)
+        values["behind"] = behind
+        if behind > 2.0:
+            return Health(WARN, f"nothing to compute from for {behind:.1f} s", values)
+        return Health(OK, f"predicts with {self.arm.name}", values)
+
+
+def odometry(estimate: Estimate, settings: BaseReactionSettings) -> Odometry:
+    """The motion as a message; its twist is along the base's own axes, as the type has it."""
+    message = Odometry()
+    message.header.stamp = to_time(estimate.t)
+    message.header.frame_id, message.child_frame_id = settings.world_frame, settings.base_frame
+    x, y, heading = map(float, estimate.pose)
+    vx, vy, omega = map(float, estimate.twist)
+    message.pose.pose.position.x, message.pose.pose.position.y = x, y
+    message.pose.pose.orientation.z = sin(0.5 * heading)
+    message.pose.pose.orientation.w = cos(0.5 * heading)
+    message.twist.twist.linear.x = cos(heading) * vx + sin(heading) * vy
+    message.twist.twist.linear.y = cos(heading) * vy - sin(heading) * vx
+    message.twist.twist.angular.z = omega
+    for k, i in enumerate((0, 7, 35)):  # x, y and heading, on the diagonal of 6 x 6
+        message.pose.covariance[i] = float(estimate.pose_variance[k])
+        message.twist.covariance[i] = float(estimate.twist_variance[k])
+    return message
+
+
+def transforms(estimate: Estimate, settings: BaseReactionSettings) -> TFMessage:
+    """From the world to the base."""
+    message = TransformStamped()
+    message.header.stamp = to_time(estimate.t)
+    message.header.frame_id, message.child_frame_id = settings.world_frame, settings.base_frame
+    x, y, heading = map(float, estimate.pose)
+    message.transform.translation.x, message.transform.translation.y = x, y
+    message.transform.rotation.z = sin(0.5 * heading)
+    message.transform.rotation.w = cos(0.5 * heading)
+    return TFMessage(transforms=[message])
+
+
+def to_message(reaction: Reaction, arm: str, world_frame: str) -> BaseReactionMessage:
+    """A reaction as a message."""
+    message = BaseReactionMessage(
+        arm=arm,
+        anchor=to_time(reaction.anchor),
+        difference=(reaction.measured - reaction.predicted).tolist(),
+        kinetic_energy=reaction.kinetic_energy,
+        torque=reaction.torque,
+        torque_measured=reaction.torque_measured,
+        **{
+            name: getattr(reaction, name).tolist()
+            for name in (
+                "predicted", "predicted_deviation", "measured", "measured_deviation", "twist",
+                "momentum", "momentum_deviation", "momentum_drift", "force", "q", "com",
+            )
+        },
+    )  # fmt: skip
+    message.header.stamp, message.header.frame_id = to_time(reaction.t), world_frame
+    return message
+
+
+def main() -> int:
+    """Run as `ros2 run fss_arm_view base_reaction`."""
+    return run(BaseReactionNode, BaseReactionSettings)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,52 @@
+"""The parameters of the nodes of this package."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+
+def setting(default: Any, about: str) -> Any:
+    """A settings field: its default, and the sentence that help and `ros2 param` show."""
+    return field(default=default, metadata={"about": about})
+
+
+@dataclass(frozen=True)
+class SensorErrors:
+    """What the base's sensors err by, and how it may accelerate; all 1 sigma."""
+
+    position_error: float = setting(0.001, "of a VICON pose of the base, each axis [m]")
+    heading_error: float = setting(0.009, "likewise [rad]")
+    rate_error: float = setting(0.001, "of a gyro sample [rad/s]")
+    bias_walk: float = setting(1e-5, "of the gyro's bias within 1 s [rad/s]")
+    acceleration: float = setting(0.05, "of the base, as change of velocity within 1 s [m/s]")
+    angular_acceleration: float = setting(0.3, "likewise [rad/s]")
+
+
+@dataclass(frozen=True)
+class ReactionSettings(SensorErrors):
+    """When the arm rests, and over what times its base is judged."""
+
+    still: float = setting(0.005, "joint rate below which a joint rests [rad/s]")
+    longest_drift: float = setting(2.0, "before a motion that a prediction begins from [s]")
+    shortest_drift: float = setting(0.5, "likewise [s]")
+    half_difference: float = setting(
+        0.1, "half the time that accelerations are differences over [s]"
+    )
+    drift_window: float = setting(30.0, "time that the slope of the momentum is taken over [s]")
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if isinstance(value, float) and not value > 0.0:
+                raise ValueError(f"{name} is {value}, expected more than 0")
+
+
+@dataclass(frozen=True)
+class BaseReactionSettings(ReactionSettings):
+    """The parameters of a BaseReactionNode."""
+
+    arm: str = setting("", "file of the description to begin with; empty: the paper's arm")
+    joints_topic: str = setting("joint_states", "of the joints' readings")
+    base_topic: str = setting("vicon/fss/fss", "of the base's poses")
+    gyro_topic: str = setting("fog/imu", "of the base's rate")
+    world_frame: str = setting("world", "frame id of what is published")
+    base_frame: str = setting("fss", "child frame id of base/state and /tf")
+    rate: float = setting(10.0, "of base_reaction [1/s]")
