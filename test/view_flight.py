@@ -1,0 +1,72 @@
+"""An arm that moves as its drives would, and the base that floats under it."""
+
+from math import radians
+
+import numpy as np
+
+from fss_arm_model.momentum import momentum
+
+STEP = 0.001  # [s]
+
+
+def trapezoid(t, begin, angle, rate=0.5, acceleration=1.0):
+    """Angle, rate and acceleration of a servo drive's profile."""
+    ramp, sign = rate / acceleration, np.sign(angle)
+    cruise = abs(angle) / rate - ramp
+    u = t - begin
+    edges = [0.0, ramp, ramp + cruise, 2 * ramp + cruise]
+    qdd = (
+        sign
+        * acceleration
+        * ((u >= edges[0]) * (u < edges[1]) * 1.0 - (u >= edges[2]) * (u < edges[3]) * 1.0)
+    )
+    qd = sign * acceleration * (np.clip(u, 0, ramp) - (np.clip(u, edges[2], edges[3]) - edges[2]))
+    q = sign * (
+        0.5 * acceleration * np.clip(u, 0, ramp) ** 2
+        + rate * (np.clip(u, edges[1], edges[2]) - ramp)
+        + rate * (np.clip(u, edges[2], edges[3]) - edges[2])
+        - 0.5 * acceleration * (np.clip(u, edges[2], edges[3]) - edges[2]) ** 2
+    )
+    return q, qd, qdd
+
+
+class Flight:
+    """Joints that follow their laws, and the base that floats with a given twist at first."""
+
+    def __init__(self, arm, twist=(0.0, 0.0, 0.0), end=8.0):
+        p, n = arm.vector(), arm.n
+        self.t = np.arange(0.0, end, STEP)
+        angles = [radians(60), -radians(45), radians(30), -radians(20)]
+        laws = [trapezoid(self.t, 2.0 + 0.1 * k, angles[k % 4]) for k in range(n)]
+        self.q, self.qd, self.qdd = (np.array(part).T for part in zip(*laws, strict=True))
+        state = np.concatenate([np.zeros(3), self.q[0]])
+        rate = np.concatenate([twist, self.qd[0]])
+        kept = momentum(p, state, rate)
+        self.pose, self.twist = np.empty((2, len(self.t), 3))
+        pose = np.zeros(3)
+
+        def twist_at(pose, q, qd):
+            # The twist with which the momentum is what it was.
+            x = np.concatenate([pose, q])
+            none = momentum(p, x, np.concatenate([np.zeros(3), qd]))
+            by_twist = np.column_stack([momentum(p, x, np.eye(3 + n)[k]) for k in range(3)])
+            return np.linalg.solve(by_twist, kept - none)
+
+        for k in range(len(self.t)):
+            self.pose[k] = pose
+            self.twist[k] = twist_at(pose, self.q[k], self.qd[k])
+            if k + 1 < len(self.t):
+                half_q, half_qd, _ = (
+                    np.array(part) for part in zip(
+                        *(trapezoid(self.t[k] + STEP / 2, 2.0 + 0.1 * j, angles[j % 4])
+                          for j in range(n)), strict=True)
+                )  # fmt: skip
+                a = self.twist[k]
+                b = twist_at(pose + STEP / 2 * a, half_q, half_qd)
+                c = twist_at(pose + STEP / 2 * b, half_q, half_qd)
+                d = twist_at(pose + STEP * c, self.q[k + 1], self.qd[k + 1])
+                pose = pose + STEP / 6 * (a + 2 * b + 2 * c + d)
+        self.momentum = kept
+
+    def index(self, t):
+        return round(t * 1e-9 / STEP)
