@@ -170,6 +170,7 @@ END
 
 # The wheels lack tf2_msgs; its one message that is needed goes into .venv beside them.
 add_tf2_msgs() (
+  # shellcheck disable=SC2030,SC2031  # meant for the subshell alone
   export PATH=$venv/bin:$PATH VIRTUAL_ENV=$venv AMENT_PREFIX_PATH=$venv CMAKE_PREFIX_PATH=$venv
   build=$(mktemp -d)
   trap 'rm -rf "$build"' EXIT
@@ -217,10 +218,11 @@ build() {
   mkdir -p "$root/log"
   (
     cd "$root"
-    # shellcheck disable=SC2030  # meant for the subshell alone
+    # shellcheck disable=SC2030,SC2031  # meant for the subshell alone
     export PATH=$venv/bin:$PATH VIRTUAL_ENV=$venv
     if [[ $ros == wheels ]]; then
       unset COLCON_PREFIX_PATH
+      # shellcheck disable=SC2030,SC2031
       export AMENT_PREFIX_PATH=$venv CMAKE_PREFIX_PATH=$venv
     fi
     colcon build --symlink-install --base-paths src
