@@ -27,12 +27,18 @@ def build(target: str) -> Path:
     return path
 
 
+# A Cortex-M3 whose program reads and writes this computer's pipes (semihosting).
+EMULATOR = """qemu-system-arm -M mps2-an385 -nographic -monitor none -serial none
+    -semihosting-config enable=on,target=native -kernel"""
+
+
 class Core:
     """The firmware's core at a pipe: requests in, answers out."""
 
-    def __init__(self) -> None:
+    def __init__(self, cortex_m3: bool = False) -> None:
+        emulated = [*EMULATOR.split(), build("core_pipe_m3.elf")] if cortex_m3 else None
         self.process = subprocess.Popen(
-            [build("core_pipe")],
+            emulated or [build("core_pipe")],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,

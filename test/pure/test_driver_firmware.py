@@ -1,6 +1,8 @@
 """The link's firmware on this computer, under sanitizers, beside the Python codec."""
 
 import random
+import re
+import shutil
 import subprocess
 from collections.abc import Iterator
 from dataclasses import replace
@@ -489,3 +491,40 @@ def test_without_a_drive_it_neither_arms_nor_talks(core):
     assert link.run(3.0) == []
     link.tell("plug 1")
     assert link.run(2.0)[-1].flags & LATCHES == 0
+
+
+# --- on the Due's processor ----------------------------------------------------------------------
+
+needs_arm = pytest.mark.skipif(
+    not shutil.which("arm-none-eabi-g++"), reason="arm-none-eabi-g++ is not installed"
+)
+needs_emulator = pytest.mark.skipif(
+    not shutil.which("qemu-system-arm"), reason="qemu-system-arm is not installed"
+)
+
+
+@needs_arm
+def test_it_fits_the_due_and_never_asks_for_memory():
+    program = build("due.elf")
+    sizes = subprocess.check_output(["arm-none-eabi-size", program], text=True).splitlines()[1]
+    text, data, bss = (int(size) for size in sizes.split()[:3])
+    assert text + data < 16_000
+    assert data + bss < 2_000
+    names = subprocess.check_output(["arm-none-eabi-nm", "-C", program], text=True)
+    assert "fss::Link::poll" in names
+    assert not re.search(r"malloc|operator new|sbrk", names)
+
+
+@needs_arm
+@needs_emulator
+def test_a_cortex_m3_agrees_with_the_vectors_and_with_this_computer(core):
+    emulated = Core(cortex_m3=True)
+    for line in VECTORS.read_text().splitlines():
+        request, answer = line.split(" = ")
+        assert emulated.ask(request) == answer, request
+    for request in [
+        "start 2 7 -", "run 1000000", f"send {encode(QUIET).hex()}", f"send {encode(MOVE).hex()}",
+        "run 2500000", "joint", "orders",
+    ]:  # fmt: skip
+        assert emulated.ask(request) == core.ask(request)
+    emulated.close()
