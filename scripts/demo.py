@@ -27,6 +27,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from fss_arm_calib import report
 from fss_arm_calib.from_bag import solve_bag
+from fss_arm_calib.kinematic_report import kinematic_report
 from fss_arm_calib.settings import CalibrationSettings
 from fss_arm_model import description
 from fss_arm_msgs.msg import KinematicCalibration, LinkTelemetry
@@ -307,10 +308,10 @@ def main() -> int:
     rclpy.init()
     try:
         result = run(options, out, console)
-        console.print(report.table(result, description.load(CONFIG / "truth.yaml")))
+        told = kinematic_report(result, description.load(CONFIG / "truth.yaml"))
+        console.print(report.printed(told))
         console.print(from_bag(out / "bag", result))
-        if len(result.residuals):
-            report.plot(result, out / "calibration.png")
+        report.write(out / "report", told)
     except (DemoError, ValueError, OSError) as error:
         print(f"demo: {error}", file=sys.stderr)
         return 1
@@ -322,7 +323,7 @@ def main() -> int:
     for name, what in (
         ("bag", "recording"),
         ("arm.yaml", "calibrated description"),
-        ("calibration.png", "residuals and postures"),
+        ("report/index.html", "report"),
         ("logs", "of the nodes"),
     ):
         if (out / name).exists():

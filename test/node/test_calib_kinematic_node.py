@@ -248,15 +248,16 @@ def test_impossible_parameters_are_refused(ros, settings, message):
 
 def test_the_command_for_bags(samples, tmp_path, capsys):
     bag = str(record(tmp_path / "bags", samples))
-    output, plot, truth = (tmp_path / name for name in ("found.yaml", "found.png", "truth.yaml"))
+    output, page, truth = (tmp_path / name for name in ("found.yaml", "report", "truth.yaml"))
     save(paper_arm(), truth)
-    asked = ["--output", str(output), "--plot", str(plot), "--truth", str(truth)]
+    asked = ["--output", str(output), "--report", str(page), "--truth", str(truth)]
     assert from_bag([bag, *asked, "--parametrization", FULL]) == 0
     text = capsys.readouterr().out
     for words in ("a_1", "theta_BJ1", "18.211", "0.683", "pass: 8 observations"):
         assert words in text
     assert load(output).links[3].a == pytest.approx(0.3351, abs=1e-4)
-    assert plot.read_bytes().startswith(b"\x89PNG")
+    assert (page / "kinematic_postures.png").read_bytes().startswith(b"\x89PNG")
+    assert "pass" in (page / "index.html").read_text()
 
     assert from_bag([bag, "--min-observations", "9", "--output", str(tmp_path / "no.yaml")]) == 3
     assert "not written, as the verdict is not_evaluated" in capsys.readouterr().out
@@ -283,7 +284,7 @@ def test_a_bag_with_a_gap_is_not_evaluated(samples, tmp_path, capsys):
         (["BAG", "--tip-topic", "joint_states"], "expected geometry_msgs/msg/PoseStamped"),
         (["BAG", "--parametrization", "half"], "parametrization is 'half'"),
         (["BAG", "--settle", "-1"], "settle is -1.0 s, must not be negative"),
-        (["BAG", "--plot", "/nowhere/a.png", "--min-observations", "1"], "no residuals to draw"),
+        (["BAG", "--report", "/dev/null/report"], "/dev/null/report"),
         (["BAG", "--settle", "x"], "argument --settle: invalid float value: 'x'"),
         ([], "the following arguments are required: BAG"),
     ],

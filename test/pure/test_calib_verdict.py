@@ -7,7 +7,6 @@ from math import isnan, nan
 import numpy as np
 import pytest
 
-from fss_arm_calib import report
 from fss_arm_calib.judgement import settings_of
 from fss_arm_calib.kinematic import FULL, KinematicProblem, inverse, solve
 from fss_arm_calib.postures import DEFAULT
@@ -249,29 +248,6 @@ def test_the_hash_is_of_what_was_used():
 def test_impossible_criteria_are_refused(change, message):
     with pytest.raises(ValueError, match=message):
         Criteria(**change)
-
-
-def printed(calibration, truth=None):
-    console = report.console()
-    with console.capture() as capture:
-        console.print(report.table(calibration, truth))
-    return " ".join(capture.get().split())
-
-
-def test_the_table_compares_with_the_paper_and_the_truth():
-    text = printed(calibrate(observe(), paper_arm()), paper_arm())
-    for words in ("a_1 .. a_3", "0.3825", "5.801", "18.211", "0.0150", "0.683", "truth", "pass"):
-        assert words in text
-    text = printed(calibrate(observe()[:3], paper_arm()))
-    assert "not evaluated: 3 observations" in text
-    assert "truth" not in text
-
-
-def test_the_drawing_is_a_png(tmp_path):
-    report.plot(calibrate(observe(), paper_arm()), tmp_path / "a.png")
-    assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
-    with pytest.raises(ValueError, match="no residuals to draw: 3 observations"):
-        report.plot(calibrate(observe()[:3], paper_arm()), tmp_path / "b.png")
 
 
 def test_observations_are_kept_to_the_last_bit(tmp_path):

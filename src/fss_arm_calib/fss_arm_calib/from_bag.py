@@ -16,6 +16,7 @@ from fss_arm_ros.bulk import pieces, poses
 from fss_arm_ros.convert import SECOND
 
 from . import report
+from .kinematic_report import kinematic_report
 from .messages import feed_joints
 from .rests import BASE, TIP, Observation, RestFinder
 from .settings import CalibrationSettings
@@ -100,8 +101,10 @@ def parser() -> argparse.ArgumentParser:
     p = _Parser("from_bag", description=__doc__, epilog=EPILOG)
     p.add_argument("bags", nargs="+", metavar="BAG", help="bag, or folder of bags")
     p.add_argument("--output", metavar="YAML", help="write the calibrated description if it passes")
-    p.add_argument("--plot", metavar="PNG", help="draw residuals and postures")
-    p.add_argument("--truth", metavar="YAML", help="description to compare with, in the table only")
+    p.add_argument("--report", metavar="DIR", help="write a page to read, and its drawings as PNG")
+    p.add_argument(
+        "--truth", metavar="YAML", help="description to compare with, in the report only"
+    )
     for f in fields(CalibrationSettings):
         flag, about = f"--{f.name.replace('_', '-')}", f.metadata["about"]
         if isinstance(f.default, bool):
@@ -123,10 +126,11 @@ def calibrated(options: argparse.Namespace, console: Console) -> Calibration:
     truth: Arm | None = load(options.truth) if options.truth else None
     settings = CalibrationSettings(**{name: getattr(options, name) for name in names})
     calibration = solve_bag(options.bags, settings)
-    console.print(report.table(calibration, truth))
-    if options.plot:
-        report.plot(calibration, options.plot)
-        console.print(f"residuals and postures drawn in {options.plot}", soft_wrap=True)
+    told = kinematic_report(calibration, truth)
+    console.print(report.printed(told))
+    if options.report:
+        page = report.write(options.report, told)
+        console.print(f"report written to {page}", soft_wrap=True)
     if options.output and calibration.verdict == PASS:
         save(from_yaml(calibration.description), options.output)
         console.print(f"calibrated description written to {options.output}", soft_wrap=True)

@@ -17,7 +17,9 @@ from fss_arm_ros.qos import LATCHED, subscribe_sensor
 from fss_arm_ros.run import run
 from fss_arm_ros.settings import declare
 
+from .kinematic_report import kinematic_report
 from .messages import feed_joints, feed_pose, observations_message, to_message
+from .report import write
 from .rests import BASE, TIP, Observation, RestFinder
 from .settings import CalibrationSettings, setting
 from .state import read_observations, write_observations
@@ -31,6 +33,7 @@ class KinematicSettings(CalibrationSettings):
     base_frame: str = setting("fss", "frame id of the results")
     state_file: str = setting("", "observations are kept here across restarts; empty: nowhere")
     output: str = setting("", "description YAML to write whenever a calibration passes")
+    report: str = setting("", "folder to write a report to when asked to solve; empty: none")
 
 
 class KinematicNode(Node):
@@ -79,6 +82,8 @@ class KinematicNode(Node):
         if not self.take(self.finder.close()):
             self.solve()
             self.publish()
+        if self.settings.report:
+            write(self.settings.report, kinematic_report(self.message()))
         response.success = self.calibration.verdict == PASS
         response.message = f"{self.calibration.verdict}: {self.calibration.reason}"
         return response
@@ -103,11 +108,15 @@ class KinematicNode(Node):
         s = self.settings
         self.calibration = calibrate(self.observations, self.arm, s, self.finder.streams())
 
+    def message(self) -> KinematicCalibration:
+        """What is concluded by now."""
+        return to_message(self.calibration, self.settings.base_frame)
+
     def publish(self) -> None:
         """Publish observations and calibration; write the description if it passes."""
         s = self.settings
         self.observed.publish(observations_message(self.observations, s.base_frame, TIP))
-        self.calibrated.publish(to_message(self.calibration, s.base_frame))
+        self.calibrated.publish(self.message())
         if s.output and self.calibration.verdict == PASS:
             save(from_yaml(self.calibration.description), s.output)
 

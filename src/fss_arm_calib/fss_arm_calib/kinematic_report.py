@@ -1,0 +1,312 @@
+"""The report of a kinematic calibration, from its published message alone.
+
+A Calibration passes as well, by attribute.
+"""
+
+from math import floor, log10
+from typing import Any
+
+import numpy as np
+
+from fss_arm_model.description import Arm, from_yaml, kinematic_index, kinematic_names, paper_arm
+from fss_arm_model.kinematics import joint_positions
+
+from .least_squares import Floats
+from .report import Figure, Report, Table
+
+PAPER_POSITION_RESIDUAL = 0.015  # [m], section 4.1
+PAPER_HEADING_RESIDUAL = float(np.radians(0.683))
+
+
+def kinematic_report(calibration: Any, truth: Arm | None = None) -> Report:
+    """Tell a KinematicCalibration.
+
+    Args:
+        calibration: the message.
+        truth: the simulated arm, to compare with.
+    """
+    c = calibration
+    figures = (
+        Figure("kinematic_postures", "Postures and residuals", lambda: postures(c)),
+        Figure("kinematic_correlation", "Correlation of the parameters", lambda: correlation(c)),
+        Figure("kinematic_observations", "Each observation", lambda: observations(c)),
+    )
+    origin = f"by {c.provenance.software} from {c.provenance.source}"
+    return Report(
+        title=f"Kinematic calibration of {c.arm}",
+        verdict=c.verdict,
+        reason=c.reason,
+        tables=(_parameters(c, truth), _residuals(c)),
+        origin=f"{origin}; SHA-256 of the observations {c.provenance.data_hash}",
+        figures=figures if len(c.residuals) else (),
+        details=(_stages(c), *([_observations(c)] if len(c.residuals) else []), _streams(c)),
+        texts={"Settings": c.provenance.parameters, "Description it began from": c.guess},
+    )
+
+
+def _parameters(c: Any, truth: Arm | None) -> Table:
+    """Beside the paper's Tables 2-3 and, if known, the truth."""
+    n, p = from_yaml(c.guess).n, len(c.names)
+    values, initial = np.asarray(c.values), np.asarray(c.initial)
+    deviations = np.sqrt(np.diag(_covariance(c)))
+    paper = _values(paper_arm(), c.names) if n == paper_arm().n else np.full(p, np.nan)
+    true = np.full(p, np.nan) if truth is None else _values(truth, c.names)
+    known = truth is not None
+    rows = []
+    for k, (name, unit) in enumerate(zip(c.names, c.units, strict=True)):
+        columns = [paper, initial, *[true] * known, values, deviations]
+        row = [_label(name, n), "deg" if unit == "rad" else unit]
+        row += [_number(column[k], unit) for column in columns]
+        if known:
+            row.append(_text(_difference(values[k], true[k], unit) / deviations[k], "+.2f"))
+        rows.append(row)
+    head = ["parameter", "unit", "Tables 2-3", "guess", *["truth"] * known, "estimate", "± 1 sigma"]
+    return Table("Parameters", [*head, *["error / sigma"] * known], rows, words=2)
+
+
+def _residuals(c: Any) -> Table:
+    rows = [
+        [name, "deg" if unit == "rad" else unit, *(_number(number, unit) for number in numbers)]
+        for name, unit, *numbers in (
+            ("position", "m", PAPER_POSITION_RESIDUAL, c.position_residual,
+             c.held_out_position_residual, c.position_deviation),
+            ("heading", "rad", PAPER_HEADING_RESIDUAL, c.heading_residual,
+             c.held_out_heading_residual, c.heading_deviation),
+        )
+    ]  # fmt: skip
+    head = ["of the end effector's", "unit", "paper", "here", "predicted", "assumed"]
+    note = "`predicted`: of observations held out, by a solution without them."
+    return Table("Standard deviation of the residuals", head, rows, words=2, note=note)
+
+
+def _stages(c: Any) -> Table:
+    rows = [
+        [s.name, s.verdict.replace("_", " "), s.reason, _text(s.value, ".4g"), f"{s.threshold:.4g}"]
+        for s in c.stages
+    ]
+    head = ["stage", "verdict", "reason", "value", "threshold"]
+    return Table("What the verdict is made of", head, rows, words=3)
+
+
+def _observations(c: Any) -> Table:
+    q, tip, residuals = _shaped(c)
+    n = q.shape[1]
+    rows = []
+    for k in range(len(q)):
+        states = [c.reasons[k]] if c.reasons[k] else []
+        states += ["held out for the prediction"] if k in list(c.held_out) else []
+        rows.append([
+            str(k + 1),
+            *(f"{angle:.2f}" for angle in np.degrees(q[k])),
+            *(f"{x:.4f}" for x in tip[k, :2]), f"{np.degrees(tip[k, 2]):.2f}",
+            *(f"{1e3 * x:+.1f}" for x in residuals[k, :2]), f"{np.degrees(residuals[k, 2]):+.3f}",
+            f"{c.normalized_residuals[k]:.2f}", f"{c.leverage[k]:.2f}", f"{c.weights[k]:.2f}",
+            "; ".join(states),
+        ])  # fmt: skip
+    head = [
+        "", *(f"q_{i} [deg]" for i in range(1, n + 1)), "x [m]", "y [m]", "heading [deg]",
+        "dx [mm]", "dy [mm]", "dheading [deg]", "normalized", "leverage", "weight", "",
+    ]  # fmt: skip
+    note = (
+        "Joint readings; the end effector seen from the base; observed minus predicted, and its "
+        "length in its own deviations; the observation's share in its own prediction."
+    )
+    return Table("Observations", head, rows, note=note)
+
+
+def _streams(c: Any) -> Table:
+    rows = [[kind, str(number)] for kind, number in zip(c.refused_kinds, c.refused, strict=True)]
+    if np.isfinite(c.time_offset):
+        offset = f"{1e3 * c.time_offset:.2f} ± {1e3 * c.time_offset_deviation:.2f} ms"
+        rows.append(["joints' stamps less motion capture's", offset])
+    rows = rows or [["nothing to tell", ""]]
+    return Table("Samples refused, and the clocks", ["what", ""], rows)
+
+
+def postures(c: Any) -> Any:
+    """The arm at the observed postures with magnified residuals, and the residuals.
+
+    Postures whose observation was rejected are dashed; their residuals would dwarf all others.
+    """
+    q, tip, residuals = _shaped(c)
+    kept = np.asarray(c.weights) > 0.0
+    residuals = np.where(kept[:, None], residuals, np.nan)
+    figure = _figure((14, 8))
+    axes = figure.subplot_mosaic([["arm", "x y"], ["arm", "heading"]], width_ratios=(1.25, 1.0))
+    position, heading = axes["x y"], axes["heading"]
+    figure.suptitle(
+        f"Kinematic calibration: {c.verdict.replace('_', ' ')}, {len(q)} observations",
+        fontsize=14,
+        fontweight="bold",
+    )
+    _draw_postures(axes["arm"], _joints(c, q), tip, residuals)
+    number = np.arange(1, len(q) + 1)
+    for k, (name, color) in enumerate((("x", "tab:blue"), ("y", "tab:orange"))):
+        bars = number + 0.18 * (2 * k - 1)
+        position.bar(bars, 1e3 * residuals[:, k], width=0.34, color=color, label=name)
+    _finish(position, "position residual [mm]", 1e3 * np.array([
+        c.position_residual, c.position_deviation, PAPER_POSITION_RESIDUAL]))  # fmt: skip
+    heading.bar(number, np.degrees(residuals[:, 2]), width=0.5, color="tab:green")
+    _finish(heading, "heading residual [deg]", np.degrees([
+        c.heading_residual, c.heading_deviation, PAPER_HEADING_RESIDUAL]))  # fmt: skip
+    heading.set_xlabel("observation")
+    for part in (position, heading):
+        part.set_xticks(number[:: max(1, len(number) // 20)])
+    return figure
+
+
+def correlation(c: Any) -> Any:
+    """The correlation matrix of the estimated parameters."""
+    covariance, n = _covariance(c), from_yaml(c.guess).n
+    deviations = np.sqrt(np.diag(covariance))
+    matrix = covariance / np.outer(deviations, deviations)
+    figure = _figure((0.62 * len(matrix) + 2.5, 0.55 * len(matrix) + 1.5))
+    axes = figure.subplots()
+    image = axes.imshow(matrix, cmap="RdBu_r", vmin=-1.0, vmax=1.0)
+    for (row, column), value in np.ndenumerate(matrix):
+        color = "white" if abs(value) > 0.6 else "0.2"
+        axes.text(column, row, f"{value:+.2f}", ha="center", va="center", fontsize=8, color=color)
+    labels = [_label(name, n) for name in c.names]
+    axes.set_xticks(range(len(labels)), labels, rotation=45, ha="right")
+    axes.set_yticks(range(len(labels)), labels)
+    figure.colorbar(image, shrink=0.8)
+    return figure
+
+
+def observations(c: Any) -> Any:
+    """Normalized residual over leverage: what is off, and what much depends on."""
+    figure = _figure((10, 4.5))
+    axes = figure.subplots()
+    kept = np.asarray(c.weights) > 0.0
+    lengths, leverage = np.asarray(c.normalized_residuals), np.asarray(c.leverage)
+    for chosen, color, label in ((kept, "tab:blue", "used"), (~kept, "tab:red", "rejected")):
+        if chosen.any():
+            axes.plot(leverage[chosen], lengths[chosen], "o", color=color, label=label)
+    for k, place in enumerate(zip(leverage, lengths, strict=True)):
+        axes.annotate(str(k + 1), place, (5, 4), textcoords="offset points", fontsize=9)
+    for stage in c.stages:
+        if stage.name == "outliers":
+            axes.axhline(stage.threshold, color="tab:red", linestyle="--", linewidth=1.0,
+                         label="outliers above")  # fmt: skip
+    mean = len(c.names) / (3.0 * max(int(np.sum(kept)), 1))
+    axes.axvline(mean, color="0.5", linestyle=":", label=f"mean leverage, {mean:.2f}")
+    axes.set_xlim(0.0, max(0.5, 1.15 * float(leverage.max())))
+    axes.set_ylim(bottom=0.0)
+    axes.set_xlabel("leverage")
+    axes.set_ylabel("normalized residual [deviations]")
+    axes.grid(alpha=0.25)
+    axes.legend(fontsize=9)
+    return figure
+
+
+def _figure(size: tuple[float, float]) -> Any:
+    from matplotlib.figure import Figure  # takes long to import, and only people need it
+
+    return Figure(figsize=size, layout="constrained")
+
+
+def _draw_postures(axes: Any, joints: Floats, tip: Floats, residuals: Floats) -> None:
+    """The arm in the base's frame, (s, n + 1, 2), and residuals as arrows at its end, if any."""
+    from matplotlib import colormaps
+
+    colors = colormaps["viridis"](np.linspace(0.0, 0.9, len(joints)))
+    for k, (points, color) in enumerate(zip(joints, colors, strict=True)):
+        style = "--" if np.isnan(residuals[k, 0]) else "-"
+        axes.plot(*points.T, style, color=color, linewidth=2.0, alpha=0.45, zorder=1)
+        axes.plot(*points[:-1].T, "o", color=color, markersize=4, alpha=0.7, zorder=2)
+        away = points[-1] - points[-2]
+        axes.annotate(
+            str(k + 1), points[-1] + 0.06 * away / np.linalg.norm(away),
+            ha="center", va="center", fontsize=9, color=color, fontweight="bold",
+        )  # fmt: skip
+    scale = _magnification(residuals[:, :2])
+    axes.quiver(
+        *(tip[:, :2] - residuals[:, :2]).T, *(scale * residuals[:, :2]).T,
+        angles="xy", scale_units="xy", scale=1.0, color="tab:red", width=0.0035, zorder=3,
+        label=f"position residual, {scale:g} times",
+    )  # fmt: skip
+    size = 0.15
+    axes.fill(size * np.array([-1, 1, 1, -1]), size * np.array([-1, -1, 1, 1]),
+              facecolor="0.9", edgecolor="0.4", zorder=0)  # fmt: skip
+    for direction, name in (((1.0, 0.0), "x"), ((0.0, 1.0), "y")):
+        axes.annotate("", np.multiply(direction, 0.13), (0.0, 0.0),
+                      arrowprops={"arrowstyle": "->", "color": "0.2"})  # fmt: skip
+        axes.annotate(name, np.multiply(direction, 0.13), color="0.2", fontsize=9)
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.set_title("observed postures in the base's frame", fontsize=11)
+    axes.set_xlabel("x [m]")
+    axes.set_ylabel("y [m]")
+    axes.grid(alpha=0.25)
+    axes.legend(loc="best", fontsize=9)
+
+
+def _finish(axes: Any, label: str, levels: Floats) -> None:
+    """Zero line, standard deviations found, assumed and the paper's."""
+    found, assumed, paper = levels
+    axes.axhline(0.0, color="0.3", linewidth=0.8)
+    axes.axhspan(-assumed, assumed, color="0.92", zorder=0, label=f"± assumed sigma, {assumed:.3g}")
+    for sign in (-1.0, 1.0):
+        axes.axhline(sign * found, color="k", linestyle="--", linewidth=1.0,
+                     label=f"± standard deviation, {found:.3g}" if sign > 0 else None)  # fmt: skip
+        axes.axhline(sign * paper, color="tab:purple", linestyle=":", linewidth=1.3,
+                     label=f"± paper's, {paper:.3g}" if sign > 0 else None)  # fmt: skip
+    axes.set_ylabel(label)
+    axes.grid(axis="y", alpha=0.25)
+    top = 1.45 * max(abs(limit) for limit in axes.get_ylim())
+    axes.set_ylim(-top, top)
+    axes.legend(ncols=3, fontsize=8, loc="upper center")
+
+
+def _magnification(residuals: Floats) -> float:
+    """A round factor, 1, 2 or 5 times a power of ten, that makes the largest about 0.25 m."""
+    largest = float(np.nanmax(np.linalg.norm(residuals, axis=1)))
+    if largest == 0.0:
+        return 1.0
+    power = floor(log10(0.25 / largest))
+    return max(m * 10.0**power for m in (1, 2, 5) if m * 10.0**power <= 0.25 / largest)
+
+
+def _shaped(c: Any) -> tuple[Floats, Floats, Floats]:
+    """Readings (s, n), poses (s, 3) and residuals (s, 3)."""
+    tip = np.reshape(c.tip, (-1, 3))
+    return np.reshape(c.q, (len(tip), -1)), tip, np.reshape(c.residuals, (-1, 3))
+
+
+def _covariance(c: Any) -> Floats:
+    p = len(c.names)
+    return np.reshape(c.covariance, (p, p)) if len(c.covariance) else np.full((p, p), np.nan)
+
+
+def _joints(c: Any, q: Floats) -> Floats:
+    """Joints and end effector in the base's frame, (s, n + 1, 2)."""
+    vector, n = from_yaml(c.guess).vector(), q.shape[1]
+    index = dict(zip(kinematic_names(n), kinematic_index(n), strict=True))
+    for name, value in zip(c.names, c.values, strict=True):
+        chosen = [f"a_{i}" for i in range(1, n)] if name == "a" else [name]
+        vector[[index[one] for one in chosen if one in index]] = value
+    return joint_positions(vector, np.column_stack([np.zeros((len(q), 3)), q]))
+
+
+def _values(arm: Arm, names: Any) -> Floats:
+    """An arm's values of the named parameters; NaN for those it does not have."""
+    values = arm.vector()[kinematic_index(arm.n)]
+    known = dict(zip(kinematic_names(arm.n), values, strict=True))
+    known["a"] = float(np.mean(values[: max(arm.n - 1, 1)]))
+    known["theta_E"] = arm.theta_E
+    return np.array([known.get(name, np.nan) for name in names])
+
+
+def _label(name: str, n: int) -> str:
+    return f"a_1 .. a_{n - 1}" if name == "a" else name
+
+
+def _difference(value: float, true: float, unit: str) -> float:
+    return float((value - true + np.pi) % (2 * np.pi) - np.pi if unit == "rad" else value - true)
+
+
+def _number(value: float, unit: str) -> str:
+    return _text(np.degrees(value), ".3f") if unit == "rad" else _text(value, ".4f")
+
+
+def _text(value: float, form: str) -> str:
+    return f"{value:{form}}" if np.isfinite(value) else "-"

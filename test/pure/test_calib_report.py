@@ -1,0 +1,126 @@
+"""What people are told: all of it from the published message, and all in one page."""
+
+import re
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from calib_rig import ARM
+
+from fss_arm_calib import report
+from fss_arm_calib.kinematic import OFFSETS
+from fss_arm_calib.kinematic_report import kinematic_report
+from fss_arm_calib.messages import to_message
+from fss_arm_calib.postures import DEFAULT
+from fss_arm_calib.rests import Observation
+from fss_arm_calib.settings import CalibrationSettings
+from fss_arm_calib.verdict import calibrate
+from fss_arm_model.kinematics import joint_positions, tip_in_base
+
+SETTINGS = CalibrationSettings(max_outliers=1)
+
+
+def observations(count=13):
+    """With the errors assumed, the fifth far off."""
+    tips = tip_in_base(ARM.vector(), DEFAULT[:count])
+    sigma = [SETTINGS.position_deviation] * 2 + [SETTINGS.heading_deviation]
+    tips = tips + np.random.default_rng(1).normal(size=tips.shape) * sigma
+    if count > 4:
+        tips[4, 0] += 0.4
+    pairs = zip(DEFAULT.tolist(), tips.tolist(), strict=False)
+    return [Observation(k, k + 1, tuple(q), tuple(tip)) for k, (q, tip) in enumerate(pairs)]
+
+
+def message(count=13, settings=SETTINGS):
+    return to_message(calibrate(observations(count), ARM, settings, source="a <bag>"), "fss")
+
+
+def printed(told):
+    console = report.console()
+    with console.capture() as capture:
+        console.print(report.printed(told))
+    return " ".join(capture.get().split())
+
+
+def test_the_tables_compare_with_the_paper_and_the_truth():
+    text = printed(kinematic_report(message(), ARM))
+    for words in ("a_1 .. a_3", "0.3825", "5.801", "18.211", "0.0150", "0.683", "truth", "pass: "):
+        assert words in text
+    assert "from a <bag>" in text
+    text = printed(kinematic_report(message(3)))
+    assert "not evaluated: 3 observations" in text
+    assert "truth" not in text
+
+
+class Page(HTMLParser):
+    """Tags that are open, what was loaded from where, and all text."""
+
+    def __init__(self):
+        super().__init__()
+        self.open, self.sources, self.text = [], [], []
+
+    def handle_starttag(self, tag, attrs):
+        self.sources += [value for name, value in attrs if name in ("src", "href")]
+        if tag not in ("meta", "img"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.text.append(data)
+
+
+def test_the_page_holds_all_and_needs_no_other_file(tmp_path):
+    told = kinematic_report(message())
+    path = report.write(tmp_path / "report", told)
+    page = Page()
+    page.feed(path.read_text())
+    assert page.open == []
+    assert len(page.sources) == 3
+    assert all(source.startswith("data:image/png;base64,") for source in page.sources)
+    assert "http" not in re.sub(r"base64,[^\"]*", "", path.read_text())
+    text = " ".join(" ".join(page.text).split())
+    for words in (
+        "18.211", "from a <bag>", "more than 5", "held out", "fit",
+        "position_deviation: 0.0177", "What the verdict is made of", "Observations",
+    ):  # fmt: skip
+        assert words in text, words
+    for figure in told.figures:
+        png = (tmp_path / "report" / f"{figure.name}.png").read_bytes()
+        assert png.startswith(b"\x89PNG")
+
+
+def test_without_a_solution_the_page_tells_why(tmp_path):
+    told = kinematic_report(message(3))
+    assert told.figures == ()
+    text = report.write(tmp_path, told).read_text()
+    assert "3 observations, at least 6 needed" in text
+    assert list(tmp_path.iterdir()) == [tmp_path / "index.html"]
+
+
+def test_the_drawings_show_the_estimated_arm():
+    """Also where most of it was not estimated."""
+    settings = replace(SETTINGS, parametrization=OFFSETS, theta_e=True)
+    c = message(settings=settings)
+    (drawing, *_), q = kinematic_report(c).figures, np.reshape(c.q, (-1, 4))
+    lines = drawing.draw().axes[0].lines
+    values = dict(zip(c.names, c.values, strict=True))
+    arm = ARM.with_kinematics([
+        *[link.a for link in ARM.links], *[values[f"theta_0_{i}"] for i in (2, 3, 4)],
+        *ARM.base.mount[:2], values["theta_BJ1"],
+    ])  # fmt: skip
+    expected = joint_positions(arm.vector(), np.column_stack([np.zeros((len(q), 3)), q]))
+    for k, points in enumerate(expected):
+        np.testing.assert_allclose(lines[2 * k].get_xydata(), points, atol=1e-12)
+
+
+@pytest.mark.parametrize("text", ["<b>", 'a "quoted" & more'])
+def test_texts_are_escaped(tmp_path, text):
+    table = report.Table(text, [text], [[text]], note=text)
+    told = report.Report(text, "fail", text, [table], text, texts={text: text})
+    page = report.write(tmp_path, told).read_text()
+    body = page[page.index("<section>") : page.index("</section>") + len("</section>")]
+    assert [e.text for e in ET.fromstring(body).iter("td")] == [text]
