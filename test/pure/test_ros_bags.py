@@ -3,8 +3,11 @@
 import shutil
 
 import pytest
+import yaml
 from mcap.reader import make_reader
-from ros_bags import SECOND, START, fill, joint_state, make_bag, make_killed_bag, states
+from mcap.writer import Writer as McapWriter
+from rclpy.serialization import serialize_message
+from ros_bags import SECOND, START, STEP, fill, joint_state, make_bag, make_killed_bag, states
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability
 from rosbags.rosbag2 import Reader
@@ -235,3 +238,71 @@ def test_a_recording_goes_on_in_the_next_bag_and_reads_as_one(tmp_path, limits):
     with open_bags(tmp_path) as whole:
         assert states(whole.messages()) == list(range(350))
         assert whole.topics["/robot_description"].messages == 1
+
+
+@pytest.mark.parametrize("chunked", [True, False])
+@pytest.mark.parametrize("split", [1, 2])
+def test_bags_in_the_manner_of_the_standard_recorder_are_read(tmp_path, split, chunked):
+    """Written by the MCAP library: split into files within a bag, without chunks, too."""
+    bag = tmp_path / "bag"
+    bag.mkdir()
+    msgtype, each = "sensor_msgs/msg/JointState", 30
+    for part in range(split):
+        with (bag / f"bag_{part}.mcap").open("wb") as stream:
+            writer = McapWriter(stream, use_chunking=chunked)
+            writer.start(profile="ros2", library="other")
+            text = definition(msgtype).text
+            schema = writer.register_schema(msgtype, "ros2msg", text.encode())
+            qos = {"offered_qos_profiles": ""}
+            channel = writer.register_channel("/joint_states", "cdr", schema, qos)
+            for k in range(each * part, each * (part + 1)):
+                time, data = START + k * STEP, serialize_message(joint_state(k))
+                writer.add_message(channel, log_time=time, publish_time=time, data=data)
+            writer.finish()
+    about = {
+        "topic_metadata": {
+            "name": "/joint_states", "type": msgtype, "serialization_format": "cdr",
+            "offered_qos_profiles": [], "type_description_hash": definition(msgtype).hash,
+        },
+        "message_count": each * split,
+    }  # fmt: skip
+    times = [(START + each * k * STEP, (each - 1) * STEP) for k in range(split)]
+    files = [
+        {
+            "path": f"bag_{k}.mcap", "message_count": each, "duration": {"nanoseconds": lasts},
+            "starting_time": {"nanoseconds_since_epoch": begin},
+        }
+        for k, (begin, lasts) in enumerate(times)
+    ]  # fmt: skip
+    information = {
+        "version": 9, "storage_identifier": "mcap", "message_count": each * split,
+        "duration": {"nanoseconds": (each * split - 1) * STEP},
+        "starting_time": {"nanoseconds_since_epoch": START},
+        "topics_with_message_count": [about], "compression_format": "", "compression_mode": "",
+        "relative_file_paths": [file["path"] for file in files], "files": files,
+        "custom_data": None, "ros_distro": "jazzy",
+    }  # fmt: skip
+    metadata = yaml.safe_dump({"rosbag2_bagfile_information": information})
+    (bag / "metadata.yaml").write_text(metadata)
+    with open_bags(bag) as bags:
+        assert not bags.recovered
+        assert states(bags.messages()) == list(range(each * split))
+
+
+def test_our_bags_are_laid_out_as_the_standard_ones(tmp_path):
+    bag = make_bag(tmp_path)
+    information = yaml.safe_load((bag / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    assert information["version"] == 9
+    assert information["storage_identifier"] == "mcap"
+    assert information["relative_file_paths"] == ["bag_0.mcap"]
+    assert information["message_count"] == 101
+    names = [t["topic_metadata"]["name"] for t in information["topics_with_message_count"]]
+    assert names == ["/robot_description", "/joint_states"]
+    with (bag / "bag_0.mcap").open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        assert reader.get_header().profile == "ros2"
+        for channel in reader.get_summary().channels.values():
+            assert channel.message_encoding == "cdr"
+            assert "offered_qos_profiles" in channel.metadata
+        assert {s.encoding for s in reader.get_summary().schemas.values()} == {"ros2msg"}
+        assert [m.name for m in reader.iter_metadata()] == ["rosbag2"]
