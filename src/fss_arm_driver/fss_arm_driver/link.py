@@ -21,10 +21,11 @@ from fss_arm_driver.protocol import (
     decode,
     encode,
 )
-from fss_arm_driver.reception import EARLY, SECOND, Reception
+from fss_arm_driver.reception import SECOND, Reception
 from fss_arm_driver.scale import CommandError, Scale, SetPoint
 from fss_arm_model.description import Link
 
+CORRECTION = SECOND // 10  # a clock that is set back by less is being corrected
 PATIENCE = 2 * SECOND  # a link that has not armed by then is left disarmed
 STAMPS_KEPT = 1024  # of commands sent, which an echo may name
 
@@ -197,7 +198,7 @@ class LinkSession:
 
     def tick(self, now: int) -> None:
         """Let time pass: loss, expiry, arming that came to nothing, a clock that was set back."""
-        if now < self._now - EARLY:  # by less: a clock that is being corrected
+        if now < self._now - CORRECTION:
             self._reception.forget(now)
             self._sent.clear()
             self._stamp = 0

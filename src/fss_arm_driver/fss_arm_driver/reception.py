@@ -9,7 +9,7 @@ from fss_arm_driver.protocol import Telemetry, newer
 from fss_arm_driver.scale import Scale
 
 SECOND = 1_000_000_000  # [ns]
-EARLY = SECOND // 10  # delays vary: a frame may seem to come from the future by so much
+EARLY = 0.1  # of the timeout: delays vary, and a frame may seem to come from the future
 MEMORY = 60 * SECOND  # how long a lost link and its clock are remembered
 SHORTEST_PERIOD = 1000  # of telemetry, in the link's clock [us]
 CANDIDATES = 16  # more than one, so that noise cannot displace a link that begins to talk
@@ -61,6 +61,7 @@ class Reception:
         self.heard = 0  # when a frame was last believed
         self.track: Track | None = None  # believed; remembered for a while when lost
         self._scale, self._timeout, self._resolution = scale, timeout, resolution
+        self._early = round(EARLY * timeout)  # [ns]
         self._prove, self._counts = prove, counts
         self._candidates: deque[Track] = deque(maxlen=CANDIDATES)  # on probation
 
@@ -101,7 +102,7 @@ class Reception:
             self._believe(self.track, frame, now)
             return True
         for track in self._candidates if self.lost else ():
-            if self._compare(track, frame, now, late=EARLY) is Verdict.FOLLOWS:
+            if self._compare(track, frame, now, late=self._early) is Verdict.FOLLOWS:
                 self._believe(track, frame, now)
                 return True
         self._counts["candidates"] += 1
@@ -123,7 +124,7 @@ class Reception:
         steps = (frame.sequence - track.frame.sequence) & 0xFFFFFFFF
         turned = frame.position - track.frame.position
         known_to = track.clock.half_width(now)
-        early = EARLY + (known_to if known_to < self._timeout else 0)
+        early = self._early + (known_to if known_to < self._timeout else 0)
         if age < -early or period < steps * max(SHORTEST_PERIOD, track.period / 2):
             return Verdict.JUMP
         return Verdict.FOLLOWS if self._scale.reachable(turned, period) else Verdict.JUMP

@@ -9,9 +9,11 @@ from typing import Any
 
 import rclpy
 from rclpy.exceptions import ParameterException
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
+
+from .executor import BatchExecutor
 
 # rclpy keeps these classes in its extension and offers no public names for them.
 from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError  # isort: skip
@@ -22,7 +24,7 @@ def run(
     settings: type | None = None,
     args: Sequence[str] | None = None,
     takes: str = "",
-    executor: Callable[[], Any] = SingleThreadedExecutor,
+    executor: Callable[[], Any] = BatchExecutor,
 ) -> int:
     """Make a node, spin it until it is told to stop or ends by itself, and clean up.
 

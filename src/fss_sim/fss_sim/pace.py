@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable
 from typing import Protocol
 
+from fss_sim.channel import SECOND
 from fss_sim.testbed import FRAME
 
 LEAD = 40  # frames that may pass without a word from a driver that sends five times a second
@@ -16,6 +17,7 @@ class Pace(Protocol):
 
     epoch: int  # time of frame 0 by the clock that it follows [ns]
     jumps: int  # of that clock
+    rest: float  # real time from one look at it to the next [s]
 
     def due(self, frame: int) -> int:
         """How many frames are due after the last one made."""
@@ -35,10 +37,14 @@ class Clocked:
         frame: the last one made.
         back: a clock that is further behind the last frame was set, not late [ns].
         ahead: likewise, ahead of it; the pace then goes on from the new time.
+        speed: of that clock, in multiples of real time.
     """
 
-    def __init__(self, now: Callable[[], int], frame: int, back: int, ahead: int) -> None:
+    def __init__(
+        self, now: Callable[[], int], frame: int, back: int, ahead: int, speed: float = 1.0
+    ) -> None:
         self.now, self.back, self.ahead = now, back, ahead
+        self.rest = 0.5 * FRAME / SECOND / speed
         self.epoch = now() - frame * FRAME  # the clock's time of frame 0
         self.jumps = 0
 
@@ -67,6 +73,7 @@ class FlatOut:
     """
 
     epoch = jumps = 0
+    rest = 0.0002  # time for others
 
     def __init__(self, now: Callable[[], int] = time.monotonic_ns) -> None:
         self.now = now

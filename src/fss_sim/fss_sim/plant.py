@@ -84,10 +84,13 @@ class Plant:
 
     def motion(self, joint: int) -> Motion:
         """What the instruments of a link are exposed to."""
-        q, qd, torque = self._state[:, 3 + joint].tolist()
-        off = self._demand[joint, 0] == OFF
-        current = 0.0 if off else torque / float(self._torque_constant[joint])
-        return Motion(q, qd, current, torque)
+        return self.motions()[joint]
+
+    def motions(self) -> list[Motion]:
+        """The motion of each joint."""
+        q, qd, torque = self._state[:, 3:]
+        current = np.where(self._demand[:, 0] == OFF, 0.0, torque / self._torque_constant)
+        return list(map(Motion._make, np.stack([q, qd, current, torque], axis=1).tolist()))
 
     @property
     def base(self) -> Pose:

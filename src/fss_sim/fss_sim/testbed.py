@@ -114,6 +114,7 @@ class Testbed:
         self.frame, self._boots = state.frame, state.boots
         for link in self.links:
             link.start(self._boots, self.now, link.uptime)
+        self._motions = self.plant.motions()
         self._momentum = self.plant.momentum()
 
     @property
@@ -126,8 +127,9 @@ class Testbed:
         faulted = self.faults.advance(self.now / SECOND)
         self._supply()
         for i, link in enumerate(self.links):
-            self.plant.command(i, link.demand(self.now, self.plant.motion(i)))
+            self.plant.command(i, link.demand(self.now, self._motions[i]))
         self.plant.advance(1.0 / RATE)
+        self._motions = self.plant.motions()
         self.frame += 1
         plant, of = self.plant, self.faults
         rate, qd = float(plant.qd[2]), plant.qd[3:]
@@ -135,7 +137,7 @@ class Testbed:
             self.frame, plant.base, plant.tip, rate, qd, of.base, of.tip, of.gyro
         )
         telemetry = [
-            link.report(self.now, plant.motion(i), 1.0 / RATE, of.links[i])
+            link.report(self.now, self._motions[i], 1.0 / RATE, of.links[i])
             for i, link in enumerate(self.links)
         ]
         return Report(sight, telemetry, faulted)

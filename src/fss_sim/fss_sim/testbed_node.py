@@ -1,15 +1,16 @@
 """The simulated test bed as a node: VICON and FOG on topics, links on UDP, time on request.
 
 Its services are for whoever keeps the clock: `sim/pause`, `sim/step` while paused, `sim/reset`.
+Time passes in a thread of its own; callbacks of the executor hold the lock.
 """
 
 import sys
 import time
 from pathlib import Path
+from threading import RLock
 from typing import Any
 
 from geometry_msgs.msg import PoseStamped
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import Imu
@@ -18,16 +19,18 @@ from std_srvs.srv import SetBool
 from fss_arm_driver.protocol import load_keys
 from fss_arm_msgs.msg import SimFaults
 from fss_arm_msgs.srv import ResetTestbed, StepTime
-from fss_arm_ros.convert import SECOND, pose_stamped, to_time
+from fss_arm_ros.convert import SECOND, to_time
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.qos import LATCHED, SENSOR
 from fss_arm_ros.run import run
 from fss_arm_ros.settings import declare, declare_live
 from fss_sim.faults import kinds, read_script
+from fss_sim.messages import ClockImage, GyroImage, PoseImage
 from fss_sim.pace import Clocked, FlatOut, Pace
-from fss_sim.sensors import RATE, Seen, Sight
+from fss_sim.sensors import RATE, Sight
 from fss_sim.settings import TestbedSettings
 from fss_sim.testbed import FRAME, State, Testbed
+from fss_sim.ticker import Ticker
 
 BURST = RATE  # frames made up for at once, so that the node remains responsive
 SAVED = RATE // 5  # frames from one writing of the state file to the next
@@ -42,6 +45,7 @@ class TestbedNode(Node):
         self.settings = settings = declare(self, TestbedSettings, live=True)
         self.arm = arm = settings.description()
         self.keys = load_keys(settings.keys) if settings.keys else {}
+        self.lock = RLock()
         self.script = settings.script()
         self.wires = settings.wires(arm.n)
         self.base = self.create_publisher(PoseStamped, "vicon/fss/fss", SENSOR)
@@ -49,6 +53,8 @@ class TestbedNode(Node):
         self.gyro = self.create_publisher(Imu, "fog/imu", SENSOR)
         if settings.keep_clock:
             self.clock = self.create_publisher(ClockMessage, "/clock", 10)
+        self.clock_image, self.pose_image = ClockImage(), PoseImage(settings.world_frame)
+        self.gyro_image = GyroImage(settings.base_frame, settings.noise().gyro_noise)
         self.seed, self.paused = settings.seed, settings.paused
         self.faults = self.create_publisher(SimFaults, "sim/faults", LATCHED)
         self.set_faults: dict[tuple[str, str], float] = {}
@@ -57,11 +63,9 @@ class TestbedNode(Node):
         self.create_service(SetBool, "sim/pause", self.on_pause)
         self.create_service(StepTime, "sim/step", self.on_step)
         self.create_service(ResetTestbed, "sim/reset", self.on_reset)
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        period = 0.5 / RATE / settings.speed if settings.speed else 0.0
-        self.create_timer(max(0.001, period), self.tick, clock=steady)
         self._counted = self.testbed.frame, time.monotonic()
         self.diagnostics = Diagnostics(self, self.health)
+        self.ticker = Ticker(self.tick, self.create_guard_condition(self.on_failure))
 
     def begin(self, state: State) -> None:
         """Make the test bed in this state, and let its time begin now."""
@@ -91,17 +95,27 @@ class TestbedNode(Node):
         if not self.settings.speed:
             return FlatOut()
         # What cannot be computed in time makes time run slower.
-        return Clocked(self._own_time, frame, back=SECOND, ahead=SECOND)
+        speed = self.settings.speed
+        return Clocked(self._own_time, frame, back=SECOND, ahead=SECOND, speed=speed)
 
-    def tick(self) -> None:
-        """Make the frames that are due, and hand on the datagrams that have come."""
-        if self.paused:
-            return
-        due = self.pace.due(self.testbed.frame)
-        for _ in range(min(due, BURST)):
-            self.make_frame()
-        if due <= BURST:
-            self.receive()
+    def tick(self) -> float:
+        """Make the frames that are due, and hand on the datagrams that have come.
+
+        Returns:
+            How long to wait before the next tick [s].
+        """
+        with self.lock:
+            due = 0 if self.paused else self.pace.due(self.testbed.frame)
+            for _ in range(min(due, BURST)):
+                self.make_frame()
+            if due <= BURST and not self.paused:
+                self.receive()
+        return self.pace.rest if due <= BURST else 0.0
+
+    def on_failure(self) -> None:
+        """The thread has ended; so does the node."""
+        if self.ticker.error and self.context.ok():
+            raise self.ticker.error
 
     def make_frame(self) -> None:
         """Let one frame's time pass and report it."""
@@ -120,32 +134,35 @@ class TestbedNode(Node):
         if not self.settings.keep_clock:
             response.message = "the time is ROS time as it is: keep_clock is false"
             return response
-        self.paused, self.pace = request.data, self.new_pace()
+        with self.lock:
+            self.paused, self.pace = request.data, self.new_pace()
         response.success, response.message = True, "paused" if request.data else "running"
         return response
 
     def on_step(self, request: StepTime.Request, response: StepTime.Response) -> StepTime.Response:
         """Let so many frames pass; what has come before is taken before the first of them."""
-        if not self.paused:
-            response.message = "time runs: pause it first"
-        elif request.frames > LONGEST:
-            response.message = f"{request.frames} frames, expected at most {LONGEST}"
-        else:
-            for _ in range(request.frames):
-                self.receive()
-                self.make_frame()
-            response.success = True
-        response.stamp = to_time(self.stamp())
+        with self.lock:
+            if not self.paused:
+                response.message = "time runs: pause it first"
+            elif request.frames > LONGEST:
+                response.message = f"{request.frames} frames, expected at most {LONGEST}"
+            else:
+                for _ in range(request.frames):
+                    self.receive()
+                    self.make_frame()
+                response.success = True
+            response.stamp = to_time(self.stamp())
         return response
 
     def on_reset(
         self, request: ResetTestbed.Request, response: ResetTestbed.Response
     ) -> ResetTestbed.Response:
         """Begin anew from the parameters, whatever the state file holds."""
-        self.seed = request.seed if request.seed >= 0 else self.seed
-        for wire in self.wires:
-            wire.reset()
-        self.begin(self.settings.fresh(self.arm.n))
+        with self.lock:
+            self.seed = request.seed if request.seed >= 0 else self.seed
+            for wire in self.wires:
+                wire.reset()
+            self.begin(self.settings.fresh(self.arm.n))
         response.success, response.message = True, f"begun with seed {self.seed}"
         return response
 
@@ -156,9 +173,10 @@ class TestbedNode(Node):
 
     def on_fault(self, part: str, fault: str, value: float) -> None:
         """A parameter was set."""
-        self.testbed.faults.set(part, fault, value)
-        self.set_faults[part, fault] = value
-        self.publish_faults()
+        with self.lock:
+            self.testbed.faults.set(part, fault, value)
+            self.set_faults[part, fault] = value
+            self.publish_faults()
 
     def publish_faults(self) -> None:
         """Publish what is wrong."""
@@ -172,20 +190,13 @@ class TestbedNode(Node):
 
     def publish(self, stamp: int, sight: Sight) -> None:
         """Publish what the sensors see."""
-        settings = self.settings
-        if settings.keep_clock:
-            self.clock.publish(ClockMessage(clock=to_time(stamp)))
+        if self.settings.keep_clock:
+            self.clock.publish(self.clock_image.of(stamp))
         for publisher, seen in ((self.base, sight.base), (self.tip, sight.tip)):
             if seen:
-                publisher.publish(vicon_pose(stamp, settings.world_frame, seen))
-        if sight.rate is None:
-            return
-        imu = Imu()
-        imu.header.stamp, imu.header.frame_id = to_time(stamp), settings.base_frame
-        imu.orientation_covariance[0] = imu.linear_acceleration_covariance[0] = -1.0  # not measured
-        imu.angular_velocity.z = sight.rate
-        imu.angular_velocity_covariance[8] = self.testbed.sensors.noise.gyro_noise**2
-        self.gyro.publish(imu)
+                publisher.publish(self.pose_image.of(stamp, seen))
+        if sight.rate is not None:
+            self.gyro.publish(self.gyro_image.of(stamp, sight.rate))
 
     def receive(self) -> None:
         """Hand datagrams to the links, as arrived now, or at the last frame if time is kept."""
@@ -224,6 +235,7 @@ class TestbedNode(Node):
 
     def close(self) -> None:
         """Keep the state and give the ports back."""
+        self.ticker.close()
         self.save()
         for wire in self.wires:
             wire.close()
@@ -233,15 +245,6 @@ class TestbedNode(Node):
 
     def _ros_time(self) -> int:
         return int(self.get_clock().now().nanoseconds)
-
-
-def vicon_pose(stamp: int, frame_id: str, seen: Seen) -> PoseStamped:
-    """A pose as the common VICON receivers publish it: of an occluded subject, zero throughout."""
-    if not seen.occluded:
-        return pose_stamped(stamp, frame_id, seen.pose)
-    message = pose_stamped(stamp, frame_id, (0.0, 0.0, 0.0))
-    message.pose.orientation.w = 0.0
-    return message
 
 
 def main() -> int:

@@ -1,0 +1,92 @@
+"""Messages that are published often, serialized but once: their numbers are put in place.
+
+To make and serialize a message takes many times as long as to hand it over, and the test bed is to
+run many times as fast as real time.
+"""
+
+from math import cos, sin
+from struct import pack_into
+from typing import Any
+
+from rclpy.serialization import serialize_message
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import Imu
+
+from fss_arm_ros.convert import SECOND, pose_stamped
+from fss_sim.sensors import Seen
+
+STAMP = 4  # where it is: after the encapsulation's header
+DOUBLE = 8  # bytes
+
+
+class Image:
+    """A serialized message (CDR, little-endian) that begins with a stamp and ends with doubles.
+
+    Args:
+        message: without numbers in it.
+        doubles: how many it ends with.
+    """
+
+    def __init__(self, message: Any, doubles: int) -> None:
+        data = serialize_message(message)
+        if data[:2] != b"\0\1":
+            raise NotImplementedError(f"CDR of kind {data[:2].hex()}, expected 0001")
+        self._data, self._doubles = bytearray(data), len(data) - DOUBLE * doubles
+
+    def stamped(self, stamp: int) -> None:
+        """Put the stamp [ns] in place."""
+        pack_into("<iI", self._data, STAMP, *divmod(stamp, SECOND))
+
+    def put(self, first: int, *values: float) -> None:
+        """Put doubles in place, from the `first` on."""
+        pack_into(f"<{len(values)}d", self._data, self._doubles + DOUBLE * first, *values)
+
+    def bytes(self) -> bytes:
+        """What to publish."""
+        return bytes(self._data)
+
+
+class PoseImage(Image):
+    """A PoseStamped as the common VICON receivers publish it."""
+
+    def __init__(self, frame_id: str) -> None:
+        super().__init__(pose_stamped(0, frame_id, (0.0, 0.0, 0.0)), 7)
+
+    def of(self, stamp: int, seen: Seen) -> bytes:
+        """What is seen; of an occluded subject pose and quaternion are zero."""
+        x, y, heading = seen.pose
+        self.stamped(stamp)
+        if seen.occluded:
+            self.put(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        else:
+            self.put(0, x, y, 0.0, 0.0, 0.0, sin(0.5 * heading), cos(0.5 * heading))
+        return self.bytes()
+
+
+class GyroImage(Image):
+    """An Imu of which the rate about z is measured alone, with a standard deviation [rad/s]."""
+
+    def __init__(self, frame_id: str, deviation: float) -> None:
+        imu = Imu()
+        imu.header.frame_id = frame_id
+        imu.orientation_covariance[0] = imu.linear_acceleration_covariance[0] = -1.0  # not measured
+        imu.angular_velocity_covariance[8] = deviation**2
+        super().__init__(imu, 37)
+
+    def of(self, stamp: int, rate: float) -> bytes:
+        """A rate [rad/s]."""
+        self.stamped(stamp)
+        self.put(4 + 9 + 2, rate)  # after the orientation, its covariance, and x and y
+        return self.bytes()
+
+
+class ClockImage(Image):
+    """A Clock."""
+
+    def __init__(self) -> None:
+        super().__init__(Clock(), 0)
+
+    def of(self, stamp: int) -> bytes:
+        """A time [ns]."""
+        self.stamped(stamp)
+        return self.bytes()
