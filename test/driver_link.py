@@ -5,6 +5,7 @@ from collections import Counter, deque
 from dataclasses import replace
 from threading import Condition
 
+from fss_arm_driver.faults import IN_MOTION
 from fss_arm_driver.protocol import (
     VELOCITY_UNIT,
     Command,
@@ -39,7 +40,7 @@ class FakeLink:
         self.born = born
         self.taken: Command | None = None
         self.arrived = 0
-        self.flags = State(0)
+        self.flags, self.referenced = State(0), True
         self.position = self.target = 0
         self.speed = 0.0  # [counts/s]
         self.measured = 0
@@ -61,7 +62,10 @@ class FakeLink:
             self.flags = State(0)
         elif not latches:
             self.flags = State.ARMED
-            if command.mode == Mode.POSITION:
+            self.referenced |= bool(command.flags & Order.HOME)
+            if command.flags & Order.HOME:
+                self.speed = 0.0
+            elif command.mode == Mode.POSITION:
                 self.target, self.speed = command.set_point, VELOCITY_UNIT * command.velocity
             else:
                 self.speed = 0.0
@@ -75,13 +79,15 @@ class FakeLink:
         self.position += turned
         self.frame = replace(
             self.frame,
-            flags=int(self.flags),
+            flags=int(self.flags | (State.REFERENCED if self.referenced else 0)),
             sequence=(self.frame.sequence + 1) & 0xFFFFFFFF,
             clock=self.clock(now),
             echo=taken.clock & 0xFFFFFFFF if taken else 0,
             turnaround=self.clock(now) - self.clock(self.arrived) if taken else 0,
             position=self.position,
             velocity=round(self.speed / VELOCITY_UNIT) if turned else 0,
+            status=IN_MOTION if turned else 0,
+            mode=Mode.POSITION if self.speed else Mode.OFF,
         )
         return encode(replace(self.frame, **changes), self.key)
 

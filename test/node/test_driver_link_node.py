@@ -5,6 +5,7 @@ import subprocess
 import sys
 import time
 from contextlib import suppress
+from dataclasses import replace
 from math import inf, nan
 
 import pytest
@@ -17,11 +18,11 @@ from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Empty
-from std_srvs.srv import SetBool
+from std_srvs.srv import SetBool, Trigger
 
 from fss_arm_driver.link_node import LinkNode
-from fss_arm_driver.protocol import Mode, Order, State
-from fss_arm_msgs.msg import LinkCommand, LinkTelemetry
+from fss_arm_driver.protocol import Mode, Order, Slow, State
+from fss_arm_msgs.msg import CommandStatus, LinkCommand, LinkTelemetry
 from fss_arm_ros.convert import stamp_ns, to_time
 
 KEY = bytes(range(16))
@@ -39,6 +40,8 @@ class User(Node):
         self.command = self.create_publisher(LinkCommand, "link_1/command", 1)
         self.stop = self.create_publisher(Empty, "arm/stop", 10)
         self.arm = self.create_client(SetBool, "link_1/arm")
+        self.clear, self.status = self.create_client(Trigger, "link_1/clear_faults"), []
+        self.create_subscription(CommandStatus, "link_1/command_status", self.status.append, 10)
 
     def level(self):
         return self.health[-1].status[0].level if self.health else None
@@ -63,7 +66,8 @@ def bench(spin, request):
 
     until(lambda: user.telemetry and user.joints and user.health)
     until(lambda: user.arm.service_is_ready() and user.command.get_subscription_count())
-    until(lambda: user.stop.get_subscription_count())
+    until(lambda: user.stop.get_subscription_count() and user.clear.service_is_ready())
+    until(lambda: node.status.get_subscription_count())
     return node, user, transport, until
 
 
@@ -175,6 +179,53 @@ def test_refused_commands_change_nothing_and_are_said_once(bench, monkeypatch):
     assert "expired" in said[4]
     until(lambda: transport.link.taken.flags == Order.ARM | Order.HOLD)
     assert transport.link.position == 0
+
+
+def test_commands_are_told_how_far_they_have_come(bench):
+    _, user, _, until = bench
+    order(user, set_point=0.05)
+    until(lambda: user.status and user.status[-1].reason == "link 1 is disarmed, not armed")
+    assert user.status[-1].status == CommandStatus.REFUSED
+    assert arm(user, until).success
+    until(lambda: user.telemetry[-1].armed)
+    order(user, set_point=0.05, max_velocity=0.1, time_to_live=60.0)
+    until(lambda: user.status[-1].status == CommandStatus.REACHED)
+    stations = [message.status for message in user.status]
+    assert stations[0] == CommandStatus.REFUSED
+    assert stations[1:] == sorted(set(stations[1:]))
+    assert CommandStatus.MOVING in stations
+
+
+def test_a_link_without_reference_has_telemetry_and_no_joint_state(bench):
+    _, user, transport, until = bench
+    transport.link.referenced = False
+    until(lambda: user.telemetry[-1].flags & State.REFERENCED == 0)
+    heard = len(user.joints)
+    assert arm(user, until).message == "link_1 is armed: not referenced"
+    until(lambda: user.health[-1].status[0].level == DiagnosticStatus.WARN)
+    assert len(user.joints) == heard
+    order(user, set_point=0.1)
+    until(lambda: user.status and "home it first" in user.status[-1].reason)
+    order(user, mode=LinkCommand.HOME)
+    until(lambda: len(user.joints) > heard)
+    until(lambda: user.status[-1].status == CommandStatus.REACHED)
+
+
+def test_faults_are_told_and_cleared(bench):
+    node, user, transport, until = bench
+    assert arm(user, until).success
+    transport.link.frame = replace(transport.link.frame, slow_id=Slow.FAULTS, slow_value=1 << 9)
+    until(lambda: not node.session.armed)
+    assert arm(user, until).message == "link 1 has faults: tracking error"
+    until(lambda: user.values()["faults"] == "tracking error")
+    assert user.level() == DiagnosticStatus.ERROR
+    cleared = user.clear.call_async(Trigger.Request())
+    until(cleared.done)
+    assert cleared.result().success
+    until(lambda: transport.link.taken.flags == Order.CLEAR_FAULTS)
+    transport.link.frame = replace(transport.link.frame, slow_value=0)
+    until(lambda: not node.session.faults)
+    assert arm(user, until).success
 
 
 def test_stop_goes_out_at_once_and_latches(bench):

@@ -80,7 +80,7 @@ TELEMETRY = st.builds(
     slow_value=signed(32),
 )  # fmt: skip
 COMMANDS = st.builds(
-    Command, link=st.integers(1, 255), flags=st.sampled_from([0, 1, 2, 5, 8, 9, 10, 13]),
+    Command, link=st.integers(1, 255), flags=st.sampled_from([0, 1, 2, 5, 8, 9, 10, 13, 17]),
     boot=st.integers(1, 0xFFFF), sequence=unsigned(32), clock=unsigned(64),
     expiry=st.integers(1, (1 << 64) - 1), mode=st.sampled_from(Mode),
     watchdog=st.integers(1, 0xFFFF), set_point=signed(32), velocity=st.integers(0, (1 << 31) - 1),
@@ -160,6 +160,8 @@ def test_noise_with_a_good_head_and_crc_is_refused_or_encodes_to_itself(noise, k
         (patched(SAMPLE, 38, b"\2"), Refusal.FIELD),  # mode
         (patched(SAMPLE, 39, b"\x08"), Refusal.FIELD),  # slow id
         (patched(ORDER, 5, b"\3"), Refusal.FIELD),  # arm and stop
+        (patched(QUIET, 5, b"\x10"), Refusal.FIELD),  # home without arm
+        (patched(ORDER, 5, b"\x21"), Refusal.FIELD),  # no such flag
         (patched(ORDER, 6, b"\0\0"), Refusal.FIELD),  # arms whatever boot
         (patched(ORDER, 20, bytes(8)), Refusal.FIELD),  # arms for ever
         (patched(ORDER, 29, b"\1"), Refusal.FIELD),  # reserved

@@ -15,6 +15,7 @@ from std_msgs.msg import Empty
 from std_srvs.srv import SetBool
 
 from fss_arm_driver.move import Move, MoveError, Profile, plan
+from fss_arm_driver.protocol import State
 from fss_arm_driver.scale import Scale
 from fss_arm_driver.settings import ArmSettings
 from fss_arm_msgs.action import MoveArm
@@ -36,6 +37,7 @@ class LinkState:
     q: float  # [rad]
     qd: float  # [rad/s]
     armed: bool
+    referenced: bool
 
 
 class ArmNode(Node):
@@ -78,7 +80,8 @@ class ArmNode(Node):
 
         def take(message: LinkTelemetry) -> None:
             q, qd = scale.position(message.position), scale.velocity(message.velocity)
-            self.links[number] = LinkState(self.now(), q, qd, message.armed)
+            referenced = bool(message.flags & State.REFERENCED)
+            self.links[number] = LinkState(self.now(), q, qd, message.armed, referenced)
 
         subscribe_sensor(self, LinkTelemetry, f"link_{number}/telemetry", take)
 
@@ -158,7 +161,9 @@ class ArmNode(Node):
             for i in self.numbers
             if i not in self.links or self.links[i].heard < oldest
         }
-        return silent or {i: "is not armed" for i in self.numbers if not self.links[i].armed}
+        states = {i: self.links[i] for i in self.numbers if not silent}
+        unknown = {i: "is not referenced" for i, state in states.items() if not state.referenced}
+        return silent or unknown or {i: "is not armed" for i, s in states.items() if not s.armed}
 
     def q(self) -> tuple[float, ...]:
         """Present readings (n) [rad]; () while a link has never been heard."""

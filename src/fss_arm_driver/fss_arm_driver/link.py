@@ -9,6 +9,9 @@ from dataclasses import dataclass
 from enum import Enum
 from math import inf, nan
 
+from fss_arm_driver.battery import Battery
+from fss_arm_driver.faults import blocking
+from fss_arm_driver.progress import Progress, Status
 from fss_arm_driver.protocol import (
     Command,
     FrameError,
@@ -64,6 +67,7 @@ class Sample:
     torque: float  # [N m]
     slow: dict[Slow, int]  # the last report of each slow field
     armed: bool
+    referenced: bool  # the position means something
 
 
 class LinkSession:
@@ -76,6 +80,7 @@ class LinkSession:
         watchdog: silence after which the link shall disarm itself [s].
         resolution: step of the clock that the caller reads [s].
         key: that frames are signed under; None: they are not signed.
+        empty: voltage of the link's battery at which it must be switched off [V].
     """
 
     def __init__(
@@ -86,8 +91,10 @@ class LinkSession:
         watchdog: float = 2.0,
         resolution: float = 0.0,
         key: bytes | None = None,
+        empty: float = 12.0,
     ) -> None:
         self.number, self._key = number, key
+        self.battery, self._empty = Battery(empty), empty
         self.scale = Scale(description)
         self.counts = Counter(dict.fromkeys(COUNTS, 0))
         self.arming = Arming.DISARMED
@@ -98,10 +105,12 @@ class LinkSession:
         )
         self._now = 0
         self._boot = 0  # of the link that was followed last
-        self._slow: dict[Slow, int] = {}
+        self.slow: dict[Slow, int] = {}  # the last report of each
         self._stamp = 0  # of the last sample
         self._order: SetPoint | None = None
         self._expiry = 0  # of the order
+        self.progress: Progress | None = None  # of the last order
+        self._clear_asked = -PATIENCE  # when
         self._arm_asked = 0  # when
         self._sequence = 0
         self._clock = 0  # stamp of the last frame sent [us]
@@ -135,6 +144,12 @@ class LinkSession:
         return track.clock.deviation(now) if track else inf
 
     @property
+    def offset(self) -> float:
+        """What to add to the link's clock to have the host's [s]."""
+        track = self._reception.track
+        return 1e-9 * track.clock.offset(track.frame.clock) if track else nan
+
+    @property
     def drift(self) -> float:
         """How much faster than the link's the host's clock runs."""
         track = self._reception.track
@@ -144,30 +159,58 @@ class LinkSession:
         """Time since a frame was last believed [s]; infinite if none ever was."""
         return 1e-9 * (now - self._reception.heard) if self.counts["believed"] else inf
 
+    @property
+    def faults(self) -> list[str]:
+        """Names of the faults that forbid motion."""
+        return blocking(self.frame.status, self._latched()) if self.frame else []
+
+    @property
+    def referenced(self) -> bool:
+        """Whether the encoder's zero is known, so that positions mean something."""
+        return bool(self.frame and self.frame.flags & State.REFERENCED)
+
+    def _latched(self) -> int:
+        return self.slow.get(Slow.FAULTS, 0) & 0xFFFFFFFF
+
     def arm(self, now: int) -> None:
         """Ask the link to arm, also after a stop; `arming` tells how far that has come.
 
         Raises:
-            CommandError: the link is lost.
+            CommandError: the link is lost, or a fault forbids motion.
         """
         self.tick(now)
         if self.lost:
             silence = self.silence(now)
             past = "not heard yet" if silence == inf else f"silent for {silence:.1f} s"
             raise CommandError(f"link {self.number} is lost: {past}")
+        self._check_faults()
         if self.arming is not Arming.ARMED:
             self.arming, self._arm_asked = Arming.ARMING, now
 
-    def disarm(self) -> None:
+    def _check_faults(self) -> None:
+        if faults := self.faults:
+            raise CommandError(f"link {self.number} has faults: {', '.join(faults)}")
+
+    def clear_faults(self, now: int) -> None:
+        """Disarm, and have the drive forget its latched faults."""
+        self.disarm()
+        self._clear_asked = now
+
+    def disarm(self, why: str = "disarmed") -> None:
         """Let the joint come to rest and switch the drive off. A stop stays latched."""
-        self._order = None
+        self._drop_order(Status.ABORTED, why)
         if self.arming is not Arming.STOPPED:
             self.arming = Arming.DISARMED
 
     def stop(self) -> None:
         """Stop now and stay so until armed anew."""
-        self._order = None
+        self._drop_order(Status.ABORTED, "stopped")
         self.arming = Arming.STOPPED
+
+    def _drop_order(self, status: Status, why: str) -> None:
+        if self._order and self.progress:
+            self.progress.end(status, why)
+        self._order = None
 
     def set(
         self,
@@ -189,10 +232,16 @@ class LinkSession:
                 raise CommandError(f"link {self.number} is {self.arming.value}, not armed")
             if expiry <= now:
                 raise CommandError(f"the command expired {1e-9 * (now - expiry):.3f} s ago")
+            self._check_faults()
             order = self.scale.set_point(mode, value, velocity, acceleration)
+            if mode == Mode.POSITION and not self.referenced:
+                raise CommandError(f"link {self.number} is not referenced: home it first")
         except CommandError:
             self.counts["commands_refused"] += 1
             raise
+        if order != self._order:  # not a repetition that prolongs it
+            self._drop_order(Status.ABORTED, "another command took its place")
+            self.progress = Progress(order, now, self.scale)
         self._order, self._expiry = order, expiry
         self.counts["commands_clamped"] += order.clamped
 
@@ -202,12 +251,12 @@ class LinkSession:
             self._reception.forget(now)
             self._sent.clear()
             self._stamp = 0
-            self.disarm()
+            self.disarm("the clock was set back")
         self._now = now
         if self._reception.tick(now):
-            self.disarm()
+            self.disarm("the link is lost")
         if self._order and now > self._expiry:
-            self._order = None
+            self._drop_order(Status.TIMED_OUT, "its time to live ended")
         if self.arming is Arming.ARMING and now - self._arm_asked > PATIENCE:
             self.arming = Arming.DISARMED
 
@@ -245,12 +294,14 @@ class LinkSession:
         if self.arming is Arming.STOPPED:
             return Order.STOP, 0, None
         if frame is None or self.arming is Arming.DISARMED:
-            return 0, 0, None
+            clear = now - self._clear_asked < PATIENCE
+            return Order.CLEAR_FAULTS if clear else 0, 0, None
         if self.arming is Arming.ARMING and frame.flags & (State.STOPPED | State.WATCHDOG):
             return 0, 0, None  # latches are cleared by a frame that does not arm
         if self._order is None or self.scale.outward(self._order, frame.position):
             return Order.ARM | Order.HOLD, now + self._timeout, None
-        return Order.ARM, self._expiry, self._order
+        home = Order.HOME if self._order.home else 0
+        return Order.ARM | home, self._expiry, self._order
 
     def feed(self, data: bytes, now: int) -> Sample | None:
         """Take a datagram; return what it says if it is to be believed."""
@@ -262,10 +313,12 @@ class LinkSession:
         if not self._reception.take(frame, echoed, now):
             return None
         if lost:  # nothing is wanted of a link that was not followed until now
-            self.disarm()
+            self.disarm("the link was lost")
         if frame.boot != self._boot:
-            self._boot, self._slow = frame.boot, {}
-        self._slow[Slow(frame.slow_id)] = frame.slow_value
+            self._boot, self.slow, self.battery = frame.boot, {}, Battery(self._empty)
+        self.slow[Slow(frame.slow_id)] = frame.slow_value
+        if frame.slow_id == Slow.BATTERY:
+            self.battery.take(0.1 * frame.slow_value, now)
         self._follow_arming(frame, echoed)
         return self._sample(frame, echoed, now)
 
@@ -284,8 +337,13 @@ class LinkSession:
     def _follow_arming(self, frame: Telemetry, echoed: int | None) -> None:
         """Arming is done when the link says so in answer to what was sent since it was asked."""
         armed = bool(frame.flags & State.ARMED)
+        if self._order and self.progress:
+            taken = echoed is not None and echoed >= self.progress.given
+            self.progress.follow(frame, taken, self._now)
         if self.arming is Arming.ARMED and not armed:
-            self.disarm()
+            self.disarm("the link has disarmed itself")
+        elif self.arming is not Arming.DISARMED and (faults := self.faults):
+            self.disarm(", ".join(faults))
         elif self.arming is Arming.ARMING and armed and echoed and echoed >= self._arm_asked:
             self.arming = Arming.ARMED
 
@@ -306,6 +364,7 @@ class LinkSession:
             position=self.scale.position(frame.position),
             velocity=self.scale.velocity(frame.velocity),
             torque=self.scale.torque(frame.torque),
-            slow=dict(self._slow),
+            slow=dict(self.slow),
             armed=self.armed,
+            referenced=self.referenced,
         )

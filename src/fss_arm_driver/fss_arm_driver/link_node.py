@@ -12,24 +12,29 @@ from rclpy.parameter import Parameter
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Empty
-from std_srvs.srv import SetBool
+from std_srvs.srv import SetBool, Trigger
 
-from fss_arm_driver.link import SECOND, TROUBLES, Arming, LinkSession
-from fss_arm_driver.messages import joint_state, telemetry
-from fss_arm_driver.protocol import State
+from fss_arm_driver.link import SECOND, Arming, LinkSession
+from fss_arm_driver.messages import (
+    LinkHealth,
+    command_refused,
+    command_status,
+    joint_state,
+    state_words,
+    telemetry,
+)
 from fss_arm_driver.scale import CommandError
 from fss_arm_driver.settings import LinkSettings
 from fss_arm_driver.transport import Transport, open_transport
 from fss_arm_driver.waker import Waker
-from fss_arm_msgs.msg import LinkCommand, LinkTelemetry
+from fss_arm_msgs.msg import CommandStatus, LinkCommand, LinkTelemetry
 from fss_arm_ros.convert import stamp_ns
-from fss_arm_ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
+from fss_arm_ros.diagnostics import Diagnostics
 from fss_arm_ros.qos import COMMAND, SENSOR
 from fss_arm_ros.run import run
 from fss_arm_ros.settings import declare
 
 SIMULATED_STEP = 0.01  # of /clock [s]
-LATCHED_WORDS = {State.STOPPED: "the link is stopped", State.WATCHDOG: "its watchdog tripped"}
 
 
 class LinkNode(Node):
@@ -57,27 +62,31 @@ class LinkNode(Node):
             settings.watchdog,
             SIMULATED_STEP if simulated else 0.0,
             settings.key(),
+            settings.empty,
         )
         self.transport = transport or open_transport(settings.url)
         self.name = f"link_{number}"
-        self.warned, self.trouble = "", self.transport.trouble
-        self.reported = dict(self.session.counts), 0
+        self.said = {"trouble": self.transport.trouble}  # by kind, as much is repeated
+        self.told: tuple[Any, ...] = ()  # of the last command
         self.waiting: list[Future] = []
-
         if settings.is_exposed():
             self.get_logger().warning(
                 f"{settings.url}: frames are not signed, so anybody on this network can move the "
                 "link; see docs/security.md"
             )
+
         self.joint_states = self.create_publisher(JointState, "joint_states", SENSOR)
         self.telemetry = self.create_publisher(LinkTelemetry, f"{self.name}/telemetry", SENSOR)
+        self.status = self.create_publisher(CommandStatus, f"{self.name}/command_status", SENSOR)
         self.create_subscription(LinkCommand, f"{self.name}/command", self.on_command, COMMAND)
         self.create_subscription(Empty, "arm/stop", self.on_stop, 10)
         group = ReentrantCallbackGroup()  # the answer waits for the link's; all else goes on
         self.create_service(SetBool, f"{self.name}/arm", self.on_arm, callback_group=group)
+        self.create_service(Trigger, f"{self.name}/clear_faults", self.on_clear_faults)
         self.create_timer(1.0 / settings.rate, self.send)
         self.waker = Waker(self.transport, self.create_guard_condition(self.poll))
-        self.diagnostics = Diagnostics(self, self.health, self.settings.url)
+        health = LinkHealth(self.session, self.transport, bool(settings.keys))
+        self.diagnostics = Diagnostics(self, lambda: health(self.now()), settings.url)
 
     def now(self) -> int:
         """The node's clock [ns]; 0 before the first /clock if that is followed."""
@@ -89,17 +98,17 @@ class LinkNode(Node):
         self.waker.taken()
         for data in datagrams if now else ():
             if sample := self.session.feed(data, now):
-                self.joint_states.publish(joint_state(self.session.number, sample))
+                if sample.referenced:  # else the position says nothing
+                    self.joint_states.publish(joint_state(self.session.number, sample))
                 self.telemetry.publish(telemetry(sample))
-        self.answer_arming()
+        self.answer()
 
     def send(self) -> None:
         """Send the command of the moment."""
         self.transport.send(self.session.command(self.now()))
-        self.answer_arming()
-        if self.transport.trouble not in ("", self.trouble):
-            self.get_logger().warning(f"{self.settings.url}: {self.transport.trouble}")
-        self.trouble = self.transport.trouble
+        self.answer()
+        trouble = self.transport.trouble
+        self.warn("trouble", trouble and f"{self.settings.url}: {trouble}")
 
     def on_command(self, message: LinkCommand) -> None:
         """Take a command, from the time that its stamp says it was given."""
@@ -117,7 +126,9 @@ class LinkNode(Node):
                 now,
             )
         except CommandError as error:
-            self.warn(f"command refused: {error}")
+            self.status.publish(command_refused(str(error), given, now))
+            self.warn("refused", f"command refused: {error}")
+        self.answer()
 
     def on_stop(self, _: Empty) -> None:
         """Stop at once."""
@@ -129,60 +140,41 @@ class LinkNode(Node):
         if not request.data:
             self.session.disarm()
             self.send()
-            response.success, response.message = True, f"{self.name} is {self.session.arming.value}"
+            response.success, response.message = True, state_words(self.session)
             return response
         try:
             self.session.arm(self.now())
             self.waiting.append(settled := Future())
             self.send()
             await settled
-            response.success, response.message = self.session.armed, self.state()
+            response.success, response.message = self.session.armed, state_words(self.session)
         except CommandError as error:
             response.success, response.message = False, str(error)
         return response
 
-    def answer_arming(self) -> None:
-        """Once arming has ended, let those who asked for it know."""
+    def on_clear_faults(self, _: Trigger.Request, response: Trigger.Response) -> Any:
+        """Disarm and clear what the drive has latched; telemetry tells what remains."""
+        self.session.clear_faults(self.now())
+        self.send()
+        response.success = not self.session.lost
+        response.message = "asked for" if response.success else f"{self.name} is lost"
+        return response
+
+    def answer(self) -> None:
+        """Tell what has changed: how far the last command has come, whether arming has ended."""
+        if progress := self.session.progress:
+            told = progress.given, progress.status
+            if told != self.told:
+                self.status.publish(command_status(progress, self.now()))
+            self.told = told
         while self.waiting and self.session.arming is not Arming.ARMING:
             self.waiting.pop().set_result(None)
 
-    def state(self) -> str:
-        """In words, for people."""
-        frame = self.session.frame
-        flags = frame.flags if frame else 0
-        latches = [words for latch, words in LATCHED_WORDS.items() if flags & latch]
-        return ": ".join([f"{self.name} is {self.session.arming.value}", *latches])
-
-    def warn(self, text: str) -> None:
-        """Log a warning once in a row, as commands are repeated."""
-        if text != self.warned:
+    def warn(self, kind: str, text: str) -> None:
+        """Log a warning once in a row."""
+        if text not in ("", self.said.get(kind)):
             self.get_logger().warning(text)
-        self.warned = text
-
-    def health(self) -> Health:
-        """For diagnostics."""
-        session, now = self.session, self.now()
-        session.tick(now)
-        (before, then), counts = self.reported, dict(session.counts)
-        self.reported = counts, now
-        values = {
-            "state": session.arming.value,
-            "signed": bool(self.settings.keys),
-            "age [s]": session.silence(now),
-            "round trip [s]": session.round_trip,
-            "clock deviation [s]": session.deviation(now),
-            "clock drift [ppm]": 1e6 * session.drift,
-            **counts,
-            **self.transport.counts,
-        }
-        if now == then:
-            return Health(WARN, "the clock stands still", values)
-        if session.lost:
-            why = self.transport.trouble
-            return Health(ERROR, f"{self.name} is lost{': ' * bool(why)}{why}", values)
-        if any(counts[key] > before[key] for key in TROUBLES):
-            return Health(WARN, f"{self.state()}; frames were lost or refused", values)
-        return Health(OK, self.state(), values)
+        self.said[kind] = text
 
     def close(self) -> None:
         """Give the port back."""

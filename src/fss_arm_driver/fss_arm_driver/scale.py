@@ -32,6 +32,10 @@ class SetPoint(NamedTuple):
     velocity: int
     acceleration: int
     clamped: bool  # a velocity, an acceleration or a current was above the link's limit
+    home: bool = False  # find the reference, instead
+
+
+HOME = 2  # as a LinkCommand's mode
 
 
 class Scale:
@@ -100,15 +104,18 @@ class Scale:
     ) -> SetPoint:
         """A command of the joint in SI units as the link takes it.
 
-        A current, velocity or acceleration above the link's limit is clamped to it; a profile
-        velocity or acceleration of 0 means the limit.
+        A current, velocity or acceleration above the link's limit is clamped to it, and a current
+        that would make more than the torque allowed; a profile velocity or acceleration of 0 means
+        the limit. HOME takes no numbers.
 
         Raises:
             CommandError: no such mode, a number that is not finite or has the wrong sign, or a
                 target position outside the limits.
         """
+        if mode == HOME:
+            return SetPoint(Mode.POSITION, 0, 0, 0, clamped=False, home=True)
         if mode not in (Mode.CURRENT, Mode.VELOCITY, Mode.POSITION):
-            raise CommandError(f"mode is {mode}, expected 1, 11 or 21")
+            raise CommandError(f"mode is {mode}, expected 1, 2, 11 or 21")
         numbers = {"set_point": value, "max_velocity": velocity, "max_acceleration": acceleration}
         for name, number in numbers.items():
             if not isfinite(number):
@@ -136,7 +143,8 @@ class Scale:
         if mode == Mode.VELOCITY:
             limit, unit = drive.max_velocity, self.radians_per_count * VELOCITY_UNIT
         else:
-            limit, unit = drive.max_current, drive.direction * CURRENT_UNIT
+            limit = min(drive.max_current, drive.max_torque / drive.torque_constant)
+            unit = drive.direction * CURRENT_UNIT
         return round(max(-limit, min(value, limit)) / unit), abs(value) > limit
 
 

@@ -147,6 +147,7 @@ class Drive:
         default=0.8, metadata=_is(_positive, "N m/A", "joint torque per motor current")
     )
     max_current: float = field(default=2.25, metadata=_is(_positive, "A"))
+    max_torque: float = field(default=1.8, metadata=_is(_positive, "N m", "at the joint"))
     max_velocity: float = field(default=1.0, metadata=_is(_positive, "rad/s"))
     max_acceleration: float = field(default=2.0, metadata=_is(_positive, "rad/s^2"))
 

@@ -54,6 +54,7 @@ class Order(IntFlag):
     STOP = 2  # disarm and latch it
     HOLD = 4  # decelerate and hold where the joint comes to rest
     CLEAR_FAULTS = 8
+    HOME = 16  # find the reference as the drive is set up to; only with ARM, position mode
 
 
 class Slow(IntEnum):
@@ -256,6 +257,8 @@ def _check_command(frame: Command) -> None:
             Refusal.FIELD,
             f"profile is {frame.velocity}, {frame.acceleration}, expected none negative",
         )
+    if frame.flags & Order.HOME and not frame.flags & Order.ARM:
+        raise FrameError(Refusal.FIELD, "flags hold home without arm")
     if not frame.flags & Order.ARM:
         return
     if frame.flags & Order.STOP:

@@ -1,0 +1,124 @@
+"""The servo drive's fault table: what each bit of its two words means, and whether it stops motion.
+
+`python -m fss_arm_driver.faults` writes docs/faults.md from it.
+"""
+
+from dataclasses import dataclass
+from enum import Enum
+
+WAS_RESET = 1 << 20
+IN_MOTION = 1 << 27
+
+
+class Word(Enum):
+    """The drive's words in telemetry."""
+
+    STATUS = "status"  # variable 0xa0, as things are
+    FAULTS = "faults"  # variable 0xa4, latched until cleared
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One bit; `blocks`: motion is refused while it is set."""
+
+    word: Word
+    bit: int
+    name: str
+    blocks: bool
+    remedy: str = ""
+
+
+def _status(bit: int, name: str, remedy: str = "") -> Fault:
+    return Fault(Word.STATUS, bit, name, bool(remedy), remedy)
+
+
+def _latched(bit: int, name: str, remedy: str) -> Fault:
+    return Fault(Word.FAULTS, bit, name, True, remedy)
+
+
+_COOL = "let it cool; look for what loads it"
+_CABLE = "check the motor's cable"
+_ENCODER = "check the encoder's cable"
+_SERVICE = "power-cycle; if it stays, the drive needs service"
+
+#: Status bits that say how things are do not block; those that need a remedy do.
+FAULTS = (
+    _status(0, "short circuit", _CABLE),
+    _status(1, "drive too hot", _COOL),
+    _status(2, "supply too high", "check the battery; decelerate less"),
+    _status(3, "supply too low", "charge the battery"),
+    _status(4, "motor too hot", _COOL),
+    _status(5, "feedback error", _ENCODER),
+    _status(6, "phasing error", _ENCODER + " and the motor's"),
+    _status(7, "current limited"),
+    _status(8, "voltage limited"),
+    _status(9, "positive limit switch"),
+    _status(10, "negative limit switch"),
+    _status(11, "enable input inactive", "release the emergency stop; check the enable input"),
+    _status(12, "disabled by software"),
+    _status(13, "stopping"),
+    _status(14, "brake on"),
+    _status(15, "outputs disabled"),
+    _status(16, "positive soft limit"),
+    _status(17, "negative soft limit"),
+    _status(18, "tracking error", "look for what blocks the joint, then disarm and arm"),
+    _status(19, "tracking warning"),
+    _status(20, "was reset"),
+    _status(21, "position wrapped"),
+    _status(22, "latched fault", "see the faults; clear them"),
+    _status(26, "home switch"),
+    _status(27, "in motion"),
+    _latched(0, "flash memory damaged", _SERVICE),
+    _latched(1, "internal error", _SERVICE),
+    _latched(2, "short circuit", _CABLE),
+    _latched(3, "drive too hot", _COOL),
+    _latched(4, "motor too hot", _COOL),
+    _latched(5, "supply too high", "check the battery; decelerate less"),
+    _latched(6, "supply too low", "charge the battery"),
+    _latched(7, "feedback error", _ENCODER),
+    _latched(8, "phasing error", _ENCODER + " and the motor's"),
+    _latched(9, "tracking error", "look for what blocks the joint, then clear it"),
+    _latched(10, "current too high", "look for what loads the joint"),
+    _latched(11, "logic failure", _SERVICE),
+    _latched(12, "command input lost", "clear it"),
+)
+
+
+def present(status: int, faults: int) -> list[Fault]:
+    """The entries of the table that are set in the drive's two words."""
+    words = {Word.STATUS: status, Word.FAULTS: faults}
+    return [fault for fault in FAULTS if words[fault.word] >> fault.bit & 1]
+
+
+def blocking(status: int, faults: int) -> list[str]:
+    """Names of what forbids motion, each once, the cause before the bit that says there is one."""
+    names = [fault.name for fault in present(status, faults) if fault.blocks]
+    known = {fault.bit for fault in FAULTS if fault.word is Word.FAULTS}
+    names += [f"latched fault {bit}" for bit in range(32) if faults >> bit & 1 and bit not in known]
+    if len(names) > 1 and "latched fault" in names:
+        names.remove("latched fault")
+    return list(dict.fromkeys(names))
+
+
+def as_markdown() -> str:
+    """docs/faults.md."""
+    lines = [
+        "# Faults of the servo drive",
+        "",
+        "Written by `python -m fss_arm_driver.faults` from the table in that module. The bits are",
+        "those of Copley drives; `docs/hardware.md` says how sure it is that ours is one. Motion",
+        "is refused while a bit that blocks is set, and a link that moves is disarmed. Latched",
+        "faults are cleared by the service `link_<i>/clear_faults`, once their cause is gone.",
+        "",
+        "| word | bit | meaning | blocks motion | what to do |",
+        "|---|---:|---|---|---|",
+    ]
+    lines += [
+        f"| {f.word.value} | {f.bit} | {f.name} | {'yes' if f.blocks else ''} | {f.remedy} |"
+        for f in FAULTS
+    ]
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    print(as_markdown(), end="")
