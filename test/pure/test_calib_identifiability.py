@@ -113,7 +113,7 @@ def test_the_gain_says_how_much_better_than_before():
     known = problem(several(8), words="b_4", tilt=0.0)
     result = solve(observe(known, ARM.vector(), np.zeros((8, 8))))
     (only,) = directions(result, KNOWN)
-    assert only.gain == pytest.approx(KNOWN.b / np.sqrt(result.random[0, 0]), rel=1e-9)
+    assert only.gain == pytest.approx(KNOWN.b_deviation / np.sqrt(result.random[0, 0]), rel=1e-9)
     assert only.kind == SEEN
     assert only.text(known.names) == "+1.00 b_4"
 
@@ -122,7 +122,8 @@ def test_combinations_know_what_was_assumed():
     known = problem(several(8), words="I_i", prior=np.full(4, 0.01))
     result = solve(observe(known, ARM.vector(), np.zeros((8, 8))))
     found = {c.name: c for c in combinations(result)}
-    assert found["m"].deviation == pytest.approx(2 * KNOWN.m)
-    S_4 = np.hypot(0.1671 * KNOWN.m, 2.88 * np.hypot(KNOWN.b, KNOWN.a))
+    assert found["m"].deviation == pytest.approx(2 * KNOWN.mass_deviation)
+    along = np.hypot(KNOWN.b_deviation, KNOWN.length_deviation)
+    S_4 = np.hypot(0.1671 * KNOWN.mass_deviation, 2.88 * along)
     assert found["S_4"].deviation == pytest.approx(S_4, rel=1e-3)
     assert found["K_4"].deviation < found["K_4"].before

@@ -62,8 +62,13 @@ class DynamicProblem:
                 raise ValueError(f"{name} has shape {getattr(self, name).shape}, expected {shape}")
         if not np.isfinite(self.poses[np.isfinite(self.sigma)]).all():
             raise ValueError("a pose is not finite")
-        if not np.isfinite(self.sigma[..., 2]).any():
+        if count and not np.isfinite(self.sigma[..., 2]).any():
             raise ValueError("no heading is observed")
+
+    def only(self, which: npt.NDArray[np.bool_] | npt.NDArray[np.intp]) -> "DynamicProblem":
+        """The same with some of the maneuvers."""
+        path = Path(*(part[which] for part in self.path))
+        return replace(self, path=path, poses=self.poses[which], sigma=self.sigma[which])
 
     @property
     def names(self) -> tuple[str, ...]:

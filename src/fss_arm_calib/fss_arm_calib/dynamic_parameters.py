@@ -26,6 +26,7 @@ from fss_arm_model.description import (
 )
 
 from .least_squares import Floats
+from .settings import setting
 
 GROUPS = {
     "com_0": ("x_com", "y_com"),
@@ -41,19 +42,19 @@ class Knowledge:
         ValueError: a deviation is negative or not finite.
     """
 
-    m: float = 0.005  # of each link, by a scale [kg]
-    b: float = 0.02  # by geometry [m]
-    I: float = 0.02  # noqa: E741  (the paper's symbol) [kg m^2]
-    m_0: float = 0.05  # propellant included [kg]
-    I_0: float = 0.025  # [kg m^2]
-    com: float = 0.01  # each axis [m]
-    a: float = 0.0005  # [m]
-    theta_0: float = radians(0.1)
-    mount: float = 0.0005  # each axis [m]
-    theta_BJ1: float = radians(0.1)  # noqa: N815 (the paper's symbol)
+    mass_deviation: float = setting(0.005, "of a link's mass, as by a scale [kg]")
+    b_deviation: float = setting(0.02, "of a link's centre of mass, as by geometry [m]")
+    inertia_deviation: float = setting(0.02, "of a link's inertia [kg m^2]")
+    base_mass_deviation: float = setting(0.05, "of the base's mass, propellant included [kg]")
+    base_inertia_deviation: float = setting(0.025, "of the base's inertia [kg m^2]")
+    base_com_deviation: float = setting(0.01, "of the base's centre of mass, each axis [m]")
+    length_deviation: float = setting(0.0005, "of a link's length [m]")
+    offset_deviation: float = setting(radians(0.1), "of an encoder's offset [rad]")
+    mount_deviation: float = setting(0.0005, "of the first joint's place, each axis [m]")
+    mount_angle_deviation: float = setting(radians(0.1), "of the first joint's heading [rad]")
 
     def __post_init__(self) -> None:
-        for f in fields(self):
+        for f in fields(Knowledge):
             if not 0.0 <= getattr(self, f.name) < inf:
                 raise ValueError(
                     f"{f.name} is {getattr(self, f.name)}, expected a deviation of 0 or more"
@@ -61,9 +62,12 @@ class Knowledge:
 
     def deviations(self, n: int) -> Floats:
         """(5 n + 6,) of all parameters."""
-        kinematics = [self.a] * n + [self.theta_0] * (n - 1) + [self.mount] * 2 + [self.theta_BJ1]
-        links = [self.m] * n + [self.b] * n + [self.I] * n
-        return np.array([self.m_0, self.I_0, self.com, self.com, *kinematics, *links])
+        com = self.base_com_deviation
+        base = [self.base_mass_deviation, self.base_inertia_deviation, com, com]
+        angles = [self.offset_deviation] * (n - 1)
+        mount = [self.mount_deviation] * 2 + [self.mount_angle_deviation]
+        links = [self.mass_deviation] * n + [self.b_deviation] * n + [self.inertia_deviation] * n
+        return np.array([*base, *[self.length_deviation] * n, *angles, *mount, *links])
 
 
 def parameter_names(n: int) -> tuple[str, ...]:

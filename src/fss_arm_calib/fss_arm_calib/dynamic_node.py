@@ -1,0 +1,121 @@
+"""The node `dynamic`: finds maneuvers in live or replayed topics and calibrates from them."""
+
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+from geometry_msgs.msg import PoseStamped
+from rclpy.node import Node
+from sensor_msgs.msg import Imu, JointState
+from std_srvs.srv import Trigger
+
+from fss_arm_model.description import from_yaml, load, paper_arm, save
+from fss_arm_msgs.msg import DynamicCalibration, Maneuvers
+from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
+from fss_arm_ros.qos import LATCHED, subscribe_sensor
+from fss_arm_ros.run import run
+from fss_arm_ros.settings import declare
+
+from .dynamic_messages import feed_gyro, feed_joints, feed_pose, maneuvers_message, to_message
+from .dynamic_settings import DynamicSettings
+from .dynamic_verdict import calibrate
+from .judgement import PASS
+from .maneuvers import Maneuver, ManeuverFinder
+from .settings import setting
+
+
+@dataclass(frozen=True)
+class DynamicNodeSettings(DynamicSettings):
+    """The parameters of a DynamicNode."""
+
+    base_frame: str = setting("fss", "frame id of the results")
+    output: str = setting("", "description YAML to write whenever a calibration passes")
+
+
+class DynamicNode(Node):
+    """Publishes each maneuver of the arm, and the dynamic calibration from all of them.
+
+    Subscribes joint_states, the base's VICON topic and its gyro; nobody needs to say when the arm
+    moves. `~/solve` closes the present rest and solves.
+    """
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__("dynamic", **options)
+        s = self.settings = declare(self, DynamicNodeSettings)
+        self.arm = load(s.arm) if s.arm else paper_arm()
+        self.maneuvers: list[Maneuver] = []
+        self.finder = ManeuverFinder(self.arm.n, s)
+        self.solve()
+        self.seen = self.create_publisher(Maneuvers, "calibration/maneuvers", LATCHED)
+        self.calibrated = self.create_publisher(DynamicCalibration, "calibration/dynamic", LATCHED)
+        for kind, topic, feed in (
+            (JointState, s.joints_topic, feed_joints),
+            (PoseStamped, s.base_topic, feed_pose),
+            (Imu, s.gyro_topic, feed_gyro),
+        ):
+            subscribe_sensor(self, kind, topic, partial(self.on_sample, feed), keep_all=True)
+        self.create_service(Trigger, "~/solve", self.on_solve)
+        self.diagnostics = Diagnostics(self, self.health)
+
+    def on_sample(self, feed: Callable[[ManeuverFinder, Any], list[Maneuver]], m: Any) -> None:
+        """A message of a sensor."""
+        self.take(feed(self.finder, m))
+
+    def on_solve(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Close the present rest and solve; succeeds if the calibration passes."""
+        if not self.take(self.finder.close()):
+            self.solve()
+            self.publish()
+        response.success = self.calibration.verdict == PASS
+        response.message = f"{self.calibration.verdict}: {self.calibration.reason}"
+        return response
+
+    def take(self, found: list[Maneuver]) -> bool:
+        """Keep and publish new maneuvers and solve again; False if there are none."""
+        if not found:
+            return False
+        self.maneuvers += found
+        self.solve()
+        self.publish()
+        for m in found:
+            what = f"joints {list(m.moved)} moved" if m.used else f"not used: {m.reason}"
+            self.get_logger().info(f"maneuver {len(self.maneuvers)}: {what}")
+        self.get_logger().info(f"{self.calibration.verdict}: {self.calibration.reason}")
+        return True
+
+    def solve(self) -> None:
+        """Calibrate from all maneuvers."""
+        self.calibration = calibrate(self.maneuvers, self.arm, self.settings, self.finder.streams())
+
+    def publish(self) -> None:
+        """Publish maneuvers and calibration; write the description if it passes."""
+        s = self.settings
+        self.seen.publish(maneuvers_message(self.maneuvers, s.base_frame))
+        self.calibrated.publish(to_message(self.calibration, s.base_frame))
+        if s.output and self.calibration.verdict == PASS:
+            save(from_yaml(self.calibration.description), s.output)
+
+    def health(self) -> Health:
+        """For diagnostics."""
+        streams = self.finder.streams()
+        values = {
+            "maneuvers": len(self.maneuvers),
+            "verdict": self.calibration.verdict,
+            **{f"refused: {kind}": number for kind, number in streams.refused.items()},
+        }
+        if streams.silent:
+            return Health(WARN, f"waiting for {', '.join(streams.silent)}", values)
+        if streams.strange:
+            return Health(WARN, f"the arm has no {', '.join(streams.strange)}", values)
+        return Health(OK, f"{len(self.maneuvers)} maneuvers", values)
+
+
+def main() -> int:
+    """Run as `ros2 run fss_arm_calib dynamic`."""
+    return run(DynamicNode, DynamicNodeSettings)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,369 @@
+"""Maneuvers out of streams: the arm rests, moves and rests again, and the base has reacted.
+
+The arm rests while every joint's readings stay within `still`; a pause shorter than it takes to
+settle and to look twice is part of the motion. The second half of a rest, up to `longest`, is the
+look before the next maneuver, the first half that after the last one: no pose counts twice. In a
+look the base may drift, so its poses are averaged over short bins, each a mark of the path.
+
+As with rests.py, samples are merged by their stamps and nothing is decided before every stream has
+passed the moment in question: what is found is a function of the data alone.
+"""
+
+from array import array
+from bisect import bisect_left, bisect_right
+from collections import Counter, deque
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from math import isfinite, pi
+from typing import NamedTuple
+
+import numpy as np
+
+from fss_arm_model.base_motion import Path, path, sampled
+
+from .dynamic_settings import ManeuverSettings
+from .kinematic import wrap
+from .least_squares import Floats
+from .poses import OUT_OF_ORDER, REPEATED, SECOND, Hole, Poses
+from .rests import BASE, Streams
+
+_CLEANING = 1000  # samples between two looks at what may be forgotten
+
+
+@dataclass(frozen=True)
+class Maneuver:
+    """A motion of the arm between two rests, and what the base did."""
+
+    start: int  # of the look before [ns]
+    end: int  # of the look after
+    times: tuple[tuple[float, ...], ...]  # (n) of each joint's samples, from `start` on [s]
+    q: tuple[tuple[float, ...], ...]  # (n) readings then [rad]; at rest before and after
+    qd: tuple[tuple[float, ...], ...]  # (n) rates then [rad/s]
+    marks: tuple[float, ...] = ()  # (m) of the base's averaged poses, from `start` on [s]
+    poses: tuple[tuple[float, ...], ...] = ()  # (m) x, y [m], heading [rad], counting turns
+    frames: tuple[int, ...] = ()  # (m) averaged
+    seconds: tuple[float, ...] = ()  # (m) over which [s]
+    used: bool = True
+    reason: str = ""  # why it is not used
+
+    def path(self) -> Path:
+        """The joints' path, with the base's poses as its marks."""
+        law, edges = sampled(self.times, self.q, self.qd)
+        return path(law, edges, self.marks)
+
+    @property
+    def moved(self) -> tuple[int, ...]:
+        """Which joints moved, from 1."""
+        return tuple(i for i, t in enumerate(self.times, 1) if len(t) > 1)
+
+
+class _Rest(NamedTuple):
+    """All joints still."""
+
+    begin: int  # [ns]
+    end: int  # as far as known
+
+
+class _Joint:
+    """One joint's samples, those still to be merged, and its present run of still ones."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.newest = -1
+        self.refused: Counter[str] = Counter()
+        self.set_back = 0  # longest step back of the stamps [ns]
+        self.waiting: deque[tuple[int, float, float]] = deque()
+        self.t, self.q, self.qd = array("q"), array("d"), array("d")
+        self.start = self.last = -1  # of the run
+        self.low = self.high = 0.0
+
+    def take(self, still: float) -> bool:
+        """Merge the oldest sample that waits; return whether it ended a run."""
+        t, q, qd = self.waiting.popleft()
+        self.t.append(t)
+        self.q.append(q)
+        self.qd.append(qd)
+        ends = self.start >= 0 and max(self.high, q) - min(self.low, q) > still
+        if ends or self.start < 0:
+            self.start, self.low, self.high = t, q, q
+        else:
+            self.low, self.high = min(self.low, q), max(self.high, q)
+        self.last = t
+        return ends
+
+    def within(self, begin: int, end: int) -> tuple[np.ndarray, Floats, Floats]:
+        """Stamps, readings and rates from `begin` to `end`, both included."""
+        a, b = bisect_left(self.t, begin), bisect_right(self.t, end)
+        return np.array(self.t[a:b]), np.array(self.q[a:b]), np.array(self.qd[a:b])
+
+    def forget(self, before: int) -> None:
+        k = max(bisect_left(self.t, before) - 1, 0)
+        del self.t[:k], self.q[:k], self.qd[:k]
+
+
+class _Gyro:
+    """The base's turn rates by stamp."""
+
+    def __init__(self) -> None:
+        self.newest = -1
+        self.t, self.rate = array("q"), array("d")
+
+    def append(self, t: int, rate: float) -> None:
+        if t > self.newest and isfinite(rate):
+            self.newest = t
+            self.t.append(t)
+            self.rate.append(rate)
+
+    def turn(self, begin: int, end: int, gap: float) -> float | None:
+        """Angle turned in an interval [rad]; None if there is a longer gap [ns] in the rates."""
+        a, b = max(bisect_right(self.t, begin) - 1, 0), bisect_left(self.t, end) + 1
+        t, rate = np.array(self.t[a:b]), np.array(self.rate[a:b])
+        if len(t) < 2 or t[0] > begin or t[-1] < end or np.diff(t).max() > gap:
+            return None
+        ends = np.array([begin, *t[(t > begin) & (t < end)], end])
+        return float(np.trapezoid(np.interp(ends, t, rate), ends / SECOND))
+
+    def forget(self, before: int) -> None:
+        k = max(bisect_right(self.t, before) - 1, 0)
+        del self.t[:k], self.rate[:k]
+
+
+class ManeuverFinder:
+    """Fed samples of n joints, the base and its gyro, returns the maneuvers that they complete.
+
+    Each feeding method returns the maneuvers found by it, in order of time. Stamps are integer
+    nanoseconds. The gyro may be absent: it is needed only where the base was not seen for long.
+    """
+
+    def __init__(self, n: int, settings: ManeuverSettings | None = None) -> None:
+        self.settings = s = settings or ManeuverSettings()
+        self.joints = [_Joint(f"joint_{i}") for i in range(1, n + 1)]
+        self.base = Poses(BASE, s.max_speed, s.max_turn)
+        self.gyro = _Gyro()
+        self.strange: set[int] = set()  # joints heard that the arm does not have
+        self._before: _Rest | None = None  # the rest that the next maneuver begins with
+        self._pending: list[tuple[_Rest, _Rest]] = []
+        self._until_cleaning = _CLEANING
+
+    def joint(self, i: int, t: int, q: float, qd: float) -> list[Maneuver]:
+        """A reading q [rad] and rate qd [rad/s] of joint i, 1 to n; NaN: no rate is known."""
+        if not 1 <= i <= len(self.joints):
+            self.strange.add(i)
+            return []
+        joint = self.joints[i - 1]
+        if not isfinite(q):
+            joint.refused["not finite"] += 1
+        elif t <= joint.newest:
+            joint.refused[REPEATED if t == joint.newest else OUT_OF_ORDER] += 1
+            joint.set_back = max(joint.set_back, joint.newest - t)
+        else:
+            joint.newest = t
+            joint.waiting.append((t, q, qd))
+            while all(j.waiting for j in self.joints):
+                self._take_oldest()
+        return self._collect()
+
+    def pose(self, t: int, pose: tuple[float, float, float] | None) -> list[Maneuver]:
+        """A pose x [m], y [m], heading [rad] of the base; None: it was not visible."""
+        self.base.append(t, pose)
+        return self._collect()
+
+    def poses(self, t: np.ndarray, poses: Floats) -> list[Maneuver]:
+        """Many poses of the base at once, (k,) and (k, 3); NaN: it was not visible."""
+        self.base.extend(t, poses)
+        return self._collect()
+
+    def rate(self, t: int, rate: float) -> list[Maneuver]:
+        """A turn rate of the base [rad/s]."""
+        self.gyro.append(t, rate)
+        return self._collect()
+
+    def close(self) -> list[Maneuver]:
+        """What can be said with no more samples to come: the maneuver before the last rest."""
+        while any(joint.waiting for joint in self.joints):
+            self._take_oldest()
+        self._end(self._rest())
+        return self._collect(everything=True)
+
+    def streams(self) -> Streams:
+        """What befell the streams so far."""
+        every: list[_Joint | Poses] = [*self.joints, self.base]
+        return Streams(
+            silent=tuple(s.name for s in every if s.newest < 0),
+            strange=tuple(f"joint_{i}" for i in sorted(self.strange)),
+            refused={
+                f"{s.name} {why}": number
+                for s in every
+                for why, number in sorted(s.refused.items())
+                if number
+            },
+            set_back={s.name: s.set_back / SECOND for s in every},
+        )
+
+    def _take_oldest(self) -> None:
+        joint = min((j for j in self.joints if j.waiting), key=lambda j: j.waiting[0][0])
+        rest = self._rest()
+        if joint.take(self.settings.still):
+            self._end(rest)
+
+    def _rest(self) -> _Rest | None:
+        """The present rest, as far as all joints confirm it, if it is long enough to count."""
+        if any(joint.start < 0 for joint in self.joints):
+            return None
+        rest = _Rest(max(j.start for j in self.joints), min(j.last for j in self.joints))
+        return rest if self._look(rest) >= self.settings.shortest * SECOND else None
+
+    def _look(self, rest: _Rest) -> int:
+        """How long a look at each end of a rest may last [ns]."""
+        usable = rest.end - rest.begin - round(self.settings.settle * SECOND)
+        return min(round(self.settings.longest * SECOND), usable // 2)
+
+    def _looks(self, before: _Rest, after: _Rest) -> tuple[tuple[int, int], tuple[int, int]]:
+        """The looks before and after a maneuver."""
+        settled = after.begin + round(self.settings.settle * SECOND)
+        return (
+            (before.end - self._look(before), before.end),
+            (settled, settled + self._look(after)),
+        )
+
+    def _end(self, rest: _Rest | None) -> None:
+        """The arm moves on: a rest that counts ends a maneuver and begins the next."""
+        if rest is None:
+            return
+        if self._before:
+            self._pending.append((self._before, rest))
+        self._before = rest
+
+    def _collect(self, everything: bool = False) -> list[Maneuver]:
+        """Maneuvers that every stream has passed by now."""
+        rest = self._rest()
+        if self._before and rest and self._look(rest) == round(self.settings.longest * SECOND):
+            # A long rest's look after the maneuver is settled before the rest is over.
+            self._pending.append((self._before, rest))
+            self._before = None
+        found = []
+        while self._pending and (everything or self._passed(*self._pending[0])):
+            found.append(self._maneuver(*self._pending.pop(0)))
+        self._until_cleaning -= 1
+        if self._until_cleaning <= 0:
+            self._forget()
+        return [maneuver for maneuver in found if maneuver]
+
+    def _passed(self, before: _Rest, after: _Rest) -> bool:
+        end = self._looks(before, after)[1][1]
+        return self.base.newest >= end and (self.gyro.newest < 0 or self.gyro.newest >= end)
+
+    def _maneuver(self, before: _Rest, after: _Rest) -> Maneuver | None:
+        """What happened between two rests; None if no joint moved far enough to be called so."""
+        looks = self._looks(before, after)
+        start, end = looks[0][0], looks[1][1]
+        series = []
+        holes: list[Hole] = []
+        for joint in self.joints:
+            t, _, _ = joint.within(start, end)
+            late = np.flatnonzero(np.diff(t, prepend=start, append=end) > self._gap)
+            edges = np.concatenate([[start], t, [end]])
+            holes += [Hole(int(edges[k]), int(edges[k + 1]), joint.name) for k in late]
+            series.append(self._samples(joint, looks))
+        travel = max(float(np.ptp(q)) if len(q) else 0.0 for _, q, _ in series)
+        if not holes and travel < self.settings.least_travel:
+            return None
+        times, q, qd = (
+            tuple(tuple(part.tolist()) for part in parts) for parts in zip(*series, strict=True)
+        )
+        maneuver = Maneuver(start, end, times, q, qd)
+        if holes:
+            return replace(maneuver, used=False, reason=str(holes[0]))
+        return self._seen(maneuver, looks)
+
+    @property
+    def _gap(self) -> float:
+        return self.settings.joint_gap * SECOND
+
+    def _samples(
+        self, joint: _Joint, looks: tuple[tuple[int, int], tuple[int, int]]
+    ) -> tuple[Floats, Floats, Floats]:
+        """Times from the start [s], readings and rates: at rest, the averages of both looks.
+
+        Of a joint that did not move, one sample.
+        """
+        (start, departure), (arrival, _) = looks
+        t, q, qd = joint.within(departure + 1, arrival - 1)
+        ends = [joint.within(*look)[1] for look in looks]
+        if not all(map(len, ends)):
+            return np.empty(0), np.empty(0), np.empty(0)
+        first, last = (float(np.mean(readings)) for readings in ends)
+        if np.abs(np.array([*q, last]) - first).max() <= self.settings.still:
+            t, q, qd = (np.empty(0, kind) for kind in (np.int64, float, float))
+            return np.array([(departure - start) / SECOND]), np.array([first]), np.zeros(1)
+        times = (np.concatenate([[departure], t, [arrival]]) - start) / SECOND
+        q, qd = np.concatenate([[first], q, [last]]), np.concatenate([[0.0], qd, [0.0]])
+        return times, q, np.where(np.isfinite(qd), qd, np.gradient(q, times))
+
+    def _seen(self, maneuver: Maneuver, looks: tuple[tuple[int, int], tuple[int, int]]) -> Maneuver:
+        """The maneuver with the base's poses, averaged over bins."""
+        t, poses = self.base.slice(maneuver.start, maneuver.end)
+        inside = (t >= maneuver.start) & (t <= maneuver.end)
+        t, poses = t[inside], poses[inside]
+        try:
+            poses[:, 2] = self._unwrapped(t, poses[:, 2])
+        except _LostTurn as lost:
+            return replace(maneuver, used=False, reason=str(lost))
+        marks, means, frames, seconds = [], [], [], []
+        for begin, end in looks:
+            count = max(1, round((end - begin) / SECOND / self.settings.bin))
+            edges = np.linspace(begin, end, count + 1)
+            seen = 0
+            for low, high in pairwise(edges):
+                those = (t >= low) & (t < high)
+                number = int(np.count_nonzero(those))
+                if number < 2:
+                    continue
+                seen += 1
+                marks.append(float(np.mean(t[those] - maneuver.start)) / SECOND)
+                means.append(tuple(np.mean(poses[those], axis=0).tolist()))
+                frames.append(number)
+                seconds.append(float(np.ptp(t[those])) / SECOND * number / (number - 1))
+            if not seen:
+                return replace(maneuver, used=False, reason=str(Hole(begin, end, BASE)))
+        return replace(
+            maneuver,
+            marks=tuple(marks),
+            poses=tuple(means),
+            frames=tuple(frames),
+            seconds=tuple(seconds),
+        )
+
+    def _unwrapped(self, t: np.ndarray, heading: Floats) -> Floats:
+        """Headings that count turns, the gyro telling those between poses far apart.
+
+        Raises:
+            _LostTurn: the base may have turned by half a turn or more, unseen.
+        """
+        bridge = np.zeros(len(t))
+        for k in np.flatnonzero(np.diff(t) > pi / self.settings.max_base_turn * SECOND):
+            turned = self.gyro.turn(int(t[k]), int(t[k + 1]), self.settings.vicon_gap * SECOND)
+            if turned is None:
+                raise _LostTurn(Hole(int(t[k]), int(t[k + 1]), BASE))
+            bridge[k + 1] = turned
+        steps = np.diff(heading, prepend=heading[:1])
+        return heading[:1] + np.cumsum(bridge + wrap(steps - bridge))
+
+    def _forget(self) -> None:
+        """Drop what no maneuver will ask for."""
+        self._until_cleaning = _CLEANING
+        look = round((2.0 * self.settings.longest + 1.0) * SECOND)
+        rests = [pair[0] for pair in self._pending] + ([self._before] if self._before else [])
+        kept = rests[0].end if rests else min(joint.last for joint in self.joints)
+        for joint in self.joints:
+            joint.forget(kept - look)
+        horizon = round(self.settings.horizon * SECOND)
+        self.base.forget(max(kept - look, self.base.newest - horizon))
+        self.gyro.forget(max(kept - look, self.gyro.newest - horizon))
+
+
+class _LostTurn(Exception):  # noqa: N818
+    """Nobody knows how far the base turned meanwhile."""
+
+    def __init__(self, hole: Hole) -> None:
+        super().__init__(f"{hole}, and no gyro")

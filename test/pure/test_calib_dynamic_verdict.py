@@ -1,0 +1,162 @@
+"""What is concluded from maneuvers: pass, fail and not_evaluated, each with its reason."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from calib_float import ARM, Float, feed, postures
+
+from fss_arm_calib.dynamic_messages import maneuvers_message, maneuvers_of, to_message
+from fss_arm_calib.dynamic_settings import HEADING, DynamicSettings
+from fss_arm_calib.dynamic_verdict import calibrate
+from fss_arm_calib.judgement import FAIL, NOT_EVALUATED, PASS, settings_of
+from fss_arm_calib.maneuvers import ManeuverFinder
+from fss_arm_calib.rests import Streams
+from fss_arm_model.description import from_yaml
+
+STATE = np.array([0.1, 0.2, 3.0, 0.2, -0.1, 0.03, 0.0002, -0.0001])
+SETTINGS = DynamicSettings(position_deviation=0.0005, heading_deviation=0.0017)
+
+
+@pytest.fixture(scope="module")
+def maneuvers():
+    """Sixteen of them, seen with the errors that the settings assume."""
+    noise = SETTINGS.position_deviation, SETTINGS.heading_deviation
+    return feed(ManeuverFinder(4), Float(postures(16, seed=5), None, STATE, 5.2, noise).samples())
+
+
+@pytest.fixture(scope="module")
+def good(maneuvers):
+    return calibrate(maneuvers, ARM, SETTINGS)
+
+
+def test_a_good_calibration_passes_and_gives_the_next_description(good):
+    assert good.verdict == PASS, good.reason
+    assert good.maneuvers_used == 16
+    for name, value, deviation, truth in zip(
+        good.names, good.values, good.deviations, good.initial, strict=True
+    ):
+        if name not in ("g_x", "g_y"):
+            assert abs(value - truth) < 4.0 * deviation, name
+    arm = from_yaml(good.description)
+    assert arm.links[1].b == good.values[1]
+    assert arm.base.inertia == good.values[8]
+    assert arm.links[1].a == ARM.links[1].a
+    assert 0.5 < good.chi_square / good.degrees_of_freedom < 1.5
+    assert good.heading_residual == pytest.approx(SETTINGS.heading_deviation / 5**0.5, rel=0.2)
+    assert good.position_residual == pytest.approx(SETTINGS.position_deviation / 5**0.5, rel=0.2)
+
+
+def test_what_can_be_told_is_told(good):
+    assert good.combinations[0] == "m"
+    assert len(good.combinations) == 9
+    assert np.isfinite(good.combination_deviations).all()
+    assert len(good.directions) == len(good.names)
+    assert "invisible" not in good.direction_kinds
+    assert set(good.assumed) >= {"m_0", "a_1", "m_4"}
+    assert good.bias.shape == (len(good.names), len(good.assumed))
+    assert good.prior_share[0] == 0.0 < good.prior_share[8] < 1.0
+
+
+def test_every_number_can_be_recomputed_from_what_is_published(maneuvers, good):
+    """By the messages alone, through their fields."""
+    published, result = maneuvers_message(maneuvers, "fss"), to_message(good, "fss")
+    again = calibrate(
+        maneuvers_of(published),
+        from_yaml(result.guess),
+        settings_of(result.provenance, DynamicSettings),
+    )
+    assert maneuvers_of(published) == maneuvers
+    assert np.array_equal(again.values, result.values)
+    assert np.array_equal(again.covariance.ravel(), result.covariance)
+    assert again.provenance.data_hash == result.provenance.data_hash
+    assert len(result.residuals) == 3 * sum(result.marks)
+
+
+@pytest.mark.parametrize("count", [0, 5])
+def test_too_few_maneuvers_are_not_evaluated_and_have_no_numbers(maneuvers, count):
+    few = calibrate(maneuvers[:count], ARM, SETTINGS, Streams(silent=("fss",)))
+    assert few.verdict == NOT_EVALUATED
+    assert f"{count} maneuvers (at least 6); nothing heard of fss" in few.reason
+    assert np.isnan(few.values).all()
+    assert few.description == ""
+    to_message(few, "fss")
+
+
+def test_spoiled_maneuvers_are_counted(maneuvers):
+    spoiled = [replace(m, used=False, reason="fss silent for 1.00 s") for m in maneuvers[:12]]
+    result = calibrate([*spoiled, *maneuvers[12:]], ARM, SETTINGS)
+    assert result.maneuvers_refused == 12
+    assert "12 maneuvers spoiled (fss silent for 1.00 s)" in result.reason
+
+
+def test_parameters_that_cannot_be_told_apart_are_not_evaluated(maneuvers):
+    settings = replace(SETTINGS, estimate="m_i b_i I_i", priors="")
+    result = calibrate(maneuvers, ARM, settings)
+    assert result.verdict == NOT_EVALUATED
+    assert "m_1, m_2, m_3, m_4, b_1" in result.reason
+    assert "3 combinations undetermined, 3 invisible to any maneuver" in result.reason
+    assert np.isinf(result.deviations[:12]).all()
+    assert np.isfinite(result.combination_deviations).all()
+    assert result.direction_kinds.count("invisible") == 3
+
+
+def off(maneuver, heading):
+    """The last pose of a maneuver off by so much."""
+    x, y, theta = maneuver.poses[-1]
+    return replace(maneuver, poses=(*maneuver.poses[:-1], (x, y, theta + heading)))
+
+
+def test_a_wrong_maneuver_fails_and_may_be_rejected(maneuvers):
+    wrong = [*maneuvers[:4], off(maneuvers[4], 0.2), *maneuvers[5:]]
+    result = calibrate(wrong, ARM, SETTINGS)
+    assert result.verdict == FAIL
+    assert "maneuver 5 is off" in result.reason
+    assert result.description == ""
+    rejected = calibrate(wrong, ARM, replace(SETTINGS, max_outliers=1))
+    assert rejected.verdict == PASS
+    assert rejected.weights.tolist() == [1.0] * 4 + [0.0] + [1.0] * 11
+    assert rejected.reasons[4].startswith("error ")
+    assert rejected.maneuvers_used == 15
+    robust = calibrate(wrong, ARM, replace(SETTINGS, loss="cauchy"))
+    assert np.argmin(robust.weights) == 4
+    assert robust.weights[4] < 0.3
+    assert np.abs((robust.values - rejected.values) / rejected.deviations).max() < 0.6
+
+
+def test_larger_errors_than_assumed_fail(maneuvers):
+    result = calibrate(maneuvers, ARM, replace(SETTINGS, heading_deviation=0.0005))
+    assert result.verdict == FAIL
+    assert "residuals are larger than the deviations allow" in result.reason
+
+
+def test_what_is_asked_of_precision_is_told(maneuvers):
+    result = calibrate(maneuvers, ARM, replace(SETTINGS, max_place=0.001))
+    assert result.verdict == FAIL
+    assert "too uncertain: b_" in result.reason
+    assert "(at most 100 % of a mass or inertia, 0.001 m)" in result.reason
+
+
+def test_a_solution_at_a_bound_fails():
+    outside = replace(ARM, links=(*ARM.links[:3], replace(ARM.links[3], b=-0.08)))
+    rig = Float(postures(8, seed=6), outside.vector())
+    result = calibrate(feed(ManeuverFinder(4), rig.samples()), ARM, SETTINGS)
+    assert result.verdict == FAIL
+    assert result.at_bound == ("b_4",)
+    assert "at the bound of what is possible: b_4" in result.reason
+
+
+def test_headings_alone_as_in_the_paper(maneuvers):
+    settings = replace(SETTINGS, estimate="I", residuals=HEADING)
+    result = calibrate(maneuvers, ARM, settings)
+    assert result.names == ("I", "g_x", "g_y")
+    assert np.isnan(result.position_residual)
+    assert abs(result.values[0] - 0.034) < 4.0 * result.deviations[0]
+
+
+def test_joints_of_another_arm_are_not_evaluated(maneuvers):
+    result = calibrate(maneuvers, ARM, SETTINGS, Streams(strange=("joint_5",)))
+    assert result.verdict == NOT_EVALUATED
+    assert "joint_5 heard, but 'paper' has 4 joints" in result.reason
+    with pytest.raises(ValueError, match="a maneuver is of 4 joints, expected 3"):
+        calibrate(maneuvers, replace(ARM, links=ARM.links[:3]), SETTINGS)

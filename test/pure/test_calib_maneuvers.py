@@ -1,0 +1,215 @@
+"""Maneuvers out of streams: which, what of them, and the same however the streams arrive."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from calib_float import ARM, SECOND, Float, at, feed, postures
+
+from fss_arm_calib.dynamic_settings import DynamicSettings, ManeuverSettings
+from fss_arm_calib.maneuvers import ManeuverFinder
+from fss_arm_model import base_motion
+
+STATE = np.array([0.1, 0.2, 3.0, 0.2, -0.1, 0.03, 0.001, -0.0005])
+
+
+@pytest.fixture(scope="module")
+def rig():
+    return Float(postures(3), state=STATE)
+
+
+@pytest.fixture(scope="module")
+def samples(rig):
+    return rig.samples()
+
+
+@pytest.fixture(scope="module")
+def found(samples):
+    return feed(ManeuverFinder(4), samples)
+
+
+def test_each_motion_between_rests_is_a_maneuver(rig, found):
+    assert len(found) == 3
+    for maneuver, begin, end, way in zip(found, rig.begins, rig.ends, rig.ways, strict=True):
+        assert maneuver.used
+        assert maneuver.moved == (1, 2, 3, 4)
+        assert at(begin - 2.3) < maneuver.start < at(begin - 1.4)
+        assert at(end + 2.0) < maneuver.end < at(end + 3.0)
+        q = np.array([[q[0], q[-1]] for q in maneuver.q]).T
+        assert q == pytest.approx(way[[0, -1]], abs=1.4e-5)
+        assert len(maneuver.marks) == 8
+        assert sum(maneuver.frames) == pytest.approx(400, abs=20)
+        assert maneuver.seconds == pytest.approx([0.5] * 8, abs=0.06)
+
+
+def test_path_and_poses_fit_each_other(rig, found):
+    """With the true arm and the state at its start, a maneuver's poses are predicted."""
+    for maneuver in found:
+        start = (maneuver.start - at(0.0)) / SECOND
+        before = rig.base(np.array([start, start + 1e-4, start + 2e-4]))
+        marks = np.array([start, *(start + np.array(maneuver.marks))])
+        true = rig.base(marks)[1:]
+        turns = 2 * np.pi * np.round((np.array(maneuver.poses)[0, 2] - true[0, 2]) / (2 * np.pi))
+        seen = np.array(maneuver.poses) - [0.0, 0.0, turns]
+        assert seen == pytest.approx(true, abs=2e-5)
+        momentum = STATE[3:6] + 21.52 * start * np.array([*STATE[6:], 0.0])
+        mark = [0.0, *maneuver.marks]
+        law, edges = base_motion.sampled(maneuver.times, maneuver.q, maneuver.qd)
+        path = base_motion.path(law, edges, mark)
+        poses = base_motion.base_poses(ARM.vector(), path, [*before[0], *momentum, *STATE[6:]])
+        assert poses[1:] == pytest.approx(true, abs=3e-4)
+
+
+def test_the_same_however_the_streams_are_interleaved(samples, found):
+    joints = [s for s in samples if isinstance(s.stream, int)]
+    others = [s for s in samples if not isinstance(s.stream, int)]
+    late = sorted(samples, key=lambda s: s.t + (3 * SECOND if s.stream == "base" else 0))
+    early = sorted(samples, key=lambda s: s.t + (2 * SECOND if s.stream == 3 else 0))
+    for order in (others + joints, joints + others, late, early):
+        assert feed(ManeuverFinder(4), order) == found
+
+
+def test_a_maneuver_is_told_as_soon_as_its_looks_are_over(rig, samples, found):
+    finder = ManeuverFinder(4)
+    begun = [s for s in samples if s.t < at(rig.begins[1])]
+    assert feed(finder, begun, close=False) == found[:1]
+    assert feed(finder, [s for s in samples if s.t >= at(rig.begins[1])]) == found[1:]
+
+
+def test_many_poses_at_once_are_poses_one_by_one(samples, found):
+    finder = ManeuverFinder(4)
+    base = [s for s in samples if s.stream == "base"]
+    finder.poses(np.array([s.t for s in base]), np.array([s.value for s in base]))
+    assert feed(finder, [s for s in samples if s.stream != "base"]) == found
+
+
+def test_no_gyro_is_needed_while_the_base_is_seen(samples, found):
+    assert feed(ManeuverFinder(4), [s for s in samples if s.stream != "gyro"]) == found
+
+
+def test_the_gyro_bridges_what_cameras_miss():
+    """The base turns by more than half a turn unseen."""
+    light = dataclasses.replace(ARM, base=dataclasses.replace(ARM.base, mass=3.0, inertia=0.03))
+    sweep = np.array([[[-1.5] * 4, [1.5] * 4]])
+    rig = Float(sweep, light.vector())
+    hidden = [
+        s for s in rig.samples()
+        if s.stream != "base" or not at(rig.begins[0]) < s.t < at(rig.ends[0])
+    ]  # fmt: skip
+    (whole,) = feed(ManeuverFinder(4), rig.samples())
+    (bridged,) = feed(ManeuverFinder(4), hidden)
+    assert abs(whole.poses[-1][2] - whole.poses[0][2]) > np.pi
+    assert np.array(bridged.poses) == pytest.approx(np.array(whole.poses), abs=1e-6)
+    (lost,) = feed(ManeuverFinder(4), [s for s in hidden if s.stream != "gyro"])
+    assert not lost.used
+    assert lost.reason.startswith("fss silent for")
+    assert lost.reason.endswith("and no gyro")
+
+
+def test_occluded_and_repeated_poses_are_left_out(samples, found):
+    worse = []
+    for k, s in enumerate(samples):
+        worse.append(s)
+        if s.stream == "base" and k % 50 == 0:
+            worse += [s._replace(value=None, t=s.t + 1), s]
+    finder = ManeuverFinder(4)
+    assert feed(finder, worse) == found
+    refused = finder.streams().refused
+    assert refused["fss occluded"] == refused["fss repeated"] > 100
+
+
+def test_a_silent_joint_spoils_a_maneuver(rig, samples):
+    gap = (at(rig.begins[1] + 1.0), at(rig.begins[1] + 1.8))
+    found = feed(
+        ManeuverFinder(4), [s for s in samples if s.stream != 2 or not gap[0] < s.t < gap[1]]
+    )
+    assert [m.used for m in found] == [True, False, True]
+    assert found[1].reason.startswith("joint_2 silent for")
+
+
+def test_a_look_without_poses_spoils_a_maneuver(rig, samples):
+    gap = (at(rig.ends[1] + 0.1), at(rig.begins[2] + 0.1))
+    found = feed(
+        ManeuverFinder(4), [s for s in samples if s.stream != "base" or not gap[0] < s.t < gap[1]]
+    )
+    assert [m.used for m in found] == [True, False, False]
+    assert found[1].reason.startswith("fss silent for")
+
+
+def test_a_short_pause_is_part_of_the_motion():
+    """To stay where it is takes a move 0.5 s."""
+    a, b, c = postures(1)[0]
+    (paused,) = feed(ManeuverFinder(4), Float([np.array([a, b, b, b, c])]).samples())
+    assert paused.q[0][-1] == pytest.approx(c[0], abs=1.4e-5)
+    rested = feed(ManeuverFinder(4), Float([np.array([a, b, b, b, b, b, c])]).samples())
+    assert len(rested) == 2
+
+
+def test_a_shorter_rest_has_shorter_looks():
+    found = feed(ManeuverFinder(4), Float(postures(2), rest=2.0).samples())
+    assert len(found) == 2
+    for maneuver in found:
+        assert 0.5 < (maneuver.times[0][0] - 0.0) < 0.8
+
+
+def test_a_joint_that_stays_has_one_sample():
+    way = np.array([[[0.3, -1.0, 0.2, 0.5], [0.3, 1.0, 0.2, 0.5]]])
+    (only,) = feed(ManeuverFinder(4), Float(way).samples())
+    assert only.moved == (2,)
+    assert [len(t) for t in only.times] == [1, len(only.times[1]), 1, 1]
+    assert only.q[3][0] == pytest.approx(0.5, abs=1.4e-5)
+
+
+def test_a_bump_is_no_maneuver():
+    way = np.array([[[0.3, 0.0, 0.2, 0.5], [0.3, 0.03, 0.2, 0.5]]])
+    assert feed(ManeuverFinder(4), Float(way).samples()) == []
+
+
+def test_rates_are_derived_where_a_link_reports_none(samples, found):
+    without = [
+        s._replace(value=(s.value[0], np.nan)) if isinstance(s.stream, int) else s for s in samples
+    ]
+    derived = feed(ManeuverFinder(4), without)
+    for one, other in zip(derived, found, strict=True):
+        assert one.q == other.q
+        assert np.concatenate(one.qd) == pytest.approx(np.concatenate(other.qd), abs=0.12)
+        assert np.isfinite(np.concatenate(one.qd)).all()
+
+
+def test_memory_is_bounded():
+    finder, settings = ManeuverFinder(4), ManeuverSettings(horizon=10.0)
+    finder.settings = settings
+    rest = Float(postures(1), rest=4.6).samples()
+    for lap in range(20):
+        shift = lap * 30 * SECOND
+        feed(finder, [s._replace(t=s.t + shift) for s in rest if s.t < at(4.0)], close=False)
+    assert len(finder.base.t) < 3000
+    assert len(finder.gyro.t) < 3000
+    assert len(finder.joints[0].t) < 100
+
+
+def test_joints_of_another_arm_are_named(samples):
+    finder = ManeuverFinder(3)
+    feed(finder, samples[:500], close=False)
+    assert finder.streams().strange == ("joint_4",)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"bin": 0.0}, "bin is 0.0, must be positive"),
+        ({"still": -1.0}, "still is -1.0, must be positive"),
+        ({"residuals": "tip"}, "residuals is 'tip', expected 'pose' or 'heading'"),
+        ({"estimate": "b_i q"}, "estimate has 'q'"),
+        ({"fresh_rate": 0.0}, "fresh_rate is 0.0, must be positive"),
+        ({"tilt_deviation": -1.0}, "tilt_deviation is -1.0, must not be negative"),
+        ({"mass_deviation": -1.0}, "mass_deviation is -1.0, expected a deviation of 0 or more"),
+        ({"min_probability": 1.0}, "min_probability is 1.0, must be in"),
+        ({"min_maneuvers": 0}, "min_maneuvers is 0, must be positive"),
+        ({"max_outliers": -1}, "max_outliers is -1, must not be negative"),
+        ({"loss": "none"}, "loss is 'none', expected one of square, huber, cauchy"),
+    ],
+)
+def test_impossible_settings_are_refused(change, message):
+    with pytest.raises(ValueError, match=message):
+        DynamicSettings(**change)
