@@ -158,6 +158,18 @@ def test_a_command_repeated_is_the_same_move(link):
     assert link.orders() == []
 
 
+def test_set_points_faster_than_the_line_do_not_keep_it_from_measuring(link):
+    moving(link, TURN)
+    frames = []
+    for sequence in range(3, 503):
+        assert link.send(replace(TURN, sequence=sequence, set_point=-300_000 - 10 * sequence))
+        frames += link.run(0.002)
+    assert len(frames) == 5
+    assert frames[-1].velocity < -304_000
+    link.run(0.1)
+    assert link.joint().velocity == pytest.approx(-30_502)
+
+
 def test_a_new_target_is_taken_in_motion_and_another_mode_from_rest(link):
     moving(link)
     assert link.send(replace(MOVE, sequence=3, set_point=300_000))
@@ -439,8 +451,8 @@ def test_noise_on_the_line_is_survived_and_never_believed(link):
             link.tell(f"noise {noise.hex()}")
         frames += link.run(0.2)
     assert len(frames) > 60
-    forged = sum(frame.position in (5, 99) or frame.velocity in (5, 99) for frame in frames)
-    assert forged <= 5  # a whole well-formed line cannot be told from the drive's own
+    assert not any({5, 99} & {frame.position, frame.velocity, frame.current} for frame in frames)
+    assert all(frame.status in (1 << 27, 0) for frame in frames)
 
 
 def test_a_power_cycle_is_survived_unreferenced_and_disarmed(link):
@@ -455,6 +467,17 @@ def test_a_power_cycle_is_survived_unreferenced_and_disarmed(link):
     homed = {frame.slow_id: frame for frame in link.run(2.0)}[Slow.HOMINGS]
     assert homed.flags & State.REFERENCED
     assert homed.slow_value == 2
+
+
+def test_a_drive_that_others_switched_off_is_not_switched_on_again(link):
+    moving(link)
+    link.tell("off")
+    for sequence in range(3, 8):
+        link.send(replace(MOVE, sequence=sequence))
+        link.run(0.02)
+    link.run(0.5)
+    assert link.joint().mode == Mode.OFF
+    assert not link.frame().flags & State.ARMED
 
 
 @pytest.mark.parametrize("command", [MOVE, TURN, PUSH])

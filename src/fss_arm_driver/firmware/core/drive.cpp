@@ -9,15 +9,17 @@ namespace {
 constexpr uint8_t kTrajectory = 0x00, kCommandedCurrent = 0x02, kCurrent = 0x0c, kVelocity = 0x18,
                   kSupply = 0x1e, kTemperature = 0x20, kDesiredState = 0x24,
                   kCommandedVelocity = 0x2f, kPosition = 0x32, kAccelerationLimit = 0x36,
-                  kDecelerationLimit = 0x37, kStatus = 0xa0, kFaults = 0xa4,
+                  kDecelerationLimit = 0x37, kRate = 0x90, kStatus = 0xa0, kFaults = 0xa4,
                   kProfileType = 0xc8, kTrajectoryStatus = 0xc9, kTarget = 0xca,
                   kProfileVelocity = 0xcb, kProfileAcceleration = 0xcc, kProfileDeceleration = 0xcd,
                   kAbortDeceleration = 0xcf;
 
-constexpr uint8_t kReadings[] = {kPosition, kVelocity,         kCurrent,
-                                 kStatus,   kTrajectoryStatus, kDesiredState};
-constexpr uint8_t kSlowReadings[] = {kFaults, kSupply, kTemperature,
-                                     kAbortDeceleration};  // one after each round
+// A round of readings. It ends with one whose answer is known: a line too many or too few would have
+// shifted all others.
+constexpr uint8_t kRound[] = {kPosition,         kVelocity,     kCurrent, kStatus,
+                              kTrajectoryStatus, kDesiredState, 0,        kRate};
+constexpr uint8_t kSlowTurn = 6;  // where these take turns
+constexpr uint8_t kSlowReadings[] = {kFaults, kSupply, kTemperature, kAbortDeceleration};
 
 // Status bits with which it cannot move: short, over-temperature, under-voltage, feedback, latched
 // fault.
@@ -110,13 +112,17 @@ void Drive::demand(const Demand& demand) {
   if (demand == asked_ && !refused_) return;
   asked_ = demand;
   refused_ = false;
-  begin(demand);
+  if (demand.goal != demand_.goal) {
+    begin(demand);
+  } else {
+    pending_ = true;  // a new set-point waits its turn, be they ever so many
+  }
 }
 
 void Drive::begin(const Demand& demand) {
   demand_ = demand;
   outdated_ = true;
-  braked_ = false;
+  pending_ = braked_ = done_ = false;
   step_ = 0;
 }
 
@@ -134,7 +140,7 @@ void Drive::receive(uint64_t now) {
   const size_t size = board_.read(bytes, sizeof bytes);
   for (size_t i = 0; i < size; ++i) {
     if (waiting_ == Waiting::Nothing || now < quiet_until_) continue;
-    if (line_size_ == 0 && variable_ == kPosition) next_.clock = now;
+    if (line_size_ == 0 && variable_ == kPosition) position_clock_ = now;
     if (bytes[i] == '\r') {
       line_[line_size_] = 0;
       reply(now);
@@ -150,7 +156,7 @@ void Drive::reply(uint64_t now) {
   const bool ok = !strcmp(line_, "ok");
   const bool value = !strncmp(line_, "v ", 2) && parse(line_ + 2, number);
   const bool error = !strncmp(line_, "e ", 2) && parse(line_ + 2, number);
-  const bool optional = phase_ == Phase::Running && turn_ == sizeof kReadings;
+  const bool optional = phase_ == Phase::Running && turn_ == kSlowTurn;
   const Waiting waiting = waiting_;
   waiting_ = Waiting::Nothing;
   if (waiting == Waiting::Ok && ok) {
@@ -160,7 +166,7 @@ void Drive::reply(uint64_t now) {
   } else if (waiting == Waiting::Value && value) {
     take_value(number, now);
   } else if (waiting == Waiting::Value && error && optional) {  // not every drive has it
-    end_turn();
+    ++turn_;
   } else {
     fail(now);
   }
@@ -183,7 +189,7 @@ void Drive::fail(uint64_t now) {
 void Drive::connect(uint64_t now) {
   switch (phase_) {
     case Phase::Begin:
-      measured_ = next_ = Measurement{};
+      measured_ = Measurement{};
       turn_ = 0;
       mode_ = Mode::Off;
       refused_ = true;  // whatever was asked must be asked again
@@ -215,8 +221,8 @@ void Drive::connect(uint64_t now) {
 // --- readings -----------------------------------------------------------------------------------
 
 void Drive::read_next(uint64_t now) {
-  constexpr uint8_t fast = sizeof kReadings;
-  get(turn_ < fast ? kReadings[turn_] : kSlowReadings[slow_turn_ % sizeof kSlowReadings], now);
+  const uint8_t slow = kSlowReadings[slow_turn_ % sizeof kSlowReadings];
+  get(turn_ == kSlowTurn ? slow : kRound[turn_], now);
 }
 
 void Drive::take_value(int32_t value, uint64_t now) {
@@ -225,42 +231,44 @@ void Drive::take_value(int32_t value, uint64_t now) {
     alive_ = now;
     return;
   }
-  switch (variable_) {
-    case kPosition: next_.position = value; break;
-    case kVelocity: next_.velocity = value; break;
-    case kCurrent: next_.current = value; break;
-    case kStatus: next_.status = static_cast<uint32_t>(value); break;
-    case kFaults: faults_ = static_cast<uint32_t>(value); break;
-    case kDesiredState: take_mode(value); break;
-    case kSupply: supply_ = value; break;
-    case kTemperature: temperature_ = value; break;
-    case kAbortDeceleration: abort_ = value; break;
-    case kTrajectoryStatus:
-      homings_ = static_cast<uint16_t>(homings_ + (!referenced_ && value & kReferencedBit));
-      referenced_ = value & kReferencedBit;
-      break;
-    default: break;
-  }
-  if (turn_ == sizeof kReadings) return end_turn();
-  if (++turn_ < sizeof kReadings) return;
-  measured_ = next_;
-  alive_ = now;
-  paused_ = false;
+  round_[turn_++] = value;
+  if (turn_ < sizeof kRound) return;
+  if (value != static_cast<int32_t>(kBaud)) return fail(now);
+  turn_ = 0;
+  end_round(now);
 }
 
-// The drive may be in another mode than was acknowledged, as acknowledgements get lost. One that is
-// none of ours is braked as current mode is.
+void Drive::end_round(uint64_t now) {
+  measured_.clock = position_clock_;
+  measured_.position = round_[0];
+  measured_.velocity = round_[1];
+  measured_.current = round_[2];
+  measured_.status = static_cast<uint32_t>(round_[3]);
+  const bool referenced = round_[4] & kReferencedBit;
+  homings_ = static_cast<uint16_t>(homings_ + (referenced && !referenced_));
+  referenced_ = referenced;
+  take_mode(round_[5]);
+  switch (kSlowReadings[slow_turn_++ % sizeof kSlowReadings]) {
+    case kFaults: faults_ = static_cast<uint32_t>(round_[kSlowTurn]); break;
+    case kSupply: supply_ = round_[kSlowTurn]; break;
+    case kTemperature: temperature_ = round_[kSlowTurn]; break;
+    default: abort_ = round_[kSlowTurn];
+  }
+  alive_ = now;
+  paused_ = false;
+  if (pending_ && done_) begin(asked_);
+}
+
+// The drive may be in another mode than was acknowledged, as acknowledgements get lost. One that
+// was switched off by others is met anew, so that nothing goes on by itself; a mode that is none
+// of ours is braked as current mode is.
 void Drive::take_mode(int32_t value) {
   const bool known = value == 0 || value == 11 || value == 21;
   const Mode mode = known ? static_cast<Mode>(value) : Mode::Current;
   if (mode == mode_) return;
+  if (mode == Mode::Off) phase_ = Phase::Begin;
   mode_ = mode;
   begin(demand_);
-}
-
-void Drive::end_turn() {
-  turn_ = 0;
-  ++slow_turn_;
 }
 
 // --- orders -------------------------------------------------------------------------------------
@@ -282,7 +290,8 @@ bool Drive::order_next(uint64_t now) {
     }
     if (!at_rest()) return false;
   }
-  return follow(program(), now);
+  done_ = !follow(program(), now);
+  return !done_;
 }
 
 // Gives the next order of a plan; false: there are no more.
@@ -388,6 +397,7 @@ void Drive::order(Write write, uint64_t now) {
   line.add("\r");
   write_ = write;
   outdated_ = false;
+  if (write.variable == kDesiredState) turn_ = 0;  // what was read of it is out of date
   variable_ = 0;
   waiting_ = Waiting::Ok;
   send(line.text, line.size, now);

@@ -58,8 +58,8 @@ class Drive {
 
   Mode mode() const { return mode_; }
   const Measurement& measured() const { return measured_; }
-  uint64_t position_clock() const { return next_.clock; }  // of the newest reading of the position
-  uint32_t faults() const { return faults_; }              // latched ones
+  uint64_t position_clock() const { return position_clock_; }  // of its newest reading [us]
+  uint32_t faults() const { return faults_; }           // latched ones
   int32_t supply() const { return supply_; }               // [0.1 V]
   int32_t temperature() const { return temperature_; }     // [deg C]
   bool referenced() const { return referenced_; }
@@ -83,8 +83,8 @@ class Drive {
   void receive(uint64_t now);
   void reply(uint64_t now);
   void take_value(int32_t value, uint64_t now);
+  void end_round(uint64_t now);
   void take_mode(int32_t value);
-  void end_turn();
   void take_ok();
   void take_error();
   void fail(uint64_t now);
@@ -118,16 +118,19 @@ class Drive {
   // What the drive is to do, and how far that has come.
   Demand demand_, asked_;
   bool refused_ = false;     // what was asked
+  bool pending_ = false;     // what was asked is another set-point for the same goal
   bool clearing_ = false;
   bool paused_ = false;      // no orders until it has been measured anew
-  bool braked_ = false;
+  bool braked_ = false, done_ = false;
   uint64_t braked_at_ = 0;
   uint8_t step_ = 0;         // of the plan that is followed
   Mode mode_ = Mode::Off;    // as acknowledged or read
 
   // What it reports.
   uint8_t turn_ = 0, slow_turn_ = 0;
-  Measurement measured_, next_;
+  int32_t round_[8] = {};
+  uint64_t position_clock_ = 0;
+  Measurement measured_;
   uint32_t faults_ = 0;
   int32_t supply_ = 0, temperature_ = 0, abort_ = 0;
   bool referenced_ = false;

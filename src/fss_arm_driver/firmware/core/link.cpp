@@ -67,9 +67,9 @@ void Link::obey(const Command& command) {
     stopped_ = true;
     hold();
   } else if (!(command.flags & kArm)) {
-    armed_ = stopped_ = watchdog_ = false;
+    armed_ = stopped_ = watchdog_ = dropped_ = false;
     drive_.demand(Demand{});
-  } else if (!stopped_ && !watchdog_) {
+  } else if (!stopped_ && !watchdog_ && !dropped_) {
     armed_ = true;
     if (command.flags & kHold) {
       hold();
@@ -84,6 +84,7 @@ void Link::watch(uint64_t now) {
   if (!armed_) return;
   if (!drive_.answers() || drive_.blocked()) {
     armed_ = false;
+    dropped_ = true;
     drive_.demand(Demand{});
   } else if (gate_.silent(now)) {
     armed_ = false;

@@ -42,7 +42,8 @@ class Link {
   Drive drive_;
   Gate gate_;
   Torque torque_;
-  bool armed_ = false, stopped_ = false, watchdog_ = false;
+  bool armed_ = false;
+  bool stopped_ = false, watchdog_ = false, dropped_ = false;  // why not, until told to disarm
 
   // When the position was read, and what there was to echo then.
   uint64_t read_at_ = 0;

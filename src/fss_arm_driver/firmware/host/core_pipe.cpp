@@ -12,8 +12,9 @@
 //   run TIME                    so much later [us], the frames sent meanwhile
 //   orders                      what the drive was told since the last call, but for readings
 //   joint                       position [counts], velocity [counts/s], mode and baud of the drive
-//   torque COUNTS | push VELOCITY | reference 0 or 1 | plug 0 or 1 | power | noise DATA |
-//   faults BITS | fail CODE     what may happen to the drive; the last: its next order fails
+//   torque COUNTS | push VELOCITY | reference 0 or 1 | plug 0 or 1 | power | off |
+//   noise DATA | faults BITS | fail CODE
+//                               what may happen to the drive; the last: its next order fails
 //
 // Bytes are hexadecimal, `-` for none. Time is simulated: nothing here depends on the machine's.
 
@@ -200,6 +201,7 @@ std::string happen(const std::string& what, Words& words) {
   else if (what == "reference") drive.reference(number<int32_t>(words));
   else if (what == "plug") drive.plug(number<int32_t>(words));
   else if (what == "power") drive.power_cycle();
+  else if (what == "off") drive.switch_off();
   else if (what == "noise") drive.noise(bytes(words), world->now);
   else if (what == "faults") drive.latch_faults(number<uint32_t>(words));
   else if (what == "fail") drive.fail_next(number<int32_t>(words));

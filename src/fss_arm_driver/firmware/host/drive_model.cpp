@@ -96,6 +96,7 @@ void DriveModel::advance(uint64_t now) {
 
 void DriveModel::hear(const Byte& byte) {
   if (byte.baud < baud_) {  // so long a low level is a break
+    registers_[0x90] = 9600;
     baud_ = 9600;
     line_.clear();
   } else if (byte.baud > baud_) {

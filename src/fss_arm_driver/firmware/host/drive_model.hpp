@@ -22,6 +22,7 @@ class DriveModel {
 
   // What may happen to it.
   void power_cycle();
+  void switch_off() { registers_[0x24] = 0; }
   void plug(bool in) { plugged_ = in; }
   void noise(const std::vector<uint8_t>& bytes, uint64_t now);  // towards the computer
   void fail_next(int error) { error_ = error; }                 // the next order, with this code
