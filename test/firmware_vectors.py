@@ -72,6 +72,7 @@ def telemetries(rng: random.Random) -> Iterator[Telemetry]:
 def commands(rng: random.Random) -> Iterator[Command]:
     """Random ones, with extreme values among them."""
     flags = [0, Order.ARM, Order.STOP, Order.ARM | Order.HOLD, Order.STOP | Order.CLEAR_FAULTS]
+    flags.append(Order.ARM | Order.HOME)
     while True:
         yield Command(
             link=rng.randint(1, 255), flags=rng.choice(flags), boot=rng.choice([1, 7, 0xFFFF]),

@@ -119,6 +119,18 @@ def replace_speed(motion, qd):
     return motion._replace(qd=qd)
 
 
+def test_a_link_without_reference_finds_it_once_for_all_such_commands_in_a_row():
+    electronics = link(QUIET)
+    electronics.referenced = False
+    assert not frame(electronics).flags & State.REFERENCED
+    home = replace(GO, flags=Order.ARM | Order.HOME, set_point=0)
+    for sequence in (2, 3):
+        assert electronics.receive(encode(replace(home, sequence=sequence)), SECOND)
+    assert electronics.homings == 2
+    assert electronics.demand(SECOND, REST).speed == 0.0
+    assert frame(electronics, 2 * SECOND).flags & State.REFERENCED
+
+
 def test_an_expired_set_point_is_held():
     electronics = link(QUIET, GO)
     assert electronics.demand(3 * SECOND, REST).speed > 0.0

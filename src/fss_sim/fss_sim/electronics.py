@@ -59,6 +59,7 @@ class LinkElectronics:
         self.instruments = instruments or make(link.torque_sensor)
         self.gate = Gate(number, boot, key)
         self.armed = self.stopped = self.watchdog_tripped = False
+        self.referenced, self.homings, self._homing = True, 1, False
         drive = link.drive
         self._count = drive.direction * 2.0 * pi / drive.counts_per_turn  # [rad]
         self._demand = Demand(Mode.OFF)
@@ -119,6 +120,7 @@ class LinkElectronics:
         return encode(frame, gate.key)
 
     def _obey(self, command: Command) -> None:
+        homing, self._homing = self._homing, bool(command.flags & Order.HOME)
         if command.flags & Order.STOP:
             self.armed, self.stopped = False, True
             self._hold()
@@ -127,7 +129,9 @@ class LinkElectronics:
             self._hold()  # and off once at rest, by demand()
         elif not (self.stopped or self.watchdog_tripped):
             self.armed = True
-            if command.flags & Order.HOLD:
+            if command.flags & Order.HOME and not homing:  # it finds it where it is
+                self.referenced, self.homings = True, self.homings + 1
+            if command.flags & (Order.HOLD | Order.HOME):
                 self._hold()
             else:
                 self._demand = self._commanded(command)
@@ -157,7 +161,7 @@ class LinkElectronics:
             State.ARMED * self.armed
             | State.STOPPED * self.stopped
             | State.WATCHDOG * self.watchdog_tripped
-            | State.REFERENCED
+            | State.REFERENCED * self.referenced
         )
 
     def _status(self, motion: Motion) -> int:
@@ -175,7 +179,7 @@ class LinkElectronics:
             Slow.BATTERY: _signed(10.0 * self.instruments.battery.volts, 32),
             Slow.TEMPERATURE: TEMPERATURE,
             Slow.FIRMWARE: FIRMWARE,
-            Slow.HOMINGS: 1,
+            Slow.HOMINGS: self.homings,
             Slow.REFUSED: _signed(self.gate.refused.total(), 32),
         }[slow]
 

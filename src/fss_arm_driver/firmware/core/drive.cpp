@@ -27,7 +27,7 @@ constexpr uint32_t kBlocking = 1u << 0 | 1u << 1 | 1u << 3 | 1u << 5 | 1u << 22;
 constexpr int32_t kReferencedBit = 1 << 12;  // of the trajectory status
 
 constexpr int32_t kStill = 1000;  // slower is at rest [0.1 counts/s]; 2.6 mrad/s
-constexpr int32_t kAbort = 0, kStart = 1;
+constexpr int32_t kAbort = 0, kStart = 1, kFindHome = 2;
 
 constexpr uint32_t kFirstBaud = 9600, kBaud = 115200;
 constexpr uint64_t kReplyTime = 100'000;  // at most [us]
@@ -42,6 +42,7 @@ Mode mode_of(Demand::Goal goal) {
     case Demand::Current: return Mode::Current;
     case Demand::Velocity: return Mode::Velocity;
     case Demand::Hold:
+    case Demand::Home:
     case Demand::Position: return Mode::Position;
     default: return Mode::Off;
   }
@@ -335,6 +336,10 @@ Drive::Plan Drive::program() const {
       }
       plan.add(kCommandedVelocity, demand_.set_point);
       plan.add(kDesiredState, mode);
+      break;
+    case Demand::Home:
+      plan.add(kDesiredState, mode);
+      plan.add(kTrajectory, kFindHome);
       break;
     case Demand::Position:
       plan.add(kDesiredState, mode);

@@ -20,6 +20,7 @@ struct Demand {
     Off,      // at once
     Release,  // decelerate, then off
     Hold,     // decelerate, then hold that place
+    Home,     // find the reference
     Current,
     Velocity,
     Position,

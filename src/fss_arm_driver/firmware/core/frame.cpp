@@ -52,11 +52,11 @@ bool is_mode(uint8_t number) {
 
 bool has_meaning(const uint8_t* data) {
   const uint8_t flags = data[5];
-  if (data[4] == 0 || flags & ~(kArm | kStop | kHold | kClearFaults)) return false;
+  if (data[4] == 0 || flags & ~(kArm | kStop | kHold | kClearFaults | kHome)) return false;
   if (!is_mode(data[28]) || data[29] != 0 || load<uint16_t>(data + 30) == 0) return false;
   if (load<int32_t>(data + 36) < 0 || load<int32_t>(data + 40) < 0) return false;
   if (load<uint64_t>(data + 44) != 0) return false;
-  if (!(flags & kArm)) return true;
+  if (!(flags & kArm)) return !(flags & kHome);
   return !(flags & kStop) && load<uint16_t>(data + 6) != 0 && load<uint64_t>(data + 20) != 0;
 }
 

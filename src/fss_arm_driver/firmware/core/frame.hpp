@@ -18,7 +18,7 @@ enum class Mode : uint8_t { Off = 0, Current = 1, Velocity = 11, Position = 21 }
 constexpr uint8_t kArmed = 1, kStopped = 2, kWatchdog = 4, kReferenced = 8;
 
 // Flags of a command.
-constexpr uint8_t kArm = 1, kStop = 2, kHold = 4, kClearFaults = 8;
+constexpr uint8_t kArm = 1, kStop = 2, kHold = 4, kClearFaults = 8, kHome = 16;
 
 // Fields that change slowly and take turns.
 enum class Slow : uint8_t {

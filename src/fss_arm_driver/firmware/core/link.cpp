@@ -11,6 +11,10 @@ int16_t to_16_bits(int32_t value) {
 
 Demand demand_of(const Command& command) {
   Demand demand;
+  if (command.flags & kHome) {
+    demand.goal = Demand::Home;
+    return demand;
+  }
   demand.set_point = command.set_point;
   switch (command.mode) {
     case Mode::Off:

@@ -176,6 +176,8 @@ std::string DriveModel::trajectory(int32_t command) {
     target_ = registers_[0xca];
     moving_ = true;
     aborting_ = false;
+  } else if (command == 2) {  // set up to take the present place for the reference
+    referenced_ = true;
   }
   return "ok";
 }
