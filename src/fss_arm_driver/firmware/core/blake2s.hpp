@@ -8,8 +8,8 @@ namespace fss {
 
 // A link's secret. Size 0: there is none, and frames are not signed.
 struct Key {
-  uint8_t size = 0;  // 16 to 32
-  uint8_t bytes[32] = {};
+  uint8_t size;  // 16 to 32
+  uint8_t bytes[32];
 };
 
 // Writes the first `digest_size` (1 to 32) bytes of the digest that was computed for this size.

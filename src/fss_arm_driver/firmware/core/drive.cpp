@@ -30,12 +30,12 @@ constexpr int32_t kStill = 1000;  // slower is at rest [0.1 counts/s]; 2.6 mrad/
 constexpr int32_t kAbort = 0, kStart = 1, kFindHome = 2;
 
 constexpr uint32_t kFirstBaud = 9600, kBaud = 115200;
-constexpr uint64_t kReplyTime = 100'000;  // at most [us]
-constexpr uint64_t kResyncTime = 20'000;  // for what is still under way after a failure
-constexpr uint64_t kClearTime = 50'000;   // for the answer to what was left in the drive's buffer
-constexpr uint64_t kRateTime = 30'000;    // for `s r0x90 115200` to be sent at 9600 baud
-constexpr uint64_t kSwitchTime = 100'000; // the drive's own, to change its rate
-constexpr uint64_t kGone = 500'000;       // without a measurement: it does not answer
+constexpr uint64_t kReplyTime = 100000;  // at most [us]
+constexpr uint64_t kResyncTime = 20000;  // for what is still under way after a failure
+constexpr uint64_t kClearTime = 50000;   // for the answer to what was left in the drive's buffer
+constexpr uint64_t kRateTime = 30000;    // for `s r0x90 115200` to be sent at 9600 baud
+constexpr uint64_t kSwitchTime = 100000; // the drive's own, to change its rate
+constexpr uint64_t kGone = 500000;       // without a measurement: it does not answer
 
 Mode mode_of(Demand::Goal goal) {
   switch (goal) {

@@ -11,7 +11,7 @@
 namespace fss {
 
 constexpr int32_t kFirmware = 0x010000;   // 1.0.0
-constexpr uint32_t kPeriod = 200'000;     // of telemetry [us]
+constexpr uint32_t kPeriod = 200000;     // of telemetry [us]
 
 class Link {
  public:

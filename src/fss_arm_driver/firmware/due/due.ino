@@ -25,7 +25,7 @@ static uint16_t start_number() {
   return number;
 }
 
-static fss::Link& link() {
+static fss::Link& firmware() {
   static fss::Link it(kLink, start_number(), kKey, board);
   return it;
 }
@@ -37,7 +37,7 @@ void watchdogSetup() {}
 void setup() {
   board.begin();
   // The last program may have ended in the midst of a move: the drive comes first.
-  while (board.now() < 1000ull * kDriveTime) link().poll(board.now());
+  while (board.now() < 1000ull * kDriveTime) firmware().poll(board.now());
   while (!board.connect()) {}
   watchdogEnable(kHardwareWatchdog);
 }
@@ -48,10 +48,10 @@ void loop() {
   static uint32_t online = 0;
   static uint32_t looked = 0;
   watchdogReset();
-  link().poll(board.now());
+  firmware().poll(board.now());
   const uint32_t now = millis();
   if (now - looked < 1000) return;
   looked = now;
   if (WiFi.status() == WL_CONNECTED) online = now;
-  if (now - online > kPatience && !(link().flags() & fss::kArmed)) NVIC_SystemReset();
+  if (now - online > kPatience && !(firmware().flags() & fss::kArmed)) NVIC_SystemReset();
 }

@@ -14,6 +14,8 @@ class DueBoard : public fss::Board {
   void begin() {
     pinMode(kTorqueDataPin, INPUT_PULLUP);  // without an amplifier there is never a sample
     pinMode(kTorqueClockPin, OUTPUT);
+    digitalWrite(kTorqueClockPin, HIGH);  // off and on: it may be in the midst of a reading
+    delayMicroseconds(100);
     digitalWrite(kTorqueClockPin, LOW);
     analogReadResolution(12);
   }

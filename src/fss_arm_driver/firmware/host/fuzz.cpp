@@ -276,7 +276,7 @@ int main(int argc, char** argv) {
     return 1;
   }
   const auto seed = static_cast<uint32_t>(argc > 2 ? strtoul(argv[2], nullptr, 10) : 1);
-  fss::Key key;
+  fss::Key key = {};
   key.size = 16;
   memcpy(key.bytes, "a key of a link.", 16);
   for (const fss::Key& each : {fss::Key{}, key}) {

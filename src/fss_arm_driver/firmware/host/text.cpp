@@ -24,7 +24,7 @@ std::string to_hex(const uint8_t* data, size_t size) {
 }
 
 Key key_of(const Bytes& bytes) {
-  Key key;
+  Key key = {};
   if (!bytes.empty() && (bytes.size() < 16 || bytes.size() > sizeof key.bytes)) {
     fprintf(stderr, "a key of %zu bytes, expected 16 to 32\n", bytes.size());
     exit(1);
