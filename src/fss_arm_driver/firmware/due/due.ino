@@ -1,20 +1,16 @@
-// The firmware of a link on the Arduino Due. What is the link's own is in settings.hpp, a copy of
-// settings.example.hpp. Building and wiring: docs/firmware.md.
+// The firmware of a link on the Arduino Due. Building and wiring: docs/firmware.md.
 
 #include <Arduino.h>
-#include <SPI.h>
-#include <WiFi.h>
-#include <WiFiUdp.h>
 
 #include "due_board.hpp"
 #include "link.hpp"
 #include "settings.hpp"
 
-static const uint32_t kDriveTime = 2000;     // to find the drive and bring it to rest [ms]
-static const uint32_t kPatience = 10000;     // without a network [ms]
+static const uint64_t kDriveTime = 2000000;      // to find the drive and bring it to rest [us]
+static const uint32_t kPatience = 10000;         // without a network [ms]
 static const uint32_t kHardwareWatchdog = 1000;  // [ms]
 
-static DueBoard board;
+static LINK_BOARD board;
 
 // A random number that is never 0: the board has no memory to count its starts in.
 static uint16_t start_number() {
@@ -26,8 +22,8 @@ static uint16_t start_number() {
 }
 
 static fss::Link& firmware() {
-  static fss::Link it(kLink, start_number(), kKey, board);
-  return it;
+  static fss::Link link(kLink, start_number(), kKey, board);
+  return link;
 }
 
 // The hardware's watchdog can be set once only and begins with 16 s. That is left so for setup(),
@@ -37,21 +33,20 @@ void watchdogSetup() {}
 void setup() {
   board.begin();
   // The last program may have ended in the midst of a move: the drive comes first.
-  while (board.now() < 1000ull * kDriveTime) firmware().poll(board.now());
+  while (board.now() < kDriveTime) firmware().poll(board.now());
   while (!board.connect()) {}
   watchdogEnable(kHardwareWatchdog);
 }
 
 // The Wi-Fi library comes back from a lost network only by steps that take seconds: a start anew is
-// simpler, once the watchdog has long had the joint held.
+// simpler, once the link's own watchdog has long had the joint held.
 void loop() {
-  static uint32_t online = 0;
-  static uint32_t looked = 0;
+  static uint32_t online = 0, looked = 0;
   watchdogReset();
   firmware().poll(board.now());
   const uint32_t now = millis();
   if (now - looked < 1000) return;
   looked = now;
-  if (WiFi.status() == WL_CONNECTED) online = now;
+  if (board.online()) online = now;
   if (now - online > kPatience && !(firmware().flags() & fss::kArmed)) NVIC_SystemReset();
 }

@@ -4,6 +4,7 @@
 
 #include <stddef.h>
 #include <stdint.h>
+#include <string.h>
 
 constexpr int LOW = 0, HIGH = 1, OUTPUT = 1, INPUT_PULLUP = 2, A0 = 54;
 constexpr int WL_CONNECTED = 3;
@@ -39,7 +40,7 @@ struct USARTClass {
   int read();
   size_t write(const uint8_t* data, size_t size);
 };
-extern USARTClass Serial1;
+extern USARTClass Serial1, Serial2;
 
 class IPAddress {
   uint32_t address_ = 0;
