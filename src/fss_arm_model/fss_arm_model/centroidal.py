@@ -27,7 +27,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ._cache import Complexes, Floats, helper
+from ._cache import Complexes, Floats, helper, inlined
 from .kinematics import _cross, _dot, _mass, _moment
 
 
@@ -38,24 +38,6 @@ class Bodies(NamedTuple):
     mass: float  # M
     arms: Complexes  # (2, m): D - b and M b
     inertia: Floats  # (2, m): diagonal of A, and what joints add beside it, to A_{k,k-1}
-
-
-class Turned(NamedTuple):
-    """The bodies' vectors as they are turned now, each complex (m,)."""
-
-    u: Complexes
-    S: Complexes
-    T: Complexes
-
-
-class Work(NamedTuple):
-    """Scratch, made once for many steps."""
-
-    x: Floats  # (2, 2 + m), as dx and total
-    dx: Floats
-    total: Floats
-    w: Complexes  # (m,)
-    beside: Floats  # (m,)
 
 
 @helper
@@ -96,38 +78,26 @@ def _bodies(p, rotor):  # type: ignore[no-untyped-def]
     return Bodies(p, M, arms, inertia)
 
 
-@helper
-def _turned(m):  # type: ignore[no-untyped-def]
-    kind = np.complex128
-    return Turned(np.empty(m, kind), np.empty(m, kind), np.empty(m, kind))
-
-
-@helper
-def _work(m):  # type: ignore[no-untyped-def]
-    x, dx, total = np.empty((2, 2 + m)), np.empty((2, 2 + m)), np.empty((2, 2 + m))
-    return Work(x, dx, total, np.empty(m, np.complex128), np.empty(m))
-
-
-@helper
+@inlined
 def _set(bodies, turned, k, u):  # type: ignore[no-untyped-def]
-    turned.u[k] = u
-    turned.S[k], turned.T[k] = bodies.arms[0, k] * u, bodies.arms[1, k] * u
+    turned[0, k] = u
+    turned[1, k], turned[2, k] = bodies.arms[0, k] * u, bodies.arms[1, k] * u
 
 
 @helper
 def _turn(bodies, z, turned):  # type: ignore[no-untyped-def]
     """Turn the bodies to the angles of y."""
-    for k in range(turned.u.size):
+    for k in range(turned.shape[1]):
         _set(bodies, turned, k, complex(math.cos(z[0, 2 + k]), math.sin(z[0, 2 + k])))
 
 
-@helper
+@inlined
 def _turn_on(bodies, start, z0, z, turned):  # type: ignore[no-untyped-def]
     """Turn the bodies to z from `start`, where they are at z0: as exact, and cheap for small turns.
 
     The series leave out less than 0.0625^10 / 10!, 3e-19.
     """
-    for k in range(turned.u.size):
+    for k in range(turned.shape[1]):
         turn = z[0, 2 + k] - z0[0, 2 + k]
         if abs(turn) > 0.0625:
             u = complex(math.cos(z[0, 2 + k]), math.sin(z[0, 2 + k]))
@@ -135,30 +105,30 @@ def _turn_on(bodies, start, z0, z, turned):  # type: ignore[no-untyped-def]
             x = turn * turn
             c = 1.0 + x * (-1 / 2 + x * (1 / 24 + x * (-1 / 720 + x * (1 / 40320))))
             s = turn * (1.0 + x * (-1 / 6 + x * (1 / 120 + x * (-1 / 5040 + x * (1 / 362880)))))
-            u = start.u[k] * complex(c, s)
+            u = start[0, k] * complex(c, s)
         _set(bodies, turned, k, u)
 
 
-@helper
+@inlined
 def _rate(bodies, turned, force, torque, z, work, dz):  # type: ignore[no-untyped-def]
     """Write a, with a force on the base's origin and torques on the bodies (m,); scratch work.
 
     A = L diag(d) L^T with L_kj = T_k . w_j for j < k, and beside the diagonal R_k / d_{k-1} more,
     R_k being what joints add. Rows share the sum P of d_j w_j w_j^T, a symmetric 2 x 2 matrix.
     """
-    S, T, w, R, m = turned.S, turned.T, work.w, bodies.inertia, torque.size
+    R, m = bodies.inertia, torque.size
     before = _scaled(-1.0 / bodies.mass, force)  # less the spins psi'_j^2 S_j of bodies before k
     for i in range(2 + m):
         dz[0, i] = z[1, i]
     dz[1, 0], dz[1, 1] = -before.real, -before.imag
     beyond = 0j  # the spins psi'_j^2 T_j of bodies beyond k
     for k in range(m):
-        beyond += _scaled(z[1, 2 + k] * z[1, 2 + k], T[k])
+        beyond += _scaled(z[1, 2 + k] * z[1, 2 + k], turned[2, k])
     g = last = 0j
     xx = xy = yy = forward = 0.0
     inverse = 1.0  # of d_{k-1}
     for k in range(m):
-        s, t, r = S[k], T[k], R[1, k]
+        s, t, r = turned[1, k], turned[2, k], R[1, k]
         spin, beside = z[1, 2 + k] * z[1, 2 + k], r * inverse
         beyond -= _scaled(spin, t)
         Q = torque[k] + _cross(s, beyond) - _cross(before, t)
@@ -172,12 +142,12 @@ def _rate(bodies, turned, force, torque, z, work, dz):  # type: ignore[no-untype
         xy += s.real * last.imag
         yy += s.imag * last.imag
         g += _scaled(forward, last)
-        w[k], dz[1, 2 + k], work.beside[k] = last, forward * inverse, beside
+        work[0, k], work[1, k], dz[1, 2 + k] = last, complex(beside, 0.0), forward * inverse
     back, beside, solved = 0j, 0.0, 0.0
     for k in range(m - 1, -1, -1):
-        solved = dz[1, 2 + k] - _dot(w[k], back) - beside * solved
-        dz[1, 2 + k], beside = solved, work.beside[k]
-        back += _scaled(solved, T[k])
+        solved = dz[1, 2 + k] - _dot(work[0, k], back) - beside * solved
+        dz[1, 2 + k], beside = solved, work[1, k].real
+        back += _scaled(solved, turned[2, k])
 
 
 @helper
@@ -185,16 +155,16 @@ def _to_centroidal(bodies, q, qd, turned, z):  # type: ignore[no-untyped-def]
     """Write y and v of the state q, qd (3 + n,), and turn the bodies there."""
     p = bodies.p
     z[0, 2], z[1, 2] = q[2], qd[2]
-    for k in range(1, turned.u.size):
+    for k in range(1, turned.shape[1]):
         z[0, 2 + k] = z[0, 1 + k] + p[6 * k + 3] + q[2 + k]
         z[1, 2 + k] = z[1, 1 + k] + qd[2 + k]
         if k == 1:
             z[0, 3] += p[6]
     _turn(bodies, z, turned)
     c, cd = complex(q[0], q[1]), complex(qd[0], qd[1])
-    for k in range(turned.u.size):
-        c += turned.T[k] / bodies.mass
-        cd += 1j * _scaled(z[1, 2 + k] / bodies.mass, turned.T[k])
+    for k in range(turned.shape[1]):
+        c += turned[2, k] / bodies.mass
+        cd += 1j * _scaled(z[1, 2 + k] / bodies.mass, turned[2, k])
     z[0, 0], z[0, 1], z[1, 0], z[1, 1] = c.real, c.imag, cd.real, cd.imag
 
 
@@ -203,12 +173,33 @@ def _from_centroidal(bodies, turned, z, q, qd):  # type: ignore[no-untyped-def]
     """Write the state q, qd (3 + n,) of y and v, at which the bodies are turned."""
     p = bodies.p
     r, rd = complex(z[0, 0], z[0, 1]), complex(z[1, 0], z[1, 1])
-    for k in range(turned.u.size):
-        r -= _scaled(1.0 / bodies.mass, turned.T[k])
-        rd -= 1j * _scaled(z[1, 2 + k] / bodies.mass, turned.T[k])
+    for k in range(turned.shape[1]):
+        r -= _scaled(1.0 / bodies.mass, turned[2, k])
+        rd -= 1j * _scaled(z[1, 2 + k] / bodies.mass, turned[2, k])
     q[0], q[1], qd[0], qd[1] = r.real, r.imag, rd.real, rd.imag
     q[2], qd[2] = z[0, 2], z[1, 2]
-    for k in range(1, turned.u.size):
+    for k in range(1, turned.shape[1]):
         q[2 + k] = z[0, 2 + k] - z[0, 1 + k] - p[6 * k + 3]
         qd[2 + k] = z[1, 2 + k] - z[1, 1 + k]
     q[3] -= p[6]
+
+
+@helper
+def _momenta(bodies, turned, z):  # type: ignore[no-untyped-def]
+    """Twice the kinetic energy, and the angular momentum about the world's origin.
+
+    2 T = M |c'|^2 + psi' . A psi',  L = M c x c' + sum_k (A psi')_k, rotors included.
+    """
+    R, m = bodies.inertia, turned.shape[1]
+    r, v = complex(z[0, 0], z[0, 1]), complex(z[1, 0], z[1, 1])
+    twice_energy, moment = bodies.mass * _dot(v, v), bodies.mass * _cross(r, v)
+    spun, reach, last = 0j, 0j, 0.0  # over j < k: sum of psi'_j S_j, sum of S_j, psi'_{k-1}
+    for k in range(m):
+        S, T, omega = turned[1, k], turned[2, k], z[1, 2 + k]
+        behind = _dot(T, spun) + R[1, k] * last  # sum of A_kj psi'_j over j < k
+        twice_energy += omega * (R[0, k] * omega + 2.0 * behind)
+        moment += R[0, k] * omega + behind + omega * (_dot(T, reach) + R[1, k])
+        spun += _scaled(omega, S)
+        reach += S
+        last = omega
+    return twice_energy, moment

@@ -5,64 +5,31 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import numpy.typing as npt
 
-from ._cache import Floats, helper, kernel
-from .centroidal import (
-    _bodies,
-    _from_centroidal,
-    _rate,
-    _to_centroidal,
-    _turn_on,
-    _turned,
-    _work,
-)
+from ._cache import Floats, kernel
+from .centroidal import _bodies, _from_centroidal, _to_centroidal
+from .integration import STEP, _classical
 from .kinematics import checked
-
-STEP = 0.001  # [s]
-
-
-@helper
-def _runge_kutta(bodies, force, torque, step, z, begin, turned, work):  # type: ignore[no-untyped-def]
-    """Move z one step on by the classical method; the bodies are turned to it in `begin`.
-
-    The force on the base's origin and the torques on the bodies (m,) are held for the step.
-    """
-    x, dx, total, m = work.x, work.dx, work.total, z.shape[1]
-    for r in range(2):
-        for i in range(m):
-            x[r, i], total[r, i] = z[r, i], 0.0
-    for stage in range(4):
-        if stage == 0:
-            _rate(bodies, begin, force, torque, x, work, dx)
-        else:
-            _turn_on(bodies, begin, z, x, turned)
-            _rate(bodies, turned, force, torque, x, work, dx)
-        weight = step / 6 if stage in (0, 3) else step / 3
-        reach = step if stage == 2 else step / 2
-        for r in range(2):
-            for i in range(m):
-                total[r, i] += weight * dx[r, i]
-                x[r, i] = z[r, i] + reach * dx[r, i]
-    for r in range(2):
-        for i in range(m):
-            x[r, i] = z[r, i] + total[r, i]
-    _turn_on(bodies, begin, z, x, begin)
-    for r in range(2):
-        for i in range(m):
-            z[r, i] = x[r, i]
 
 
 @kernel("(p),(m),(m),(t,m),(r),()->(t,m),(t,m)")
 def _rollout(p, q0, qd0, tau, rotor, step, q, qd):  # type: ignore[no-untyped-def]
-    m = q0.size - 2
-    bodies, begin, turned, work = _bodies(p.copy(), rotor), _turned(m), _turned(m), _work(m)
-    z, torque = np.empty((2, 2 + m)), np.empty(m)
-    _to_centroidal(bodies, q0, qd0, begin, z)
+    # The dynamics are given contiguous arrays: numba takes long to compile them for other ones.
+    m, kind = q0.size - 2, np.complex128
+    bodies, z, k = _bodies(p.copy(), rotor.copy()), np.empty((2, 2 + m)), np.empty((3, 2, 2 + m))
+    begin, turned, work = np.empty((3, m), kind), np.empty((3, m), kind), np.empty((2, m), kind)
+    held, torque, surroundings = np.empty(m), np.empty(m), np.empty(0)
+    x, xd = q0.copy(), qd0.copy()
+    _to_centroidal(bodies, x, xd, begin, z)
     for t in range(tau.shape[0]):
-        for k in range(m):
-            torque[k] = tau[t, 2 + k] - (tau[t, 3 + k] if k + 1 < m else 0.0)
+        for i in range(m):
+            held[i] = tau[t, 2 + i] - (tau[t, 3 + i] if i + 1 < m else 0.0)
         force = complex(tau[t, 0], tau[t, 1])
-        _runge_kutta(bodies, force, torque, step[0], z, begin, turned, work)
-        _from_centroidal(bodies, begin, z, q[t], qd[t])
+        _classical(
+            bodies, surroundings, force, 0j, held, step[0], z, begin, turned, work, torque, k
+        )
+        _from_centroidal(bodies, begin, z, x, xd)
+        for i in range(2 + m):
+            q[t, i], qd[t, i] = x[i], xd[i]
 
 
 def rollout(
@@ -102,13 +69,13 @@ def rollout(
     p, q, qd = (np.broadcast_to(x, (*batch, x.shape[-1])) for x in (p, q, qd))
     tau = np.broadcast_to(tau, (*batch, *tau.shape[-2:]))
     out = np.empty(tau.shape), np.empty(tau.shape)
-    arguments = p, q, qd, tau
 
     def part(i: int) -> None:
-        _rollout(*(x[i::threads] for x in arguments), rotor, step, *(x[i::threads] for x in out))
+        cut = ... if threads == 1 or not batch else slice(i, None, threads)
+        _rollout(p[cut], q[cut], qd[cut], tau[cut], rotor, step, out[0][cut], out[1][cut])
 
     if threads == 1 or not batch:
-        _rollout(*arguments, rotor, step, *out)
+        part(0)
     else:
         with ThreadPoolExecutor(threads) as pool:  # a compiled kernel runs without Python's lock
             list(pool.map(part, range(threads)))

@@ -1,0 +1,143 @@
+"""The whole plant, many steps in one compiled call: arm, drives, thrusters and surroundings.
+
+Momentum and energy are audited as it goes: beside what the bodies have of both, the impulse and
+the work of all that acts on them are integrated, and the two must stay alike.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from ._cache import Floats, kernel
+from .centroidal import _bodies, _from_centroidal, _momenta, _to_centroidal
+from .drives import _drive
+from .integration import STEP, _classical, _controlled
+
+GRAVITY = 9.81  # [m/s^2]
+
+__all__ = ["STEP", "Surroundings", "advance"]
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """What acts on all that floats; nothing by default but the table's border."""
+
+    tilt: tuple[float, float] = (0.0, 0.0)  # the table's slope along x and y, downhill positive
+    film: float = 0.0  # the air film's shear per mass that it carries and velocity [1/s]
+    tether: float = 0.0  # drag on the base's origin [N s/m]
+    tether_twist: float = 0.0  # and against its turning [N m s]
+    table: tuple[float, float] = (4.0, 4.0)  # its sides, x and y; its centre is the origin [m]
+    border_stiffness: float = 2000.0  # [N/m]
+    border_damping: float = 100.0  # [N s/m]
+    base_radius: float = 0.19  # within which the base lies about its origin [m]
+    link_radius: float = 0.06  # likewise, the ends of links about their joints [m]
+
+    def vector(self) -> Floats:
+        """The numbers the kernel takes, (SURROUNDINGS,)."""
+        return np.array(
+            [
+                *(GRAVITY * slope for slope in self.tilt),
+                self.film,
+                self.tether,
+                self.tether_twist,
+                *(0.5 * side for side in self.table),
+                self.border_stiffness,
+                self.border_damping,
+                self.base_radius,
+                self.link_radius,
+            ]
+        )
+
+
+@kernel("(p),(r),(n,l),(e),(t,f),(n,d),(c),(s,m),(n,g),(b,a)->(s,m),(n,g),(b,a),(n,s)")
+def _advance(  # type: ignore[no-untyped-def]
+    p, rotor, joints, surroundings, valves, demand, control, state0, reference0, audit0,
+    state, reference, audit, torques,
+):  # fmt: skip
+    m, kind = state.shape[1] - 2, np.complex128
+    bodies, z, k = _bodies(p.copy(), rotor.copy()), np.zeros((2, 4 + m)), np.zeros((8, 2, 4 + m))
+    begin, turned, work = np.empty((3, m), kind), np.empty((3, m), kind), np.empty((2, m), kind)
+    held, torque, asked, inertia = np.empty(m), np.empty(m), np.empty(m), np.empty((2, m))
+    laws, dz, around = np.empty((m, 6)), np.zeros((2, 4 + m)), surroundings.copy()
+    tight, wants, follows, gives = joints.copy(), demand.copy(), reference0.copy(), torques.copy()
+    q, qd = state0[0].copy(), state0[1].copy()
+    _to_centroidal(bodies, q, qd, begin, z)
+    start_x, start_y = z[1, 0], z[1, 1]
+    steps, tolerance = int(control[0]), control[1]
+    for step in range(steps):
+        thrust, held[:] = 0j, 0.0
+        for valve in valves:
+            if valve[3] <= step < valve[4]:
+                thrust += complex(valve[0], valve[1])
+                held[0] += valve[2]
+        _drive(
+            bodies, around, thrust, tight, wants, q, qd, follows, z, begin,
+            work, torque, dz, inertia, asked, laws, held, gives,
+        )  # fmt: skip
+        if tolerance > 0.0:
+            _controlled(
+                bodies, around, 0j, thrust, held, STEP, tolerance,
+                z, begin, turned, work, torque, k,
+            )  # fmt: skip
+        else:
+            _classical(bodies, around, 0j, thrust, held, STEP, z, begin, turned, work, torque, k)
+        _from_centroidal(bodies, begin, z, q, qd)
+    for i in range(2 + m):
+        state[0, i], state[1, i] = q[i], qd[i]
+    for j in range(m - 1):
+        reference[j, 0], reference[j, 1] = follows[j, 0], follows[j, 1]
+        torques[j, 0], torques[j, 1] = gives[j, 0], gives[j, 1]
+    twice_energy, moment = _momenta(bodies, begin, z)
+    audit[0, 0], audit[0, 1] = bodies.mass * z[1, 0], bodies.mass * z[1, 1]
+    audit[0, 2], audit[0, 3] = moment, 0.5 * twice_energy
+    audit[1, 0] = audit0[1, 0] + bodies.mass * (z[1, 0] - start_x)
+    audit[1, 1] = audit0[1, 1] + bodies.mass * (z[1, 1] - start_y)
+    audit[1, 2], audit[1, 3] = audit0[1, 2] + z[1, 3 + m], audit0[1, 3] + z[1, 2 + m]
+
+
+def advance(
+    p: npt.ArrayLike,
+    rotor: npt.ArrayLike,
+    joints: npt.ArrayLike,
+    surroundings: npt.ArrayLike,
+    valves: npt.ArrayLike,
+    demand: npt.ArrayLike,
+    state: npt.ArrayLike,
+    reference: npt.ArrayLike,
+    audit: npt.ArrayLike,
+    steps: int,
+    tolerance: float = 0.0,
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """The plant, `steps` steps of STEP later. n may be 0: a base without an arm.
+
+    Args:
+        p: (8 + 6 n,) Arm.vector().
+        rotor: (2,) N^2 J and N J [kg m^2] of each joint's rotor of inertia J, turning N times as
+            fast as the joint.
+        joints: (n, 7) lowest and highest angle [rad], largest torque of the motor [N m]; viscous
+            [N m s/rad] and Coulomb friction [N m]; the end stops' stiffness [N m/rad] and damping
+            [N m s/rad].
+        surroundings: (SURROUNDINGS,) Surroundings.vector().
+        valves: (t, 5) force on the base's origin in its own axes [N] and torque [N m] of a thruster
+            while its valve is open, and the steps from which and up to which it is.
+        demand: (n, 4) of each drive: mode, set point [N m, rad/s or rad, by mode], speed [rad/s]
+            and acceleration [rad/s^2] of the profile, the latter above 0 but for mode off. Position
+            mode at speed 0 means: decelerate, and hold where that ends.
+        state: (2, 3 + n) q and qd.
+        reference: (n, 2) where the drives want the joints [rad], and how fast [rad/s].
+        audit: (2, 4); the first row does not matter.
+        steps: how many.
+        tolerance: of a step's error in any coordinate or rate, SI units, for Dormand and Prince's
+            method with error control; 0: Runge-Kutta's classical method.
+
+    Returns:
+        state, reference; audit: linear momentum [N s], angular momentum about the world's origin
+        [N m s] and energy [J] that the bodies have, and below, added to what was there, those that
+        forces have given them; and torques (n, 2) [N m], the motors' and those that pass the gears,
+        less by the friction. Leading dimensions of all arguments broadcast.
+    """
+    control = np.array([steps, tolerance], dtype=float)
+    return _advance(
+        p, rotor, joints, surroundings, valves, demand, control, state, reference, audit
+    )
