@@ -4,7 +4,7 @@
 # shellcheck shell=sh
 
 export ROS_DOMAIN_ID=0
-# export ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET    # the ground's computer too: docs/network.md
+# export ROS_STATIC_PEERS="192.168.1.10;192.168.1.20"    # the ground's computer too: docs/network.md
 arm=config/arm.yaml
 
 node record fss_arm_ros record --ros-args -p output:=bags

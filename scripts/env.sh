@@ -55,11 +55,28 @@ _fss_load() {
     *) _fss_range=LOCALHOST ;;
   esac
   export ROS_AUTOMATIC_DISCOVERY_RANGE="${ROS_AUTOMATIC_DISCOVERY_RANGE:-$_fss_range}"
-  case "$ROS_AUTOMATIC_DISCOVERY_RANGE" in
-    SUBNET) _fss_profile=fastdds_network.xml ;;
-    *) _fss_profile=fastdds.xml ;;
+  _fss_profile=$_fss_root/config/fastdds.xml
+  if [ "$ROS_AUTOMATIC_DISCOVERY_RANGE" = SUBNET ]; then
+    _fss_profile=$_fss_root/config/fastdds_network.xml
+  elif [ -n "${ROS_STATIC_PEERS:-}" ]; then
+    _fss_write_peers || return 1
+  fi
+  # One of ours gives way to what is asked for now, another stays.
+  case "${FASTRTPS_DEFAULT_PROFILES_FILE:-$_fss_root/}" in
+    "$_fss_root/"*) export FASTRTPS_DEFAULT_PROFILES_FILE="$_fss_profile" ;;
   esac
-  export FASTRTPS_DEFAULT_PROFILES_FILE="${FASTRTPS_DEFAULT_PROFILES_FILE:-$_fss_root/config/$_fss_profile}"
+}
+
+# The profile for the computers of ROS_STATIC_PEERS and this one.
+_fss_write_peers() {
+  _fss_profile=$_fss_root/log/fastdds_peers.xml
+  _fss_locators=
+  for _fss_peer in $(echo "127.0.0.1;$ROS_STATIC_PEERS" | tr ';' ' '); do
+    _fss_locators="$_fss_locators<locator><udpv4><address>$_fss_peer</address></udpv4></locator>"
+  done
+  mkdir -p "$_fss_root/log" &&
+    sed "s|<!-- PEERS -->|$_fss_locators|" "$_fss_root/config/fastdds_peers.xml" \
+      >"$_fss_profile.$$" && mv "$_fss_profile.$$" "$_fss_profile"
 }
 
 _fss_load
@@ -67,6 +84,6 @@ _fss_status=$?
 for _fss_option in u e; do
   case "$_fss_options" in *"-$_fss_option"*) set "-$_fss_option" ;; esac
 done
-unset _fss_root _fss_shell _fss_options _fss_option _fss_range _fss_profile
-unset -f _fss_load
+unset _fss_root _fss_shell _fss_options _fss_option _fss_range _fss_profile _fss_locators _fss_peer
+unset -f _fss_load _fss_write_peers
 if [ "$_fss_status" = 0 ]; then unset _fss_status; else unset _fss_status; return 1; fi

@@ -18,6 +18,25 @@ from .health import Stream, findings, remark, streams
 HEALTHY, UNREADABLE, ILL = 0, 1, 2
 
 
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    p = argparse.ArgumentParser(
+        prog="doctor",
+        description=f"{__doc__} Exit code 0: healthy, or repaired to be so; 1: not readable; "
+        "2: damaged, or with findings.",
+    )
+    p.add_argument(
+        "bags", metavar="BAG", nargs="+", type=Path, help="a bag, or a folder of bags, taken as one"
+    )
+    p.add_argument(
+        "--repair",
+        action="store_true",
+        help="replace damaged bags by what can be recovered (not while they are recorded); "
+        "the damaged files are kept as *.damaged",
+    )
+    return p
+
+
 def main(args: Sequence[str] | None = None) -> int:
     """Entry point.
 
@@ -25,21 +44,7 @@ def main(args: Sequence[str] | None = None) -> int:
         0: the bags are whole and nothing is wrong with them; 1: not readable; 2: damaged, or
         something is wrong.
     """
-    parser = argparse.ArgumentParser(
-        prog="doctor",
-        description=f"{__doc__} Exit code 0: healthy, or repaired to be so; 1: not readable; "
-        "2: damaged, or with findings.",
-    )
-    parser.add_argument(
-        "bags", metavar="BAG", nargs="+", type=Path, help="a bag, or a folder of bags, taken as one"
-    )
-    parser.add_argument(
-        "--repair",
-        action="store_true",
-        help="replace damaged bags by what can be recovered (not while they are recorded); "
-        "the damaged files are kept as *.damaged",
-    )
-    options = parser.parse_args(args)
+    options = parser().parse_args(args)
     console = Console(highlight=False, soft_wrap=True, width=None if sys.stdout.isatty() else 120)
     try:
         healthy = [examine(path, options.repair, console) for path in options.bags]

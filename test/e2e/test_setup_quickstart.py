@@ -1,0 +1,70 @@
+"""The quick starts, as somebody types them."""
+
+import os
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+from conftest import DOMAIN
+from test_setup_fss import free_ports
+
+from fss_arm_model.description import load
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def typed(page):
+    """All that a page has one type."""
+    blocks = re.findall(r"^```sh\n(.*?)^```", (ROOT / "docs" / page).read_text(), re.M | re.S)
+    return "".join(blocks)
+
+
+def shell(text, timeout):
+    """Run it line by line, up to the first that fails; what it said."""
+    run = subprocess.run(
+        ["bash", "-ec", text], cwd=ROOT, capture_output=True, text=True, timeout=timeout,
+        env=os.environ | {"ROS_DOMAIN_ID": str(DOMAIN)},
+    )  # fmt: skip
+    assert run.returncode == 0, run.stdout + run.stderr
+    return run.stdout
+
+
+@pytest.mark.slow
+def test_without_hardware(tmp_path):
+    ports = free_ports(4)
+    config = (ROOT / "config/fss_sim.sh").read_text()
+    for old, new in (
+        ("ROS_DOMAIN_ID=0", f"ROS_DOMAIN_ID={DOMAIN} FSS_LOGS={tmp_path / 'logs'}"),
+        ("out/fss_sim", str(tmp_path / "out")),
+        ("preset:=paper", f"preset:=paper -p ports:=[{','.join(map(str, ports))}]"),
+        (
+            "in 1 2 3 4; do",
+            f"in 1 2 3 4; do port=$(echo {' '.join(map(str, ports))} | cut -d' ' -f$i)",
+        ),
+        ("500$i?bind=600$i", "$port?bind=0"),
+    ):
+        assert old in config
+        config = config.replace(old, new)
+    (tmp_path / "lab.sh").write_text(config)
+    text = typed("simulation.md").replace("config/fss_sim.sh", str(tmp_path / "lab.sh"))
+    text = text.replace("out/fss_sim", str(tmp_path / "out"))
+    try:
+        said = shell(text.replace("scripts/setup.sh\n", ""), 600)
+    finally:
+        subprocess.run([ROOT / "scripts/fss_down.sh", tmp_path / "lab.sh"], check=False)
+    assert re.search(r"/calibration/kinematic +pass", said)
+    assert load(tmp_path / "out/arm.yaml").n == 4
+    assert (tmp_path / "out/fit.png").stat().st_size > 10_000
+
+
+@pytest.mark.slow
+def test_from_a_bag(tmp_path):
+    shutil.copytree(ROOT / "test/data/first", tmp_path / "first")
+    text = typed("bag.md").replace("test/data/first", str(tmp_path / "first"))
+    text = text.replace("out/", f"{tmp_path}/")
+    text = re.sub(r"(fss_arm_calib kinematic.*)", r"\1 & trap 'kill %1' EXIT", text)
+    said = shell(text, 120)
+    assert "pass" in said
+    assert load(tmp_path / "arm.yaml").n == 4
