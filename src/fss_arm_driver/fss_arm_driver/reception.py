@@ -9,7 +9,7 @@ from fss_arm_driver.protocol import Telemetry, newer
 from fss_arm_driver.scale import Scale
 
 SECOND = 1_000_000_000  # [ns]
-EARLY = 0.1  # of the timeout: delays vary, and a frame may seem to come from the future
+EARLY = SECOND // 10  # delays vary: a frame may seem to come from the future by so much
 MEMORY = 60 * SECOND  # how long a lost link and its clock are remembered
 SHORTEST_PERIOD = 1000  # of telemetry, in the link's clock [us]
 CANDIDATES = 16  # more than one, so that noise cannot displace a link that begins to talk
@@ -61,7 +61,7 @@ class Reception:
         self.heard = 0  # when a frame was last believed
         self.track: Track | None = None  # believed; remembered for a while when lost
         self._scale, self._timeout, self._resolution = scale, timeout, resolution
-        self._early = round(EARLY * timeout)  # [ns]
+        self._early = max(EARLY, timeout // 10)  # longer where time is simulated and fast
         self._prove, self._counts = prove, counts
         self._candidates: deque[Track] = deque(maxlen=CANDIDATES)  # on probation
 
