@@ -222,6 +222,12 @@ def test_it_steps_aside_for_the_real_one(tmp_path: Path) -> None:
     assert run(STAND_IN, "topic", "list", env=env).stdout == "real topic list\n"
 
 
+def test_two_workspaces_stand_ins_do_not_call_each_other(tmp_path: Path) -> None:
+    other = script(tmp_path / "other/ros2", STAND_IN.read_text())
+    env = BARE | {"PATH": f"{STAND_IN.parent}:{BARE['PATH']}:{other.parent}"}
+    assert run("timeout", "10", other, "topic", "list", env=env).returncode == 1
+
+
 # --- setup.sh ------------------------------------------------------------------------------------
 
 
