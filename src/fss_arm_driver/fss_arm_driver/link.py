@@ -30,6 +30,7 @@ from fss_arm_model.description import Link
 
 CORRECTION = SECOND // 10  # a clock that is set back by less is being corrected
 PATIENCE = 2 * SECOND  # a link that has not armed by then is left disarmed
+NO_TORQUE = 255  # as the age of a torque sample: old, or there is none [ms]
 STAMPS_KEPT = 1024  # of commands sent, which an echo may name
 
 
@@ -64,7 +65,7 @@ class Sample:
     round_trip: float  # [s]; NaN before a round trip
     position: float  # [rad]
     velocity: float  # [rad/s]
-    torque: float  # [N m]
+    torque: float  # [N m]; NaN: none of the last 254 ms
     slow: dict[Slow, int]  # the last report of each slow field
     armed: bool
     referenced: bool  # the position means something
@@ -363,7 +364,7 @@ class LinkSession:
             round_trip=clock.round_trip,
             position=self.scale.position(frame.position),
             velocity=self.scale.velocity(frame.velocity),
-            torque=self.scale.torque(frame.torque),
+            torque=self.scale.torque(frame.torque) if frame.torque_age < NO_TORQUE else nan,
             slow=dict(self.slow),
             armed=self.armed,
             referenced=self.referenced,

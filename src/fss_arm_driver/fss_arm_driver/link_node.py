@@ -64,7 +64,7 @@ class LinkNode(Node):
             settings.key(),
             settings.empty,
         )
-        self.transport = transport or open_transport(settings.url)
+        self.transport = transport or open_transport(settings.url, number, settings.key())
         self.name = f"link_{number}"
         self.said = {"trouble": self.transport.trouble}  # by kind, as much is repeated
         self.told: tuple[Any, ...] = ()  # of the last command

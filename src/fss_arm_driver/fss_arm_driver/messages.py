@@ -5,7 +5,7 @@ from typing import Any
 from sensor_msgs.msg import JointState
 
 from fss_arm_driver.faults import present
-from fss_arm_driver.link import TROUBLES, LinkSession, Sample
+from fss_arm_driver.link import NO_TORQUE, TROUBLES, LinkSession, Sample
 from fss_arm_driver.progress import Progress, Status
 from fss_arm_driver.protocol import Slow, State
 from fss_arm_driver.transport import Transport
@@ -14,7 +14,6 @@ from fss_arm_ros.convert import SECOND, to_time
 from fss_arm_ros.diagnostics import ERROR, OK, WARN, Health
 
 MILLISECOND = 1_000_000  # [ns]
-OR_OLDER = 255  # as the age of a torque sample [ms]
 LATCHED_WORDS = {State.STOPPED: "the link is stopped", State.WATCHDOG: "its watchdog tripped"}
 
 
@@ -58,7 +57,7 @@ def telemetry(sample: Sample) -> LinkTelemetry:
     )
     message.header.stamp = to_time(sample.stamp)
     message.header.frame_id = f"link_{frame.link}"
-    if frame.torque_age < OR_OLDER:
+    if frame.torque_age < NO_TORQUE:
         message.torque_stamp = to_time(sample.stamp - frame.torque_age * MILLISECOND)
     return message
 

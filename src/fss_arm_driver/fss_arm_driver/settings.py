@@ -14,7 +14,8 @@ class LinkSettings:
 
     link: int = setting(1, "number of the link, as in its frames; 1 beside the base")
     url: str = setting(
-        "udp://127.0.0.1:5001?bind=6001", "where the link is: udp://, tcp://, serial://"
+        "udp://127.0.0.1:5001?bind=6001",
+        "where the link is: udp://, tcp://, serial:// or copley://",
     )
     urls: tuple[str, ...] = setting((), "urls of links 1, 2, ... to host all in one process")
     rate: float = setting(5.0, "command frames sent a second [1/s]")

@@ -19,6 +19,7 @@ from fss_arm_driver.protocol.frames import (
 )
 from fss_arm_driver.protocol.gate import Gate, Refused
 from fss_arm_driver.protocol.signature import KeyFileError, load_keys, parse_keys
+from fss_arm_driver.protocol.state import Goal, LinkState
 from fss_arm_driver.protocol.stream import StreamDecoder, pack
 
 __all__ = [
@@ -29,7 +30,9 @@ __all__ = [
     "Command",
     "FrameError",
     "Gate",
+    "Goal",
     "KeyFileError",
+    "LinkState",
     "Mode",
     "Order",
     "Refusal",

@@ -3,6 +3,7 @@
 from urllib.parse import SplitResult, parse_qs, urlsplit
 
 from fss_arm_driver.transport.base import BATCH, Transport, TransportError
+from fss_arm_driver.transport.copley import CopleyTransport
 from fss_arm_driver.transport.stream import serial, tcp
 from fss_arm_driver.transport.udp import UdpTransport
 
@@ -13,15 +14,17 @@ FORMS = {
     "udp": "udp://HOST:PORT?bind=PORT",
     "tcp": "tcp://HOST:PORT",
     "serial": "serial://DEVICE?baud=RATE",
+    "copley": "copley://DEVICE?baud=RATE",
 }
 BAUD = 115_200
 
 
-def open_transport(url: str) -> Transport:
+def open_transport(url: str, link: int = 1, key: bytes | None = None) -> Transport:
     """Open what a URL names, one of FORMS.
 
     A UDP socket is bound to the local port `bind`, 0 for any; a serial port is opened at once and
-    at 115200 baud unless told otherwise; a TCP connection is made when it can be.
+    at 115200 baud unless told otherwise; a TCP connection is made when it can be. `link` and `key`
+    are those of the frames, which `copley` makes itself.
 
     Raises:
         TransportError: the URL is not understood, its host is not known, or its port cannot be
@@ -42,6 +45,9 @@ def open_transport(url: str) -> Transport:
         if scheme == "serial":
             baud = _option(parts, "baud", BAUD, range(300, 4_000_001))
             return serial(_device(parts), baud)
+        if scheme == "copley":
+            baud = _option(parts, "baud", BAUD, range(9600, BAUD + 1))
+            return CopleyTransport(_device(parts), baud, link, key)
         raise ValueError("no such scheme")
     except OSError as error:
         raise TransportError(f"url {url!r} cannot be opened: {error.strerror or error}") from None

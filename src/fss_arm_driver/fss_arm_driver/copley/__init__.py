@@ -1,0 +1,1 @@
+"""A Copley servo drive straight on the computer's serial port, without a micro-controller."""

@@ -1,0 +1,298 @@
+"""A servo drive at the other end of a serial line: bytes in, bytes out, and the time.
+
+The drive is given a demand; what to say to get there follows from what it answers and from the mode
+that it reports, so that a lost reply, a pulled cable or a drive that was off needs no care. The
+conversation is a script that stops wherever it must wait.
+"""
+
+from collections.abc import Generator
+from dataclasses import dataclass
+from enum import IntEnum
+from itertools import count, cycle
+
+from fss_arm_driver.copley.language import (
+    FIRST_BAUD,
+    LONGEST,
+    REFERENCED,
+    Error,
+    LineError,
+    Ok,
+    Reply,
+    Trajectory,
+    Value,
+    Variable,
+    get,
+    parse,
+    put,
+    trajectory,
+)
+from fss_arm_driver.protocol import Mode
+
+MILLISECOND = 1000  # [us]
+REPLY_TIME = 200 * MILLISECOND  # at most
+LINE_TIME = 50 * MILLISECOND  # for what is still under way after a failure
+SWITCH_TIME = 150 * MILLISECOND  # for the order to leave at the old rate, and the drive's own
+STILL = 1000  # slower is at rest [0.1 counts/s]
+SLOW = (Variable.FAULTS, Variable.SUPPLY, Variable.TEMPERATURE, Variable.ABORT_DECELERATION)
+
+
+class Goal(IntEnum):
+    """What the drive is to do."""
+
+    RELEASE = 0  # decelerate, then switch off
+    HOLD = 1  # decelerate, then hold that place
+    HOME = 2
+    CURRENT = 3
+    VELOCITY = 4
+    POSITION = 5
+
+
+MODES = {Goal.RELEASE: Mode.OFF, Goal.CURRENT: Mode.CURRENT, Goal.VELOCITY: Mode.VELOCITY}
+
+
+@dataclass(frozen=True, slots=True)
+class Demand:
+    """A goal, in the drive's units."""
+
+    goal: Goal = Goal.RELEASE
+    set_point: int = 0
+    velocity: int = 0
+    acceleration: int = 0  # [10 counts/s^2]; 0: as the drive has it
+
+    @property
+    def mode(self) -> Mode:
+        """That the goal needs."""
+        return MODES.get(self.goal, Mode.POSITION)
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """The drive's state; all that belongs to a round was read after the one before."""
+
+    clock: int = 0  # when the position was read [us]
+    position: int = 0
+    velocity: int = 0
+    current: int = 0
+    status: int = 0
+    trajectory: int = 0
+    mode: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class _Ask:
+    """A line that is answered."""
+
+    line: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class _Tell:
+    """A line that is not; then a time in which nothing that comes is meant for us [us]."""
+
+    line: bytes
+    pause: int
+
+
+class _NoAnswerError(Exception):
+    """Nothing came in time, or nothing that a drive would say."""
+
+
+Script = Generator[_Ask | _Tell, Reply | None, None]
+
+
+class Drive:
+    """One drive. Set `demand`; `reading` is the last whole round, None while it does not answer.
+
+    Args:
+        baud: the rate to work at; the drive begins at 9600.
+    """
+
+    def __init__(self, baud: int = 115_200) -> None:
+        self.demand = Demand()
+        self.clear_faults = False
+        self.reading: Reading | None = None
+        self.slow = dict.fromkeys(SLOW, 0)
+        self.homings = 0
+        self.refusal = ""  # of the present demand, in the drive's words
+        self._done: Demand | None = None  # the demand that the drive was told last, in full
+        self.baud = FIRST_BAUD  # that the line must be set to now
+        self._fast = baud
+        self._now = self._until = 0
+        self._buffer = b""
+        self._script = self._talk()
+        self._step = next(self._script)
+        self._said = False
+
+    @property
+    def referenced(self) -> bool:
+        """Whether it has been homed since it was switched on."""
+        return bool(self.reading and self.reading.trajectory & REFERENCED)
+
+    def poll(self, data: bytes, now: int) -> bytes:
+        """Take what has come until `now` [us]; return what to send, at `baud`."""
+        self._now = now
+        self._buffer += data
+        while True:
+            if not self._said:
+                wait = REPLY_TIME if isinstance(self._step, _Ask) else self._step.pause
+                self._until, self._said, self._buffer = now + wait, True, b""
+                return self._step.line
+            if isinstance(self._step, _Tell):
+                if now < self._until:
+                    return b""
+                self._go(None)
+            elif b"\r" in self._buffer:
+                line, _, self._buffer = self._buffer.partition(b"\r")
+                self._answer(line)
+            elif now > self._until or len(self._buffer) > LONGEST:
+                self._fail()
+            else:
+                return b""
+
+    def _go(self, reply: Reply | None) -> None:
+        self._step, self._said = self._script.send(reply), False
+
+    def _fail(self) -> None:
+        self._step, self._said = self._script.throw(_NoAnswerError()), False
+
+    def _answer(self, line: bytes) -> None:
+        try:
+            reply = parse(line)
+        except LineError:
+            self._fail()
+        else:
+            self._go(reply)
+
+    # --- the script ---
+
+    def _talk(self) -> Script:
+        for baud in cycle((FIRST_BAUD, self._fast)):
+            try:
+                yield from self._connect(baud)
+                for turn in count():
+                    yield from self._read(SLOW[turn % len(SLOW)])
+                    yield from self._act()
+            except _NoAnswerError:
+                self.reading = None
+
+    def _connect(self, baud: int) -> Script:
+        """Find the drive at this rate, and set it to the one to work at."""
+        self.baud = baud
+        self._done = None  # what a drive does that was out of reach is not known
+        yield _Tell(b"\r", LINE_TIME)  # ends whatever is left in the drive's buffer
+        yield _Ask(get(Variable.STATUS))
+        if baud != self._fast:
+            yield _Tell(put(Variable.BAUD, self._fast), SWITCH_TIME)
+            self.baud = self._fast
+            yield _Ask(get(Variable.STATUS))
+
+    def _value(self, variable: Variable) -> Generator[_Ask | _Tell, Reply | None, int]:
+        """Read a variable; twice, if the first answer is none."""
+        try:
+            reply = yield _Ask(get(variable))
+        except _NoAnswerError:
+            yield _Tell(b"\r", LINE_TIME)
+            reply = yield _Ask(get(variable))
+        if isinstance(reply, Value):
+            return reply.number
+        if isinstance(reply, Error) and variable in SLOW:
+            return 0  # not every drive has it
+        raise _NoAnswerError
+
+    def _read(self, slow: Variable) -> Generator[_Ask | _Tell, Reply | None, Reading]:
+        """A round of readings."""
+        before = self.referenced
+        position = yield from self._value(Variable.POSITION)
+        reading = Reading(
+            clock=self._now,
+            position=position,
+            velocity=(yield from self._value(Variable.VELOCITY)),
+            current=(yield from self._value(Variable.CURRENT)),
+            status=(yield from self._value(Variable.STATUS)) & 0xFFFFFFFF,
+            trajectory=(yield from self._value(Variable.TRAJECTORY_STATUS)),
+            mode=(yield from self._value(Variable.DESIRED_STATE)),
+        )
+        self.slow[slow] = yield from self._value(slow)
+        self.reading = reading
+        self.homings += self.referenced and not before
+        return reading
+
+    def _act(self) -> Script:
+        """Say what brings the drive to what is demanded of it."""
+        reading, demand = self.reading, self.demand
+        assert reading
+        if self.clear_faults and reading.mode == Mode.OFF:
+            yield _Ask(put(Variable.FAULTS, self.slow[Variable.FAULTS]))
+            self.clear_faults = False
+        if demand == self._done and (reading.mode == demand.mode or self.refusal):
+            return
+        self.refusal = ""
+        if demand.goal <= Goal.HOLD or reading.mode != demand.mode:
+            yield from self._say(_brake(reading.mode, self.slow[Variable.ABORT_DECELERATION]))
+            while reading.mode != Mode.OFF:
+                reading = yield from self._read(Variable.FAULTS)
+                if demand != self.demand:
+                    return
+                if abs(reading.velocity) <= STILL:
+                    break
+        yield from self._say(_program(demand, reading.mode))
+        self._done = demand
+        if self.refusal:  # what cannot be done is held, and what cannot be held is switched off
+            refusal, hold = self.refusal, Demand(Goal.HOLD)
+            yield from self._say(_program(hold if demand.goal > Goal.HOLD else Demand(), None))
+            self.refusal = refusal
+
+    def _say(self, lines: list[bytes]) -> Script:
+        """Give orders until one is refused."""
+        for line in lines:
+            reply = yield _Ask(line)
+            if isinstance(reply, Error):
+                self.refusal = f"{line.decode().strip()}: {reply}"
+                return
+            if not isinstance(reply, Ok):
+                raise _NoAnswerError
+
+
+def _limit(acceleration: int) -> int:
+    """An acceleration [10 counts/s^2] as velocity mode has it [1000 counts/s^2]."""
+    return max(1, acceleration // 100)
+
+
+def _brake(mode: int, abort: int) -> list[bytes]:
+    """Orders that bring the joint to rest, by the drive's own abort deceleration."""
+    if mode == Mode.OFF:
+        return []
+    if mode == Mode.POSITION:
+        return [trajectory(Trajectory.ABORT)]
+    limit = [put(Variable.DECELERATION_LIMIT, _limit(abort))] if abort else []
+    stop = put(Variable.COMMANDED_VELOCITY, 0)
+    return [*limit, stop, put(Variable.DESIRED_STATE, Mode.VELOCITY)]
+
+
+def _program(demand: Demand, mode: int | None) -> list[bytes]:
+    """Orders for what is demanded of a joint at rest, or moving in the mode that it needs.
+
+    The mode comes last where a set-point left over from before would be followed.
+    """
+    state = [] if mode == demand.mode else [put(Variable.DESIRED_STATE, demand.mode)]
+    acceleration = demand.acceleration
+    if demand.goal == Goal.CURRENT:
+        return [put(Variable.COMMANDED_CURRENT, demand.set_point), *state]
+    if demand.goal == Goal.VELOCITY:
+        limit = _limit(acceleration)
+        limits = [put(Variable.ACCELERATION_LIMIT, limit), put(Variable.DECELERATION_LIMIT, limit)]
+        speed = put(Variable.COMMANDED_VELOCITY, demand.set_point)
+        return [*(limits if acceleration else []), speed, *state]
+    if demand.goal == Goal.HOME:
+        return [*state, trajectory(Trajectory.HOME)]
+    if demand.goal == Goal.POSITION:
+        gains = Variable.PROFILE_ACCELERATION, Variable.PROFILE_DECELERATION
+        return [
+            *state,
+            put(Variable.PROFILE_TYPE, 0),
+            put(Variable.TARGET, demand.set_point),
+            put(Variable.PROFILE_VELOCITY, demand.velocity),
+            *(put(gain, acceleration) for gain in gains if acceleration),
+            trajectory(Trajectory.START),
+        ]
+    return state

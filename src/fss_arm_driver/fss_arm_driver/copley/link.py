@@ -1,0 +1,120 @@
+"""A drive without electronics of ours before it, in the part of a link: frames in, frames out."""
+
+from fss_arm_driver.copley.drive import Demand, Drive, Goal
+from fss_arm_driver.copley.language import Variable
+from fss_arm_driver.faults import blocking
+from fss_arm_driver.protocol import Command, Gate, LinkState, Mode, Order, Slow, Telemetry, encode
+from fss_arm_driver.protocol import Goal as Intent
+
+NO_TORQUE = 255  # as the age of a torque sample: there is no torque converter [ms]
+SLOW = {
+    Slow.FAULTS: Variable.FAULTS,
+    Slow.SUPPLY: Variable.SUPPLY,
+    Slow.TEMPERATURE: Variable.TEMPERATURE,
+}
+GOALS = {
+    Mode.OFF: Goal.RELEASE,
+    Mode.CURRENT: Goal.CURRENT,
+    Mode.VELOCITY: Goal.VELOCITY,
+    Mode.POSITION: Goal.POSITION,
+}
+
+
+class DriveLink:
+    """Takes commands and makes telemetry as docs/protocol.md says, and lets the drive do it.
+
+    Args:
+        number: of the link.
+        boot: of this start, 1 to 65535.
+        key: that frames are signed under, if any.
+        baud: the rate to work at.
+        rate: of telemetry [frames/s].
+    """
+
+    def __init__(
+        self, number: int, boot: int, key: bytes | None, baud: int, rate: float = 5.0
+    ) -> None:
+        self.state = LinkState(Gate(number, boot, key))
+        self.drive = Drive(baud)
+        self._baud = baud
+        self._period, self._periods = round(1e6 / rate), 0
+        self._sequence, self._measured = 0, 0
+
+    def restart(self) -> None:
+        """The line was opened anew; the drive's state is not known."""
+        homings = self.drive.homings
+        self.drive = Drive(self._baud)
+        self.drive.homings = homings
+
+    def receive(self, data: bytes, clock: int) -> None:
+        """Take or refuse a command frame."""
+        if self.state.receive(data, clock):
+            command = self.state.gate.command
+            if command and command.flags & Order.CLEAR_FAULTS:
+                self.drive.clear_faults = True
+
+    def poll(self, data: bytes, clock: int) -> tuple[bytes, bytes]:
+        """Take bytes from the drive; return those to send to it, and a telemetry frame or none."""
+        reading = self.drive.reading
+        if reading is None or blocking(reading.status, 0):
+            self.state.armed = False
+        self.drive.demand = self._demand(clock)
+        out = self.drive.poll(data, clock)
+        return out, self._telemetry(clock)
+
+    def _demand(self, clock: int) -> Demand:
+        goal, command = self.state.goal(clock), self.state.gate.command
+        if goal is Intent.RELEASE or command is None:
+            return Demand()
+        return Demand(Goal.HOLD) if goal is Intent.HOLD else _commanded(command)
+
+    def _telemetry(self, clock: int) -> bytes:
+        reading, gate = self.drive.reading, self.state.gate
+        if reading is None or reading.clock == self._measured:
+            return b""
+        if reading.clock // self._period == self._periods:
+            return b""
+        self._measured, self._periods = reading.clock, reading.clock // self._period
+        taken = gate.command is not None and gate.arrival <= reading.clock
+        self._sequence = (self._sequence + 1) & 0xFFFFFFFF
+        slow = (*SLOW, Slow.HOMINGS, Slow.REFUSED)[self._sequence % (len(SLOW) + 2)]
+        known = reading.mode in GOALS
+        frame = Telemetry(
+            link=gate.number,
+            flags=self.state.flags(self.drive.referenced),
+            boot=gate.boot,
+            sequence=self._sequence,
+            clock=reading.clock,
+            echo=gate.command.clock & 0xFFFFFFFF if taken and gate.command else 0,
+            turnaround=min(reading.clock - gate.arrival, 0xFFFFFFFF) if taken else 0,
+            position=_signed(reading.position, 32),
+            velocity=_signed(reading.velocity, 32),
+            current=_signed(reading.current, 16),
+            mode=reading.mode if known else Mode.OFF,
+            slow_id=slow,
+            status=reading.status,
+            torque=0,
+            torque_age=NO_TORQUE,
+            slow_value=_signed(self._slow(slow), 32),
+        )
+        return encode(frame, gate.key)
+
+    def _slow(self, slow: Slow) -> int:
+        if slow in SLOW:
+            return self.drive.slow[SLOW[slow]]
+        return self.drive.homings if slow is Slow.HOMINGS else self.state.gate.refused.total()
+
+
+def _commanded(command: Command) -> Demand:
+    if command.flags & Order.HOME:
+        return Demand(Goal.HOME)
+    if command.mode == Mode.POSITION:
+        return Demand(Goal.POSITION, command.set_point, command.velocity, command.acceleration)
+    acceleration = command.acceleration if command.mode == Mode.VELOCITY else 0
+    return Demand(GOALS[Mode(command.mode)], command.set_point, 0, acceleration)
+
+
+def _signed(value: int, bits: int) -> int:
+    """The nearest integer of so many bits."""
+    limit = 1 << bits - 1
+    return max(-limit, min(value, limit - 1))

@@ -1,0 +1,135 @@
+"""The drive's own language on a serial port, behind the face of a link."""
+
+import os
+import random
+import time
+from collections import Counter, deque
+from contextlib import suppress
+from select import select
+from socket import socketpair
+from threading import Event, Thread
+
+from serial import Serial
+
+from fss_arm_driver.copley.language import FIRST_BAUD
+from fss_arm_driver.copley.link import DriveLink
+from fss_arm_driver.protocol import Mode
+from fss_arm_driver.transport.base import BATCH
+from fss_arm_driver.transport.stream import open_port
+
+TICK = 0.005  # at which time passes for the drive [s]
+AGAIN = 0.5  # from one try to open the port to the next [s]
+RELEASE = 3.0  # at most, for the joint to come to rest when the process ends [s]
+DEAF = 3.0  # a drive that has not answered for so long is one to be told of [s]
+
+
+class CopleyTransport:
+    """A thread that talks to the drive, whatever else the process does: its watchdog is ours.
+
+    Raises:
+        OSError: the port cannot be opened. (Once it was, it may come and go.)
+    """
+
+    def __init__(self, device: str, baud: int, link: int, key: bytes | None) -> None:
+        self.counts: Counter[str] = Counter(connects=1, send_failures=0, drive_refusals=0)
+        self.trouble = ""
+        self._device = device
+        self._port: Serial | None = open_port(device, FIRST_BAUD)
+        self._link = DriveLink(link, random.randint(1, 0xFFFF), key, baud)
+        self._heard, self._refusal = time.monotonic(), ""
+        self._commands: deque[bytes] = deque(maxlen=BATCH)
+        self._frames: deque[bytes] = deque(maxlen=BATCH)
+        self._came, self._closing = Event(), Event()
+        self._bell, self._ring = socketpair()
+        self._ring.setblocking(False)
+        self._thread = Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def send(self, data: bytes) -> None:
+        """Give the link a command frame."""
+        if self._port is None:
+            self.counts["send_failures"] += 1
+        self._commands.append(data)
+        with suppress(OSError):
+            self._ring.send(b"\0")
+
+    def receive(self) -> list[bytes]:
+        """The telemetry frames made of what the drive said."""
+        self._came.clear()
+        return [self._frames.popleft() for _ in range(len(self._frames))]
+
+    def wait(self, timeout: float) -> bool:
+        """Wait for a frame."""
+        return self._came.wait(timeout)
+
+    def close(self) -> None:
+        """Let the joint come to rest, then close the port."""
+        self._closing.set()
+        self._thread.join()
+        self._bell.close()
+        self._ring.close()
+
+    def _run(self) -> None:
+        while not self._closing.is_set():
+            try:
+                if self._port is None:
+                    self._port = open_port(self._device, FIRST_BAUD)
+                    self._link.restart()
+                    self.counts["connects"] += 1
+                self._turn(self._port)
+            except (OSError, ValueError) as error:
+                self._drop()
+                self.trouble = f"cannot use the port: {getattr(error, 'strerror', 0) or error}"
+                self._closing.wait(AGAIN)
+        self._let_go()
+        self._drop()
+
+    def _let_go(self) -> None:
+        """Bring the joint to rest and switch the drive off, if that can be done."""
+        end = time.monotonic() + RELEASE
+        with suppress(OSError, ValueError):
+            while self._port and time.monotonic() < end:
+                reading = self._link.drive.reading
+                if reading is None or reading.mode == Mode.OFF:
+                    break
+                self._link.state.armed = False
+                self._turn(self._port)
+
+    def _turn(self, port: Serial) -> None:
+        """Wait a little for bytes or commands, and let the link go on."""
+        ready = select([port, self._bell], [], [], TICK)[0]
+        data = b""
+        if port in ready and not (data := os.read(port.fileno(), 4096)):
+            raise ConnectionResetError("the device is gone")
+        if self._bell in ready:
+            self._bell.recv(4096)
+        clock = time.monotonic_ns() // 1000
+        while self._commands:
+            self._link.receive(self._commands.popleft(), clock)
+        out, frame = self._link.poll(data, clock)
+        drive = self._link.drive
+        if drive.baud != port.baudrate:
+            port.baudrate = drive.baud
+        if out:
+            os.write(port.fileno(), out)
+        if frame:
+            self._frames.append(frame)
+            self._came.set()
+        self._judge(bool(drive.reading), drive.refusal)
+
+    def _judge(self, answers: bool, refusal: str) -> None:
+        """Say what is wrong."""
+        if refusal != self._refusal:
+            self.counts["drive_refusals"] += bool(refusal)
+        self._refusal = refusal
+        now = time.monotonic()
+        self._heard = now if answers else self._heard
+        self.trouble = f"the drive refuses {refusal}" if refusal else ""
+        if now - self._heard > DEAF:
+            self.trouble = "no drive answers, neither at 9600 baud nor at the rate given"
+
+    def _drop(self) -> None:
+        port, self._port = self._port, None
+        if port:
+            with suppress(OSError):
+                port.close()

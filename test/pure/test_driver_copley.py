@@ -1,0 +1,416 @@
+"""The servo drive's own language, and a drive straight on the computer's serial port."""
+
+import time
+from dataclasses import replace
+
+import pytest
+from driver_drive import DriveOnPty, FakeDrive
+from driver_wire import ENDS
+
+from fss_arm_driver.copley.drive import REPLY_TIME, Demand, Drive, Goal
+from fss_arm_driver.copley.language import (
+    ERRORS,
+    Error,
+    LineError,
+    Ok,
+    Trajectory,
+    Value,
+    Variable,
+    get,
+    parse,
+    put,
+    trajectory,
+)
+from fss_arm_driver.copley.link import DriveLink
+from fss_arm_driver.link import Arming, LinkSession
+from fss_arm_driver.protocol import Command, Mode, Order, State, decode, encode
+from fss_arm_driver.scale import HOME
+from fss_arm_driver.transport import TransportError, open_transport
+from fss_arm_model.description import paper_arm
+
+SECOND = 1_000_000  # [us]
+MEANT = (1, 3, 4, 5, 9, 10, 11, 14, 15, 16, 18, 19, 20, 21, 22, 25, 27, 31, 32, 33, 36, 46, 48)
+
+
+# --- the language ---
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        (put(Variable.PROFILE_TYPE, 0), b"s r0xc8 0\r"),
+        (put(Variable.TARGET, 40000), b"s r0xca 40000\r"),
+        (put(Variable.PROFILE_VELOCITY, 70000), b"s r0xcb 70000\r"),
+        (put(Variable.DESIRED_STATE, 21), b"s r0x24 21\r"),
+        (put(Variable.TARGET, -1), b"s r0xca -1\r"),
+        (get(Variable.POSITION), b"g r0x32\r"),
+        (get(Variable.STATUS), b"g r0xa0\r"),
+        (get(Variable.COMMANDED_CURRENT), b"g r0x02\r"),
+        (trajectory(Trajectory.ABORT), b"t 0\r"),
+        (trajectory(Trajectory.START), b"t 1\r"),
+        (trajectory(Trajectory.HOME), b"t 2\r"),
+    ],
+)
+def test_lines_to_the_drive_are_the_guides(line, said):
+    assert line == said
+
+
+@pytest.mark.parametrize(
+    ("line", "reply"),
+    [
+        (b"ok", Ok()),
+        (b"v 0", Value(0)),
+        (b"v 134217728", Value(1 << 27)),
+        (b"v -40000", Value(-40000)),
+        (b"v -2147483648", Value(-(1 << 31))),
+        (b"v 4294967295", Value(0xFFFFFFFF)),
+        (b"e 33", Error(33)),
+    ],
+)
+def test_lines_of_the_drive_are_read(line, reply):
+    assert parse(line) == reply
+
+
+@pytest.mark.parametrize(
+    "line",
+    [b"", b"o", b"ok ", b"OK", b"v", b"v ", b"v x", b"v 1 2", b"v --1", b"v 4294967296", b"e -1",
+     b"e", b"\xff\xfe", b"v 99999999999", b"\nok", "v ²".encode()],
+)  # fmt: skip
+def test_lines_that_no_drive_says_are_refused(line):
+    with pytest.raises(LineError):
+        parse(line)
+
+
+def test_each_error_code_has_its_words():
+    assert set(MEANT) <= ERRORS.keys()
+    assert str(Error(18)) == "error 18: already moving"
+    assert str(Error(99)) == "error 99: not in the guide"
+
+
+# --- the drive ---
+
+
+class Bench:
+    """A drive's two sides at a line, in virtual time."""
+
+    def __init__(self, baud=115_200):
+        self.there, self.here = FakeDrive(), Drive(baud)
+        self.now, self.cut = 0, False
+
+    def run(self, seconds=0.5, until=lambda: False):
+        end, answer = self.now + round(seconds * SECOND), b""
+        while self.now < end and not until():
+            self.now += 2000
+            if self.now % 20_000 == 0:
+                self.there.turn()
+            line = self.here.poll(b"" if self.cut else answer, self.now)
+            answer = b"" if self.cut else self.there.feed(line, self.here.baud)
+        return self
+
+    def told(self, since=0):
+        return [line for line in self.there.lines[since:] if line[:1] in ("s", "t")]
+
+    def demand(self, goal, *values):
+        before = len(self.there.lines)
+        self.here.demand = Demand(goal, *values)
+        self.run()
+        return self.told(before)
+
+
+@pytest.fixture
+def bench():
+    bench = Bench()
+    bench.run(2.0, lambda: bench.here.reading)
+    return bench
+
+
+def test_the_rate_is_raised_from_9600(bench):
+    assert bench.there.lines[:3] == ["", "g r0xa0", "s r0x90 115200"]
+    assert bench.there.baud == bench.here.baud == 115_200
+    assert bench.here.reading.position == 0
+    assert bench.here.referenced
+
+
+def test_a_drive_left_at_the_fast_rate_is_found():
+    bench = Bench()
+    bench.there.baud = 115_200
+    bench.run(2.0)
+    assert bench.here.reading
+
+
+def test_9600_may_be_kept():
+    bench = Bench(9600).run(2.0)
+    assert bench.here.reading
+    assert not any("0x90" in line for line in bench.there.lines)
+
+
+def test_a_position_is_reached_by_the_guides_words(bench):
+    told = bench.demand(Goal.POSITION, 40000, 70000)
+    assert told == ["s r0x24 21", "s r0xc8 0", "s r0xca 40000", "s r0xcb 70000", "t 1"]
+    assert bench.here.reading.position == 40000
+    told = bench.demand(Goal.POSITION, 0, 70000, 5000)
+    assert told == [
+        "s r0xc8 0", "s r0xca 0", "s r0xcb 70000", "s r0xcc 5000", "s r0xcd 5000", "t 1",
+    ]  # fmt: skip
+    assert bench.demand(Goal.POSITION, 0, 70000, 5000) == []
+
+
+def test_each_mode_is_entered_from_rest_and_left_with_a_brake(bench):
+    assert bench.demand(Goal.VELOCITY, 5000, 0, 200) == [
+        "s r0x36 2", "s r0x37 2", "s r0x2f 5000", "s r0x24 11",
+    ]  # fmt: skip
+    assert bench.demand(Goal.VELOCITY, 6000) == ["s r0x2f 6000"]
+    assert bench.demand(Goal.CURRENT, 50) == [
+        "s r0x37 300", "s r0x2f 0", "s r0x24 11", "s r0x02 50", "s r0x24 1",
+    ]  # fmt: skip
+    assert bench.demand(Goal.HOLD) == ["s r0x37 300", "s r0x2f 0", "s r0x24 11", "s r0x24 21"]
+    assert bench.demand(Goal.RELEASE) == ["t 0", "s r0x24 0"]
+    assert bench.demand(Goal.HOLD) == ["s r0x24 21"]
+    assert bench.demand(Goal.HOME) == ["t 2"]
+
+
+@pytest.mark.parametrize("code", MEANT)
+def test_whatever_is_refused_is_held_and_said(bench, code):
+    bench.there.error = code
+    bench.demand(Goal.POSITION, 40000, 70000)
+    assert f"error {code}: {ERRORS[code]}" in bench.here.refusal
+    assert bench.there.position == 0
+    assert bench.here.reading.mode in (Mode.POSITION, Mode.OFF)
+    bench.demand(Goal.RELEASE)
+    assert bench.here.refusal == ""
+    assert bench.there.held[0x24] == 0
+
+
+def test_what_cannot_be_switched_on_stays_off(bench):
+    bench.there.held[0xA4] = 1 << 9
+    bench.run()
+    assert bench.here.slow[Variable.FAULTS] == 1 << 9
+    bench.here.clear_faults = True
+    bench.run()
+    assert bench.there.held[0xA4] == 0
+
+
+@pytest.mark.parametrize("cut_at", range(12))
+def test_a_cable_pulled_in_mid_line_costs_the_demand_and_not_the_drive(bench, cut_at):
+    bench.here.demand = Demand(Goal.VELOCITY, 5000)
+    for _ in range(cut_at):
+        bench.run(0.002)
+    bench.there.buffer = b"s r0x2"  # what has come of a line
+    bench.cut = True
+    bench.run(2.0)
+    assert bench.here.reading is None
+    bench.here.demand = Demand()
+    bench.cut = False
+    bench.run(4.0)
+    assert bench.here.reading
+    assert bench.there.held[0x24] == 0
+    assert bench.there.velocity == 0
+
+
+def test_noise_in_an_answer_is_asked_again(bench):
+    bench.here.poll(b"v 1\xff7\r", bench.now)
+    assert bench.run(0.6).here.reading
+
+
+def test_a_silent_drive_is_lost_in_time(bench):
+    bench.there.mute = True
+    bench.run(1.0, lambda: bench.here.reading is None)
+    assert bench.here.reading is None
+    assert bench.now < 4 * REPLY_TIME + SECOND
+
+
+def test_power_that_came_back_shows_as_reset_and_unreferenced(bench):
+    bench.demand(Goal.POSITION, 40000, 70000)
+    bench.there.switch_on()
+    bench.here.demand = Demand()
+    bench.run(4.0)
+    assert bench.here.reading.status & 1 << 20
+    assert not bench.here.referenced
+    bench.demand(Goal.HOME)
+    assert bench.here.referenced
+    assert bench.here.homings == 2
+
+
+# --- as a link ---
+
+
+def command(link, clock, **fields):
+    first = link.state.gate.command
+    frame = Command(
+        link=1, flags=0, boot=7, sequence=first.sequence + 1 if first else 1, clock=clock,
+        expiry=clock + SECOND, mode=Mode.OFF, watchdog=2000, set_point=0, velocity=0,
+        acceleration=0,
+    )  # fmt: skip
+    link.receive(encode(replace(frame, **fields)), clock)
+
+
+class LinkBench:
+    """A drive as a link, in virtual time."""
+
+    def __init__(self):
+        self.there, self.link = FakeDrive(), DriveLink(1, 7, None, 115_200)
+        self.now, self.frames = 0, []
+
+    def run(self, seconds):
+        end, answer = self.now + round(seconds * SECOND), b""
+        while self.now < end:
+            self.now += 2000
+            if self.now % 20_000 == 0:
+                self.there.turn()
+            line, frame = self.link.poll(answer, self.now)
+            answer = self.there.feed(line, self.link.drive.baud)
+            if frame:
+                self.frames.append(decode(frame))
+
+    def arm(self, **fields):
+        command(self.link, self.now)
+        self.run(0.1)
+        command(self.link, self.now, flags=Order.ARM | Order.HOLD)
+        self.run(0.3)
+        command(self.link, self.now, flags=Order.ARM, **fields)
+
+
+def test_telemetry_comes_at_its_rate_and_says_what_there_is():
+    bench = LinkBench()
+    bench.run(3.0)
+    assert 11 <= len(bench.frames) <= 15
+    frame = bench.frames[-1]
+    assert frame.flags == State.REFERENCED
+    assert frame.torque_age == 255
+    assert {frame.slow_id for frame in bench.frames} == {1, 2, 4, 6, 7}
+
+
+def test_armed_it_moves_and_holds_when_its_time_is_over():
+    bench = LinkBench()
+    bench.run(1.0)
+    bench.arm(mode=Mode.POSITION, set_point=40000, velocity=70000)
+    bench.run(0.8)
+    assert bench.frames[-1].position == 40000
+    assert bench.frames[-1].flags & State.ARMED
+    bench.arm(mode=Mode.VELOCITY, set_point=5000)
+    bench.run(0.8)
+    assert bench.there.velocity == 5000
+    bench.run(0.8)
+    assert bench.there.held[0x24] == 21
+    assert bench.there.velocity == 0
+
+
+def test_silence_trips_the_watchdog():
+    bench = LinkBench()
+    bench.run(1.0)
+    bench.arm(mode=Mode.VELOCITY, set_point=5000, expiry=100 * SECOND)
+    bench.run(1.5)
+    assert bench.there.velocity == 5000
+    bench.run(1.0)
+    assert bench.there.velocity == 0
+    assert bench.frames[-1].flags & State.WATCHDOG
+    assert not bench.frames[-1].flags & State.ARMED
+
+
+def test_a_fault_disarms_it():
+    bench = LinkBench()
+    bench.run(1.0)
+    bench.arm(mode=Mode.POSITION, set_point=40000, velocity=10)
+    bench.there.held[0xA4] = 1 << 9
+    bench.run(0.5)
+    assert not bench.frames[-1].flags & State.ARMED
+    assert bench.there.held[0x24] == 0
+
+
+# --- on a port ---
+
+
+class Rig:
+    """A session and a transport to a drive on a pseudo-terminal, in real time."""
+
+    def __init__(self, folder):
+        self.end = ENDS["pty"](folder)
+        self.peer = DriveOnPty(self.end)
+        url = self.end.url.replace("serial://", "copley://")
+        self.transport = open_transport(url)
+        self.session = LinkSession(1, paper_arm().links[0])
+        self.sent = 0
+
+    def until(self, condition, timeout=20.0):
+        deadline = time.monotonic() + timeout
+        while not condition():
+            assert time.monotonic() < deadline, self.transport.trouble
+            now = time.time_ns()
+            if now - self.sent > 100_000_000:
+                self.transport.send(self.session.command(now))
+                self.sent = now
+            if self.transport.wait(0.02):
+                for data in self.transport.receive():
+                    self.session.feed(data, time.time_ns())
+
+    def arm(self):
+        self.until(lambda: not self.session.lost)
+        self.session.arm(time.time_ns())
+        self.until(lambda: self.session.arming is not Arming.ARMING)
+        assert self.session.armed
+
+    def set(self, mode, value=0.0, seconds=30.0):
+        now = time.time_ns()
+        self.session.set(mode, value, 0.0, 0.0, now + round(seconds * 1e9), now)
+
+    def close(self):
+        self.transport.close()
+        self.peer.close()
+        self.end.close()
+
+
+@pytest.fixture
+def rig(tmp_path):
+    rig = Rig(tmp_path)
+    yield rig
+    rig.close()
+
+
+def test_a_drive_on_a_port_is_a_link(rig):
+    rig.arm()
+    rig.set(Mode.POSITION, 0.5)
+    rig.until(lambda: rig.session.progress.ended)
+    assert rig.session.progress.reason == ""
+    assert rig.session.scale.position(rig.peer.drive.position) == pytest.approx(0.5, abs=1e-4)
+    rig.transport.close()
+    assert rig.peer.drive.held[0x24] == 0  # the process ends: the drive is switched off
+
+
+def test_unplugged_and_plugged_in_again_it_is_found_and_disarmed(rig):
+    rig.arm()
+    rig.end.unplug()
+    rig.until(lambda: rig.session.lost)
+    rig.until(lambda: "cannot use the port" in rig.transport.trouble)
+    rig.end.replug()
+    rig.until(lambda: not rig.session.lost)
+    assert not rig.session.armed
+    rig.until(lambda: rig.peer.drive.held[0x24] == 0)
+    rig.arm()
+
+
+def test_power_cycled_it_takes_no_position_until_it_is_homed(rig):
+    rig.arm()
+    rig.peer.drive.switch_on()
+    rig.until(lambda: not rig.session.lost and not rig.session.referenced)
+    assert not rig.session.armed
+    rig.arm()
+    with pytest.raises(ValueError, match="home it first"):
+        rig.set(Mode.POSITION, 0.1)
+    rig.set(HOME)
+    rig.until(lambda: rig.session.referenced)
+
+
+def test_a_port_without_a_drive_is_said(tmp_path):
+    end = ENDS["pty"](tmp_path)
+    transport = open_transport(end.url.replace("serial", "copley"))
+    deadline = time.monotonic() + 20.0
+    while not transport.trouble and time.monotonic() < deadline:
+        transport.wait(0.1)
+    assert transport.trouble == "no drive answers, neither at 9600 baud nor at the rate given"
+    transport.close()
+    end.close()
+
+
+def test_a_port_that_is_not_there_is_said_at_once():
+    with pytest.raises(TransportError, match="No such file or directory"):
+        open_transport("copley:///dev/no_such_port")
