@@ -4,10 +4,15 @@ from typing import NamedTuple
 
 import numpy as np
 from calib_maneuvers import ARM, moves
+from geometry_msgs.msg import PoseStamped
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import Imu, JointState
 
 from fss_arm_model import base_motion
+from fss_arm_ros.convert import SECOND, pose_stamped, to_time
+from fss_arm_ros.qos import SENSOR
+from fss_arm_ros.recording import Recording
 
-SECOND = 1_000_000_000
 START = 1_700_000_000 * SECOND
 COUNT = 2 * np.pi / 240_000
 
@@ -67,26 +72,59 @@ class Float:
         path = base_motion.path(self.law, edges, [0.0, *t])
         return base_motion.base_poses(self.vector, path, self.state)[1:]
 
-    def samples(self):
-        """All streams in order of time: joints each in its own phase, base and gyro at 100 Hz."""
+    def samples(self, rate=100):
+        """All streams in order of time: joints each in its own phase, base and gyro at `rate`."""
         found = []
         for i in range(1, self.ways[0].shape[1] + 1):
             t = np.arange(0.03 * i, self.length, 0.2)
             q, qd = (part[:, i - 1] for part in self.law(t))
             q = np.round(q / COUNT) * COUNT
             found += [Sample(at(a), i, v) for a, v in zip(t, zip(q, qd, strict=True), strict=True)]
-        t = np.arange(0.005, self.length, 0.01)
+        t = np.arange(0.005, self.length, 1.0 / rate)
         poses = self.base(t)
-        fresh = self.rng.standard_normal((len(t) // 10 + 1, 3)) * [
+        fresh = self.rng.standard_normal((10 * len(t) // rate + 1, 3)) * [
             *self.noise[:1] * 2,
             self.noise[1],
         ]
         rates = np.gradient(poses[:, 2], t)
-        poses = poses + np.repeat(fresh, 10, axis=0)[: len(t)]
+        poses = poses + np.repeat(fresh, rate // 10, axis=0)[: len(t)]
         poses[:, 2] = np.angle(np.exp(1j * poses[:, 2]))
         found += [Sample(at(a), "base", tuple(p)) for a, p in zip(t, poses.tolist(), strict=True)]
         found += [Sample(at(a), "gyro", r) for a, r in zip(t, rates.tolist(), strict=True)]
         return sorted(found, key=lambda sample: sample.t)
+
+
+TYPES = {
+    "joint_states": JointState, "vicon/fss/fss": PoseStamped, "fog/imu": Imu,
+}  # fmt: skip
+
+
+def message(sample):
+    """A sample's topic and message; occluded poses are zero throughout."""
+    t, stream, value = sample
+    if isinstance(stream, int):
+        q, qd = value
+        state = JointState(name=[f"joint_{stream}"], position=[q], velocity=[qd], effort=[0.0])
+        state.header.stamp = to_time(t)
+        return "joint_states", state
+    if stream == "gyro":
+        imu = Imu()
+        imu.header.stamp = to_time(t)
+        imu.angular_velocity.z = value
+        return "fog/imu", imu
+    return "vicon/fss/fss", pose_stamped(t, "world", value)
+
+
+def record(folder, samples):
+    """The samples as a bag."""
+    bag = Recording(folder)
+    for topic, kind in TYPES.items():
+        bag.add(f"/{topic}", f"{kind.__module__.split('.')[0]}/msg/{kind.__name__}", [SENSOR])
+    for sample in samples:
+        topic, content = message(sample)
+        bag.write(f"/{topic}", sample.t + SECOND // 100, serialize_message(content))
+    bag.close()
+    return bag.path
 
 
 def feed(finder, samples, close=True):

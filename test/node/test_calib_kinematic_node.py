@@ -314,7 +314,7 @@ def test_bags_are_taken_one_after_the_other(samples, tmp_path):
 
 def test_node_and_command_have_the_same_settings(ros):
     node = make_node()
-    options = parser().parse_args(["bag"])
+    options = parser(CalibrationSettings).parse_args(["bag"])
     for f in fields(CalibrationSettings):
         assert getattr(options, f.name) == node.get_parameter(f.name).value == f.default
     node.destroy_node()

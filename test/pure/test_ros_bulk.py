@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped
 from rclpy.serialization import deserialize_message, serialize_message
+from sensor_msgs.msg import Imu
 
-from fss_arm_ros.bulk import SerializedError, pieces, poses
+from fss_arm_ros.bulk import SerializedError, pieces, poses, turn_rates
 from fss_arm_ros.convert import SECOND, PoseError, planar_pose, stamp_ns, to_time
 
 FRAMES = "", "w", "map", "world", "vicon/world"
@@ -86,3 +87,22 @@ def test_pieces_keep_the_order_within_a_topic():
         got = b"".join(data for piece in found for data in piece.get(topic, ()))
         assert got == b"".join(data for name, _, _, data in raw if name == topic)
     assert list(pieces([], 55)) == []
+
+
+def test_turn_rates_are_those_one_by_one():
+    rng, messages = np.random.default_rng(7), []
+    for k in range(50):
+        message = Imu()
+        message.header.stamp = to_time(1_700_000_000 * SECOND + k)
+        message.header.frame_id = FRAMES[(k // 20) % len(FRAMES)]
+        message.orientation_covariance[0] = -1.0
+        message.angular_velocity.z = float(rng.normal())
+        message.linear_acceleration.x = float(rng.normal())
+        messages.append(serialize_message(message))
+    stamps, rates = turn_rates(messages)
+    each = [deserialize_message(data, Imu) for data in messages]
+    assert stamps.tolist() == [stamp_ns(m.header.stamp) for m in each]
+    assert rates.tolist() == [m.angular_velocity.z for m in each]
+    assert len(turn_rates([])[0]) == 0
+    with pytest.raises(SerializedError, match="no sensor_msgs/Imu"):
+        turn_rates(serialized(0, 1))

@@ -3,7 +3,7 @@
 import argparse
 import sys
 from argparse import BooleanOptionalAction
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
 from os import PathLike
 from typing import NoReturn
@@ -12,11 +12,15 @@ from rich.console import Console
 
 from fss_arm_model.description import Arm, from_yaml, load, paper_arm, save
 from fss_arm_ros.bags import BagError, Bags, digest, open_bags
-from fss_arm_ros.bulk import pieces, poses
+from fss_arm_ros.bulk import pieces, poses, turn_rates
 from fss_arm_ros.convert import SECOND
 
-from . import report
+from . import dynamic_messages, dynamic_verdict, report
+from .dynamic_report import dynamic_report
+from .dynamic_settings import DynamicSettings
+from .dynamic_verdict import DynamicCalibration
 from .kinematic_report import kinematic_report
+from .maneuvers import Maneuver, ManeuverFinder
 from .messages import feed_joints
 from .rests import BASE, TIP, Observation, RestFinder
 from .settings import CalibrationSettings
@@ -24,6 +28,8 @@ from .verdict import FAIL, NOT_EVALUATED, PASS, Calibration, calibrate
 
 EXIT_CODES = {PASS: 0, FAIL: 2, NOT_EVALUATED: 3}
 USER_ERROR = 1
+
+JOINTS, POSES = "sensor_msgs/msg/JointState", "geometry_msgs/msg/PoseStamped"
 
 PIECE = 0.2  # of the horizon that streams may lag each other by: what is read at once
 
@@ -57,6 +63,41 @@ def source(bags: Bags) -> str:
     return ", ".join(f"{path.name} {digest(path)}{lost.get(path, '')}" for path in bags.paths)
 
 
+def solve_dynamic_bag(
+    paths: str | PathLike[str] | Iterable[str | PathLike[str]],
+    settings: DynamicSettings | None = None,
+) -> DynamicCalibration:
+    """Find the maneuvers in one or several bags, and calibrate, as the node `dynamic` does.
+
+    Raises:
+        BagError: a bag cannot be read or lacks a topic.
+        ValueError: a setting is impossible, or the description is.
+        OSError: a file cannot be read.
+    """
+    settings = settings or DynamicSettings()
+    arm = load(settings.arm) if settings.arm else paper_arm()
+    finder = ManeuverFinder(arm.n, settings)
+    with open_bags(paths) as bags:
+        found = maneuvers(bags, finder, settings)
+        return dynamic_verdict.calibrate(found, arm, settings, finder.streams(), source(bags))
+
+
+def topics(bags: Bags, wanted: Mapping[str, str], needed: int) -> list[str]:
+    """The names, as in the bags, of topics wanted with their types; the first ones must be there.
+
+    Raises:
+        BagError: a topic is missing or of another type.
+    """
+    names = [f"/{topic.lstrip('/')}" for topic in wanted]
+    for k, (name, kind) in enumerate(zip(names, wanted.values(), strict=True)):
+        if name in bags.topics and bags.topics[name].msgtype != kind:
+            raise BagError(f"{name} is of type {bags.topics[name].msgtype}, expected {kind}")
+        if name not in bags.topics and k < needed:
+            there = ", ".join(bags.topics) or "no topics"
+            raise BagError(f"no {name} in {', '.join(map(str, bags.paths))}, which has {there}")
+    return names
+
+
 def observations(
     bags: Bags, finder: RestFinder, settings: CalibrationSettings
 ) -> list[Observation]:
@@ -65,27 +106,35 @@ def observations(
     Raises:
         BagError: a topic is missing or of another type.
     """
-    joints, base, tip = (
-        f"/{topic.lstrip('/')}"
-        for topic in (settings.joints_topic, settings.base_topic, settings.tip_topic)
-    )
-    for topic, kind in (
-        (joints, "sensor_msgs/msg/JointState"),
-        (base, "geometry_msgs/msg/PoseStamped"),
-        (tip, "geometry_msgs/msg/PoseStamped"),
-    ):
-        if topic not in bags.topics:
-            there = ", ".join(bags.topics) or "no topics"
-            raise BagError(f"no {topic} in {', '.join(map(str, bags.paths))}, which has {there}")
-        if bags.topics[topic].msgtype != kind:
-            raise BagError(f"{topic} is of type {bags.topics[topic].msgtype}, expected {kind}")
+    s = settings
+    wanted = {s.joints_topic: JOINTS, s.base_topic: POSES, s.tip_topic: POSES}
+    joints, base, tip = topics(bags, wanted, 3)
     found: list[Observation] = []
-    span = round(PIECE * settings.horizon * SECOND)
+    span = round(PIECE * s.horizon * SECOND)
     for piece in pieces(bags.raw({joints, base, tip}), span):
         for data in piece.get(joints, ()):
-            found += feed_joints(finder, bags.deserialize(data, "sensor_msgs/msg/JointState"))
+            found += feed_joints(finder, bags.deserialize(data, JOINTS))
         for subject, topic in ((BASE, base), (TIP, tip)):
             found += finder.poses(subject, *poses(piece.get(topic, ())))
+    return found + finder.close()
+
+
+def maneuvers(bags: Bags, finder: ManeuverFinder, settings: DynamicSettings) -> list[Maneuver]:
+    """What the finder makes of the bags' messages; the gyro may be missing.
+
+    Raises:
+        BagError: a topic is missing or of another type.
+    """
+    s = settings
+    wanted = {s.joints_topic: JOINTS, s.base_topic: POSES, s.gyro_topic: "sensor_msgs/msg/Imu"}
+    joints, base, gyro = topics(bags, wanted, 2)
+    found: list[Maneuver] = []
+    span = round(PIECE * s.horizon * SECOND)
+    for piece in pieces(bags.raw({joints, base, gyro}), span):
+        for data in piece.get(joints, ()):
+            found += dynamic_messages.feed_joints(finder, bags.deserialize(data, JOINTS))
+        found += finder.rates(*turn_rates(piece.get(gyro, ())))
+        found += finder.poses(*poses(piece.get(base, ())))
     return found + finder.close()
 
 
@@ -96,16 +145,19 @@ class _Parser(argparse.ArgumentParser):
         self.exit(USER_ERROR, f"{self.prog}: {message}\n")
 
 
-def parser() -> argparse.ArgumentParser:
+def parser(kind: type[CalibrationSettings] | type[DynamicSettings]) -> argparse.ArgumentParser:
     """The command line: the bags, what to write, and each setting that the node has, too."""
     p = _Parser("from_bag", description=__doc__, epilog=EPILOG)
     p.add_argument("bags", nargs="+", metavar="BAG", help="bag, or folder of bags")
+    p.add_argument(
+        "--dynamic", action="store_true", help="calibrate the dynamics; see --dynamic --help"
+    )
     p.add_argument("--output", metavar="YAML", help="write the calibrated description if it passes")
     p.add_argument("--report", metavar="DIR", help="write a page to read, and its drawings as PNG")
     p.add_argument(
         "--truth", metavar="YAML", help="description to compare with, in the report only"
     )
-    for f in fields(CalibrationSettings):
+    for f in fields(kind):
         flag, about = f"--{f.name.replace('_', '-')}", f.metadata["about"]
         if isinstance(f.default, bool):
             p.add_argument(flag, action=BooleanOptionalAction, default=f.default, help=about)
@@ -115,18 +167,25 @@ def parser() -> argparse.ArgumentParser:
             type=type(f.default),
             default=f.default,
             metavar=f.name.split("_")[-1].upper(),
-            help=f"{about} (default: {'none' if f.default == '' else f.default})",
+            help=f"{about} (default: {'none' if f.default == '' else f.default})".replace(
+                "%", "%%"
+            ),
         )
     return p
 
 
-def calibrated(options: argparse.Namespace, console: Console) -> Calibration:
+def calibrated(options: argparse.Namespace, console: Console) -> Calibration | DynamicCalibration:
     """Solve, show and write what was asked for."""
-    names = [f.name for f in fields(CalibrationSettings)]
+    kind = DynamicSettings if options.dynamic else CalibrationSettings
     truth: Arm | None = load(options.truth) if options.truth else None
-    settings = CalibrationSettings(**{name: getattr(options, name) for name in names})
-    calibration = solve_bag(options.bags, settings)
-    told = kinematic_report(calibration, truth)
+    settings = kind(**{f.name: getattr(options, f.name) for f in fields(kind)})
+    calibration: Calibration | DynamicCalibration
+    if isinstance(settings, DynamicSettings):
+        calibration = solve_dynamic_bag(options.bags, settings)
+        told = dynamic_report(calibration, truth)
+    else:
+        calibration = solve_bag(options.bags, settings)
+        told = kinematic_report(calibration, truth)
     console.print(report.printed(told))
     if options.report:
         page = report.write(options.report, told)
@@ -142,7 +201,9 @@ def calibrated(options: argparse.Namespace, console: Console) -> Calibration:
 
 def main(args: Sequence[str] | None = None) -> int:
     """Run as `ros2 run fss_arm_calib from_bag`."""
-    options = parser().parse_args(args)
+    given = sys.argv[1:] if args is None else args
+    kind = DynamicSettings if "--dynamic" in given else CalibrationSettings
+    options = parser(kind).parse_args(given)
     try:
         return EXIT_CODES[calibrated(options, report.console()).verdict]
     except (ValueError, OSError) as error:

@@ -178,6 +178,12 @@ class ManeuverFinder:
         self.gyro.append(t, rate)
         return self._collect()
 
+    def rates(self, t: np.ndarray, rates: Floats) -> list[Maneuver]:
+        """Many turn rates of the base at once, (k,) each."""
+        for stamp, rate in zip(t.tolist(), rates.tolist(), strict=True):
+            self.gyro.append(stamp, rate)
+        return self._collect()
+
     def close(self) -> list[Maneuver]:
         """What can be said with no more samples to come: the maneuver before the last rest."""
         while any(joint.waiting for joint in self.joints):

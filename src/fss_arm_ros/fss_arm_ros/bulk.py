@@ -18,6 +18,9 @@ from .convert import SECOND
 LITTLE = b"\1"  # the second byte of a message with the low byte first
 
 
+Stamps = npt.NDArray[np.int64]
+
+
 class SerializedError(ValueError):
     """A message is not of the type it is said to be."""
 
@@ -25,7 +28,7 @@ class SerializedError(ValueError):
 class Poses(NamedTuple):
     """Planar poses of k messages."""
 
-    stamp: npt.NDArray[np.int64]  # (k,) [ns]
+    stamp: Stamps  # (k,) [ns]
     pose: npt.NDArray[np.float64]  # (k, 3) x [m], y [m], heading [rad]; NaN: nothing was seen
 
 
@@ -35,10 +38,29 @@ def poses(messages: Sequence[bytes]) -> Poses:
     Raises:
         SerializedError: a message is something else.
     """
-    parts = [_alike(list(group)) for _, group in groupby(messages, key=_layout)]
-    if not parts:
-        return Poses(np.empty(0, np.int64), np.empty((0, 3)))
-    return Poses(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+    stamp, numbers = _taken_apart(messages, 7, "geometry_msgs/PoseStamped")
+    return Poses(stamp, planar(numbers))
+
+
+def turn_rates(messages: Sequence[bytes]) -> tuple[Stamps, npt.NDArray[np.float64]]:
+    """Stamps [ns] and turn rates about z [rad/s] in serialized sensor_msgs/Imu, (k,) each.
+
+    Raises:
+        SerializedError: a message is something else.
+    """
+    stamp, numbers = _taken_apart(messages, 37, "sensor_msgs/Imu")
+    return stamp, numbers[:, 15]  # after the orientation, its covariance, and those about x and y
+
+
+def _taken_apart(
+    messages: Sequence[bytes], count: int, kind: str
+) -> tuple[Stamps, npt.NDArray[np.float64]]:
+    """Stamps and the numbers that follow the header, (k,) and (k, count)."""
+    groups = groupby(messages, key=_layout)
+    parts = [_alike(list(group), count, kind) for _, group in groups]
+    none = np.empty(0, np.int64), np.empty((0, count))
+    stamps, numbers = zip(none, *parts, strict=True)
+    return np.concatenate(stamps), np.concatenate(numbers)
 
 
 def _layout(message: bytes) -> bytes:
@@ -46,21 +68,21 @@ def _layout(message: bytes) -> bytes:
     return b"%d" % len(message) + message[1:2] + message[12:16]
 
 
-def _alike(messages: list[bytes]) -> Poses:
+def _alike(messages: list[bytes], count: int, kind: str) -> tuple[Stamps, npt.NDArray[np.float64]]:
     size = len(messages[0])
     little = messages[0][1:2] == LITTLE
     text = int.from_bytes(messages[0][12:16], "little" if little else "big")
-    first = -(-(12 + text) // 8) * 8  # of the seven numbers
-    if size < 4 + first + 56:
-        raise SerializedError(f"{size} bytes are no geometry_msgs/PoseStamped")
+    first = -(-(12 + text) // 8) * 8  # of the numbers
+    if size < 4 + first + 8 * count:
+        raise SerializedError(f"{size} bytes are no {kind}")
     rows = np.frombuffer(b"".join(messages), dtype=np.uint8).reshape(-1, size)[:, 4:]
 
-    def column(begin: int, end: int, kind: str) -> npt.NDArray[np.generic]:
-        return np.ascontiguousarray(rows[:, begin:end]).view(f"{'<' if little else '>'}{kind}")
+    def column(begin: int, end: int, code: str) -> npt.NDArray[np.generic]:
+        return np.ascontiguousarray(rows[:, begin:end]).view(f"{'<' if little else '>'}{code}")
 
     time = column(0, 8, "u4").astype(np.int64)  # both parts of it are positive
-    numbers = column(first, first + 56, "f8").astype(np.float64)
-    return Poses(time[:, 0] * SECOND + time[:, 1], planar(numbers))
+    numbers = column(first, first + 8 * count, "f8").astype(np.float64)
+    return time[:, 0] * SECOND + time[:, 1], numbers
 
 
 def planar(numbers: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
