@@ -18,11 +18,12 @@
 //
 // Bytes are hexadecimal, `-` for none. Time is simulated: nothing here depends on the machine's.
 
+#include <stdio.h>
+#include <stdlib.h>
+
 #include <algorithm>
 #include <deque>
-#include <iostream>
 #include <optional>
-#include <sstream>
 #include <utility>
 
 #include "bench_board.hpp"
@@ -34,24 +35,21 @@
 namespace fss {
 namespace {
 
-using Words = std::istringstream;
-
-Bytes bytes(Words& words) {
-  std::string word;
-  words >> word;
-  return from_hex(word);
-}
+Bytes bytes(Words& words) { return from_hex(words.next()); }
 
 template <typename Integer>
 Integer number(Words& words) {
-  long long value = 0;
-  unsigned long long large = 0;  // of 64 bits
-  if constexpr (sizeof(Integer) == 8) {
-    words >> large;
-    return static_cast<Integer>(large);
-  }
-  words >> value;
-  return static_cast<Integer>(value);
+  const std::string word = words.next();
+  const bool negative = word[0] == '-';
+  return negative ? static_cast<Integer>(strtoll(word.c_str(), nullptr, 10))
+                  : static_cast<Integer>(strtoull(word.c_str(), nullptr, 10));
+}
+
+template <typename... Integers>
+std::string joined(Integers... integers) {
+  std::string text;
+  ((text += (text.empty() ? "" : " ") + std::to_string(integers)), ...);
+  return text;
 }
 
 std::string digest(Words& words) {
@@ -95,12 +93,10 @@ std::string decoded(Words& words) {
   Command command;
   const Refusal refusal = decode(data.data(), data.size(), key, command);
   if (refusal != Refusal::None) return refusals[static_cast<int>(refusal)];
-  std::ostringstream out;
-  out << "command " << +command.link << ' ' << +command.flags << ' ' << command.boot << ' '
-      << command.sequence << ' ' << command.clock << ' ' << command.expiry << ' '
-      << static_cast<int>(command.mode) << ' ' << command.watchdog << ' ' << command.set_point
-      << ' ' << command.velocity << ' ' << command.acceleration;
-  return out.str();
+  return "command " + joined(command.link, command.flags, command.boot, command.sequence,
+                             command.clock, command.expiry, static_cast<int>(command.mode),
+                             command.watchdog, command.set_point, command.velocity,
+                             command.acceleration);
 }
 
 std::string streamed(Words& words) {
@@ -179,19 +175,9 @@ std::string run(Words& words) {
   return frames.empty() ? "-" : frames;
 }
 
-std::string orders() {
-  std::string lines;
-  for (const std::string& line : world->board.drive().take_log()) {
-    if (line.rfind("g ", 0) != 0) lines += (lines.empty() ? "" : "; ") + line;
-  }
-  return lines.empty() ? "-" : lines;
-}
-
 std::string joint() {
   const DriveModel& drive = world->board.drive();
-  std::ostringstream out;
-  out << drive.position() << ' ' << drive.velocity() << ' ' << drive.mode() << ' ' << drive.baud();
-  return out.str();
+  return joined(drive.position(), drive.velocity(), drive.mode(), drive.baud());
 }
 
 std::string happen(const std::string& what, Words& words) {
@@ -209,10 +195,9 @@ std::string happen(const std::string& what, Words& words) {
   return "done";
 }
 
-std::string answer(const std::string& line) {
+std::string answer(const char* line) {
   Words words(line);
-  std::string request;
-  words >> request;
+  const std::string request = words.next();
   if (request == "blake2s") return digest(words);
   if (request == "encode") return encoded(words);
   if (request == "decode") return decoded(words);
@@ -223,7 +208,7 @@ std::string answer(const std::string& line) {
   if (!world) return "nothing was started";
   if (request == "send") return send(words);
   if (request == "run") return run(words);
-  if (request == "orders") return orders();
+  if (request == "orders") return world->board.drive().take_orders();
   if (request == "joint") return joint();
   return happen(request, words);
 }
@@ -232,7 +217,10 @@ std::string answer(const std::string& line) {
 }  // namespace fss
 
 int main() {
-  std::string line;
-  while (std::getline(std::cin, line)) std::cout << fss::answer(line) << std::endl;
+  char line[4096];
+  while (fgets(line, sizeof line, stdin)) {
+    printf("%s\n", fss::answer(line).c_str());
+    fflush(stdout);
+  }
   return 0;
 }

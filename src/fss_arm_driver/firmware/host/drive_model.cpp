@@ -4,6 +4,7 @@
 #include <stdio.h>
 
 #include <algorithm>
+#include <iterator>
 #include <utility>
 
 namespace fss {
@@ -15,7 +16,7 @@ constexpr double kDt = 1e-6 * kStep;
 constexpr double kFastest = 800'000.0;     // 200 turns a minute [counts/s]
 constexpr double kFriction = 200'000.0;    // deceleration of the free joint [counts/s^2]
 constexpr double kPull = 400'000.0;        // acceleration by a current [counts/s^2/A]
-constexpr size_t kLog = 10'000;            // lines kept
+constexpr size_t kOrders = 10'000;         // kept, at most [characters]
 constexpr uint32_t kLatched = 1u << 22, kDisabled = 1u << 12, kReset = 1u << 20, kMoving = 1u << 27;
 constexpr int kUnknown = 9, kReadOnly = 11, kNotEnabled = 31, kParse = 33;
 
@@ -23,14 +24,23 @@ std::string error(int code) { return "e " + std::to_string(code); }
 std::string value(double number) { return "v " + std::to_string(lround(number)); }
 
 // Variables that may be read and written, and what they are after power-up.
-const std::map<uint8_t, int32_t> kDefaults = {
-    {0x02, 0},    {0x24, 0},    {0x2f, 0},      {0x36, 1000},   {0x37, 1000}, {0x6a, 0},
-    {0x90, 9600}, {0xa4, 0},    {0xb8, 0},      {0xb9, 0},      {0xc8, 0},    {0xca, 0},
-    {0xcb, 0},    {0xcc, 10'000}, {0xcd, 10'000}, {0xcf, 30'000}};
+constexpr struct {
+  uint8_t id;
+  int32_t value;
+} kDefaults[] = {{0x02, 0},     {0x24, 0},      {0x2f, 0}, {0x36, 1000}, {0x37, 1000}, {0x6a, 0},
+                 {0x90, 9600},  {0xa4, 0},      {0xb8, 0}, {0xb9, 0},    {0xc8, 0},    {0xca, 0},
+                 {0xcb, 0},     {0xcc, 10'000}, {0xcd, 10'000},          {0xcf, 30'000}};
+
+bool is_variable(uint8_t id) {
+  return std::any_of(std::begin(kDefaults), std::end(kDefaults),
+                     [id](const auto& known) { return known.id == id; });
+}
 
 }  // namespace
 
-DriveModel::DriveModel() : registers_(kDefaults) {}
+void DriveModel::reset() {
+  for (const auto& known : kDefaults) registers_[known.id] = known.value;
+}
 
 // --- the line -----------------------------------------------------------------------------------
 
@@ -63,7 +73,7 @@ void DriveModel::noise(const std::vector<uint8_t>& bytes, uint64_t now) {
 }
 
 void DriveModel::power_cycle() {
-  registers_ = kDefaults;
+  reset();
   line_.clear();
   to_drive_.clear();
   to_computer_.clear();
@@ -77,10 +87,9 @@ void DriveModel::latch_faults(uint32_t bits) {
   moving_ = false;
 }
 
-std::deque<std::string> DriveModel::take_log() {
-  std::deque<std::string> log;
-  log.swap(log_);
-  return log;
+std::string DriveModel::take_orders() {
+  const std::string orders = std::exchange(orders_, "");
+  return orders.empty() ? "-" : orders;
 }
 
 // Lets its time pass: the motion, and the bytes that come meanwhile.
@@ -110,8 +119,9 @@ void DriveModel::hear(const Byte& byte) {
 }
 
 void DriveModel::execute(const std::string& line, uint64_t now) {
-  log_.push_back(line);
-  if (log_.size() > kLog) log_.pop_front();
+  if (line.compare(0, 2, "g ") != 0 && orders_.size() < kOrders) {
+    orders_ += (orders_.empty() ? "" : "; ") + line;
+  }
   const std::string reply = answer(line) + "\r";
   answered_ = std::max(answered_, now + kLatency);
   for (const char character : reply) {
@@ -151,20 +161,19 @@ std::string DriveModel::get(uint8_t variable) {
     case 0xa0: return value(status());
     default: break;
   }
-  const auto found = registers_.find(variable);
-  return found == registers_.end() ? error(kUnknown) : value(found->second);
+  return is_variable(variable) ? value(registers_[variable]) : error(kUnknown);
 }
 
 std::string DriveModel::set(uint8_t variable, int32_t number) {
-  const auto found = registers_.find(variable);
-  if (found == registers_.end()) return error(get(variable)[0] == 'v' ? kReadOnly : kUnknown);
+  int32_t& now = registers_[variable];
+  if (!is_variable(variable)) return error(get(variable)[0] == 'v' ? kReadOnly : kUnknown);
   if (variable == 0xa4) {
-    found->second &= ~number;
+    now &= ~number;
     return "ok";
   }
-  if (variable == 0x24 && found->second != number) moving_ = aborting_ = false;
+  if (variable == 0x24 && now != number) moving_ = aborting_ = false;
   if (variable == 0x90) baud_ = static_cast<uint32_t>(number);
-  found->second = number;
+  now = number;
   return "ok";
 }
 
@@ -183,7 +192,7 @@ std::string DriveModel::trajectory(int32_t command) {
 }
 
 uint32_t DriveModel::status() const {
-  const bool faulty = registers_.at(0xa4) != 0;
+  const bool faulty = registers_[0xa4] != 0;
   return (faulty ? kLatched : 0) | (mode() == 0 || faulty ? kDisabled : 0) |
          (was_reset_ ? kReset : 0) | (fabs(velocity_) >= 1.0 ? kMoving : 0);
 }

@@ -5,7 +5,6 @@
 #include <stdint.h>
 
 #include <deque>
-#include <map>
 #include <string>
 #include <vector>
 
@@ -13,7 +12,7 @@ namespace fss {
 
 class DriveModel {
  public:
-  DriveModel();  // on, homed, its motor at rest
+  DriveModel() { reset(); }  // on, homed, its motor at rest
 
   // The computer's end of the line; times never run back [us].
   void set_baud(uint32_t baud, uint64_t now);
@@ -32,9 +31,9 @@ class DriveModel {
 
   double position() const { return position_; }  // [counts]
   double velocity() const { return velocity_; }  // [counts/s]
-  int mode() const { return registers_.at(0x24); }
+  int mode() const { return registers_[0x24]; }
   uint32_t baud() const { return baud_; }
-  std::deque<std::string> take_log();  // the newest lines that came since the last call
+  std::string take_orders();  // what came since the last call but for readings, or "-"
 
  private:
   struct Byte {
@@ -43,6 +42,7 @@ class DriveModel {
     uint8_t value;
   };
 
+  void reset();
   void advance(uint64_t now);
   void hear(const Byte& byte);
   void execute(const std::string& line, uint64_t now);
@@ -55,10 +55,9 @@ class DriveModel {
   void approach(double velocity, double acceleration);
   uint32_t status() const;
 
-  std::map<uint8_t, int32_t> registers_;
-  std::string line_;
+  int32_t registers_[256] = {};
+  std::string line_, orders_;
   std::deque<Byte> to_drive_, to_computer_;
-  std::deque<std::string> log_;
   uint32_t computer_baud_ = 9600, baud_ = 9600;
   uint64_t sent_ = 0, answered_ = 0;  // when the wires are free again
   uint64_t now_ = 0;                  // of the motion

@@ -5,23 +5,21 @@
 //
 // Prints one line that says where it is, and runs until it is killed.
 
+#include <errno.h>
 #include <fcntl.h>
 #include <getopt.h>
 #include <netinet/in.h>
-#include <poll.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/random.h>
 #include <sys/socket.h>
 #include <sys/stat.h>
 #include <termios.h>
 #include <time.h>
 #include <unistd.h>
 
-#include <fstream>
-#include <memory>
-#include <random>
-#include <sstream>
+#include <algorithm>
 #include <string>
 
 #include "bench_board.hpp"
@@ -117,23 +115,25 @@ class PtyBoard : public BenchBoard {
 };
 
 // The key of a link, from a file with a line for each: its number and the key in hexadecimal.
-Key load_key(const std::string& path, unsigned link) {
+Key load_key(const char* path, unsigned link) {
+  FILE* file = fopen(path, "r");
   struct stat status;
-  std::ifstream file(path);
-  if (!file || stat(path.c_str(), &status) != 0) fail(path + " cannot be read");
-  if (status.st_mode & 077) fail(path + " can be read by others, expected mode 600");
-  for (std::string line; std::getline(file, line);) {
-    std::istringstream words(line.substr(0, line.find('#')));
-    unsigned number = 0;
-    std::string key;
-    if (words >> number >> key && number == link) return key_of(from_hex(key));
+  if (!file || fstat(fileno(file), &status) != 0) fail(std::string(path) + " cannot be read");
+  if (status.st_mode & 077) fail(std::string(path) + " is open to others, expected mode 600");
+  char line[256], digits[65];
+  unsigned number = 0;
+  while (fgets(line, sizeof line, file)) {
+    if (sscanf(line, "%u %64[0-9a-fA-F]", &number, digits) != 2 || number != link) continue;
+    fclose(file);
+    return key_of(from_hex(digits));
   }
-  fail(path + " has no key of link " + std::to_string(link));
+  fail(std::string(path) + " has no key of link " + std::to_string(link));
 }
 
 template <typename Board>
 [[noreturn]] void run(Board& board, uint8_t number, const Key& key) {
-  const auto boot = static_cast<uint16_t>(1 + std::random_device()() % 0xFFFF);
+  uint16_t boot = 0;
+  while (boot == 0 && getrandom(&boot, sizeof boot, 0) >= 0) {}
   Link link(number, boot, key, board);
   printf("link %u at %s, %s\n", number, board.where.c_str(), key.size ? "signed" : "not signed");
   fflush(stdout);
@@ -167,7 +167,7 @@ int main(int argc, char** argv) {
                             {nullptr, 0, nullptr, 0}};
   int number = 0, port = -1;
   bool pty = false;
-  std::string keys;
+  const char* keys = nullptr;
   for (int which; (which = getopt_long(argc, argv, "", options, nullptr)) != -1;) {
     switch (which) {
       case 'l': number = fss::whole(optarg, 1, 255); break;
@@ -182,7 +182,7 @@ int main(int argc, char** argv) {
     return 1;
   }
   const auto link = static_cast<uint8_t>(number);
-  const fss::Key key = keys.empty() ? fss::Key{} : fss::load_key(keys, link);
+  const fss::Key key = keys ? fss::load_key(keys, link) : fss::Key{};
   if (pty) {
     fss::PtyBoard board;
     fss::run(board, link, key);

@@ -23,6 +23,13 @@ std::string to_hex(const uint8_t* data, size_t size) {
   return text.empty() ? "-" : text;
 }
 
+std::string Words::next() {
+  at_ += strspn(at_, " \r\n");
+  const size_t size = strcspn(at_, " \r\n");
+  at_ += size;
+  return {at_ - size, size};
+}
+
 Key key_of(const Bytes& bytes) {
   Key key = {};
   if (!bytes.empty() && (bytes.size() < 16 || bytes.size() > sizeof key.bytes)) {
