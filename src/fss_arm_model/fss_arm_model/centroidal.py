@@ -156,10 +156,8 @@ def _to_centroidal(bodies, q, qd, turned, z):  # type: ignore[no-untyped-def]
     p = bodies.p
     z[0, 2], z[1, 2] = q[2], qd[2]
     for k in range(1, turned.shape[1]):
-        z[0, 2 + k] = z[0, 1 + k] + p[6 * k + 3] + q[2 + k]
+        z[0, 2 + k] = z[0, 1 + k] + p[6 * k + 3] + q[2 + k] + (p[6] if k == 1 else 0.0)
         z[1, 2 + k] = z[1, 1 + k] + qd[2 + k]
-        if k == 1:
-            z[0, 3] += p[6]
     _turn(bodies, z, turned)
     c, cd = complex(q[0], q[1]), complex(qd[0], qd[1])
     for k in range(turned.shape[1]):
@@ -179,9 +177,8 @@ def _from_centroidal(bodies, turned, z, q, qd):  # type: ignore[no-untyped-def]
     q[0], q[1], qd[0], qd[1] = r.real, r.imag, rd.real, rd.imag
     q[2], qd[2] = z[0, 2], z[1, 2]
     for k in range(1, turned.shape[1]):
-        q[2 + k] = z[0, 2 + k] - z[0, 1 + k] - p[6 * k + 3]
+        q[2 + k] = z[0, 2 + k] - z[0, 1 + k] - p[6 * k + 3] - (p[6] if k == 1 else 0.0)
         qd[2 + k] = z[1, 2 + k] - z[1, 1 + k]
-    q[3] -= p[6]
 
 
 @helper

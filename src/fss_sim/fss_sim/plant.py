@@ -1,16 +1,20 @@
-"""The test bed itself: base and arm floating on the table, driven by the links' servo drives."""
+"""The test bed itself: base and arm floating on the table, their drives and thrusters, a target."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from fss_arm_model.clearance import clearance, edge_clearance
 from fss_arm_model.description import Arm
 from fss_arm_model.drives import CURRENT, OFF
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_model.momentum import momentum
 from fss_arm_model.simulation import STEP, Surroundings, advance
+from fss_sim.target import Approach, Gripper, Target, approach, caught, held, hold, with_held
+from fss_sim.thrusters import Propulsion, Thrusters
 
 Floats = npt.NDArray[np.float64]
 Pose = tuple[float, float, float]  # x [m], y [m], heading [rad]
@@ -39,8 +43,13 @@ class Audit(NamedTuple):
 
     momentum: Floats  # linear, x and y [N s], and angular about the world's origin [N m s]
     energy: float  # kinetic [J]
-    impulse: Floats  # (3,) given from outside since the begin
-    work: float  # done by all forces since the begin [J]
+    impulse: Floats  # (3,) given from outside since the begin, and carried away by propellant
+    work: float  # done since the begin by all forces, those of a capture too [J]
+
+    @property
+    def balance(self) -> Floats:
+        """What never changes, (4,)."""
+        return np.append(self.momentum - self.impulse, self.energy - self.work)
 
 
 @dataclass(frozen=True)
@@ -60,16 +69,27 @@ class Joints:
         return self.rotor_inertia, self.rotor_inertia / self.gear_ratio
 
 
+@dataclass(frozen=True)
+class World:
+    """All that the plant is made of beside the arm."""
+
+    joints: Joints = field(default_factory=Joints)
+    surroundings: Surroundings = field(default_factory=Surroundings)
+    propulsion: Propulsion = field(default_factory=Propulsion)
+    gripper: Gripper = field(default_factory=Gripper)
+    target: Target | None = None
+    tolerance: float = 0.0  # of error control; 0: fixed steps
+
+
 class Plant:
-    """Base and links, floating in the plane.
+    """Base and links, floating in the plane, and a target that does too.
 
     Args:
-        arm: the true parameters.
+        arm: the true parameters, the base with its tank full.
         q: (3 + n,) state at the begin: base x, y [m], theta [rad], joints [rad].
         qd: (3 + n,) its velocity; at rest by default.
-        joints: friction, rotors and end stops.
-        surroundings: what acts from outside.
-        tolerance: of error control; 0: fixed steps.
+        world: what there is beside the arm.
+        target: (2, 3) pose and twist of the target at the begin, if there is one.
     """
 
     def __init__(
@@ -77,31 +97,32 @@ class Plant:
         arm: Arm,
         q: npt.ArrayLike,
         qd: npt.ArrayLike | None = None,
-        joints: Joints | None = None,
-        surroundings: Surroundings | None = None,
-        tolerance: float = 0.0,
+        world: World | None = None,
+        target: npt.ArrayLike = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
     ) -> None:
-        self.arm, self._p = arm, arm.vector()
-        joints = joints or Joints()
-        drives = [link.drive for link in arm.links]
-        self._torque_constant = np.array([d.torque_constant for d in drives])
+        self.arm, self.world = arm, world or World()
+        self.thrusters = Thrusters(self.world.propulsion)
+        self.closed = False  # the gripper, as it was told
+        self._place: Floats | None = None  # of the target in the frame of the link that holds it
+        self._p, self._step = arm.vector(), 0
+        joints = self.world.joints
         alike = joints.viscous, joints.coulomb, joints.stop_stiffness, joints.stop_damping
+        self._torque_constant = np.array([k.drive.torque_constant for k in arm.links])
         self._joints = np.array(
             [
                 (k.q_min, k.q_max, k.drive.torque_constant * k.drive.max_current, *alike)
                 for k in arm.links
             ]
         )
-        self._rotor = np.array(joints.rotor)
-        self._surroundings = (surroundings or Surroundings()).vector()
-        self._tolerance = tolerance
+        self._surroundings = self.world.surroundings.vector()
         self._demand = np.tile(np.array([OFF, 0.0, 0.0, 1.0]), (arm.n, 1))
         self._state = np.zeros((2, 3 + arm.n))
         self._state[0] = q
         self._state[1] = 0.0 if qd is None else qd
         self._reference = self._state[:, 3:].T.copy()
         self._audit, self._torques = np.zeros((2, 4)), np.zeros((arm.n, 2))
-        self.advance(0.0)
+        self._target, self._target_audit = np.array(target, dtype=float), np.zeros((2, 4))
+        self._pass(0)
 
     @property
     def q(self) -> Floats:
@@ -119,21 +140,27 @@ class Plant:
         scale = self._torque_constant[joint] if mode == CURRENT else 1.0
         self._demand[joint] = mode, scale * set_point, speed, acceleration
 
+    def thrust(self, on_times: Sequence[float]) -> None:
+        """Open the thrusters' valves for a time each [s].
+
+        Raises:
+            ValueError: there are not eight times, or one is not a number from 0 on.
+        """
+        self.thrusters.command(on_times, self._step)
+
     def advance(self, seconds: float) -> None:
         """Let time pass, in whole steps of the drives."""
-        self._state, self._reference, self._audit, self._torques = advance(
-            self._p,
-            self._rotor,
-            self._joints,
-            self._surroundings,
-            np.zeros((1, 5)),
-            self._demand,
-            self._state,
-            self._reference,
-            self._audit,
-            round(seconds / STEP),
-            self._tolerance,
-        )
+        if self.closed and not self.holds and self.approach.within(self.world.gripper):
+            self._catch()
+        elif not self.closed and self.holds:
+            self._release()
+        steps = round(seconds / STEP)
+        begin, self._step = self._step, self._step + steps
+        self._pass(steps, self.thrusters.valves(begin))
+        spent = self.thrusters.spend(begin, steps)
+        if spent > 0.0:
+            self._p[0] -= spent
+            self._book(self._audit[0].copy())
 
     def motion(self, joint: int) -> Motion:
         """What the instruments of a link are exposed to."""
@@ -158,14 +185,85 @@ class Plant:
         return x, y, theta
 
     @property
+    def target(self) -> Floats:
+        """Pose and twist of the target in the world, (2, 3)."""
+        if self._place is None:
+            return self._target
+        return held(self._p, self.q, self.qd, self._place)
+
+    @property
+    def holds(self) -> bool:
+        """Whether the gripper holds the target."""
+        return self._place is not None
+
+    @property
+    def approach(self) -> Approach:
+        """The end effector as seen from the target's fixture; infinitely far without a target."""
+        if self.world.target is None:
+            return Approach(np.inf, 0.0, 0.0)
+        return approach(self._p, self.q, self.qd, self.world.target, self.target)
+
+    @property
+    def clearance(self) -> float:
+        """The least gap between two bodies of base and arm that are not neighbours [m]."""
+        around = self.world.surroundings
+        return float(clearance(self._p, self.q, around.base_radius, around.link_radius))
+
+    @property
+    def edge_clearance(self) -> float:
+        """The least gap between base or arm and the table's edge [m]; below 0 the border pushes."""
+        around = self.world.surroundings
+        radii = around.base_radius, around.link_radius
+        return float(edge_clearance(self._p, self.q, around.table, *radii))
+
+    @property
     def audit(self) -> Audit:
-        """The books as they are now."""
-        has, given = self._audit
+        """The books of all bodies as they are now."""
+        has, given = self._audit + self._target_audit
         return Audit(has[:3], float(has[3]), given[:3], float(given[3]))
 
     def momentum(self) -> Floats:
         """Linear [kg m/s] and, about the centre of mass, angular momentum [kg m^2/s]: (3,).
 
-        Without the rotors' part.
+        Of base and arm, what they hold included, and the rotors left out.
         """
         return momentum(self._p, self.q, self.qd)
+
+    def _pass(self, steps: int, valves: npt.ArrayLike = ((0.0,) * 5,)) -> None:
+        """Let steps pass; none: renew the books."""
+        world, around = self.world, self._surroundings
+        self._state, self._reference, self._audit, self._torques = advance(
+            self._p, world.joints.rotor, self._joints, around, valves, self._demand,
+            self._state, self._reference, self._audit, steps, world.tolerance,
+        )  # fmt: skip
+        if world.target and not self.holds:
+            none, shut = np.zeros((0, 2)), ((0.0,) * 5,)
+            self._target, _, self._target_audit, _ = advance(
+                world.target.vector(), (0.0, 0.0), np.zeros((0, 7)), around, shut,
+                np.zeros((0, 4)), self._target, none, self._target_audit, steps, world.tolerance,
+            )  # fmt: skip
+
+    def _book(self, had: Floats) -> None:
+        """Book as given what the bodies now have more than they had, (4,)."""
+        self._pass(0)
+        self._audit[1] += self._audit[0] - had
+
+    def _catch(self) -> None:
+        """Close the gripper on the target: momentum stays, the energy lost is booked."""
+        target, p, rotor = self.world.target, self._p, self.world.joints.rotor
+        assert target is not None
+        had = self._audit[0] + self._target_audit[0]
+        given = self._audit[1] + self._target_audit[1]
+        self._place = hold(p, self.q, self._target[0])
+        self._state[1] = caught(p, self.q, self.qd, rotor, target, self._target)
+        self._p = with_held(p, target, self._place)
+        self._target_audit = np.zeros((2, 4))
+        self._pass(0)
+        self._audit[1] = given
+        self._audit[1, 3] += self._audit[0, 3] - had[3]
+
+    def _release(self) -> None:
+        """Let the target go; nothing is lost."""
+        self._target, self._place = self.target, None
+        self._p = np.concatenate([self._p[:8], self.arm.vector()[8:]])
+        self._pass(0)

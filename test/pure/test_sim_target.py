@@ -1,0 +1,129 @@
+"""Capture and release of a target: momentum stays, the impact is plastic, all moves as one."""
+
+import numpy as np
+import pytest
+from model_arms import random_arm
+
+from fss_arm_model.description import paper_arm
+from fss_arm_model.kinematics import tip_pose
+from fss_arm_model.simulation import Surroundings
+from fss_sim.plant import Joints, Plant, World
+from fss_sim.target import Gripper, Target
+
+SURROUNDINGS = Surroundings(table=(20.0, 20.0))
+ANY = Gripper(reach=0.05, angle=3.2, speed=10.0)
+TARGET = Target(mass=9.0, inertia=0.2, fixture=(0.15, 0.05, 0.3))
+
+
+def before_capture(arm, rng, rotor=0.0026, gripper=ANY):
+    """An arm in motion with the fixture of a tumbling target at its tip."""
+    q, qd = rng.uniform(-0.5, 0.5, (2, 3 + arm.n))
+    x, y, heading = tip_pose(arm.vector(), q)
+    theta = heading + np.pi - TARGET.fixture[2]
+    c = complex(x, y) - complex(*TARGET.fixture[:2]) * np.exp(1j * theta) + 0.01
+    target = [[c.real, c.imag, theta], rng.uniform(-0.3, 0.3, 3)]
+    world = World(Joints(rotor_inertia=rotor), SURROUNDINGS, gripper=gripper, target=TARGET)
+    return Plant(arm, q, qd, world, target)
+
+
+def total(bed):
+    """Linear and angular momentum about the origin, from bodies apart; and kinetic energy."""
+    (x, y, _), (vx, vy, omega) = bed.target
+    m, inertia = TARGET.mass, TARGET.inertia
+    own = Plant(bed.arm, bed.q, bed.qd, World(bed.world.joints)).audit
+    energy = own.energy + 0.5 * m * (vx * vx + vy * vy) + 0.5 * inertia * omega**2
+    momentum = np.array([m * vx, m * vy, m * (x * vy - y * vx) + inertia * omega])
+    return own.momentum + momentum, energy
+
+
+@pytest.mark.parametrize("n", range(1, 9))
+def test_momentum_stays_through_capture_and_release(n):
+    bed = before_capture(random_arm(n, np.random.default_rng(n)), np.random.default_rng(n))
+    before, energy = total(bed)
+    np.testing.assert_allclose(bed.audit.momentum, before, rtol=0, atol=1e-12)
+    balance = bed.audit.balance
+    bed.closed = True
+    bed.advance(0.0)
+    assert bed.holds
+    after, less = total(bed)
+    np.testing.assert_allclose(after, before, rtol=0, atol=1e-12)
+    assert less < energy
+    bed.advance(0.5)
+    # The composite's own books and those of its parts are the same thing.
+    np.testing.assert_allclose(bed.audit.momentum, total(bed)[0], rtol=0, atol=1e-11)
+    assert bed.audit.energy == pytest.approx(total(bed)[1], rel=1e-10)
+    bed.closed = False
+    pose, twist = bed.target.copy()
+    bed.advance(0.1)
+    assert not bed.holds
+    np.testing.assert_allclose(bed.target[0], pose + 0.1 * twist, rtol=0, atol=1e-12)
+    bed.advance(0.5)
+    np.testing.assert_allclose(total(bed)[0], before, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(bed.audit.balance, balance, rtol=0, atol=1e-9)
+
+
+def test_the_capture_is_the_least_change_that_makes_the_velocities_alike():
+    """Gauss's principle: any other velocity of the joined bodies is farther in kinetic energy."""
+    rng = np.random.default_rng(5)
+    bed = before_capture(paper_arm(), rng)
+    still = bed.target.copy()
+    q, qd = bed.q.copy(), bed.qd.copy()
+    bed.closed = True
+    bed.advance(0.0)
+
+    def gap(velocity):
+        joined = Plant(bed.arm, q, velocity, bed.world, still)
+        joined._p, joined._place = bed._p, bed._place
+        change = joined.target[1] - still[1]
+        arm = Plant(bed.arm, q, velocity - qd, World(bed.world.joints)).audit.energy
+        return arm + 0.5 * change**2 @ [TARGET.mass, TARGET.mass, TARGET.inertia]
+
+    least = gap(bed.qd)
+    for _ in range(50):
+        assert gap(bed.qd + 1e-3 * rng.standard_normal(7)) > least
+
+
+@pytest.mark.parametrize(
+    "gripper", [Gripper(0.005, 3.2, 10.0), Gripper(0.05, 3.2, 0.001), Gripper(0.05, -1.0, 10.0)]
+)
+def test_a_gripper_holds_nothing_that_is_too_far_fast_or_askew(gripper):
+    bed = before_capture(paper_arm(), np.random.default_rng(1), gripper=gripper)
+    bed.closed = True
+    bed.advance(0.001)
+    assert not bed.holds
+
+
+def test_the_gripper_waits_for_what_comes():
+    arm, world = paper_arm(), World(surroundings=SURROUNDINGS, target=Target())
+    x, y, heading = tip_pose(arm.vector(), np.zeros(7))
+    along = np.exp(1j * heading)
+    c = complex(x, y) + (0.19 + 0.10) * along
+    twist = [-0.05 * along.real, -0.05 * along.imag, 0.0]
+    bed = Plant(arm, np.zeros(7), None, world, [[c.real, c.imag, heading + np.pi], twist])
+    bed.closed = True
+    bed.advance(1.0)
+    assert not bed.holds
+    for _ in range(100):
+        bed.advance(0.01)
+    assert bed.holds
+    assert bed.approach.distance == pytest.approx(0.03, abs=0.001)
+    assert bed.approach.speed < 1e-6  # both turn by a little
+
+
+def test_without_a_target_there_is_nothing_to_hold():
+    bed = Plant(paper_arm(), np.zeros(7))
+    bed.closed = True
+    bed.advance(0.01)
+    assert not bed.holds
+
+
+def test_a_free_target_feels_table_and_film():
+    around = Surroundings((1e-3, 0.0), table=(20.0, 20.0))
+    bed = Plant(paper_arm(), np.zeros(7), None, World(surroundings=around, target=Target()))
+    bed.advance(2.0)
+    np.testing.assert_allclose(bed.target[0], [0.5 * 9.81e-3 * 4.0, 0.0, 0.0], atol=1e-12)
+
+
+def test_a_target_without_mass_is_refused():
+    with pytest.raises(ValueError, match="target's mass is 0"):
+        Target(mass=0.0)

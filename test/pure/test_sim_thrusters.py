@@ -1,0 +1,112 @@
+"""Thrusters: forces and torques of the square, valves in time, propellant and pressure."""
+
+import numpy as np
+import pytest
+
+from fss_arm_model.description import paper_arm
+from fss_arm_model.simulation import Surroundings
+from fss_sim.plant import Plant, World
+from fss_sim.thrusters import Propulsion, Thrusters, layout
+
+PROPULSION = Propulsion()
+FLOW = 0.16 / (34.0 * 9.81)  # [kg/s]
+
+
+def pulse(*numbers, seconds=1.0):
+    return [seconds if i in numbers else 0.0 for i in range(8)]
+
+
+def test_pairs_give_each_force_and_torque_alone():
+    L = layout(0.16, 0.11)
+    np.testing.assert_allclose(L.sum(axis=0), 0.0, atol=1e-15)
+    np.testing.assert_allclose(np.abs(L[:, 2]), 0.16 * 0.11)
+    for effect in ([0.32, 0, 0], [-0.32, 0, 0], [0, 0.32, 0], [0, -0.32, 0]):
+        pair = [i for i in range(8) if L[i, :2] @ effect[:2] > 0.0]
+        assert len(pair) == 2
+        np.testing.assert_allclose(L[pair].sum(axis=0), effect, atol=1e-15)
+    for sign in (1, -1):
+        turning = L[sign * L[:, 2] > 0.0]
+        np.testing.assert_allclose(turning.sum(axis=0), [0, 0, sign * 4 * 0.0176], atol=1e-15)
+
+
+@pytest.mark.parametrize("on_time", [0.010, 0.025, 0.4])
+def test_a_pulse_gives_its_impulse_and_takes_its_propellant(on_time):
+    bed = Plant(paper_arm(), np.zeros(7))
+    numbers = [i for i in range(8) if bed.thrusters.layout[i, 0] > 0.0]
+    bed.thrust(pulse(*numbers, seconds=on_time))
+    for _ in range(100):
+        bed.advance(0.01)
+    assert bed.audit.impulse[0] == pytest.approx(2 * 0.16 * on_time, rel=1e-3)
+    assert bed.thrusters.used == pytest.approx(2 * FLOW * on_time, rel=1e-12)
+    np.testing.assert_allclose(bed.audit.balance, 0.0, atol=1e-9)
+
+
+def test_a_pulse_below_the_minimum_does_nothing():
+    bed = Plant(paper_arm(), np.zeros(7))
+    bed.thrust(pulse(0, 1, seconds=0.009))
+    bed.advance(0.1)
+    assert not bed.audit.impulse.any()
+    assert bed.thrusters.used == 0.0
+
+
+def test_a_valve_opens_and_closes_after_its_delay_and_never_before_the_minimum():
+    valves = Thrusters()
+    valves.command(pulse(3), now=100)
+    assert [valves.open(t)[3] for t in (104, 105, 1104, 1105)] == [False, True, True, False]
+    valves.command(pulse(), now=600)
+    assert [valves.open(t)[3] for t in (604, 605)] == [True, False]
+    valves.command(pulse(3), now=700)
+    valves.command(pulse(), now=703)
+    valves.command(pulse(), now=707)
+    assert [valves.open(t)[3] for t in (704, 705, 714, 715)] == [False, True, True, False]
+
+
+def test_a_new_command_prolongs_without_a_gap():
+    valves = Thrusters()
+    valves.command(pulse(2, seconds=0.05), now=0)
+    valves.command(pulse(2, seconds=0.05), now=40)
+    assert all(valves.open(t)[2] for t in range(5, 95))
+    assert not valves.open(95)[2]
+
+
+def test_an_empty_tank_pushes_no_more():
+    small = Propulsion(tank_volume=0.43e-5)  # 1 g
+    bed = Plant(paper_arm(), np.zeros(7), None, World(propulsion=small))
+    mass = bed._p[0]
+    bed.thrust(pulse(0, 1, seconds=1000.0))
+    pressures, gains, before = [], [], 0.0
+    for _ in range(400):
+        bed.advance(0.01)
+        pressures.append(bed.thrusters.pressure)
+        gains.append(np.hypot(*bed.audit.impulse[:2]) - before)
+        before += gains[-1]
+    assert (np.diff(pressures) <= 0.0).all()
+    assert pressures[-1] < 0.01 * small.regulator_pressure
+    assert gains[-1] < 0.01 * max(gains)
+    assert mass - bed._p[0] == pytest.approx(bed.thrusters.used)
+    assert bed.thrusters.used == pytest.approx(bed.thrusters.tank, rel=1e-2)
+
+
+def test_books_balance_while_mass_is_lost():
+    rng = np.random.default_rng(0)
+    q, qd = rng.uniform(-0.5, 0.5, (2, 7))
+    world = World(surroundings=Surroundings(table=(20.0, 20.0)))
+    bed = Plant(paper_arm(), q, 0.3 * qd, world)
+    begin, first = bed.audit.balance, bed.audit.momentum.copy()
+    for _ in range(20):
+        bed.thrust(rng.uniform(0.0, 0.2, 8))
+        bed.advance(0.1)
+    assert np.abs(bed.audit.momentum - first).min() > 1e-3
+    assert bed.thrusters.used > 1e-3
+    np.testing.assert_allclose(bed.audit.balance, begin, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("times", [[0.0] * 7, [0.0] * 7 + [-1.0], [0.0] * 7 + [float("nan")]])
+def test_commands_that_make_no_sense_are_refused(times):
+    with pytest.raises(ValueError, match="expected 8 from 0 on"):
+        Thrusters().command(times, 0)
+
+
+def test_a_tank_without_volume_is_refused():
+    with pytest.raises(ValueError, match="tank_volume is 0"):
+        Propulsion(tank_volume=0.0)
