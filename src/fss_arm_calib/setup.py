@@ -17,6 +17,7 @@ setup(
             "dynamic = fss_arm_calib.dynamic_node:main",
             "experiment = fss_arm_calib.experiment_node:main",
             "from_bag = fss_arm_calib.from_bag:main",
+            "recompute = fss_arm_calib.recompute:main",
         ],
     },
 )
