@@ -118,7 +118,7 @@ def test_live_solution_is_the_truth_and_can_be_recomputed(spin, play, samples, t
 
     # and so does a bag of the same topics
     bag = record(tmp_path / "bags", samples)
-    offline = solve_dynamic_bag(bag, DynamicSettings(arm=files["arm"], **PRECISE))
+    offline, _ = solve_dynamic_bag(bag, DynamicSettings(arm=files["arm"], **PRECISE))
     assert offline.provenance.data_hash == result.provenance.data_hash
     assert np.abs(offline.values - result.values).max() < 1e-9
 

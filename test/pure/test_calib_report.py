@@ -7,11 +7,18 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from calib_float import Float, feed, postures
 from calib_rig import ARM
 
 from fss_arm_calib import report
+from fss_arm_calib.dynamic_messages import maneuvers_message
+from fss_arm_calib.dynamic_messages import to_message as dynamic_message
+from fss_arm_calib.dynamic_report import dynamic_report
+from fss_arm_calib.dynamic_settings import DynamicSettings
+from fss_arm_calib.dynamic_verdict import calibrate as calibrate_dynamics
 from fss_arm_calib.kinematic import OFFSETS
 from fss_arm_calib.kinematic_report import kinematic_report
+from fss_arm_calib.maneuvers import ManeuverFinder
 from fss_arm_calib.messages import to_message
 from fss_arm_calib.postures import DEFAULT
 from fss_arm_calib.rests import Observation
@@ -20,6 +27,7 @@ from fss_arm_calib.verdict import calibrate
 from fss_arm_model.kinematics import joint_positions, tip_in_base
 
 SETTINGS = CalibrationSettings(max_outliers=1)
+STATE = np.array([0.1, 0.2, 3.0, 0.2, -0.1, 0.03, 0.0002, -0.0001])
 
 
 def observations(count=13):
@@ -124,3 +132,43 @@ def test_texts_are_escaped(tmp_path, text):
     page = report.write(tmp_path, told).read_text()
     body = page[page.index("<section>") : page.index("</section>") + len("</section>")]
     assert [e.text for e in ET.fromstring(body).iter("td")] == [text]
+
+
+@pytest.fixture(scope="module")
+def maneuvers():
+    return feed(
+        ManeuverFinder(4), Float(postures(8, seed=5), None, STATE, 5.2, (5e-4, 2e-3)).samples()
+    )
+
+
+def test_a_dynamic_calibration_is_told_as_well(maneuvers, tmp_path):
+    settings = DynamicSettings(position_deviation=5e-4, heading_deviation=2e-3)
+    c = dynamic_message(calibrate_dynamics(maneuvers, ARM, settings), "fss")
+    told = dynamic_report(c, ARM, maneuvers_message(maneuvers, "fss").maneuvers)
+    text = printed(told)
+    for words in ("b_1", "0.1910", "0.0340", "I_0", "g_x", "prior [%]", "1.540"):
+        assert words in text
+    page = report.write(tmp_path, told, kinematic_report(message())).read_text()
+    for words in (
+        "Bias by what was assumed",
+        "mass_deviation: 0.005",
+        "hardly seen",
+        "a &lt;bag&gt;",
+    ):
+        assert words in page
+    names = {figure.name for figure in told.figures}
+    assert names == {f"dynamic_{n}" for n in ("motion", "residuals", "maneuvers", "correlation")}
+    assert all((tmp_path / f"{name}.png").exists() for name in names)
+    # predicted is measured less the residuals
+    drawing = {figure.name: figure for figure in told.figures}["dynamic_motion"].draw()
+    predicted, measured = drawing.axes[2].lines[1].get_xydata().T
+    assert np.abs(predicted - measured).max() < 0.5
+    assert np.abs(measured).max() > 5.0
+
+
+def test_a_dynamic_calibration_without_a_solution_is_told(maneuvers, tmp_path):
+    c = dynamic_message(calibrate_dynamics(maneuvers[:2], ARM, DynamicSettings()), "fss")
+    told = dynamic_report(c, None, maneuvers_message(maneuvers[:2], "fss").maneuvers)
+    assert "not evaluated: 2 maneuvers" in printed(told)
+    report.write(tmp_path, told)
+    assert list(tmp_path.iterdir()) == [tmp_path / "index.html"]

@@ -66,7 +66,7 @@ def source(bags: Bags) -> str:
 def solve_dynamic_bag(
     paths: str | PathLike[str] | Iterable[str | PathLike[str]],
     settings: DynamicSettings | None = None,
-) -> DynamicCalibration:
+) -> tuple[DynamicCalibration, list[Maneuver]]:
     """Find the maneuvers in one or several bags, and calibrate, as the node `dynamic` does.
 
     Raises:
@@ -79,7 +79,8 @@ def solve_dynamic_bag(
     finder = ManeuverFinder(arm.n, settings)
     with open_bags(paths) as bags:
         found = maneuvers(bags, finder, settings)
-        return dynamic_verdict.calibrate(found, arm, settings, finder.streams(), source(bags))
+        told = dynamic_verdict.calibrate(found, arm, settings, finder.streams(), source(bags))
+        return told, found
 
 
 def topics(bags: Bags, wanted: Mapping[str, str], needed: int) -> list[str]:
@@ -181,8 +182,8 @@ def calibrated(options: argparse.Namespace, console: Console) -> Calibration | D
     settings = kind(**{f.name: getattr(options, f.name) for f in fields(kind)})
     calibration: Calibration | DynamicCalibration
     if isinstance(settings, DynamicSettings):
-        calibration = solve_dynamic_bag(options.bags, settings)
-        told = dynamic_report(calibration, truth)
+        calibration, found = solve_dynamic_bag(options.bags, settings)
+        told = dynamic_report(calibration, truth, found)
     else:
         calibration = solve_bag(options.bags, settings)
         told = kinematic_report(calibration, truth)

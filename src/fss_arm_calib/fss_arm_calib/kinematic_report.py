@@ -13,6 +13,18 @@ from fss_arm_model.kinematics import joint_positions
 
 from .least_squares import Floats
 from .report import Figure, Report, Table
+from .report_parts import (
+    correlation,
+    difference,
+    figure,
+    influence,
+    number,
+    origin,
+    refused,
+    shown_unit,
+    stages,
+    text,
+)
 
 PAPER_POSITION_RESIDUAL = 0.015  # [m], section 4.1
 PAPER_HEADING_RESIDUAL = float(np.radians(0.683))
@@ -26,20 +38,28 @@ def kinematic_report(calibration: Any, truth: Arm | None = None) -> Report:
         truth: the simulated arm, to compare with.
     """
     c = calibration
+    labels = [_label(name, from_yaml(c.guess).n) for name in c.names]
     figures = (
         Figure("kinematic_postures", "Postures and residuals", lambda: postures(c)),
-        Figure("kinematic_correlation", "Correlation of the parameters", lambda: correlation(c)),
-        Figure("kinematic_observations", "Each observation", lambda: observations(c)),
+        Figure(
+            "kinematic_correlation",
+            "Correlation of the parameters",
+            lambda: correlation(_covariance(c), labels),
+        ),
+        Figure(
+            "kinematic_observations",
+            "Each observation",
+            lambda: influence(c, c.normalized_residuals, "normalized residual [deviations]"),
+        ),
     )
-    origin = f"by {c.provenance.software} from {c.provenance.source}"
     return Report(
         title=f"Kinematic calibration of {c.arm}",
         verdict=c.verdict,
         reason=c.reason,
         tables=(_parameters(c, truth), _residuals(c)),
-        origin=f"{origin}; SHA-256 of the observations {c.provenance.data_hash}",
+        origin=origin(c),
         figures=figures if len(c.residuals) else (),
-        details=(_stages(c), *([_observations(c)] if len(c.residuals) else []), _streams(c)),
+        details=(stages(c), *([_observations(c)] if len(c.residuals) else []), _streams(c)),
         texts={"Settings": c.provenance.parameters, "Description it began from": c.guess},
     )
 
@@ -55,10 +75,10 @@ def _parameters(c: Any, truth: Arm | None) -> Table:
     rows = []
     for k, (name, unit) in enumerate(zip(c.names, c.units, strict=True)):
         columns = [paper, initial, *[true] * known, values, deviations]
-        row = [_label(name, n), "deg" if unit == "rad" else unit]
-        row += [_number(column[k], unit) for column in columns]
+        row = [_label(name, n), shown_unit(unit)]
+        row += [number(column[k], unit) for column in columns]
         if known:
-            row.append(_text(_difference(values[k], true[k], unit) / deviations[k], "+.2f"))
+            row.append(text(difference(values[k], true[k], unit) / deviations[k], "+.2f"))
         rows.append(row)
     head = ["parameter", "unit", "Tables 2-3", "guess", *["truth"] * known, "estimate", "± 1 sigma"]
     return Table("Parameters", [*head, *["error / sigma"] * known], rows, words=2)
@@ -66,8 +86,8 @@ def _parameters(c: Any, truth: Arm | None) -> Table:
 
 def _residuals(c: Any) -> Table:
     rows = [
-        [name, "deg" if unit == "rad" else unit, *(_number(number, unit) for number in numbers)]
-        for name, unit, *numbers in (
+        [name, shown_unit(unit), *(number(value, unit) for value in values)]
+        for name, unit, *values in (
             ("position", "m", PAPER_POSITION_RESIDUAL, c.position_residual,
              c.held_out_position_residual, c.position_deviation),
             ("heading", "rad", PAPER_HEADING_RESIDUAL, c.heading_residual,
@@ -75,17 +95,8 @@ def _residuals(c: Any) -> Table:
         )
     ]  # fmt: skip
     head = ["of the end effector's", "unit", "paper", "here", "predicted", "assumed"]
-    note = "`predicted`: of observations held out, by a solution without them."
+    note = "predicted: of observations held out, by a solution without them."
     return Table("Standard deviation of the residuals", head, rows, words=2, note=note)
-
-
-def _stages(c: Any) -> Table:
-    rows = [
-        [s.name, s.verdict.replace("_", " "), s.reason, _text(s.value, ".4g"), f"{s.threshold:.4g}"]
-        for s in c.stages
-    ]
-    head = ["stage", "verdict", "reason", "value", "threshold"]
-    return Table("What the verdict is made of", head, rows, words=3)
 
 
 def _observations(c: Any) -> Table:
@@ -115,7 +126,7 @@ def _observations(c: Any) -> Table:
 
 
 def _streams(c: Any) -> Table:
-    rows = [[kind, str(number)] for kind, number in zip(c.refused_kinds, c.refused, strict=True)]
+    rows = refused(c)
     if np.isfinite(c.time_offset):
         offset = f"{1e3 * c.time_offset:.2f} ± {1e3 * c.time_offset_deviation:.2f} ms"
         rows.append(["joints' stamps less motion capture's", offset])
@@ -131,78 +142,28 @@ def postures(c: Any) -> Any:
     q, tip, residuals = _shaped(c)
     kept = np.asarray(c.weights) > 0.0
     residuals = np.where(kept[:, None], residuals, np.nan)
-    figure = _figure((14, 8))
-    axes = figure.subplot_mosaic([["arm", "x y"], ["arm", "heading"]], width_ratios=(1.25, 1.0))
+    drawing = figure((14, 8))
+    axes = drawing.subplot_mosaic([["arm", "x y"], ["arm", "heading"]], width_ratios=(1.25, 1.0))
     position, heading = axes["x y"], axes["heading"]
-    figure.suptitle(
+    drawing.suptitle(
         f"Kinematic calibration: {c.verdict.replace('_', ' ')}, {len(q)} observations",
         fontsize=14,
         fontweight="bold",
     )
     _draw_postures(axes["arm"], _joints(c, q), tip, residuals)
-    number = np.arange(1, len(q) + 1)
+    which = np.arange(1, len(q) + 1)
     for k, (name, color) in enumerate((("x", "tab:blue"), ("y", "tab:orange"))):
-        bars = number + 0.18 * (2 * k - 1)
+        bars = which + 0.18 * (2 * k - 1)
         position.bar(bars, 1e3 * residuals[:, k], width=0.34, color=color, label=name)
     _finish(position, "position residual [mm]", 1e3 * np.array([
         c.position_residual, c.position_deviation, PAPER_POSITION_RESIDUAL]))  # fmt: skip
-    heading.bar(number, np.degrees(residuals[:, 2]), width=0.5, color="tab:green")
+    heading.bar(which, np.degrees(residuals[:, 2]), width=0.5, color="tab:green")
     _finish(heading, "heading residual [deg]", np.degrees([
         c.heading_residual, c.heading_deviation, PAPER_HEADING_RESIDUAL]))  # fmt: skip
     heading.set_xlabel("observation")
     for part in (position, heading):
-        part.set_xticks(number[:: max(1, len(number) // 20)])
-    return figure
-
-
-def correlation(c: Any) -> Any:
-    """The correlation matrix of the estimated parameters."""
-    covariance, n = _covariance(c), from_yaml(c.guess).n
-    deviations = np.sqrt(np.diag(covariance))
-    matrix = covariance / np.outer(deviations, deviations)
-    figure = _figure((0.62 * len(matrix) + 2.5, 0.55 * len(matrix) + 1.5))
-    axes = figure.subplots()
-    image = axes.imshow(matrix, cmap="RdBu_r", vmin=-1.0, vmax=1.0)
-    for (row, column), value in np.ndenumerate(matrix):
-        color = "white" if abs(value) > 0.6 else "0.2"
-        axes.text(column, row, f"{value:+.2f}", ha="center", va="center", fontsize=8, color=color)
-    labels = [_label(name, n) for name in c.names]
-    axes.set_xticks(range(len(labels)), labels, rotation=45, ha="right")
-    axes.set_yticks(range(len(labels)), labels)
-    figure.colorbar(image, shrink=0.8)
-    return figure
-
-
-def observations(c: Any) -> Any:
-    """Normalized residual over leverage: what is off, and what much depends on."""
-    figure = _figure((10, 4.5))
-    axes = figure.subplots()
-    kept = np.asarray(c.weights) > 0.0
-    lengths, leverage = np.asarray(c.normalized_residuals), np.asarray(c.leverage)
-    for chosen, color, label in ((kept, "tab:blue", "used"), (~kept, "tab:red", "rejected")):
-        if chosen.any():
-            axes.plot(leverage[chosen], lengths[chosen], "o", color=color, label=label)
-    for k, place in enumerate(zip(leverage, lengths, strict=True)):
-        axes.annotate(str(k + 1), place, (5, 4), textcoords="offset points", fontsize=9)
-    for stage in c.stages:
-        if stage.name == "outliers":
-            axes.axhline(stage.threshold, color="tab:red", linestyle="--", linewidth=1.0,
-                         label="outliers above")  # fmt: skip
-    mean = len(c.names) / (3.0 * max(int(np.sum(kept)), 1))
-    axes.axvline(mean, color="0.5", linestyle=":", label=f"mean leverage, {mean:.2f}")
-    axes.set_xlim(0.0, max(0.5, 1.15 * float(leverage.max())))
-    axes.set_ylim(bottom=0.0)
-    axes.set_xlabel("leverage")
-    axes.set_ylabel("normalized residual [deviations]")
-    axes.grid(alpha=0.25)
-    axes.legend(fontsize=9)
-    return figure
-
-
-def _figure(size: tuple[float, float]) -> Any:
-    from matplotlib.figure import Figure  # takes long to import, and only people need it
-
-    return Figure(figsize=size, layout="constrained")
+        part.set_xticks(which[:: max(1, len(which) // 20)])
+    return drawing
 
 
 def _draw_postures(axes: Any, joints: Floats, tip: Floats, residuals: Floats) -> None:
@@ -298,15 +259,3 @@ def _values(arm: Arm, names: Any) -> Floats:
 
 def _label(name: str, n: int) -> str:
     return f"a_1 .. a_{n - 1}" if name == "a" else name
-
-
-def _difference(value: float, true: float, unit: str) -> float:
-    return float((value - true + np.pi) % (2 * np.pi) - np.pi if unit == "rad" else value - true)
-
-
-def _number(value: float, unit: str) -> str:
-    return _text(np.degrees(value), ".3f") if unit == "rad" else _text(value, ".4f")
-
-
-def _text(value: float, form: str) -> str:
-    return f"{value:{form}}" if np.isfinite(value) else "-"
