@@ -1,0 +1,103 @@
+"""Messages out of the chunks of indexed MCAP files, several times as fast as rosbags gives them.
+
+rosbags opens the files and reads their index; here each chunk is taken apart at once. Chunks may
+overlap in time, also between files: messages wait until no later chunk can have earlier ones.
+"""
+
+from bisect import bisect_left
+from collections.abc import Container, Iterable, Iterator
+from math import inf
+from operator import itemgetter
+from struct import Struct
+from typing import NamedTuple
+
+from rosbags.highlevel import AnyReader
+from rosbags.interfaces import Connection
+from rosbags.rosbag2 import Reader
+from rosbags.rosbag2.reader import DirectoryReader
+from rosbags.rosbag2.storage_mcap import ChunkInfo, McapReader, decompress
+
+RECORD = Struct("<BQ")  # what kind it is, length of what follows
+HEAD = Struct("<HIQQ")  # of a message: channel, sequence, time of receipt, time of publication
+CRC = Struct("<I")
+
+MESSAGE = 5
+
+RECEIPT = itemgetter(0)
+
+Received = tuple[int, Connection, bytes]  # when [ns], on which topic, serialized
+
+
+class ChunkError(ValueError):
+    """A chunk is damaged."""
+
+
+class _Chunk(NamedTuple):
+    """Where messages are."""
+
+    storage: McapReader
+    info: ChunkInfo
+
+    def messages(self, topics: Container[str]) -> list[Received]:
+        """All on these topics, as they lie in it."""
+        i, file = self.info, self.storage.bio
+        assert file
+        file.seek(i.chunk_start_offset + RECORD.size + 24)
+        (crc,) = CRC.unpack(file.read(CRC.size))
+        file.seek(i.chunk_start_offset + RECORD.size + 40 + len(i.compression))
+        packed = file.read(i.compressed_size)
+        data = decompress(packed, i.compression, i.uncompressed_size, crc)
+        wanted = {c.id: c for c in self.storage.connections if c.topic in topics}
+        found, at = [], 0
+        while at < len(data):
+            kind, length = RECORD.unpack_from(data, at)
+            at += RECORD.size
+            if kind == MESSAGE:
+                channel, _, receipt, _ = HEAD.unpack_from(data, at)
+                if channel in wanted:
+                    found.append((receipt, wanted[channel], data[at + HEAD.size : at + length]))
+            elif kind == 0:
+                raise ChunkError(f"no record at byte {at - RECORD.size} of a chunk")
+            at += length
+        if at != len(data):
+            raise ChunkError(f"a record is {at - len(data)} bytes longer than its chunk")
+        return found
+
+
+def indexed(reader: AnyReader) -> list[_Chunk] | None:
+    """The chunks of all files in order of their begin; None: not all messages are in such."""
+    found = []
+    for bag in reader.readers:
+        if not isinstance(bag, Reader) or bag.compression_mode == "message":
+            return None
+        inner = bag.storage
+        for storage in inner.storages if isinstance(inner, DirectoryReader) else [inner]:
+            if not isinstance(storage, McapReader):
+                return None
+            if storage.metadata.message_count and not storage.chunks:
+                return None
+            found += [_Chunk(storage, info) for info in storage.chunks]
+    return sorted(found, key=lambda chunk: chunk.info.message_start_time)
+
+
+def in_order(
+    chunks: Iterable[_Chunk],
+    topics: Container[str],
+    start: int | None = None,
+    stop: int | None = None,
+) -> Iterator[Received]:
+    """The messages on these topics, received from `start` on and before `stop` [ns], in order.
+
+    Raises:
+        ChunkError: a chunk is damaged.
+    """
+    first, end = start if start is not None else -inf, stop if stop is not None else inf
+    waiting: list[Received] = []
+    for chunk in chunks:
+        if chunk.info.message_end_time < first or chunk.info.message_start_time >= end:
+            continue
+        ready = bisect_left(waiting, chunk.info.message_start_time, key=RECEIPT)
+        yield from waiting[:ready]
+        new = [m for m in chunk.messages(topics) if first <= m[0] < end]
+        waiting = sorted(waiting[ready:] + new, key=RECEIPT)
+    yield from waiting

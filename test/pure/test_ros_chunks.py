@@ -1,0 +1,75 @@
+"""Chunks read quickly against rosbags: any overlap, several files, compressed, damaged."""
+
+import numpy as np
+import pytest
+from mcap.writer import CompressionType, Writer
+from ros_bags import START, joint_state
+from rosbags.highlevel import AnyReader
+
+from fss_arm_ros.bags import BagError, open_bags
+from fss_arm_ros.chunks import indexed
+from fss_arm_ros.definitions import definition
+
+TYPE = "sensor_msgs/msg/JointState"
+
+
+def make(folder, seed, count=300, compression=CompressionType.NONE, chunk=2000):
+    """A file whose messages come up to 0.1 s out of order, on three topics, in many chunks."""
+    from rclpy.serialization import serialize_message
+
+    rng = np.random.default_rng(seed)
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"bag_{seed}.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream, chunk_size=chunk, compression=compression)
+        writer.start(profile="ros2", library="test")
+        schema = writer.register_schema(TYPE, "ros2msg", definition(TYPE).text.encode())
+        topics = [writer.register_channel(f"/topic_{k}", "cdr", schema) for k in range(3)]
+        for k in range(count):
+            at = START + 10**7 * k + int(rng.integers(0, 10**8))
+            data = serialize_message(joint_state(k))
+            writer.add_message(topics[k % 3], at, data, at, k)
+        writer.finish()
+    return path
+
+
+def as_rosbags(paths, topics=None, start=None, stop=None):
+    with AnyReader(paths) as reader:
+        wanted = [c for c in reader.connections if topics is None or c.topic in topics]
+        return [(c.topic, c.msgtype, t, d) for c, t, d in reader.messages(wanted, start, stop)]
+
+
+@pytest.mark.parametrize(
+    "compression", [CompressionType.NONE, CompressionType.LZ4, CompressionType.ZSTD]
+)
+@pytest.mark.parametrize("files", [1, 3])
+def test_all_messages_come_in_order(tmp_path, compression, files):
+    paths = [make(tmp_path, seed, compression=compression) for seed in range(files)]
+    with open_bags(paths) as bags:
+        assert len(indexed(bags._reader)) > 5 * files
+        got = list(bags.raw())
+    assert got == as_rosbags(paths)
+    receipts = [receipt for _, _, receipt, _ in got]
+    assert receipts == sorted(receipts)
+
+
+@pytest.mark.parametrize("topics", [["/topic_1"], ["/topic_0", "/topic_2"], None])
+def test_some_topics_of_some_time(tmp_path, topics):
+    path = make(tmp_path, 7)
+    begin, end = START + 10**9, START + 2 * 10**9
+    with open_bags(path) as bags:
+        for start, stop in ((None, None), (begin, None), (None, end), (begin, end), (end, begin)):
+            got = list(bags.raw(topics, start, stop))
+            assert got == as_rosbags([path], topics, start, stop)
+
+
+@pytest.mark.parametrize("place", [0.2, 0.5])
+@pytest.mark.parametrize("damage", [bytes(600), b"\xff" * 600, b"\x05" * 600])
+def test_damage_is_told(tmp_path, place, damage):
+    path = make(tmp_path, 3)
+    data = bytearray(path.read_bytes())
+    at = int(place * len(data))
+    data[at : at + len(damage)] = damage
+    path.write_bytes(data)
+    with open_bags(path) as bags, pytest.raises(BagError, match="damaged, try doctor --repair"):
+        list(bags.raw())
