@@ -1,4 +1,4 @@
-"""How well the arm moves its tip, and the best it can do at a given point.
+"""The posture in which the arm moves its tip best while it is at a given point.
 
     w = sqrt(det(J J^T))                                              (Yoshikawa 1985)
 
@@ -23,7 +23,7 @@ from ._cache import Complexes, Floats, helper, kernel
 from .kinematics import _chain, _dot, checked
 from .momentum import _floating
 
-__all__ = ["FIXED", "FIXED_POSE", "FLOATING", "FLOATING_POSE", "climb", "measure"]
+__all__ = ["FIXED", "FIXED_POSE", "FLOATING", "FLOATING_POSE", "climb"]
 
 # What is measured.
 FIXED, FLOATING = np.array([0.0, 2.0]), np.array([1.0, 2.0])
@@ -321,15 +321,6 @@ def _uphill(H: Floats, b: Floats, count: int, L: Floats, u: Floats) -> None:
         u[i] = left / L[i, i]
 
 
-@kernel("(p),(n),(k)->()")
-def _measure(p: Floats, q_m: Floats, kind: Floats, w: Floats) -> None:
-    q = np.zeros(3 + q_m.size)
-    q[3:] = q_m
-    d, e = np.empty((2, q_m.size + 1), np.complex128)
-    _chain(p, q, d, e)
-    w[0] = math.sqrt(max(_square(p, d, e, kind, np.empty((3, q_m.size))), 0.0))
-
-
 @kernel("(p),(n,k),(k),(k),(n),()->(n),()")
 def _climbed(
     p: Floats,
@@ -412,15 +403,6 @@ def _climbed(
     w[0] = math.sqrt(max(square, 0.0))
 
 
-def measure(p: npt.ArrayLike, q_m: npt.ArrayLike, kind: npt.ArrayLike = FIXED) -> Floats:
-    """Manipulability w, (...) [m^2 for the position, m^2 rad for the pose].
-
-    Raises:
-        ValueError: shapes do not fit.
-    """
-    return _measure(*_checked(p, q_m), kind)
-
-
 def climb(
     p: npt.ArrayLike,
     q_m: npt.ArrayLike,
@@ -449,11 +431,6 @@ def climb(
     Raises:
         ValueError: shapes do not fit.
     """
-    p, q_m = _checked(p, q_m)
-    return _climbed(p, limits, kind, point, q_m, steps)
-
-
-def _checked(p: npt.ArrayLike, q_m: npt.ArrayLike) -> tuple[Floats, Floats]:
     q_m = np.asarray(q_m, dtype=float)
     p, _, _ = checked(p, np.concatenate([np.zeros((*q_m.shape[:-1], 3)), q_m], axis=-1))
-    return p, q_m
+    return _climbed(p, limits, kind, point, q_m, steps)

@@ -24,7 +24,6 @@ from fss_arm_model.manipulability import (
     FLOATING,
     FLOATING_POSE,
     climb,
-    measure,
 )
 from fss_arm_model.momentum import generalized_jacobian
 
@@ -63,6 +62,16 @@ def jacobian(arm: Arm, q_m: npt.ArrayLike, kind: npt.ArrayLike = FIXED) -> Float
     p = arm.vector()
     J = generalized_jacobian(p, q) if floating else tip_jacobian(p, q)[..., 3:]
     return J[..., : int(rows), :]
+
+
+def measure(arm: Arm, q_m: npt.ArrayLike, kind: npt.ArrayLike = FIXED) -> Floats:
+    """Manipulability w of postures (..., n), (...) [m^2 for the position, m^2 rad for the pose].
+
+    Raises:
+        ValueError: shapes do not fit.
+    """
+    J = jacobian(arm, q_m, kind)
+    return np.sqrt(np.linalg.det(J @ np.swapaxes(J, -1, -2)).clip(0.0))
 
 
 class Ellipsoid(NamedTuple):
@@ -148,7 +157,7 @@ class Search:
         """
         if arm.n < 2:
             raise ValueError(f"the arm has {arm.n} link, expected 2 or more: its w is 0 everywhere")
-        self.p, self.kind = arm.vector(), np.asarray(kind, dtype=float)
+        self.arm, self.p, self.kind = arm, arm.vector(), np.asarray(kind, dtype=float)
         self.limits, self.workers = checked_limits(arm, limits), workers
         self.region = fixed_workspace(arm, self.limits)
         inner = Grid.around(self.region, spacing).inside(self.region)
@@ -180,7 +189,7 @@ class Search:
         """Each point from its nearest random postures; those of the edge from their own, too."""
         count = 40 * len(points)
         q = rng.uniform(self.limits[:, 0], self.limits[:, 1], (count, len(self.limits)))
-        w, tip = measure(self.p, q, self.kind), tip_in_base(self.p, q)[:, :2]
+        w, tip = measure(self.arm, q, self.kind), tip_in_base(self.p, q)[:, :2]
         self.random, self.random_tree = q, cKDTree(tip)
         near = self.random_tree.query(points, k=16)[1]
         best = _nothing(len(points), self.p)

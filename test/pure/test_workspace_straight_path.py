@@ -1,0 +1,178 @@
+"""Straight paths keep their laws, end for a reason, and do not hang on the step."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from model_arms import random_arm
+from numpy.testing import assert_allclose
+
+from fss_arm_model.description import paper_arm
+from fss_arm_model.kinematics import tip_pose
+from fss_arm_model.momentum import momentum, system_com
+from fss_arm_model.straight_path import BASES, REASONS, RULES
+from fss_arm_workspace.fixed import fixed_workspace, joint_limits
+from fss_arm_workspace.straight_path import (
+    AWAY_FROM_LIMITS,
+    FIXED,
+    FLOATING,
+    MINIMUM_NORM,
+    WEIGHTED,
+    ZERO_REACTION,
+    Rules,
+    arch,
+    optimal_paths,
+    states_along,
+    straight_paths,
+    straight_workspace,
+)
+from fss_arm_workspace.virtual import VirtualManipulator
+
+ARM = paper_arm()
+AROUND = np.linspace(0.0, 2.0 * np.pi, 73)[:-1]
+
+
+def complex_tip(arm, q):
+    tip = tip_pose(arm.vector(), q)
+    return tip[..., 0] + 1j * tip[..., 1]
+
+
+@pytest.mark.parametrize("base", BASES)
+@pytest.mark.parametrize("rule", RULES[:3])
+def test_the_tip_stays_on_its_line_and_the_base_obeys_its_law(base, rule):
+    start, rules = arch(ARM), Rules(base=base, redundancy=rule)
+    limits, p = joint_limits(ARM), ARM.vector()
+    paths = straight_paths(ARM, start, AROUND, rules)
+    for direction, distance in zip(paths.direction[::6], paths.distance[::6], strict=True):
+        s = np.linspace(0.0, 0.999 * distance, 40)
+        q, rates = states_along(ARM, start, direction, s, rules)
+        assert_allclose(complex_tip(ARM, q), paths.tip + s * np.exp(1j * direction), atol=1e-6)
+        assert (q[:, 3:] >= limits[:, 0] - 1e-12).all()
+        assert (q[:, 3:] <= limits[:, 1] + 1e-12).all()
+        if base == FIXED:
+            assert_allclose(q[:, :3], np.broadcast_to(start[:3], (40, 3)), atol=0.0)
+            continue
+        assert_allclose(system_com(p, q), np.broadcast_to(system_com(p, start), (40, 2)), atol=1e-6)
+        assert_allclose(momentum(p, q, rates), 0.0, atol=1e-10)
+        if base == ZERO_REACTION:
+            assert_allclose(q[:, 2], start[2], atol=1e-9)
+
+
+@pytest.mark.parametrize("base", BASES)
+def test_the_rates_are_the_derivatives_of_the_states(base):
+    """So that the motion without momentum is the one that the states make."""
+    start, rules = arch(ARM), Rules(base=base, redundancy=MINIMUM_NORM)
+    step = 1e-3
+    s = 0.01 + step * np.arange(-2.0, 3.0)
+    for direction in (0.5, 3.0, 4.0):
+        q, rates = states_along(ARM, start, direction, s, rules)
+        slope = (q[0] - 8.0 * q[1] + 8.0 * q[3] - q[4]) / (12.0 * step)
+        assert_allclose(slope, rates[2], atol=1e-4)
+
+
+@pytest.mark.parametrize("base", BASES)
+@pytest.mark.parametrize(
+    ("rule", "worst", "rest"),
+    [(MINIMUM_NORM, 1e-3, 1e-3), (AWAY_FROM_LIMITS, 1e-3, 1e-3), (WEIGHTED, 5e-3, 1e-3)],
+)
+def test_half_the_step_gives_the_same_distances(base, rule, worst, rest):
+    """The weighted rule jumps where a joint turns: a few paths feel it."""
+    rules = Rules(base=base, redundancy=rule)
+    full = straight_paths(ARM, arch(ARM), AROUND, rules)
+    half = straight_paths(ARM, arch(ARM), AROUND, replace(rules, step=0.5 * rules.step))
+    change = np.abs(full.distance - half.distance)[~(full.grazes | half.grazes)]
+    assert change.max() < worst
+    assert np.quantile(change, 0.95) < rest
+    assert len(change) > 0.7 * len(AROUND)
+
+
+def test_every_direction_has_a_reason_that_its_last_state_shows():
+    paths = straight_paths(ARM, arch(ARM), AROUND, Rules(base=FLOATING))
+    limits = joint_limits(ARM)
+    near = np.minimum(paths.last[:, 3:] - limits[:, 0], limits[:, 1] - paths.last[:, 3:]) < 1e-9
+    reasons = [REASONS[k] for k in paths.reason]
+    all_but_one = near.sum(axis=1) >= ARM.n - 1
+    assert set(reasons) == {"all joints but one at their limits", "a singularity"}
+    assert [r == "all joints but one at their limits" for r in reasons] == all_but_one.tolist()
+
+
+def test_the_table_ends_paths():
+    rules = Rules(base=FIXED, table=(-0.1, -0.2, 1.2, 1.0))
+    paths = straight_paths(ARM, arch(ARM), AROUND, rules)
+    ended = [REASONS[k] == "the end of the table" for k in paths.reason]
+    x, y = paths.ends.real, paths.ends.imag
+    edges = np.min([x + 0.1, y + 0.2, 1.2 - x, 1.0 - y], axis=0)
+    assert_allclose(edges[ended], 0.0, atol=1e-9)
+    assert 0 < np.sum(ended) < len(ended)
+    assert (edges > -1e-9).all()
+
+
+@pytest.mark.parametrize("base", [FIXED, FLOATING])
+def test_no_path_leaves_what_can_be_reached_at_all(base):
+    paths = straight_paths(ARM, arch(ARM), AROUND, Rules(base=base))
+    inner = paths.tip + 0.999 * (paths.ends - paths.tip)
+    if base == FIXED:
+        assert fixed_workspace(ARM).contains(inner).all()
+    else:
+        com = complex(*system_com(ARM.vector(), paths.start))
+        assert (np.abs(inner - com) < VirtualManipulator(ARM).radius).all()
+
+
+def test_the_boundary_is_true_between_its_directions():
+    rules = Rules(base=FLOATING)
+    paths = straight_workspace(ARM, arch(ARM), rules, count=90, tolerance=0.01)
+    assert (np.diff(paths.direction) > 0.0).all()
+    gaps = np.diff(paths.direction, append=paths.direction[0] + 2.0 * np.pi)
+    wide = np.flatnonzero(gaps > 2e-4)
+    share = np.random.default_rng(0).random(len(wide))
+    between = straight_paths(ARM, arch(ARM), paths.direction[wide] + share * gaps[wide], rules)
+    ends = paths.distance[wide], np.roll(paths.distance, -1)[wide]
+    assert (np.abs(between.distance - ((1 - share) * ends[0] + share * ends[1])) < 0.03).all()
+    finer = straight_workspace(ARM, arch(ARM), rules, count=360, tolerance=0.002)
+    assert paths.area == pytest.approx(finer.area, rel=0.01)
+
+
+def test_a_search_over_the_redundancy_goes_at_least_as_far():
+    directions = AROUND[::18]
+    rules = Rules(base=FLOATING, step=5e-3)
+    found, preferred = optimal_paths(
+        ARM, arch(ARM), directions, rules, population=20, generations=3
+    )
+    for rule in (MINIMUM_NORM, AWAY_FROM_LIMITS, WEIGHTED):
+        other = straight_paths(ARM, arch(ARM), directions, replace(rules, redundancy=rule))
+        assert (found.distance >= other.distance).all()
+    won = np.isfinite(preferred).all(axis=(1, 2))
+    again = replace(rules, redundancy="preferred", preferred=preferred[won])
+    paths = straight_paths(ARM, arch(ARM), directions[won], again)
+    assert_allclose(paths.distance, found.distance[won], atol=1e-12)
+
+
+def test_a_free_base_shortens_paths_as_the_paper_says():
+    areas = [straight_workspace(ARM, arch(ARM), Rules(base=b), count=90).area for b in BASES]
+    assert areas[0] > 4.0 * areas[1] > 8.0 * areas[2] > 0.0
+
+
+@pytest.mark.parametrize("n", [2, 3, 6])
+def test_other_numbers_of_links(n):
+    arm = random_arm(n, np.random.default_rng(n))
+    start = arch(arm)
+    paths = straight_paths(arm, start, AROUND, Rules(table=(-9.0, -9.0, 9.0, 9.0)))
+    assert (paths.distance > 0.0).any()
+    assert_allclose(complex_tip(arm, paths.last), paths.ends, atol=1e-6)
+    com = np.broadcast_to(system_com(arm.vector(), start), (len(AROUND), 2))
+    assert_allclose(system_com(arm.vector(), paths.last), com, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("start", "rules", "complaint"),
+    [
+        (np.zeros(6), {}, "expected 7 finite numbers"),
+        (np.array([0, 0, 0, 2.0, 0, 0, 0]), {}, "joint 1 starts at 2 rad, expected -1.5708 to"),
+        (np.array([3.0, 0, 0, 0, 0, 0, 0]), {}, "expected on the table"),
+        (arch(ARM), {"base": "moon"}, "base is 'moon', expected fixed, floating, zero reaction"),
+        (arch(ARM), {"step": 0.0}, "step is 0.0, must be positive"),
+    ],
+)
+def test_what_cannot_be_is_refused(start, rules, complaint):
+    with pytest.raises(ValueError, match=complaint):
+        straight_paths(ARM, start, AROUND, Rules(**rules))
