@@ -12,50 +12,65 @@ radius R about the centre of mass, less a hole where the joint limits leave one.
 """
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 from math import inf
 
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import brentq
 
-from fss_arm_model.description import Arm
+from fss_arm_model.description import BASE_SIZE, LINK_SIZE, Arm
 
 from .arcs import Complexes, Floats, Region
 from .fixed import chain_workspace, checked_limits
 
 
+def virtual_links(p: npt.ArrayLike) -> tuple[Floats, Floats, Complexes]:
+    """The virtual manipulator's b_i^VM and g_i^VM (Eq. 11, 12), and its links as vectors.
+
+    Body 0 is the base: b_0 is from its centre of mass to joint 1, g_0 is 0. A centre of mass to the
+    side of its link's line bends the virtual link; without, it is b_i^VM + g_i^VM along the link.
+
+    Args:
+        p: parameters of the arm, Arm.vector(), (..., 8 + 6 n).
+
+    Returns:
+        (..., n + 1) each [m], the vectors complex and each in its body's frame.
+    """
+    p = np.asarray(p, dtype=float)
+    links = p[..., BASE_SIZE:].reshape(*p.shape[:-1], -1, LINK_SIZE)
+    masses = np.concatenate([p[..., :1], links[..., 2]], axis=-1)
+    inner = np.cumsum(masses, axis=-1) / masses.sum(axis=-1, keepdims=True)
+    before = np.concatenate([np.zeros_like(p[..., :1]), inner[..., :-1]], axis=-1)
+    mount = p[..., 4] - p[..., 2] + 1j * (p[..., 5] - p[..., 3])
+    lengths, g, lateral = links[..., 0], links[..., 4], links[..., 5]
+    b = np.concatenate([np.abs(mount)[..., None], lengths - g], axis=-1) * inner
+    g = np.concatenate([np.zeros_like(p[..., :1]), g], axis=-1) * before
+    vectors = (b + g).astype(complex)
+    vectors[..., 0] = mount * inner[..., 0]
+    vectors[..., 1:] -= 1j * lateral * (inner - before)[..., 1:]
+    return b, g, vectors
+
+
 @dataclass(frozen=True)
 class VirtualManipulator:
-    """The virtual manipulator of an arm on a free base; body 0 is the base."""
+    """The virtual manipulator of an arm on a free base."""
 
     arm: Arm
 
-    @cached_property
+    @property
     def b(self) -> Floats:
-        """b_i^VM, (n + 1,) [m] (Eq. 11). b_0 is from the base's centre of mass to joint 1."""
-        x, y, _ = self.arm.base.mount
-        com_x, com_y = self.arm.base.com
-        lengths = [np.hypot(x - com_x, y - com_y), *(link.b for link in self.arm.links)]
-        return np.array(lengths) * self._inner[1:]
+        """b_i^VM, (n + 1,) [m] (Eq. 11)."""
+        return virtual_links(self.arm.vector())[0]
 
-    @cached_property
+    @property
     def g(self) -> Floats:
-        """g_i^VM, (n + 1,) [m] (Eq. 12); g_0 is 0, as nothing comes before the base."""
-        return np.array([0.0, *(link.g for link in self.arm.links)]) * self._inner[:-1]
+        """g_i^VM, (n + 1,) [m] (Eq. 12)."""
+        return virtual_links(self.arm.vector())[1]
 
     @property
     def links(self) -> Complexes:
-        """The links as vectors in their bodies' frames, complex (n + 1,) [m].
-
-        A centre of mass to the side of its link's line bends the virtual link; without, it is
-        b_i^VM + g_i^VM along the link.
-        """
-        x, y, _ = self.arm.base.mount
-        com_x, com_y = self.arm.base.com
-        bend = np.array([link.lateral for link in self.arm.links]) * -np.diff(self._inner[1:])
-        arm = self.b[1:] + self.g[1:] + 1j * bend
-        return np.append(complex(x - com_x, y - com_y) * self._inner[1], arm)
+        """The links as vectors in their bodies' frames, complex (n + 1,) [m]."""
+        return virtual_links(self.arm.vector())[2]
 
     @property
     def radius(self) -> float:
@@ -86,12 +101,6 @@ class VirtualManipulator:
             ValueError: limits have the wrong shape or order.
         """
         return self.workspace(limits).extent(0.0)
-
-    @cached_property
-    def _inner(self) -> Floats:
-        """Share of the mass in the bodies before body i, (n + 2,), from 0 to 1."""
-        masses = [self.arm.base.mass, *(link.mass for link in self.arm.links)]
-        return np.append(0.0, np.cumsum(masses)) / np.sum(masses)
 
 
 def base_mass_for(arm: Arm, radius: float) -> float:

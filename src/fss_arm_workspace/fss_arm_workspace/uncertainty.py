@@ -1,0 +1,155 @@
+"""How well a workspace is known: a calibration's covariance carried to boundary, R and w.
+
+For a number f of the arm's parameters p with covariance C, to first order,
+
+    sigma_f^2 = (df/dp) C (df/dp)^T
+
+A point of the boundary belongs to a posture in which nothing moves the tip outwards, so that the
+boundary moves, to first order, by what the tip of that posture moves along the normal. Likewise
+the largest w at a point changes as w does while its posture gives way just enough to stay there.
+"""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from fss_arm_model.description import BASE_SIZE, LINK_SIZE, Arm, kinematic_index, kinematic_names
+from fss_arm_model.kinematics import tip_in_base
+from fss_arm_model.manipulability import climb
+
+from .arcs import Complexes, Floats, Region
+from .manipulability import Best
+from .virtual import virtual_links
+
+_STEP = 1e-6  # of a parameter, for central differences
+
+
+def vector_covariance(arm: Arm, names: Sequence[str], covariance: npt.ArrayLike) -> Floats:
+    """A calibration's covariance, (k, k), as one of Arm.vector(), (8 + 6 n, 8 + 6 n).
+
+    Args:
+        arm: the calibrated arm.
+        names: of the parameters, as KinematicCalibration and DynamicCalibration have them; `a` or
+            `a_1 .. a_3`, and `I`, for a value that links share. Others are taken as exact.
+        covariance: of the parameters, row by row or as a matrix.
+
+    Raises:
+        ValueError: a name is no parameter of the arm.
+    """
+    T = np.array([_column(arm, name) for name in names]).reshape(len(names), -1).T
+    return T @ np.reshape(covariance, (len(names), len(names))) @ T.T
+
+
+def _column(arm: Arm, name: str) -> Floats:
+    """How Arm.vector() changes with a parameter; g = a - b."""
+    n = arm.n
+    column = np.zeros(BASE_SIZE + LINK_SIZE * n)
+    index = dict(zip(kinematic_names(n), kinematic_index(n), strict=True))
+    index |= {"m_0": 0, "I_0": 1, "x_com": 2, "y_com": 3, "theta_E": 7}
+    for i in range(n):
+        first = BASE_SIZE + LINK_SIZE * i
+        index |= {f"m_{i + 1}": first + 2, f"I_{i + 1}": first + 3, f"b_{i + 1}": first + 4}
+    for one in _members(name, n):
+        if one not in index:
+            raise ValueError(f"{name!r} is no parameter of {arm.name!r}")
+        column[index[one]] = -1.0 if one.startswith("b_") else 1.0
+        if one.startswith("a_"):
+            column[index[one] + 4] = 1.0
+    return column
+
+
+def _members(name: str, n: int) -> list[str]:
+    """The parameters that one value stands for."""
+    if name == "a":  # of all links but the last
+        return [f"a_{i}" for i in range(1, max(n, 2))]
+    if name in ("m", "b", "I"):
+        return [f"{name}_{i}" for i in range(1, n + 1)]
+    first, _, last = name.partition(" .. ")
+    kind = first.split("_")[0]
+    if not last:
+        return [name]
+    return [f"{kind}_{i}" for i in range(int(first.split("_")[1]), int(last.split("_")[1]) + 1)]
+
+
+def deviation(
+    function: Callable[[Floats], npt.ArrayLike], arm: Arm, covariance: npt.ArrayLike
+) -> Floats:
+    """Standard deviation of function(Arm.vector()), which may be an array.
+
+    Args:
+        function: of the parameters (8 + 6 n,), differentiated by central differences along the
+            covariance's own directions.
+        arm: where to differentiate.
+        covariance: of Arm.vector(), (8 + 6 n, 8 + 6 n).
+    """
+    p = arm.vector()
+    variances, directions = np.linalg.eigh(np.asarray(covariance, dtype=float))
+    total = 0.0
+    for variance, v in zip(variances, directions.T, strict=True):
+        if variance > 1e-12 * variances[-1]:
+            ahead, behind = (np.asarray(function(p + s * _STEP * v)) for s in (1.0, -1.0))
+            total = total + variance * ((ahead - behind) / (2.0 * _STEP)) ** 2
+    return np.sqrt(total)
+
+
+def boundary_deviation(
+    arm: Arm, region: Region, covariance: npt.ArrayLike, spacing: float = 0.01
+) -> list[tuple[Complexes, Floats]]:
+    """Points of each loop of a fixed vehicle workspace, (m,) [m], and how well they are known.
+
+    Args:
+        arm: the arm that the region is of.
+        region: as from fixed_workspace.
+        covariance: of Arm.vector().
+        spacing: of the points, at most [m].
+
+    Returns:
+        For each loop points and the standard deviation of the boundary there along its normal [m].
+    """
+    lines = []
+    for loop, (points, q) in zip(region.loops, region.outlines(spacing), strict=True):
+        counts = np.ceil(np.abs(loop.sweep) * loop.radius / spacing).astype(int).clip(1)
+        normal = points - np.repeat(loop.center, counts)
+        normal /= np.abs(normal)
+
+        def along(p: Floats, q: Floats = q, normal: Complexes = normal) -> Floats:
+            tip = tip_in_base(p, q)
+            return tip[:, 0] * normal.real + tip[:, 1] * normal.imag
+
+        lines.append((points, deviation(along, arm, covariance)))
+    return lines
+
+
+def radius_deviation(arm: Arm, covariance: npt.ArrayLike) -> float:
+    """Standard deviation of R of Eq. 13 [m]."""
+
+    def radius(p: Floats) -> Floats:
+        return np.asarray(np.abs(virtual_links(p)[2]).sum())
+
+    return float(deviation(radius, arm, covariance))
+
+
+def measure_deviation(
+    arm: Arm,
+    best: Best,
+    points: npt.ArrayLike,
+    limits: npt.ArrayLike,
+    kind: npt.ArrayLike,
+    covariance: npt.ArrayLike,
+) -> Floats:
+    """Standard deviation of the largest w at points (m, 2) of the base's frame, (m,).
+
+    Args:
+        arm: the arm.
+        best: the postures that have it, as from Search.at(points).
+        points: [m].
+        limits: lowest and highest joint readings, (n, 2) [rad].
+        kind: what is measured.
+        covariance: of Arm.vector().
+    """
+
+    def largest(p: Floats) -> Floats:
+        return climb(p, best.q, points, limits, kind)[1]
+
+    return deviation(largest, arm, covariance)

@@ -1,0 +1,88 @@
+"""First-order deviations against a Monte Carlo over the parameters."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from fss_arm_model.description import paper_arm
+from fss_arm_model.manipulability import climb
+from fss_arm_workspace.fixed import fixed_workspace, joint_limits
+from fss_arm_workspace.manipulability import FIXED, FLOATING, Search
+from fss_arm_workspace.uncertainty import (
+    boundary_deviation,
+    measure_deviation,
+    radius_deviation,
+    vector_covariance,
+)
+from fss_arm_workspace.virtual import VirtualManipulator
+
+NAMES = ("a", "a_4", "theta_0_2", "theta_0_3", "theta_0_4", "x_BJ1", "y_BJ1", "theta_BJ1")
+DEVIATIONS = np.array([4e-3, 6e-3, 0.02, 0.03, 0.03, 5e-3, 5e-3, 0.015])
+
+
+def covariance(rng):
+    mix = np.eye(len(NAMES)) + 0.3 * rng.standard_normal((len(NAMES), len(NAMES)))
+    root = 0.3 * DEVIATIONS[:, None] * mix
+    return root @ root.T
+
+
+def drawn(arm, C, rng, count):
+    """Arms whose kinematics are as uncertain as the covariance says."""
+    for x in rng.multivariate_normal(np.zeros(len(NAMES)), C, count):
+        values = arm.vector()[[8, 14, 20, 26, 15, 21, 27, 4, 5, 6]]
+        yield arm.with_kinematics(values + x[[0, 0, 0, 1, 2, 3, 4, 5, 6, 7]])
+
+
+def test_deviations_of_boundary_and_measure_are_those_of_a_monte_carlo():
+    """200 draws: a standard deviation is found to 5 %, which the bounds hold 4 times over."""
+    arm, rng = paper_arm(), np.random.default_rng(0)
+    C = covariance(rng)
+    wide = vector_covariance(arm, NAMES, C)
+    limits, region = joint_limits(arm), fixed_workspace(arm)
+    lines = boundary_deviation(arm, region, wide, spacing=0.05)
+    points = np.array([[0.9, 0.3], [0.2, 0.9], [-0.5, -0.6]])
+    best = Search(arm, FIXED, spacing=0.1).at(points)
+    expected = measure_deviation(arm, best, points, limits, FIXED, wide)
+    outer = lines[0][0][::20]
+    found, w = [], []
+    for other in drawn(arm, C, rng, 200):
+        moved = fixed_workspace(other)
+        found.append(moved.distance(outer) * np.where(moved.contains(outer), 1.0, -1.0))
+        w.append(climb(other.vector(), best.q, points, limits, FIXED)[1])
+    assert_allclose(np.std(found, axis=0), lines[0][1][::20], rtol=0.25)
+    assert_allclose(np.std(w, axis=0), expected, rtol=0.25)
+
+
+def test_deviation_of_the_radius_by_hand():
+    """R grows with a length by the share of the mass before it."""
+    arm = paper_arm()
+    wide = vector_covariance(arm, ["a_2"], [[1e-6]])
+    share = (10.0 + 2.88) / (10.0 + 4 * 2.88)
+    assert radius_deviation(arm, wide) == pytest.approx(1e-3 * share, rel=1e-6)
+    heavier = vector_covariance(arm, ["m_0"], [[0.1**2]])
+    bases = [replace(arm.base, mass=mass) for mass in (9.9, 10.1)]
+    low, high = (VirtualManipulator(replace(arm, base=base)).radius for base in bases)
+    assert radius_deviation(arm, heavier) == pytest.approx((high - low) / 2.0, rel=1e-3)
+
+
+def test_names_that_links_share():
+    arm = paper_arm()
+    assert_allclose(
+        vector_covariance(arm, ["a"], [[1.0]]), vector_covariance(arm, ["a_1 .. a_3"], [[1.0]])
+    )
+    one = vector_covariance(arm, ["I"], [[1.0]])
+    assert np.flatnonzero(np.diag(one)).tolist() == [11, 17, 23, 29]
+    with pytest.raises(ValueError, match="'c_1' is no parameter of 'paper'"):
+        vector_covariance(arm, ["c_1"], [[1.0]])
+
+
+def test_floating_deviations_need_masses_too():
+    arm = paper_arm()
+    points = np.array([[0.9, 0.3]])
+    best = Search(arm, FLOATING, spacing=0.2).at(points)
+    limits = joint_limits(arm)
+    wide = vector_covariance(arm, ["I_0", "m_0"], np.diag([0.025**2, 0.05**2]))
+    assert measure_deviation(arm, best, points, limits, FLOATING, wide)[0] > 1e-4
+    assert measure_deviation(arm, best, points, limits, FIXED, wide)[0] < 1e-9
