@@ -134,7 +134,7 @@ def test_a_calibration_that_passed_is_used_and_one_that_failed_is_not(run, spin)
     node, bench = run()
     truth = load("config/truth.yaml")
     message = KinematicCalibration(
-        verdict="fail", description=to_yaml(truth), names=["a_1 .. a_3"], covariance=[1e-4]
+        verdict="fail", description=to_yaml(truth), names=["a"], covariance=[1e-4]
     )
     bench.calibration.publish(message)
     message.verdict = "pass"

@@ -327,9 +327,7 @@ def _column(name: str, arm: Arm) -> Floats:
     column = np.zeros(len(arm.vector()))
     index = dict(zip(kinematic_names(arm.n), kinematic_index(arm.n), strict=True))
     index["theta_E"] = _THETA_E
-    first, _, last = name.partition(" .. ")
-    shared = range(int(first[2:]), int(last[2:]) + 1) if last else ()
-    for one in [f"a_{i}" for i in shared] or [name]:
+    for one in [f"a_{i}" for i in range(1, arm.n)] if name == "a" else [name]:
         if one not in index:
             raise ValueError(f"{name!r} is not a parameter of {arm.name!r}")
         column[index[one]] = 1.0
