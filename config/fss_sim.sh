@@ -13,3 +13,4 @@ done
 node arm fss_arm_driver arm --ros-args -p arm:=$arm
 node kinematic fss_arm_calib kinematic --ros-args -p arm:=config/cad.yaml \
   -p output:=out/fss_sim/arm.yaml -p state_file:=out/fss_sim/observations.json
+node base_reaction fss_arm_view base_reaction --ros-args -p arm:=$arm

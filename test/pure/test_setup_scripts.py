@@ -116,7 +116,7 @@ def test_systemd_takes_the_units_of_each_configuration(
 ) -> None:
     written = run("scripts/fss_systemd.sh", tmp_path, f"config/{name}.sh", cwd=ROOT)
     assert written.returncode == 0, written.stderr
-    nodes = [*others, *(f"link_{i}" for i in range(1, 5)), "arm", "kinematic"]
+    nodes = [*others, *(f"link_{i}" for i in range(1, 5)), "arm", "kinematic", "base_reaction"]
     units = {tmp_path / f"{name}-{node}.service" for node in nodes}
     assert set(tmp_path.iterdir()) == units | {tmp_path / f"{name}.target"}
     after = dict(pairwise(nodes))
