@@ -273,7 +273,7 @@ def test_faults_are_set_live_and_published(spin, ears, call):
     ("settings", "words"),
     [
         ({"link_5.loss": 0.1}, "no parameter link_5.loss"),
-        ({"fss.swap": 7.0}, "fss.swap is 7"),
+        ({"fss.turn": 7.0}, "fss.turn is 7"),
         ({"torque_rate": 50}, "expected 10 or 80"),
         ({"battery": 0.0}, "battery is 0.0"),
         ({"terminals": ["/tmp/a"]}, "expected 4"),

@@ -125,7 +125,9 @@ def test_vicon_drops_out_and_loses_sight_as_often_as_told():
 def test_vicon_is_late_turned_or_frozen_as_told():
     late = [s.base.pose[0] for s in look(SubjectFaults(latency=0.2), 100)]
     np.testing.assert_allclose(late[20:], 0.01 * np.arange(80), atol=1e-12)
-    assert look(SubjectFaults(swap=math.pi / 2), 3)[-1].base.pose == (0.02, 0.0, 0.5 + math.pi / 2)
+    swapped = look(SubjectFaults(swap=1.0), 3)[-1]
+    assert swapped.base == swapped.tip != look(SEEN, 3)[-1].base
+    assert look(SubjectFaults(turn=math.pi / 2), 3)[-1].base.pose == (0.02, 0.0, 0.5 + math.pi / 2)
     sensors = Sensors(PRESETS["default"], seed=1)
     poses = [
         sensors.look(k, (0.01 * k, 0, 0), (1, 0, 0), 0.0, STILL, SubjectFaults(frozen=k >= 5)).base

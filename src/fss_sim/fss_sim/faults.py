@@ -44,7 +44,8 @@ class SubjectFaults:
 
     dropout: float = fault("share of the frames that are not published")
     occlusion: float = fault("share of the frames without the subject: pose and quaternion zero")
-    swap: float = fault("markers are taken for each other: turned by [rad]", -pi, pi)
+    swap: float = fault("share of the frames in which it is taken for the other subject")
+    turn: float = fault("markers are taken for each other: turned by [rad]", -pi, pi)
     frozen: float = fault("1: the last pose is repeated with fresh stamps")
     latency: float = fault("how much older than their stamps the poses are [s]")
 

@@ -59,6 +59,10 @@ class Link:
         """Datagrams refused since its start."""
         return self.electronics.gate.refused.total() if self.electronics else 0
 
+    def clock(self, now: int) -> int:
+        """Its own clock [us]."""
+        return self._since + round((now - self._began) * (1.0 + self._drift) / 1000)
+
     def start(self, boot: int, now: int, uptime: int = 0) -> None:
         """Switch it on, `uptime` us ago."""
         self.electronics = LinkElectronics(
@@ -78,7 +82,7 @@ class Link:
     def demand(self, now: int, motion: Motion) -> Demand:
         """What its servo drive is to do from now on."""
         self._listen(now)
-        return self.electronics.demand(self._clock(now), motion) if self.electronics else OFF
+        return self.electronics.demand(self.clock(now), motion) if self.electronics else OFF
 
     def report(
         self, now: int, motion: Motion, seconds: float, faults: LinkFaults = NO_FAULTS
@@ -86,16 +90,12 @@ class Link:
         """What arrives of its telemetry, `seconds` after the last time it was asked."""
         if self.electronics:
             self.instruments.battery.draw(motion.current, seconds)
-            frame = self.electronics.telemetry(self._clock(now), motion)
+            frame = self.electronics.telemetry(self.clock(now), motion)
             if frame:
                 self._out.put(Datagram(frame, self._peer), now, faults)
         return self._out.arrived(now)
 
     def _listen(self, now: int) -> None:
         for datagram in self._in.arrived(now):
-            if self.electronics and self.electronics.receive(datagram.data, self._clock(now)):
+            if self.electronics and self.electronics.receive(datagram.data, self.clock(now)):
                 self._peer = datagram.peer
-
-    def _clock(self, now: int) -> int:
-        """Its own clock [us]."""
-        return self._since + round((now - self._began) * (1.0 + self._drift) / 1000)

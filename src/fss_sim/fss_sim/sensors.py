@@ -103,7 +103,7 @@ class Camera:
             return None
         if not faults.frozen:
             x, y, heading = self._poses[-1 - late]
-            self._reported = x, y, heading + faults.swap
+            self._reported = x, y, heading + faults.turn
         return Seen(self._reported, occluded=hidden < faults.occlusion)
 
 
@@ -162,9 +162,11 @@ class Sensors:
         bias += noise.gyro_walk * self._walk.at(frame)
         scale = 1.0 + noise.gyro_scale * self._scale
         seen_rate = scale * rate + bias + noise.gyro_noise * float(white[6])
+        as_base = seen_tip if chance[5] < base_faults.swap else seen_base
+        as_tip = seen_base if chance[6] < tip_faults.swap else seen_tip
         return Sight(
-            self._base.report(tuple(seen_base), base_faults, *chance[:2]),
-            self._tip.report(tuple(seen_tip), tip_faults, *chance[2:4]),
+            self._base.report(tuple(as_base), base_faults, *chance[:2]),
+            self._tip.report(tuple(as_tip), tip_faults, *chance[2:4]),
             None if chance[4] < gyro_faults.dropout else seen_rate,
         )
 

@@ -1,0 +1,128 @@
+"""The main job without ROS, in simulated time: test bed, the links' drivers, the calibration.
+
+What the nodes do, in the same order of things: telemetry in, readings and poses to the calibration,
+the person's part (arming again) and the experiment's (from posture to posture) in a few lines.
+"""
+
+from contextlib import suppress
+from dataclasses import replace
+from math import pi
+
+import numpy as np
+
+from fss_arm_calib.postures import DEFAULT
+from fss_arm_calib.rests import BASE, TIP, RestFinder, spoiled
+from fss_arm_calib.settings import CalibrationSettings
+from fss_arm_calib.verdict import calibrate
+from fss_arm_driver.link import Arming, LinkSession
+from fss_arm_driver.move import plan
+from fss_arm_driver.scale import CommandError
+from fss_arm_model.description import kinematic_index, load
+from fss_sim import testbed
+from fss_sim.faults import read_script
+from fss_sim.noise import PRESETS
+from fss_sim.testbed import SECOND, State
+
+COMMANDS = 20  # frames from one command to the next
+EPOCH = 1_700_000_000 * SECOND
+WAIT = 6.0  # for an observation of a rest [s]
+ROUNDS = 2  # of postures whose rest was spoiled
+
+
+class Rehearsal:
+    """An experiment under a fault script."""
+
+    def __init__(self, config, script="", noise=None, seed=1, postures=DEFAULT, **options):
+        self.truth, self.guess = load(config / "truth.yaml"), load(config / "cad.yaml")
+        state = State(frame=0, boots=1, rests=0, q=(0.0,) * 7, qd=(0.0,) * 7)
+        self.bed = testbed.Testbed(
+            self.truth,
+            replace(PRESETS["paper"], **(noise or {})),
+            seed,
+            state,
+            script=read_script(script),
+            **options,
+        )
+        self.links = [LinkSession(i, k) for i, k in enumerate(self.guess.links, 1)]
+        self.finder, self.observations = RestFinder(4, CalibrationSettings()), []
+        self.postures, self.samples = list(np.asarray(postures)), [[] for _ in self.links]
+        self.arming_asked = [0] * 4
+
+    @property
+    def now(self):
+        return EPOCH + self.bed.now
+
+    def step(self):
+        """A frame: what comes of it to drivers and calibration, and their commands."""
+        report = self.bed.step()
+        for i, datagrams in enumerate(report.telemetry):
+            for datagram in datagrams:
+                if sample := self.links[i].feed(datagram.data, self.now):
+                    self.samples[i].append(sample)
+                    self.observations += self.finder.joint(i + 1, sample.stamp, sample.position)
+        for name, seen in ((BASE, report.sight.base), (TIP, report.sight.tip)):
+            if seen:
+                pose = None if seen.occluded else seen.pose
+                self.observations += self.finder.pose(name, self.now, pose)
+        if self.bed.frame % COMMANDS == 0:
+            for i, link in enumerate(self.links):
+                self.bed.receive(i, link.command(self.now), peer="driver")
+
+    def arm(self):
+        """As a person does who sees a link that is not armed."""
+        for i, link in enumerate(self.links):
+            if link.arming is Arming.DISARMED and not link.lost:
+                link.arm(self.now)
+                self.arming_asked[i] += 1
+
+    def go(self, posture, patience=30.0):
+        """Move there and wait for the rest to be observed; whether it was."""
+        done, seen, end = None, len(self.observations), self.bed.now + patience * SECOND
+        order = None
+        while self.bed.now < end:
+            if self.bed.frame % COMMANDS == 0:
+                self.arm()
+                if not all(link.armed for link in self.links):
+                    order = None
+                elif done is None:
+                    q = tuple(samples[-1].position for samples in self.samples)
+                    order = order or plan(self.guess, q, tuple(posture))
+                    self.send(order)
+                    if np.abs(np.subtract(q, posture)).max() < 0.005:
+                        done = self.bed.now
+                elif order:
+                    self.send(order)
+            self.step()
+            if done is not None:
+                if len(self.observations) > seen and self.observations[-1].used:
+                    return True
+                if self.bed.now > done + WAIT * SECOND:
+                    return False
+        return False
+
+    def send(self, order):
+        for link, part in zip(self.links, order.profiles, strict=True):
+            with suppress(CommandError):  # it was lost just now
+                link.set(
+                    21, part.target, part.velocity, part.acceleration, self.now + SECOND, self.now
+                )
+
+    def run(self):
+        """The whole experiment; the calibration that comes of it."""
+        for posture in self.postures:
+            self.go(posture)
+        for _ in range(ROUNDS):
+            for lost in spoiled(self.observations, np.radians(1.0)):
+                self.go(lost.q)
+        self.observations += self.finder.close()
+        settings = CalibrationSettings(parametrization="full")
+        return calibrate(self.observations, self.guess, settings, self.finder.streams())
+
+    def errors(self, result):
+        """Of each parameter, in its standard deviations."""
+        true = self.truth.vector()[kinematic_index(4)]
+        off = np.array(result.values) - true
+        off[np.array(result.units) == "rad"] = (off[np.array(result.units) == "rad"] + pi) % (
+            2 * pi
+        ) - pi
+        return off / np.sqrt(np.diag(np.asarray(result.covariance).reshape(len(off), -1)))
