@@ -14,6 +14,7 @@ setup(
     entry_points={
         "console_scripts": [
             "base_reaction = fss_arm_view.base_reaction_node:main",
+            "view = fss_arm_view.view_node:main",
         ],
     },
 )

@@ -50,3 +50,36 @@ class BaseReactionSettings(ReactionSettings):
     world_frame: str = setting("world", "frame id of what is published")
     base_frame: str = setting("fss", "child frame id of base/state and /tf")
     rate: float = setting(10.0, "of base_reaction [1/s]")
+
+
+@dataclass(frozen=True)
+class ViewSettings:
+    """The parameters of a ViewNode."""
+
+    mode: str = setting("web", "native: a window; web: a page; file; connect: to a viewer")
+    bind: str = setting("127.0.0.1", "address that the page and its data are served on")
+    port: int = setting(9876, "of the data that the viewer listens to")
+    web_port: int = setting(9090, "of the page")
+    file: str = setting("view.rrd", "that mode file writes")
+    url: str = setting("rerun+http://127.0.0.1:9876/proxy", "of the viewer of mode connect")
+    memory: str = setting("1GB", "that the viewer keeps; the oldest goes first")
+    rate: float = setting(20.0, "most often that one thing is drawn [1/s]")
+    queue: int = setting(500, "drawings that may wait for the viewer; more are dropped")
+    arm: str = setting("", "file of the description to begin with; empty: the paper's arm")
+    joints_topic: str = setting("joint_states", "of the joints' readings")
+    base_topic: str = setting("vicon/fss/fss", "of the base's poses")
+    tip_topic: str = setting("vicon/end_effector/end_effector", "of the end effector's poses")
+    target_topic: str = setting("vicon/target/target", "of a target's poses")
+    boundaries: tuple[str, ...] = setting(
+        ("workspace/fixed", "workspace/reachable", "workspace/straight"), "polygons to draw"
+    )
+
+    def __post_init__(self) -> None:
+        if self.mode not in ("native", "web", "file", "connect"):
+            raise ValueError(
+                f"mode is {self.mode!r}, expected 'native', 'web', 'file' or 'connect'"
+            )
+        if not self.rate > 0.0:
+            raise ValueError(f"rate is {self.rate}, expected more than 0")
+        if self.queue < 1:
+            raise ValueError(f"queue is {self.queue}, expected 1 or more")

@@ -1,0 +1,119 @@
+"""Drawings on their way to rerun: bounded, limited in rate, counted, and off the node's thread."""
+
+import subprocess
+import time
+from collections import Counter
+from collections.abc import Iterable
+from pathlib import Path
+from queue import Full, Queue
+from threading import Thread
+from typing import Any
+
+import numpy as np
+import rerun as rr
+
+from .scene import Drawing
+
+NATIVE, WEB, FILE, CONNECT = "native", "web", "file", "connect"
+MODES = (NATIVE, WEB, FILE, CONNECT)
+
+TIMELINE = "time"
+
+
+class Sink:
+    """Takes drawings without ever waiting; a thread hands them to rerun.
+
+    What comes faster than `rate` for one entity, or finds the queue full, is dropped and counted.
+    """
+
+    def __init__(self, stream: rr.RecordingStream, rate: float, size: int) -> None:
+        self.stream, self.period = stream, 1.0 / rate
+        self.queue: Queue[tuple[int, list[Drawing]] | None] = Queue(size)
+        self.last: dict[str, float] = {}
+        self.counts: Counter[str] = Counter()
+        self.thread = Thread(target=self._run, daemon=True)
+        self.thread.start()
+
+    def due(self, entity: str) -> bool:
+        """Whether the entity may be shown again; its next turn is counted from now."""
+        now = time.monotonic()
+        if now - self.last.get(entity, -1e9) < self.period:
+            self.counts["thinned out"] += 1
+            return False
+        self.last[entity] = now
+        return True
+
+    def put(self, t: int, drawings: Iterable[Drawing]) -> bool:
+        """Show drawings at time t [ns]; False if there is no room."""
+        try:
+            self.queue.put_nowait((t, list(drawings)))
+        except Full:
+            self.counts["dropped"] += 1
+            return False
+        return True
+
+    def close(self, patience: float = 2.0) -> None:
+        """Write what waits, but not for longer than `patience` [s]."""
+        try:
+            self.queue.put(None, timeout=patience)
+        except Full:
+            return
+        self.thread.join(patience)
+
+    def _run(self) -> None:
+        while (work := self.queue.get()) is not None:
+            t, drawings = work
+            self.stream.set_time(TIMELINE, timestamp=np.datetime64(t, "ns"))
+            for entity, archetype in drawings:
+                self.stream.log(entity, archetype)
+            self.counts["shown"] += 1
+        self.stream.flush()
+
+
+class Viewer:
+    """The rerun program, as a window or as a server of the web page; ended with its owner."""
+
+    def __init__(self, mode: str, bind: str, port: int, web_port: int, memory: str) -> None:
+        import rerun_cli
+
+        program = Path(rerun_cli.__file__).parent / "rerun"
+        command = [program, "--bind", bind, "--port", port, "--memory-limit", memory]
+        if mode == WEB:
+            command += ["--serve-web", "--web-viewer-port", web_port]
+            command += ["--server-memory-limit", memory]
+        self.process = subprocess.Popen(
+            [str(word) for word in [*command, "--hide-welcome-screen"]],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+
+    def alive(self) -> bool:
+        """Whether it still runs."""
+        return self.process.poll() is None
+
+    def close(self) -> None:
+        """End it."""
+        self.process.terminate()
+        try:
+            self.process.wait(5.0)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+
+
+def open_stream(mode: str, target: str, blueprint: Any) -> rr.RecordingStream:
+    """A recording that goes to a file or to a viewer's address.
+
+    Raises:
+        ValueError: the file cannot be written, or the address is none.
+    """
+    stream = rr.RecordingStream("fss_arm")
+    try:
+        if mode == FILE:
+            stream.save(target, default_blueprint=blueprint)
+        else:
+            stream.connect_grpc(target, default_blueprint=blueprint)
+    except (RuntimeError, OSError) as error:
+        raise ValueError(f"{target!r} cannot be shown to: {error}") from None
+    return stream
