@@ -28,7 +28,7 @@ class Sink:
 
     def __init__(self, stream: rr.RecordingStream, rate: float, size: int) -> None:
         self.stream, self.period = stream, 1.0 / rate
-        self.queue: Queue[tuple[int, list[Drawing]] | None] = Queue(size)
+        self.queue: Queue[tuple[int | None, list[Drawing]] | None] = Queue(size)
         self.last: dict[str, float] = {}
         self.counts: Counter[str] = Counter()
         self.thread = Thread(target=self._run, daemon=True)
@@ -43,8 +43,8 @@ class Sink:
         self.last[entity] = now
         return True
 
-    def put(self, t: int, drawings: Iterable[Drawing]) -> bool:
-        """Show drawings at time t [ns]; False if there is no room."""
+    def put(self, t: int | None, drawings: Iterable[Drawing]) -> bool:
+        """Show drawings at time t [ns], or always; False if there is no room."""
         try:
             self.queue.put_nowait((t, list(drawings)))
         except Full:
@@ -63,9 +63,10 @@ class Sink:
     def _run(self) -> None:
         while (work := self.queue.get()) is not None:
             t, drawings = work
-            self.stream.set_time(TIMELINE, timestamp=np.datetime64(t, "ns"))
+            if t is not None:
+                self.stream.set_time(TIMELINE, timestamp=np.datetime64(t, "ns"))
             for entity, archetype in drawings:
-                self.stream.log(entity, archetype)
+                self.stream.log(entity, archetype, static=t is None)
             self.counts["shown"] += 1
         self.stream.flush()
 

@@ -52,7 +52,7 @@ class ViewNode(Node):
         self.sequences: dict[int, int] = {}
         self.losses: dict[int, float] = {}
         self.said: dict[str, bytes] = {}
-        self.sink.put(0, [*scene.ground(), *scene.styles(self.arm.n)])
+        self.sink.put(None, [*scene.ground(), *scene.styles(self.arm.n)])
         self._listen()
         if s.mode == WEB:
             self._say_where()
