@@ -1,0 +1,125 @@
+"""What the view draws, and how it gets to rerun without anybody waiting."""
+
+import subprocess
+import time
+from pathlib import Path
+from threading import Event
+
+import numpy as np
+import pytest
+import rerun_cli
+
+from fss_arm_model.description import paper_arm
+from fss_arm_model.kinematics import tip_pose
+from fss_arm_msgs.msg import BaseReaction
+from fss_arm_view import scene
+from fss_arm_view.settings import ViewSettings
+from fss_arm_view.sink import FILE, Sink, open_stream
+
+
+def points(archetype):
+    """All points of a drawing of lines."""
+    return np.concatenate(archetype.strips.as_arrow_array().to_pylist())
+
+
+def test_the_arm_is_drawn_to_its_tip_with_y_upwards():
+    arm, pose, q = paper_arm(), (0.3, -0.2, 0.5), (0.1, 0.2, -0.3, 0.4)
+    drawings = dict(scene.arm(arm, pose, q))
+    tip = tip_pose(arm.vector(), np.array([*pose, *q]))
+    drawn = points(drawings["table/arm/links"])
+    assert drawn.shape == (5, 2)
+    np.testing.assert_allclose(drawn[-1], [tip[0], -tip[1]], atol=1e-6)  # rerun keeps float32
+    ellipse = points(drawings["table/arm/ellipse"])
+    np.testing.assert_allclose(ellipse[:-1].mean(axis=0), [tip[0], -tip[1]], atol=1e-6)
+
+
+def test_a_base_shows_its_heading():
+    _, drawing = scene.base((1.0, 2.0, np.pi / 2), "base", scene.STEEL)
+    nose = points(drawing)[-1]
+    np.testing.assert_allclose(nose, [1.0, -2.0 - scene.BASE / 2], atol=1e-6)
+
+
+def test_a_reaction_is_plotted_in_degrees_and_what_is_unknown_is_left_out():
+    message = BaseReaction(torque=0.3, torque_measured=float("nan"))
+    message.predicted[2], message.predicted_deviation[2] = np.pi / 2, np.pi / 180
+    drawings = dict(scene.reaction(message))
+    value = {
+        name: drawing.scalars.as_arrow_array().to_pylist()[0]
+        for name, drawing in drawings.items()
+        if name.startswith("plot/")
+    }
+    assert value["plot/heading/predicted"] == pytest.approx(90.0)
+    assert value["plot/heading/highest"] - value["plot/heading/lowest"] == pytest.approx(2.0)
+    assert value["plot/torque/predicted"] == 0.3
+    assert "plot/torque/sensor" not in value
+
+
+class Stuck:
+    """A viewer that takes nothing until it is let go."""
+
+    def __init__(self):
+        self.go, self.logged = Event(), []
+
+    def set_time(self, *_, **__):
+        self.go.wait(20.0)
+
+    def log(self, entity, *_, **__):
+        self.logged.append(entity)
+
+    def flush(self):
+        pass
+
+
+def test_a_viewer_that_is_stuck_holds_nobody_up():
+    stuck = Stuck()
+    sink = Sink(stuck, rate=1e9, size=10)
+    begin = time.monotonic()
+    taken = [sink.put(k, [("log", None)]) for k in range(1000)]
+    assert time.monotonic() - begin < 5.0  # it would be 20 s each
+    assert 10 <= sum(taken) <= 11
+    assert sink.counts["dropped"] == 1000 - sum(taken)
+    stuck.go.set()
+    sink.close()
+    assert len(stuck.logged) == sum(taken)
+
+
+def test_each_thing_has_its_own_rate():
+    sink = Sink(Stuck(), rate=1e-3, size=1)
+    assert sink.due("a")
+    assert not sink.due("a")
+    assert sink.due("b")
+    assert sink.counts["thinned out"] == 1
+
+
+def test_a_recording_of_the_view_can_be_read(tmp_path):
+    file = tmp_path / "view.rrd"
+    sink = Sink(open_stream(FILE, str(file), scene.blueprint()), rate=1e9, size=100)
+    sink.put(None, [*scene.ground(), *scene.styles(4)])
+    sink.put(1_000_000_000, scene.arm(paper_arm(), (0, 0, 0), (0, 0, 0, 0)))
+    sink.put(1_000_000_000, [scene.words("armed")])
+    sink.close(20.0)
+    sink.stream.disconnect()
+    rerun = Path(rerun_cli.__file__).parent / "rerun"
+    shown = subprocess.run(
+        [rerun, "rrd", "print", file], capture_output=True, text=True, timeout=60, check=True
+    ).stdout
+    for entity in ("/table/edge", "/table/arm/links", "/log", "/plot/heading/predicted"):
+        assert entity in shown
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"mode": "tv"}, "mode is 'tv', expected 'native', 'web', 'file' or 'connect'"),
+        ({"rate": 0.0}, "rate is 0.0, expected more than 0"),
+        ({"queue": 0}, "queue is 0, expected 1 or more"),
+    ],
+)
+def test_impossible_settings_are_refused(change, words):
+    with pytest.raises(ValueError, match=words):
+        ViewSettings(**change)
+
+
+def test_a_file_that_cannot_be_written_is_named(tmp_path):
+    with pytest.raises(ValueError, match=r"view\.rrd"):
+        open_stream(FILE, str(tmp_path / "none/view.rrd"), scene.blueprint())
