@@ -110,6 +110,14 @@ def test_slow_fields_are_kept(heard):
     assert heard.step().slow == {Slow.TEMPERATURE: -3, Slow.SUPPLY: 240}
 
 
+def test_a_pause_at_the_begin_is_not_taken_for_the_usual_period(bench):
+    bench.step()
+    bench.now += 2 * PERIOD
+    for _ in range(5):
+        bench.step()
+    assert bench.session.counts["believed"] == 5
+
+
 def test_damage_repetition_and_disorder_are_counted_and_published_never(heard):
     one = heard.link.telemetry(heard.now + 1 * PERIOD)
     two = heard.link.telemetry(heard.now + 2 * PERIOD)

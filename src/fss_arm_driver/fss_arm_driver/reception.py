@@ -37,7 +37,7 @@ class Track:
         """The track with its next frame; a single late one hardly changes the usual period."""
         steps = (frame.sequence - self.frame.sequence) & 0xFFFFFFFF
         last = (frame.clock - self.frame.clock) / steps
-        if self.period:
+        if 0.0 < self.period < last:
             last = self.period + (min(last, 2.0 * self.period) - self.period) / 8
         return Track(frame, self.clock, last)
 
@@ -125,7 +125,9 @@ class Reception:
         turned = frame.position - track.frame.position
         known_to = track.clock.half_width(now)
         early = self._early + (known_to if known_to < self._timeout else 0)
-        if age < -early or period < steps * max(SHORTEST_PERIOD, track.period / 2):
+        # Frames that are said to have come between need their time; the next one is no leap.
+        least = max(steps * SHORTEST_PERIOD, (steps - 1) * track.period / 2)
+        if age < -early or period < least:
             return Verdict.JUMP
         return Verdict.FOLLOWS if self._scale.reachable(turned, period) else Verdict.JUMP
 
