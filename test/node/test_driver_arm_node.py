@@ -8,14 +8,16 @@ from driver_link import RATE, FakeTransport
 from rclpy.action import ActionClient
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from std_msgs.msg import Empty
+from std_msgs.msg import Empty, String
 from std_srvs.srv import SetBool
 
 from fss_arm_driver.arm_node import ArmNode
 from fss_arm_driver.link_node import LinkNode
 from fss_arm_driver.protocol import State
+from fss_arm_driver.urdf import urdf
 from fss_arm_model.description import paper_arm, save
 from fss_arm_msgs.action import MoveArm
+from fss_arm_ros.qos import LATCHED
 
 
 def overrides(**parameters):
@@ -177,6 +179,13 @@ def test_without_drivers_arming_says_whose_are_missing(spin):
     answer = armer.call_async(SetBool.Request(data=True))
     spin([arm, user], answer.done)
     assert answer.result().message == "; ".join(f"link {i} did not answer" for i in (1, 2, 3, 4))
+
+
+def test_who_comes_late_gets_the_arms_description(spin):
+    arm, user, heard = ArmNode(), Node("user"), []
+    user.create_subscription(String, "robot_description", heard.append, LATCHED)
+    spin([arm, user], lambda: heard)
+    assert heard[0].data == urdf(paper_arm())
 
 
 def test_settings_are_checked(start):

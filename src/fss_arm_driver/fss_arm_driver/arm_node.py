@@ -11,18 +11,19 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.task import Future
-from std_msgs.msg import Empty
+from std_msgs.msg import Empty, String
 from std_srvs.srv import SetBool
 
 from fss_arm_driver.move import Move, MoveError, Profile, plan
 from fss_arm_driver.protocol import State
 from fss_arm_driver.scale import Scale
 from fss_arm_driver.settings import ArmSettings
+from fss_arm_driver.urdf import urdf
 from fss_arm_msgs.action import MoveArm
 from fss_arm_msgs.msg import LinkCommand, LinkTelemetry
 from fss_arm_ros.convert import SECOND
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
-from fss_arm_ros.qos import command, subscribe_sensor
+from fss_arm_ros.qos import LATCHED, command, subscribe_sensor
 from fss_arm_ros.run import run
 from fss_arm_ros.settings import declare
 
@@ -64,6 +65,8 @@ class ArmNode(Node):
             self.listen(i, Scale(link))
         self.create_subscription(Empty, "arm/stop", self.on_stop, 10)
         self.create_service(SetBool, "arm/arm", self.on_arm, callback_group=waits)
+        description = self.create_publisher(String, "robot_description", LATCHED)
+        description.publish(String(data=urdf(self.arm)))
         self.create_timer(1.0 / self.settings.rate, self.tick)
         self.mover = ActionServer(
             self,
