@@ -14,6 +14,7 @@ setup(
     entry_points={
         "console_scripts": [
             "kinematic = fss_arm_calib.kinematic_node:main",
+            "design = fss_arm_calib.design_command:main",
             "dynamic = fss_arm_calib.dynamic_node:main",
             "experiment = fss_arm_calib.experiment_node:main",
             "from_bag = fss_arm_calib.from_bag:main",

@@ -192,3 +192,36 @@ def test_a_wrong_progress_file_is_named(ros, tmp_path):
     (tmp_path / "progress.json").write_text('{"what": 1}')
     with pytest.raises(ValueError, match="holds no progress"):
         make_node(state_file=str(tmp_path / "progress.json"))
+
+
+PLAN = """
+maneuvers:
+- {kind: sweep, q: [[0, 0, 0, 0], [0.5, 0, 0.5, 0.1], [0, 0, 0.1, 0]], durations: [2.0, 3.0]}
+- {kind: single, q: [[0, 0, 0.1, 0], [0, 0.4, 0.1, 0]], durations: [1.5]}
+"""
+
+
+def test_maneuvers_are_made_with_pauses_between(spin_to_the_end, tmp_path):
+    (tmp_path / "plan.yaml").write_text(PLAN)
+    arm = FakeArm()
+    experiment = make_node(maneuvers=str(tmp_path / "plan.yaml"), pause=0.3)
+    assert [stop.pause for stop in experiment.stops] == [0.3, 0.0, 0.3, 0.3]
+    assert [stop.duration for stop in experiment.stops] == [0.0, 2.0, 3.0, 1.5]
+    assert spin_to_the_end(arm, experiment) == 0
+    assert arm.goals == [
+        [0.0, 0.0, 0.0, 0.0], [0.5, 0.0, 0.5, 0.1], [0.0, 0.0, 0.1, 0.0], [0.0, 0.4, 0.1, 0.0],
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{", "not a plan of maneuvers"),
+        ("maneuvers: [{kind: x, q: [[0, 0]], durations: []}]", "expected .w . 1, 4."),
+        (PLAN.replace("0.4", "1.6"), "joint 2 at 1.6 rad"),
+    ],
+)
+def test_a_wrong_plan_is_refused(ros, tmp_path, text, message):
+    (tmp_path / "plan.yaml").write_text(text)
+    with pytest.raises(ValueError, match=message):
+        make_node(maneuvers=str(tmp_path / "plan.yaml"))

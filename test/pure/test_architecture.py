@@ -33,7 +33,9 @@ ALLOWED = {
 }
 
 # Where the mathematics of a package meets ROS: its nodes, and these.
-EDGES = {"settings", "messages", "dynamic_messages", "from_bag", "recompute"}
+EDGES = {
+    "settings", "messages", "dynamic_messages", "from_bag", "design_command", "recompute",
+}  # fmt: skip
 MATHEMATICS = {
     "fss_arm_model", "fss_arm_driver", "fss_sim", "fss_arm_calib", "fss_arm_workspace",
     "fss_arm_view",

@@ -1,9 +1,10 @@
-"""The node `experiment`: moves the arm from posture to posture and sees that each is observed."""
+"""The node `experiment`: moves the arm through postures to be observed, or through maneuvers."""
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from rclpy.action import ActionClient
@@ -11,7 +12,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.task import Future
 
-from fss_arm_model.description import load, paper_arm
+from fss_arm_model.description import Arm, load, paper_arm
 from fss_arm_msgs.action import MoveArm
 from fss_arm_msgs.msg import KinematicObservations
 from fss_arm_ros.convert import SECOND, stamp_ns
@@ -21,6 +22,7 @@ from fss_arm_ros.run import run
 from fss_arm_ros.settings import declare, setting
 
 from . import state
+from .design import Planned, from_yaml
 from .kinematic import Floats
 from .postures import default
 
@@ -35,6 +37,10 @@ class ExperimentSettings:
     postures: tuple[float, ...] = setting(
         (), "joint readings of each posture, row after row [rad]; empty: chosen for the arm"
     )
+    maneuvers: str = setting(
+        "", "file of maneuvers to make instead, as `design` writes it; empty: postures"
+    )
+    pause: float = setting(5.2, "rest before and after a maneuver [s]")
     tolerance: float = setting(0.0175, "a posture observed this close is the one wanted [rad]")
     rest: float = setting(3.0, "rest at each posture if nobody observes [s]")
     patience: float = setting(20.0, "longest wait for an observation [s]")
@@ -43,7 +49,7 @@ class ExperimentSettings:
     state_file: str = setting("", "progress is kept here across restarts; empty: nowhere")
 
     def __post_init__(self) -> None:
-        for name in ("tolerance", "rest", "patience", "retry", "silence"):
+        for name in ("pause", "tolerance", "rest", "patience", "retry", "silence"):
             if not getattr(self, name) > 0.0:
                 raise ValueError(f"{name} is {getattr(self, name)}, must be positive")
 
@@ -56,19 +62,28 @@ class Progress:
     done: int = 0  # postures
 
 
-class ExperimentNode(Node):
-    """Takes the arm through a list of postures and ends when all of them are done.
+class Stop(NamedTuple):
+    """Where the arm is to go."""
 
-    Each posture is left when it has been observed, or after a rest if nobody observes. It never
-    arms a link: until somebody has, as after any failed or lost move, it asks for the move again.
+    q: Floats  # (n) [rad]
+    duration: float = 0.0  # of the move there [s]; 0: as fast as the arm's limits allow
+    pause: float = -1.0  # rest there [s]; < 0: until it has been observed
+
+
+class ExperimentNode(Node):
+    """Takes the arm through a list of postures, or of maneuvers, and ends when all are done.
+
+    Each posture is left when it has been observed, or after a rest if nobody observes; a maneuver
+    goes from one posture to the next at once, and ends with a pause. It never arms a link: until
+    somebody has, as after any failed or lost move, it asks for the move again.
     """
 
     def __init__(self, **options: Any) -> None:
         super().__init__("experiment", **options)
         s = self.settings = declare(self, ExperimentSettings)
-        self.postures = postures(s)
+        self.stops = stops(s)
         self.progress = self.restore()
-        self.progress.done = min(self.progress.done, len(self.postures))  # less what was repeated
+        self.progress.done = min(self.progress.done, len(self.stops))  # less what was repeated
         self.mover = ActionClient(self, MoveArm, "arm/move")
         self.observed: list[tuple[int, tuple[float, ...]]] = []  # end [ns], readings [rad]
         self.spoiled: list[Floats] = []  # readings [rad]
@@ -118,10 +133,10 @@ class ExperimentNode(Node):
             self.progress.begun = now
             self.save()
         self.observer = self.observer or bool(self.count_publishers("calibration/observations"))
-        if self.progress.done < len(self.postures):
+        if self.progress.done < len(self.stops):
             self.phase(now)
         elif not self.repeat():
-            self.get_logger().info(f"all {len(self.postures)} postures done")
+            self.get_logger().info(f"all {len(self.stops)} postures done")
             raise SystemExit(0)
 
     def repeat(self) -> bool:
@@ -133,10 +148,10 @@ class ExperimentNode(Node):
                 np.abs(spoiled - q).max() <= self.settings.tolerance for _, q in self.observed
             )
         ]
-        if not missing or self.rounds >= ROUNDS:
+        if not missing or self.rounds >= ROUNDS or self.settings.maneuvers:
             return False
         self.rounds += 1
-        self.postures = np.vstack([self.postures, missing])
+        self.stops += [Stop(q) for q in missing]
         self.say(f"repeating rests that gaps spoiled: {len(missing)}")
         return True
 
@@ -147,7 +162,8 @@ class ExperimentNode(Node):
         if not self.mover.server_is_ready():
             self.say("waiting for arm/move")
             return
-        goal = MoveArm.Goal(q=self.postures[self.progress.done].tolist())
+        q, duration, _ = self.stops[self.progress.done]
+        goal = MoveArm.Goal(q=q.tolist(), duration=duration)
         self.goal = self.mover.send_goal_async(goal, feedback_callback=self.on_feedback)
         self.goal.add_done_callback(self.on_answer)
         self.outcome = Future()
@@ -163,7 +179,7 @@ class ExperimentNode(Node):
         if self.phase != self.move:
             return
         self.since = self.now()
-        degrees = np.degrees(self.postures[self.progress.done]).round().astype(int)
+        degrees = np.degrees(self.stops[self.progress.done].q).round().astype(int)
         self.say(f"{self.title}: moving to {degrees.tolist()} degrees")
 
     def move(self, now: int) -> None:
@@ -181,8 +197,11 @@ class ExperimentNode(Node):
 
     def watch(self, now: int) -> None:
         """Await the observation."""
-        posture = self.postures[self.progress.done]
-        if any(
+        posture, _, pause = self.stops[self.progress.done]
+        if pause >= 0.0:
+            if self.waited(now, pause):
+                self.leave("done")
+        elif any(
             end >= self.progress.begun and np.abs(posture - q).max() <= self.settings.tolerance
             for end, q in self.observed
         ):
@@ -215,7 +234,7 @@ class ExperimentNode(Node):
     @property
     def title(self) -> str:
         """Which posture it is."""
-        return f"posture {self.progress.done + 1} of {len(self.postures)}"
+        return f"posture {self.progress.done + 1} of {len(self.stops)}"
 
     def say(self, text: str) -> None:
         """Log what is new."""
@@ -228,18 +247,40 @@ class ExperimentNode(Node):
         return Health(OK, self.said or "starting", {"postures done": self.progress.done})
 
 
-def postures(settings: ExperimentSettings) -> Floats:
-    """The postures to go through, (s, n) [rad].
+def stops(settings: ExperimentSettings) -> list[Stop]:
+    """Where to go, one after the other.
 
     Raises:
         ValueError: they do not suit the arm.
+        OSError: a file cannot be read.
     """
-    arm = load(settings.arm) if settings.arm else paper_arm()
-    if not settings.postures:
-        return default(arm)
-    if len(settings.postures) % arm.n:
-        raise ValueError(f"postures has {len(settings.postures)} numbers, expected {arm.n} a row")
-    q = np.array(settings.postures).reshape(-1, arm.n)
+    s = settings
+    arm = load(s.arm) if s.arm else paper_arm()
+    if s.maneuvers:
+        found = through(from_yaml(Path(s.maneuvers).read_text(encoding="utf-8"), arm.n), s.pause)
+        check(np.array([stop.q for stop in found]), arm)
+        return found
+    if not s.postures:
+        return [Stop(q) for q in default(arm)]
+    if len(s.postures) % arm.n:
+        raise ValueError(f"postures has {len(s.postures)} numbers, expected {arm.n} a row")
+    q = np.array(s.postures).reshape(-1, arm.n)
+    check(q, arm)
+    return [Stop(row) for row in q]
+
+
+def through(plan: Sequence[Planned], pause: float) -> list[Stop]:
+    """The postures of maneuvers: a pause before the first and after each."""
+    found = [Stop(plan[0].waypoints[0], 0.0, pause)] if plan else []
+    for one in plan:
+        moves = zip(one.waypoints[1:], one.durations.tolist(), strict=True)
+        found += [Stop(q, duration, 0.0) for q, duration in moves]
+        found[-1] = found[-1]._replace(pause=pause)
+    return found
+
+
+def check(q: Floats, arm: Arm) -> None:
+    """Raise ValueError if a posture is beyond a limit."""
     for i, link in enumerate(arm.links):
         outside = (q[:, i] < link.q_min) | (q[:, i] > link.q_max) | ~np.isfinite(q[:, i])
         if outside.any():
@@ -247,7 +288,6 @@ def postures(settings: ExperimentSettings) -> Floats:
                 f"postures: joint {i + 1} at {q[outside, i][0]:.4g} rad, "
                 f"expected {link.q_min:.4g} to {link.q_max:.4g}"
             )
-    return q
 
 
 def main() -> int:

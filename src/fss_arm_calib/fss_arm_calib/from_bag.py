@@ -6,7 +6,7 @@ from argparse import BooleanOptionalAction
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
 from os import PathLike
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from rich.console import Console
 
@@ -139,16 +139,17 @@ def maneuvers(bags: Bags, finder: ManeuverFinder, settings: DynamicSettings) -> 
     return found + finder.close()
 
 
-class _Parser(argparse.ArgumentParser):
+class Parser(argparse.ArgumentParser):
     """Complains in one line, and not with the exit code of a failed calibration."""
 
     def error(self, message: str) -> NoReturn:
+        """Exit with USER_ERROR."""
         self.exit(USER_ERROR, f"{self.prog}: {message}\n")
 
 
 def parser(kind: type[CalibrationSettings] | type[DynamicSettings]) -> argparse.ArgumentParser:
     """The command line: the bags, what to write, and each setting that the node has, too."""
-    p = _Parser("from_bag", description=__doc__, epilog=EPILOG)
+    p = Parser("from_bag", description=__doc__, epilog=EPILOG)
     p.add_argument("bags", nargs="+", metavar="BAG", help="bag, or folder of bags")
     p.add_argument(
         "--dynamic", action="store_true", help="calibrate the dynamics; see --dynamic --help"
@@ -158,6 +159,12 @@ def parser(kind: type[CalibrationSettings] | type[DynamicSettings]) -> argparse.
     p.add_argument(
         "--truth", metavar="YAML", help="description to compare with, in the report only"
     )
+    add_settings(p, kind)
+    return p
+
+
+def add_settings(p: argparse.ArgumentParser, kind: type[Any]) -> None:
+    """An option for each setting of a dataclass."""
     for f in fields(kind):
         flag, about = f"--{f.name.replace('_', '-')}", f.metadata["about"]
         if isinstance(f.default, bool):
@@ -172,7 +179,6 @@ def parser(kind: type[CalibrationSettings] | type[DynamicSettings]) -> argparse.
                 "%", "%%"
             ),
         )
-    return p
 
 
 def calibrated(options: argparse.Namespace, console: Console) -> Calibration | DynamicCalibration:

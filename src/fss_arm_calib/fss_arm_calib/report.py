@@ -66,18 +66,20 @@ def console() -> Console:
 
 def printed(report: Report) -> Group:
     """What matters most, as something that rich prints."""
-    tables = []
-    for table in report.tables:
-        shown = PrintedTable(title=table.title, title_justify="left")
-        for k, name in enumerate(table.head):
-            style = "bold" if name == "estimate" else ""
-            shown.add_column(name, justify="left" if k < table.words else "right", style=style)
-        for row in table.rows:
-            shown.add_row(*row)
-        tables.append(shown)
     verdict = Text.assemble((_words(report.verdict), STYLE[report.verdict]), f": {report.reason}")
     title = Text(report.title, style="bold")
-    return Group(title, *tables, verdict, Text(report.origin, style="dim"))
+    return Group(title, *map(shown, report.tables), verdict, Text(report.origin, style="dim"))
+
+
+def shown(table: Table) -> PrintedTable:
+    """A table as something that rich prints."""
+    printed = PrintedTable(title=table.title, title_justify="left")
+    for k, name in enumerate(table.head):
+        style = "bold" if name == "estimate" else ""
+        printed.add_column(name, justify="left" if k < table.words else "right", style=style)
+    for row in table.rows:
+        printed.add_row(*row)
+    return printed
 
 
 def write(folder: str | Path, *reports: Report) -> Path:

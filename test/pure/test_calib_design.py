@@ -1,0 +1,234 @@
+"""Proposed maneuvers: they keep to their conditions, and tell more than others."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from fss_arm_calib.design import (
+    LOOP,
+    PAUSE,
+    RAMP,
+    SINGLE,
+    STRENGTH,
+    SWEEP,
+    Conditions,
+    NoManeuver,
+    candidates,
+    design,
+    expected,
+    from_yaml,
+    problem,
+    profile,
+    timed,
+    to_yaml,
+    torques,
+)
+from fss_arm_calib.design_command import main
+from fss_arm_calib.dynamic import information
+from fss_arm_calib.dynamic_settings import DynamicSettings
+from fss_arm_model import dynamics
+from fss_arm_model.base_motion import base_poses, path
+from fss_arm_model.description import Link, paper_arm
+from fss_arm_model.kinematics import joint_positions
+
+ARM = paper_arm()
+SETTINGS = DynamicSettings()
+SMALL = {"tried": 15, "seed": 1}
+
+
+def some(kind, count=25, **conditions):
+    given = Conditions(kinds=(kind,), **conditions)
+    return candidates(ARM, np.zeros(4), count, given, np.random.default_rng(2))
+
+
+def test_a_profile_is_a_trapezoid_of_the_rate():
+    x = np.linspace(0.0, 1.0, 100_001)
+    way, rate, acceleration = profile(x)
+    assert (way[0], way[-1]) == (0.0, 1.0)
+    assert np.trapezoid(rate, x) == pytest.approx(1.0, abs=1e-9)
+    assert np.gradient(way, x)[1:-1] == pytest.approx(rate[1:-1], abs=1e-4)
+    assert rate.max() == 1.0 / (1.0 - RAMP)
+    assert np.trapezoid(acceleration, x) == pytest.approx(0.0, abs=1e-3)
+
+
+def test_torques_are_those_of_the_floating_arm():
+    """The accelerations they cause, at the base's rates without momentum, are those asked for."""
+    rng = np.random.default_rng(3)
+    q, qd, qdd = rng.uniform(-1.0, 1.0, (3, 6, 4))
+    for tau, *motion in zip(torques(ARM, q, qd, qdd), q, qd, qdd, strict=True):
+        p, state = ARM.vector(), np.concatenate([np.zeros(3), motion[0]])
+        H = dynamics.inertia_matrix(p, state)
+        twist = -np.linalg.solve(H[:3, :3], H[:3, 3:] @ motion[1])
+        rates = np.concatenate([twist, motion[1]])
+        found = dynamics.forward_dynamics(p, state, rates, [0.0, 0.0, 0.0, *tau])
+        assert found[3:] == pytest.approx(motion[2], abs=1e-9)
+
+
+@pytest.mark.parametrize("kind", [SINGLE, SWEEP, LOOP])
+def test_candidates_keep_to_the_conditions(kind):
+    found = some(kind, duration=7.0)
+    assert len(found) > 10
+    for one in found:
+        law, edges = one.law()
+        t = np.linspace(0.0, one.length, 50)
+        q, qd = law(t)
+        assert one.length <= 7.0
+        assert np.abs(q).max() <= np.pi / 2
+        assert (np.abs(qd).max(axis=0) <= 1.0 + 1e-9).all()
+        s, rate, acceleration = profile(np.linspace(0.001, 0.999, 97))
+        for a, b, T in zip(one.waypoints[:-1], one.waypoints[1:], one.durations, strict=True):
+            way = b - a
+            tau = torques(
+                ARM, a + s[:, None] * way, rate[:, None] * way / T,
+                acceleration[:, None] * way / T**2,
+            )  # fmt: skip
+            assert np.abs(tau).max() <= 1.02 * STRENGTH * 1.8
+        poses = base_poses(ARM.vector(), path(law, edges, t), np.zeros(8))
+        places = joint_positions(ARM.vector(), np.concatenate([poses, q], axis=1))
+        assert np.abs(places).max() < 2.0
+        moving = np.abs(np.diff(one.waypoints, axis=0)).max(axis=0) > 0.0
+        if kind == SINGLE:
+            assert np.count_nonzero(moving) == 1
+        if kind == LOOP:
+            assert np.array_equal(one.waypoints[0], one.waypoints[-1])
+
+
+def test_laws_go_through_the_waypoints_and_rest_between():
+    (one, *_) = (p for p in some(SWEEP) if len(p.durations) == 2)
+    law, _ = one.law()
+    arrival = one.durations[0]
+    q, qd = law(np.array([0.0, arrival, arrival + 0.5 * PAUSE, one.length]))
+    assert q[[0, 1, 3]] == pytest.approx(one.waypoints, abs=1e-12)
+    assert np.array_equal(q[1], q[2])
+    assert np.abs(qd).max() < 1e-9
+
+
+def with_torque(share):
+    links = tuple(
+        replace(k, drive=replace(k.drive, max_current=share * k.drive.max_current))
+        for k in ARM.links
+    )
+    return replace(ARM, links=links)
+
+
+def test_time_grows_with_what_torque_asks():
+    a, b = np.zeros(4), np.array([1.2, 0.0, 0.0, 0.0])
+    weak, weaker = (timed(with_torque(share), a, b) for share in (0.1, 0.05))
+    assert weaker == pytest.approx(weak * np.sqrt(2.0), rel=1e-6)
+    assert weak > timed(ARM, a, b)
+
+
+def test_a_design_tells_more_than_chance_and_is_the_same_for_a_seed():
+    plan = design(ARM, 6, SETTINGS, **SMALL)
+    again = design(ARM, 6, SETTINGS, **SMALL)
+    assert to_yaml(plan) == to_yaml(again)
+    for one, following in pairwise(plan):
+        assert np.array_equal(one.waypoints[-1], following.waypoints[0])
+
+    def volume(maneuvers):
+        covariance = expected(ARM, maneuvers, SETTINGS, 5.0).random
+        return np.linalg.slogdet(covariance)[1]
+
+    chances = [design(ARM, 6, SETTINGS, tried=3, seed=k) for k in range(5)]
+    assert volume(plan) < np.mean(list(map(volume, chances))) - 1.0
+
+
+def test_expected_deviations_are_those_of_the_solver():
+    plan = design(ARM, 6, SETTINGS, **SMALL)
+    result = expected(ARM, plan, SETTINGS, 5.0)
+    assert result.values[0] == pytest.approx(0.191, abs=1e-9)
+    assert result.minimum.iterations == 0
+    model = problem(ARM, plan, SETTINGS, 5.0)
+    prior = np.diag(np.where(np.isfinite(model.known), model.known, np.inf) ** -2.0)
+    covariance = np.linalg.inv(information(model).sum(axis=0) + prior)
+    assert result.random == pytest.approx(covariance, rel=1e-6)
+
+
+def test_chosen_parameters_come_first():
+    """Where CAD tells something of all others."""
+    known = replace(SETTINGS, priors="b_i I_i I_0 com_0")
+    everything = design(ARM, 5, known, **SMALL)
+    last = design(ARM, 5, known, chosen=["b_4", "I_4"], **SMALL)
+
+    def of_link_4(plan):
+        result = expected(ARM, plan, known, 5.0)
+        which = [result.problem.names.index(name) for name in ("b_4", "I_4")]
+        return np.linalg.slogdet(result.random[np.ix_(which, which)])[1]
+
+    assert of_link_4(last) < of_link_4(everything)
+    with pytest.raises(ValueError, match="m_1 is not estimated"):
+        design(ARM, 1, SETTINGS, chosen=["m_1"], **SMALL)
+
+
+def test_what_is_known_already_is_not_sought_again():
+    first = design(ARM, 4, SETTINGS, **SMALL)
+    known = information(problem(ARM, first, SETTINGS, 5.0)).sum(axis=0)
+    begin = first[-1].waypoints[-1]
+    following = design(ARM, 4, SETTINGS, known=known, begin=begin, tried=15, seed=2)
+    anew = design(ARM, 4, SETTINGS, begin=begin, tried=15, seed=2)
+
+    def both(plan):
+        return np.linalg.slogdet(expected(ARM, [*first, *plan], SETTINGS, 5.0).random)[1]
+
+    assert both(following) <= both(anew) + 1e-9
+
+
+def test_floating_time_ends_a_design():
+    plan = design(ARM, 50, SETTINGS, Conditions(total=40.0), **SMALL)
+    assert 25.0 < sum(p.length + 5.0 for p in plan) + 5.0 <= 40.0
+
+
+def test_loops_tell_least_on_a_table_that_may_be_tilted():
+    """In 100 s of floating."""
+    worst = {}
+    for kind in (SINGLE, SWEEP, LOOP):
+        plan = design(ARM, 50, SETTINGS, Conditions(kinds=(kind,), total=100.0), **SMALL)
+        worst[kind] = expected(ARM, plan, SETTINGS, 5.0).deviations[:4].max()
+    assert worst[LOOP] > 3.0 * max(worst[SINGLE], worst[SWEEP])
+
+
+def test_nothing_fits_a_small_table():
+    with pytest.raises(NoManeuver, match=r"keeps to 8 s, the joints' torque and a table of 1 m"):
+        design(ARM, 1, SETTINGS, Conditions(table=1.0), **SMALL)
+
+
+def test_another_arm():
+    links = tuple(Link(a=0.3, theta_0=0.0, mass=2.0, inertia=0.02, b=0.15) for _ in range(2))
+    short = replace(ARM, links=links)
+    plan = design(short, 3, SETTINGS, **SMALL)
+    assert plan[0].waypoints.shape[1] == 2
+
+
+def test_a_plan_is_read_back():
+    plan = design(ARM, 3, SETTINGS, **SMALL)
+    for one, read in zip(plan, from_yaml(to_yaml(plan), 4), strict=True):
+        assert read.kind == one.kind
+        assert read.waypoints == pytest.approx(one.waypoints, abs=1e-6)
+        assert read.durations == pytest.approx(one.durations, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("conditions", "message"),
+    [
+        ({"duration": 0.0}, "duration is 0.0, must be positive"),
+        ({"kinds": ("spin",)}, "expected some of single, sweep, loop"),
+    ],
+)
+def test_impossible_conditions_are_refused(conditions, message):
+    with pytest.raises(ValueError, match=message):
+        Conditions(**conditions)
+
+
+def test_the_command_prints_what_to_expect_and_writes_a_plan(tmp_path, capsys):
+    output = tmp_path / "plan.yaml"
+    assert main(["--count", "2", "--kinds", "single", "--output", str(output)]) == 0
+    text = capsys.readouterr().out
+    for words in ("To expect", "± 1 sigma", "b_1", "single", "plan written to"):
+        assert words in text
+    assert len(from_yaml(output.read_text(), 4)) == 2
+    assert main(["--kinematic", "--count", "8", "--output", str(output)]) == 0
+    assert "theta_BJ1" in capsys.readouterr().out
+    assert main(["--table", "1", "--count", "1"]) == 1
+    assert capsys.readouterr().err.count("\n") == 1
