@@ -10,8 +10,8 @@ from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
 from fss_arm_calib.dynamic_messages import maneuvers_of
-from fss_arm_calib.dynamic_node import DynamicNode, DynamicNodeSettings
-from fss_arm_calib.dynamic_settings import DynamicSettings
+from fss_arm_calib.dynamic_node import DynamicNode, DynamicSettings
+from fss_arm_calib.dynamic_settings import DynamicCalibrationSettings
 from fss_arm_calib.dynamic_verdict import calibrate
 from fss_arm_calib.from_bag import main as from_bag
 from fss_arm_calib.from_bag import parser, solve_dynamic_bag
@@ -111,14 +111,14 @@ def test_live_solution_is_the_truth_and_can_be_recomputed(spin, play, samples, t
     assert load(tmp_path / "found.yaml").links[0].b == found["b_1"]
 
     # the maneuvers published give the result again
-    settings = settings_of(result.provenance, DynamicNodeSettings)
+    settings = settings_of(result.provenance, DynamicSettings)
     again = calibrate(maneuvers_of(bed.maneuvers[-1]), from_yaml(result.guess), settings)
     assert np.abs(again.values - result.values).max() < 1e-9
     assert np.abs(again.covariance.ravel() - result.covariance).max() < 1e-9
 
     # and so does a bag of the same topics
     bag = record(tmp_path / "bags", samples)
-    offline, _ = solve_dynamic_bag(bag, DynamicSettings(arm=files["arm"], **PRECISE))
+    offline, _ = solve_dynamic_bag(bag, DynamicCalibrationSettings(arm=files["arm"], **PRECISE))
     assert offline.provenance.data_hash == result.provenance.data_hash
     assert np.abs(offline.values - result.values).max() < 1e-9
 
@@ -186,8 +186,8 @@ def test_an_error_of_the_user_is_one_line(samples, tmp_path, capsys, args, messa
 
 def test_node_and_command_have_the_same_settings(ros):
     node = make_node()
-    options = parser(DynamicSettings).parse_args(["bag", "--dynamic"])
-    for f in fields(DynamicSettings):
+    options = parser(DynamicCalibrationSettings).parse_args(["bag", "--dynamic"])
+    for f in fields(DynamicCalibrationSettings):
         assert getattr(options, f.name) == node.get_parameter(f.name).value == f.default
     node.destroy_node()
 

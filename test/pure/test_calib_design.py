@@ -27,14 +27,14 @@ from fss_arm_calib.design import (
 )
 from fss_arm_calib.design_command import main
 from fss_arm_calib.dynamic import information
-from fss_arm_calib.dynamic_settings import DynamicSettings
+from fss_arm_calib.dynamic_settings import DynamicCalibrationSettings
 from fss_arm_model import dynamics
 from fss_arm_model.base_motion import base_poses, path
 from fss_arm_model.description import Link, paper_arm
 from fss_arm_model.kinematics import joint_positions
 
 ARM = paper_arm()
-SETTINGS = DynamicSettings()
+SETTINGS = DynamicCalibrationSettings()
 SMALL = {"tried": 15, "seed": 1}
 
 

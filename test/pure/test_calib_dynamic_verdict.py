@@ -7,7 +7,7 @@ import pytest
 from calib_float import ARM, Float, feed, postures
 
 from fss_arm_calib.dynamic_messages import maneuvers_message, maneuvers_of, to_message
-from fss_arm_calib.dynamic_settings import HEADING, DynamicSettings
+from fss_arm_calib.dynamic_settings import HEADING, DynamicCalibrationSettings
 from fss_arm_calib.dynamic_verdict import calibrate
 from fss_arm_calib.judgement import FAIL, NOT_EVALUATED, PASS, settings_of
 from fss_arm_calib.maneuvers import ManeuverFinder
@@ -15,7 +15,7 @@ from fss_arm_calib.rests import Streams
 from fss_arm_model.description import from_yaml
 
 STATE = np.array([0.1, 0.2, 3.0, 0.2, -0.1, 0.03, 0.0002, -0.0001])
-SETTINGS = DynamicSettings(position_deviation=0.0005, heading_deviation=0.0017)
+SETTINGS = DynamicCalibrationSettings(position_deviation=0.0005, heading_deviation=0.0017)
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +64,7 @@ def test_every_number_can_be_recomputed_from_what_is_published(maneuvers, good):
     again = calibrate(
         maneuvers_of(published),
         from_yaml(result.guess),
-        settings_of(result.provenance, DynamicSettings),
+        settings_of(result.provenance, DynamicCalibrationSettings),
     )
     assert maneuvers_of(published) == maneuvers
     assert np.array_equal(again.values, result.values)

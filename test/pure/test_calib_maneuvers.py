@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from calib_float import ARM, SECOND, Float, at, feed, postures
 
-from fss_arm_calib.dynamic_settings import DynamicSettings, ManeuverSettings
+from fss_arm_calib.dynamic_settings import DynamicCalibrationSettings, ManeuverSettings
 from fss_arm_calib.maneuvers import ManeuverFinder
 from fss_arm_model import base_motion
 
@@ -212,4 +212,4 @@ def test_joints_of_another_arm_are_named(samples):
 )
 def test_impossible_settings_are_refused(change, message):
     with pytest.raises(ValueError, match=message):
-        DynamicSettings(**change)
+        DynamicCalibrationSettings(**change)

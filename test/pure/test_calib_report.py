@@ -14,7 +14,7 @@ from fss_arm_calib import report
 from fss_arm_calib.dynamic_messages import maneuvers_message
 from fss_arm_calib.dynamic_messages import to_message as dynamic_message
 from fss_arm_calib.dynamic_report import dynamic_report
-from fss_arm_calib.dynamic_settings import DynamicSettings
+from fss_arm_calib.dynamic_settings import DynamicCalibrationSettings
 from fss_arm_calib.dynamic_verdict import calibrate as calibrate_dynamics
 from fss_arm_calib.kinematic import OFFSETS
 from fss_arm_calib.kinematic_report import kinematic_report
@@ -142,7 +142,7 @@ def maneuvers():
 
 
 def test_a_dynamic_calibration_is_told_as_well(maneuvers, tmp_path):
-    settings = DynamicSettings(position_deviation=5e-4, heading_deviation=2e-3)
+    settings = DynamicCalibrationSettings(position_deviation=5e-4, heading_deviation=2e-3)
     c = dynamic_message(calibrate_dynamics(maneuvers, ARM, settings), "fss")
     told = dynamic_report(c, ARM, maneuvers_message(maneuvers, "fss").maneuvers)
     text = printed(told)
@@ -167,7 +167,7 @@ def test_a_dynamic_calibration_is_told_as_well(maneuvers, tmp_path):
 
 
 def test_a_dynamic_calibration_without_a_solution_is_told(maneuvers, tmp_path):
-    c = dynamic_message(calibrate_dynamics(maneuvers[:2], ARM, DynamicSettings()), "fss")
+    c = dynamic_message(calibrate_dynamics(maneuvers[:2], ARM, DynamicCalibrationSettings()), "fss")
     told = dynamic_report(c, None, maneuvers_message(maneuvers[:2], "fss").maneuvers)
     assert "not evaluated: 2 maneuvers" in printed(told)
     report.write(tmp_path, told)

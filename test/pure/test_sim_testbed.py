@@ -1,6 +1,7 @@
 """Sensors and the whole test bed: errors as stated, the same again with the same seed, resumed."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -151,3 +152,13 @@ def test_the_gyro_is_off_by_bias_walk_and_scale():
         assert abs(seen[2] - seen[1]) < 5e-4  # no step
     assert np.std(scales) == pytest.approx(1e-3, rel=0.17)  # 4 sigma of 300 draws
     assert np.std(walks) == pytest.approx(5e-4, rel=0.17)  # after 25 s
+
+
+def test_an_error_of_vicon_may_stay_for_some_frames():
+    noise = Noise(position_noise=0.001, heading_noise=0.01, vicon_hold=0.1)
+    sensors, fresh = Sensors(noise, 3), Sensors(replace(noise, vicon_hold=0.0), 3)
+    still = ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), 0.0, np.zeros(4))
+    held = [sensors.look(k, *still).base.pose for k in range(600)]
+    assert len(set(held)) == 60
+    assert all(len(set(held[k : k + 10])) == 1 for k in range(0, 600, 10))
+    assert len({fresh.look(k, *still).base.pose for k in range(600)}) == 600

@@ -21,7 +21,7 @@ from fss_arm_model.dynamics import bias, inertia_matrix
 from fss_arm_model.kinematics import joint_positions
 
 from .dynamic import DynamicProblem, DynamicResult, information, solve
-from .dynamic_settings import HEADING, DynamicSettings
+from .dynamic_settings import HEADING, DynamicCalibrationSettings
 from .dynamic_verdict import known_beforehand
 from .least_squares import Floats
 from .postures import MARGIN, clearance
@@ -185,7 +185,9 @@ def within(arm: Arm, kind: str, waypoints: Floats, conditions: Conditions) -> Pl
     return planned if reach <= 0.5 * conditions.table - EDGE else None
 
 
-def marks(planned: Planned, settings: DynamicSettings, rest: float) -> tuple[Path, Floats]:
+def marks(
+    planned: Planned, settings: DynamicCalibrationSettings, rest: float
+) -> tuple[Path, Floats]:
     """The path with marks in the looks before and after it, and how often each is seen anew."""
     look = min(settings.longest, (rest - settings.settle) / 2.0)
     bins = max(1, round(look / settings.bin))
@@ -196,7 +198,7 @@ def marks(planned: Planned, settings: DynamicSettings, rest: float) -> tuple[Pat
 
 
 def problem(
-    arm: Arm, plan: Sequence[Planned], settings: DynamicSettings, rest: float
+    arm: Arm, plan: Sequence[Planned], settings: DynamicCalibrationSettings, rest: float
 ) -> DynamicProblem:
     """What would be solved after a plan, its poses those predicted for an arm as described."""
     paths, fresh = zip(*(marks(one, settings, rest) for one in plan), strict=True)
@@ -214,7 +216,7 @@ def problem(
 
 
 def expected(
-    arm: Arm, plan: Sequence[Planned], settings: DynamicSettings, rest: float
+    arm: Arm, plan: Sequence[Planned], settings: DynamicCalibrationSettings, rest: float
 ) -> DynamicResult:
     """The result to expect of a plan if the arm is as described: its deviations are what counts."""
     return solve(problem(arm, plan, settings, rest), bounded=False)
@@ -223,7 +225,7 @@ def expected(
 def design(
     arm: Arm,
     count: int,
-    settings: DynamicSettings,
+    settings: DynamicCalibrationSettings,
     conditions: Conditions | None = None,
     chosen: Sequence[str] = (),
     known: Floats | None = None,
@@ -279,7 +281,7 @@ def design(
     return plan
 
 
-def _before(model: DynamicProblem, settings: DynamicSettings) -> Floats:
+def _before(model: DynamicProblem, settings: DynamicCalibrationSettings) -> Floats:
     """Information (p, p) of the priors, and where there are none of what is vaguely known.
 
     Without the latter the first few maneuvers, which cannot tell all parameters, had no order.

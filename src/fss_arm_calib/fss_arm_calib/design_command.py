@@ -25,7 +25,7 @@ from .design import (
     to_yaml,
 )
 from .dynamic import DynamicResult, information
-from .dynamic_settings import DynamicSettings
+from .dynamic_settings import DynamicCalibrationSettings
 from .dynamic_verdict import problem_of
 from .from_bag import USER_ERROR, Parser, add_settings, maneuvers
 from .kinematic import FULL, KinematicProblem, solve
@@ -53,7 +53,7 @@ def parser() -> argparse.ArgumentParser:
             p.add_argument(
                 f"--{f.name}", type=type(f.default), default=f.default, help=HELP[f.name]
             )
-    add_settings(p, DynamicSettings)
+    add_settings(p, DynamicCalibrationSettings)
     return p
 
 
@@ -65,7 +65,7 @@ HELP = {
 }
 
 
-def known_before(bag: str, arm: Arm, settings: DynamicSettings) -> Floats | None:
+def known_before(bag: str, arm: Arm, settings: DynamicCalibrationSettings) -> Floats | None:
     """Information of the maneuvers in a bag."""
     if not bag:
         return None
@@ -98,7 +98,9 @@ def outlook(result: DynamicResult) -> report.Table:
     return report.Table("To expect", head, rows, words=2)
 
 
-def comparison(arm: Arm, settings: DynamicSettings, given: Conditions, count: int) -> report.Table:
+def comparison(
+    arm: Arm, settings: DynamicCalibrationSettings, given: Conditions, count: int
+) -> report.Table:
     """Each kind alone, in as much floating time as `count` of the longest maneuvers take."""
     total = count * (given.duration + given.rest)
     rows = []
@@ -141,8 +143,8 @@ def propose_postures(options: argparse.Namespace, arm: Arm, console: Console) ->
 
 def propose(options: argparse.Namespace, console: Console) -> None:
     """Find maneuvers, say what to expect of them, and write them."""
-    settings = DynamicSettings(
-        **{f.name: getattr(options, f.name) for f in fields(DynamicSettings)}
+    settings = DynamicCalibrationSettings(
+        **{f.name: getattr(options, f.name) for f in fields(DynamicCalibrationSettings)}
     )
     arm = load(settings.arm) if settings.arm else paper_arm()
     if options.kinematic:

@@ -19,7 +19,7 @@ from fss_arm_ros.run import run
 from fss_arm_ros.settings import declare
 
 from .dynamic_messages import feed_gyro, feed_joints, feed_pose, maneuvers_message, to_message
-from .dynamic_settings import DynamicSettings
+from .dynamic_settings import DynamicCalibrationSettings
 from .dynamic_verdict import calibrate
 from .judgement import PASS
 from .maneuvers import Maneuver, ManeuverFinder
@@ -27,7 +27,7 @@ from .settings import setting
 
 
 @dataclass(frozen=True)
-class DynamicNodeSettings(DynamicSettings):
+class DynamicSettings(DynamicCalibrationSettings):
     """The parameters of a DynamicNode."""
 
     base_frame: str = setting("fss", "frame id of the results")
@@ -43,7 +43,7 @@ class DynamicNode(Node):
 
     def __init__(self, **options: Any) -> None:
         super().__init__("dynamic", **options)
-        s = self.settings = declare(self, DynamicNodeSettings)
+        s = self.settings = declare(self, DynamicSettings)
         self.arm = load(s.arm) if s.arm else paper_arm()
         self.maneuvers: list[Maneuver] = []
         self.finder = ManeuverFinder(self.arm.n, s)
@@ -114,7 +114,7 @@ class DynamicNode(Node):
 
 def main() -> int:
     """Run as `ros2 run fss_arm_calib dynamic`."""
-    return run(DynamicNode, DynamicNodeSettings)
+    return run(DynamicNode, DynamicSettings)
 
 
 if __name__ == "__main__":

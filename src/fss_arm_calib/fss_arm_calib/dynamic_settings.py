@@ -67,7 +67,7 @@ class DynamicCriteria:
 
 
 @dataclass(frozen=True)
-class DynamicSettings(ManeuverSettings, DynamicCriteria, Knowledge):
+class DynamicCalibrationSettings(ManeuverSettings, DynamicCriteria, Knowledge):
     """Where the data come from, what is known beforehand, what is estimated and how it is judged.
 
     Raises:

@@ -13,7 +13,7 @@ from fss_arm_model.description import Arm, DescriptionError, to_yaml
 
 from .dynamic import DynamicProblem, DynamicResult, solve
 from .dynamic_parameters import Choice, Knowledge
-from .dynamic_settings import GRAVITY, HEADING, DynamicSettings
+from .dynamic_settings import GRAVITY, HEADING, DynamicCalibrationSettings
 from .identifiability import INVISIBLE, Combination, Direction, combinations, directions
 from .judgement import (
     FAIL,
@@ -93,7 +93,7 @@ class DynamicCalibration:
 
 
 def problem_of(
-    maneuvers: Sequence[Maneuver], arm: Arm, settings: DynamicSettings
+    maneuvers: Sequence[Maneuver], arm: Arm, settings: DynamicCalibrationSettings
 ) -> DynamicProblem:
     """The problem that maneuvers with poses make.
 
@@ -122,7 +122,7 @@ def problem_of(
     )
 
 
-def known_beforehand(settings: DynamicSettings, n: int) -> dict[str, Any]:
+def known_beforehand(settings: DynamicCalibrationSettings, n: int) -> dict[str, Any]:
     """The fields of a DynamicProblem that settings alone decide."""
     s, choice = settings, Choice.of(settings.estimate, n)
     deviations = s.deviations(n)
@@ -151,7 +151,7 @@ class Solution:
     leverage: Floats  # (M,)
 
 
-def solution_of(problem: DynamicProblem, settings: DynamicSettings) -> Solution:
+def solution_of(problem: DynamicProblem, settings: DynamicCalibrationSettings) -> Solution:
     """Solve with the loss asked for; reject as many outliers as allowed, one after the other."""
     size = len(problem.poses)
     kept, reasons = np.ones(size, dtype=bool), [""] * size
@@ -184,7 +184,7 @@ def _weighed(
 def calibrate(
     maneuvers: Sequence[Maneuver],
     arm: Arm,
-    settings: DynamicSettings | None = None,
+    settings: DynamicCalibrationSettings | None = None,
     streams: Streams | None = None,
     source: str = LIVE,
 ) -> DynamicCalibration:
@@ -200,7 +200,7 @@ def calibrate(
     Raises:
         ValueError: maneuvers and arm do not fit, or a setting is impossible.
     """
-    s, streams = settings or DynamicSettings(), streams or Streams()
+    s, streams = settings or DynamicCalibrationSettings(), streams or Streams()
     used = [one for one in maneuvers if one.used]
     stages = [_joints(streams, arm), _enough(used, maneuvers, streams, s)]
     problem = problem_of(used, arm, s) if stages[-1].verdict == PASS else None
@@ -259,7 +259,10 @@ def _joints(streams: Streams, arm: Arm) -> Stage:
 
 
 def _enough(
-    used: Sequence[Maneuver], every: Sequence[Maneuver], streams: Streams, s: DynamicSettings
+    used: Sequence[Maneuver],
+    every: Sequence[Maneuver],
+    streams: Streams,
+    s: DynamicCalibrationSettings,
 ) -> Stage:
     reason = f"{count(len(used), 'maneuver')} (at least {s.min_maneuvers})"
     if len(used) >= s.min_maneuvers:
@@ -274,7 +277,7 @@ def _enough(
     return Stage("maneuvers", NOT_EVALUATED, len(used), s.min_maneuvers, reason)
 
 
-def _judged(solution: Solution, s: DynamicSettings) -> list[Stage]:
+def _judged(solution: Solution, s: DynamicCalibrationSettings) -> list[Stage]:
     """The stages of a solution, each threshold beside its value."""
     r = solution.result
     stages = [_determined(r, s)]
@@ -312,7 +315,7 @@ def _judged(solution: Solution, s: DynamicSettings) -> list[Stage]:
     return [*stages, _precise(r, s)]
 
 
-def _determined(r: DynamicResult, s: DynamicSettings) -> Stage:
+def _determined(r: DynamicResult, s: DynamicCalibrationSettings) -> Stage:
     lost = [name for name, u in zip(r.problem.names, r.undetermined, strict=True) if u]
     lost = [name for name in lost if name not in r.at_bound]
     kinds = directions(r, s)
@@ -327,7 +330,7 @@ def _determined(r: DynamicResult, s: DynamicSettings) -> Stage:
     return Stage("determined", NOT_EVALUATED, missing, 0, reason)
 
 
-def _precise(r: DynamicResult, s: DynamicSettings) -> Stage:
+def _precise(r: DynamicResult, s: DynamicCalibrationSettings) -> Stage:
     """The parameter known worst against what is asked."""
     names, found = r.problem.names, r.values
     worst, at = 0.0, ""
@@ -384,7 +387,7 @@ def _told(solution: Solution, knowledge: Knowledge) -> dict[str, Any]:
     }
 
 
-def _nothing_told(arm: Arm, s: DynamicSettings) -> dict[str, Any]:
+def _nothing_told(arm: Arm, s: DynamicCalibrationSettings) -> dict[str, Any]:
     """The same fields without a solution."""
     n = arm.n
     nowhere = Path(np.empty((0, 1, 3 * n + 1)), np.empty((0, 1, 2 * n + 2)))

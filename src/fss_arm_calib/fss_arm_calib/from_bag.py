@@ -17,7 +17,7 @@ from fss_arm_ros.convert import SECOND
 
 from . import dynamic_messages, dynamic_verdict, report
 from .dynamic_report import dynamic_report
-from .dynamic_settings import DynamicSettings
+from .dynamic_settings import DynamicCalibrationSettings
 from .dynamic_verdict import DynamicCalibration
 from .kinematic_report import kinematic_report
 from .maneuvers import Maneuver, ManeuverFinder
@@ -65,7 +65,7 @@ def source(bags: Bags) -> str:
 
 def solve_dynamic_bag(
     paths: str | PathLike[str] | Iterable[str | PathLike[str]],
-    settings: DynamicSettings | None = None,
+    settings: DynamicCalibrationSettings | None = None,
 ) -> tuple[DynamicCalibration, list[Maneuver]]:
     """Find the maneuvers in one or several bags, and calibrate, as the node `dynamic` does.
 
@@ -74,7 +74,7 @@ def solve_dynamic_bag(
         ValueError: a setting is impossible, or the description is.
         OSError: a file cannot be read.
     """
-    settings = settings or DynamicSettings()
+    settings = settings or DynamicCalibrationSettings()
     arm = load(settings.arm) if settings.arm else paper_arm()
     finder = ManeuverFinder(arm.n, settings)
     with open_bags(paths) as bags:
@@ -120,7 +120,9 @@ def observations(
     return found + finder.close()
 
 
-def maneuvers(bags: Bags, finder: ManeuverFinder, settings: DynamicSettings) -> list[Maneuver]:
+def maneuvers(
+    bags: Bags, finder: ManeuverFinder, settings: DynamicCalibrationSettings
+) -> list[Maneuver]:
     """What the finder makes of the bags' messages; the gyro may be missing.
 
     Raises:
@@ -147,7 +149,9 @@ class Parser(argparse.ArgumentParser):
         self.exit(USER_ERROR, f"{self.prog}: {message}\n")
 
 
-def parser(kind: type[CalibrationSettings] | type[DynamicSettings]) -> argparse.ArgumentParser:
+def parser(
+    kind: type[CalibrationSettings] | type[DynamicCalibrationSettings],
+) -> argparse.ArgumentParser:
     """The command line: the bags, what to write, and each setting that the node has, too."""
     p = Parser("from_bag", description=__doc__, epilog=EPILOG)
     p.add_argument("bags", nargs="+", metavar="BAG", help="bag, or folder of bags")
@@ -183,11 +187,11 @@ def add_settings(p: argparse.ArgumentParser, kind: type[Any]) -> None:
 
 def calibrated(options: argparse.Namespace, console: Console) -> Calibration | DynamicCalibration:
     """Solve, show and write what was asked for."""
-    kind = DynamicSettings if options.dynamic else CalibrationSettings
+    kind = DynamicCalibrationSettings if options.dynamic else CalibrationSettings
     truth: Arm | None = load(options.truth) if options.truth else None
     settings = kind(**{f.name: getattr(options, f.name) for f in fields(kind)})
     calibration: Calibration | DynamicCalibration
-    if isinstance(settings, DynamicSettings):
+    if isinstance(settings, DynamicCalibrationSettings):
         calibration, found = solve_dynamic_bag(options.bags, settings)
         told = dynamic_report(calibration, truth, found)
     else:
@@ -209,7 +213,7 @@ def calibrated(options: argparse.Namespace, console: Console) -> Calibration | D
 def main(args: Sequence[str] | None = None) -> int:
     """Run as `ros2 run fss_arm_calib from_bag`."""
     given = sys.argv[1:] if args is None else args
-    kind = DynamicSettings if "--dynamic" in given else CalibrationSettings
+    kind = DynamicCalibrationSettings if "--dynamic" in given else CalibrationSettings
     options = parser(kind).parse_args(given)
     try:
         return EXIT_CODES[calibrated(options, report.console()).verdict]

@@ -10,6 +10,7 @@ class Noise:
 
     position_noise: float = 0.0  # white, each VICON pose and axis [m]
     heading_noise: float = 0.0  # white, each VICON pose [rad]
+    vicon_hold: float = 0.0  # how long such an error stays before it is another one [s]
     rest_position_error: float = 0.0  # end effector seen from the base, each axis, for a rest [m]
     rest_heading_error: float = 0.0  # likewise [rad]
     vicon_latency: float = 0.0  # from the picture to the stamp that receivers give it, always [s]

@@ -121,7 +121,8 @@ class Sensors:
         self._still = 0
         self._bias, self._scale = _random(seed, _RUN, 0).standard_normal(2).tolist()
         self._walk = Walk(seed)
-        self._chance = Chance(seed, 7)
+        self._chance, self._held = Chance(seed, 7), Chance(seed, 7)
+        self._hold = max(1, round(noise.vicon_hold * RATE))  # [frames]
         self._white = np.array([noise.position_noise] * 2 + [noise.heading_noise])
         latency = round(noise.vicon_latency * RATE)
         self._base, self._tip = Camera(latency), Camera(latency)
@@ -154,14 +155,15 @@ class Sensors:
             gyro_faults: what is wrong with the FOG.
         """
         self._follow(qd)
-        noise, white, chance = self.noise, self._chance.normal(frame), self._chance.uniform(frame)
+        noise, chance = self.noise, self._chance.uniform(frame)
+        white = self._held.normal(frame // self._hold)
         seen_base = (np.array(base) + self._white * white[:3]).tolist()
         seen_tip = np.array(compose(base, (np.array(tip) + self._error).tolist()))
         seen_tip = (seen_tip + self._white * white[3:6]).tolist()
         bias = noise.gyro_bias * self._bias + gyro_faults.bias
         bias += noise.gyro_walk * self._walk.at(frame)
         scale = 1.0 + noise.gyro_scale * self._scale
-        seen_rate = scale * rate + bias + noise.gyro_noise * float(white[6])
+        seen_rate = scale * rate + bias + noise.gyro_noise * float(self._chance.normal(frame)[6])
         as_base = seen_tip if chance[5] < base_faults.swap else seen_base
         as_tip = seen_base if chance[6] < tip_faults.swap else seen_tip
         return Sight(

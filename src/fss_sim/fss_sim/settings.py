@@ -28,6 +28,9 @@ class TestbedSettings:
     preset: str = setting("default", f"of the sensors' errors: {', '.join(PRESETS)}")
     position_noise: float = setting(-1.0, "of a VICON frame, 1 sigma [m]; < 0: the preset's")
     heading_noise: float = setting(-1.0, "of a VICON frame, 1 sigma [rad]; < 0: the preset's")
+    vicon_hold: float = setting(
+        -1.0, "how long such an error stays before it is another one [s]; < 0: the preset's"
+    )
     rest_position_error: float = setting(
         -1.0, "of the end effector seen from the base, each rest, 1 sigma [m]; < 0: the preset's"
     )
@@ -45,6 +48,9 @@ class TestbedSettings:
     battery: float = setting(1.0, "charge of the links' batteries at the begin, 0 to 1")
     faults: str = setting("", "file of a fault script (docs/simulator.md); empty: none")
     base: tuple[float, ...] = setting((0.0, 0.0, 0.0), "pose at the begin: x, y [m], heading [rad]")
+    twist: tuple[float, ...] = setting(
+        (0.0, 0.0, 0.0), "of base and arm at the begin, about the base's origin [m/s, m/s, rad/s]"
+    )
     q: tuple[float, ...] = setting((), "joint angles at the begin [rad]; empty: all 0")
     keep_clock: bool = setting(False, "publish /clock; else the stamps are ROS time as it is")
     speed: float = setting(
@@ -75,8 +81,9 @@ class TestbedSettings:
             raise ValueError(f"battery is {self.battery}, expected above 0 to 1")
         if not self.encoder_error <= 0.01:
             raise ValueError(f"encoder_error is {self.encoder_error} rad, expected at most 0.01")
-        if len(self.base) != 3:
-            raise ValueError(f"base has {len(self.base)} numbers, expected 3")
+        for name in ("base", "twist"):
+            if len(getattr(self, name)) != 3:
+                raise ValueError(f"{name} has {len(getattr(self, name))} numbers, expected 3")
 
     def description(self) -> Arm:
         """The true arm."""
@@ -117,4 +124,4 @@ class TestbedSettings:
         q = self.q or n * (0.0,)
         if len(q) != n:
             raise ValueError(f"q has {len(q)} angles, expected {n}")
-        return State(frame=0, boots=1, rests=0, q=(*self.base, *q), qd=(3 + n) * (0.0,))
+        return State(frame=0, boots=1, rests=0, q=(*self.base, *q), qd=(*self.twist, *n * (0.0,)))
