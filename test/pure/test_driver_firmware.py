@@ -408,6 +408,23 @@ def test_what_the_drive_refuses_is_held_instead_until_commanded_again(link, code
     assert link.joint().velocity > 20_000
 
 
+def test_what_the_drive_refused_before_a_stop_does_not_count_against_the_stop(core):
+    outcomes = set()
+    for moment in range(50):
+        link = FirmwareLink(core)
+        link.run(1.0)
+        moving(link)
+        link.tell("fail 15")
+        assert link.send(replace(MOVE, sequence=3, set_point=300_000))
+        link.run(0.0004 * moment)
+        assert link.send(replace(QUIET, sequence=4, flags=Order.STOP))
+        link.run(0.5)
+        held = link.joint().mode == Mode.POSITION
+        assert held == ("s r0xc8 0" in link.orders())  # else it was the stop that was refused
+        outcomes.add(held)
+    assert outcomes == {True, False}
+
+
 def test_a_drive_that_cannot_hold_is_switched_off(link):
     moving(link)
     link.tell("fail 15")
@@ -478,6 +495,18 @@ def test_a_drive_that_others_switched_off_is_not_switched_on_again(link):
     link.run(0.5)
     assert link.joint().mode == Mode.OFF
     assert not link.frame().flags & State.ARMED
+
+
+@pytest.mark.parametrize("flags", [Order.ARM | Order.HOLD, Order.STOP])
+def test_a_drive_that_held_is_off_after_a_power_cycle(link, flags):
+    moving(link)
+    assert link.send(replace(MOVE, sequence=3, flags=flags))
+    link.run(0.5)
+    assert link.joint().mode == Mode.POSITION
+    link.tell("power")
+    for _ in range(8):
+        link.run(0.2)
+        assert link.joint().mode == Mode.OFF
 
 
 @pytest.mark.parametrize("command", [MOVE, TURN, PUSH])

@@ -109,7 +109,7 @@ void Link::hold() {
 // is silent: it would have to make up a position.
 void Link::report() {
   const Measurement& measured = drive_.measured();
-  if (!drive_.answers() || measured.clock != read_at_ || measured.clock < due_) return;
+  if (!drive_.answers() || measured.clock < due_) return;
   due_ = (measured.clock / period_ + 1) * period_;
   Telemetry frame;
   frame.link = number_;
