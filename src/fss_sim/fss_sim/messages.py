@@ -1,4 +1,4 @@
-"""Messages that are published often, serialized but once: their numbers are put in place.
+"""Messages of the test bed. Those published often are serialized but once, then filled in.
 
 To make and serialize a message takes many times as long as to hand it over, and the test bed is to
 run many times as fast as real time.
@@ -12,7 +12,9 @@ from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu
 
-from fss_arm_ros.convert import SECOND, pose_stamped
+from fss_arm_msgs.msg import GripperState, SimTruth
+from fss_arm_ros.convert import SECOND, pose_stamped, to_time
+from fss_sim.plant import Plant
 from fss_sim.sensors import Seen
 
 STAMP = 4  # where it is: after the encapsulation's header
@@ -90,3 +92,44 @@ class ClockImage(Image):
         """A time [ns]."""
         self.stamped(stamp)
         return self.bytes()
+
+
+def truth(stamp: int, frame_id: str, plant: Plant) -> SimTruth:
+    """The plant as it is."""
+    audit, error, (pose, twist) = plant.audit, plant.imbalance.tolist(), plant.target.tolist()
+    message = SimTruth(
+        q=plant.q.tolist(),
+        qd=plant.qd.tolist(),
+        torque=[motion.torque for motion in plant.motions()],
+        momentum=audit.momentum.tolist(),
+        impulse=audit.impulse.tolist(),
+        energy=audit.energy,
+        work=audit.work,
+        momentum_error=error[:3],
+        energy_error=error[3],
+        clearance=plant.clearance,
+        edge_clearance=plant.edge_clearance,
+        valves=plant.valves,
+        pressure=plant.thrusters.pressure,
+        propellant=plant.thrusters.used,
+        target_present=plant.world.target is not None,
+        target=pose,
+        target_twist=twist,
+        holds=plant.holds,
+    )
+    message.header.stamp, message.header.frame_id = to_time(stamp), frame_id
+    return message
+
+
+def gripper_state(stamp: int, plant: Plant) -> GripperState:
+    """The gripper as its sensors tell."""
+    seen = plant.approach
+    message = GripperState(
+        closed=plant.closed,
+        holds=plant.holds,
+        distance=float(seen.distance),
+        angle=seen.angle,
+        speed=float(seen.speed),
+    )
+    message.header.stamp, message.header.frame_id = to_time(stamp), "end_effector"
+    return message

@@ -90,6 +90,8 @@ class Plant:
         qd: (3 + n,) its velocity; at rest by default.
         world: what there is beside the arm.
         target: (2, 3) pose and twist of the target at the begin, if there is one.
+        holds: whether the gripper holds it.
+        propellant: used before [kg].
     """
 
     def __init__(
@@ -99,12 +101,15 @@ class Plant:
         qd: npt.ArrayLike | None = None,
         world: World | None = None,
         target: npt.ArrayLike = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
+        holds: bool = False,
+        propellant: float = 0.0,
     ) -> None:
         self.arm, self.world = arm, world or World()
-        self.thrusters = Thrusters(self.world.propulsion)
-        self.closed = False  # the gripper, as it was told
+        self.thrusters = Thrusters(self.world.propulsion, propellant)
+        self.closed = holds  # the gripper, as it was told
         self._place: Floats | None = None  # of the target in the frame of the link that holds it
         self._p, self._step = arm.vector(), 0
+        self._p[0] -= propellant
         joints = self.world.joints
         alike = joints.viscous, joints.coulomb, joints.stop_stiffness, joints.stop_damping
         self._torque_constant = np.array([k.drive.torque_constant for k in arm.links])
@@ -122,7 +127,11 @@ class Plant:
         self._reference = self._state[:, 3:].T.copy()
         self._audit, self._torques = np.zeros((2, 4)), np.zeros((arm.n, 2))
         self._target, self._target_audit = np.array(target, dtype=float), np.zeros((2, 4))
+        if holds and self.world.target:
+            self._place = hold(self._p, self.q, self._target[0])
+            self._p = with_held(self._p, self.world.target, self._place)
         self._pass(0)
+        self._begin = self.audit.balance
 
     @property
     def q(self) -> Floats:
@@ -204,6 +213,11 @@ class Plant:
         return approach(self._p, self.q, self.qd, self.world.target, self.target)
 
     @property
+    def valves(self) -> list[bool]:
+        """Which thrusters' are open."""
+        return self.thrusters.open(self._step)
+
+    @property
     def clearance(self) -> float:
         """The least gap between two bodies of base and arm that are not neighbours [m]."""
         around = self.world.surroundings
@@ -221,6 +235,11 @@ class Plant:
         """The books of all bodies as they are now."""
         has, given = self._audit + self._target_audit
         return Audit(has[:3], float(has[3]), given[:3], float(given[3]))
+
+    @property
+    def imbalance(self) -> Floats:
+        """What the books are off by since the begin, (4,) [N s, N s, N m s, J]."""
+        return self.audit.balance - self._begin
 
     def momentum(self) -> Floats:
         """Linear [kg m/s] and, about the centre of mass, angular momentum [kg m^2/s]: (3,).

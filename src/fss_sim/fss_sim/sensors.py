@@ -24,7 +24,7 @@ BLOCK = 256  # frames whose random numbers are drawn at once
 
 SEEN, HEARD = SubjectFaults(), GyroFaults()  # nothing is wrong
 
-_FRAME, _REST, _RUN, _CHANCE, _WALK = range(5)  # the streams of random numbers
+_FRAME, _REST, _RUN, _CHANCE, _WALK, _TARGET = range(6)  # the streams of random numbers
 
 
 class Seen(NamedTuple):
@@ -40,13 +40,14 @@ class Sight(NamedTuple):
     base: Seen | None
     tip: Seen | None  # of the end effector
     rate: float | None  # of the base, by the FOG [rad/s]
+    target: Seen | None = None
 
 
 class Chance:
     """Random numbers by frame, `width` of each kind: normal and uniform ones."""
 
-    def __init__(self, seed: int, width: int) -> None:
-        self._seed, self._width = seed, width
+    def __init__(self, seed: int, width: int, stream: int = _FRAME) -> None:
+        self._seed, self._width, self._stream = seed, width, stream
         self._block = -1
         self._normal = self._uniform = np.empty((0, 0))
 
@@ -66,7 +67,7 @@ class Chance:
         if block != self._block:
             size = BLOCK, self._width
             self._block = block
-            self._normal = _random(self._seed, _FRAME, block).standard_normal(size)
+            self._normal = _random(self._seed, self._stream, block).standard_normal(size)
             self._uniform = _random(self._seed, _CHANCE, block).random(size)
 
 
@@ -125,7 +126,8 @@ class Sensors:
         self._hold = max(1, round(noise.vicon_hold * RATE))  # [frames]
         self._white = np.array([noise.position_noise] * 2 + [noise.heading_noise])
         latency = round(noise.vicon_latency * RATE)
-        self._base, self._tip = Camera(latency), Camera(latency)
+        self._base, self._tip, self._target = Camera(latency), Camera(latency), Camera(latency)
+        self._target_chance = Chance(seed, 3, _TARGET)
         self._draw_rest()
 
     def look(
@@ -138,6 +140,7 @@ class Sensors:
         base_faults: SubjectFaults = SEEN,
         tip_faults: SubjectFaults = SEEN,
         gyro_faults: GyroFaults = HEARD,
+        target: Pose | None = None,
     ) -> Sight:
         """What is seen in a frame.
 
@@ -153,6 +156,7 @@ class Sensors:
             base_faults: what is wrong with the base's markers.
             tip_faults: likewise, the end effector's.
             gyro_faults: what is wrong with the FOG.
+            target: true pose of the target in the world, if there is one.
         """
         self._follow(qd)
         noise, chance = self.noise, self._chance.uniform(frame)
@@ -170,7 +174,12 @@ class Sensors:
             self._base.report(tuple(as_base), base_faults, *chance[:2]),
             self._tip.report(tuple(as_tip), tip_faults, *chance[2:4]),
             None if chance[4] < gyro_faults.dropout else seen_rate,
+            target and self._see_target(frame, target),
         )
+
+    def _see_target(self, frame: int, pose: Pose) -> Seen | None:
+        x, y, heading = (self._white * self._target_chance.normal(frame) + pose).tolist()
+        return self._target.report((x, y, heading), SEEN, 1.0, 1.0)
 
     def _follow(self, qd: npt.NDArray[np.float64]) -> None:
         """Count rests: one ends with the first motion after it, which redraws its error."""

@@ -4,16 +4,107 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 from fss_arm_model.description import Arm, load, paper_arm
+from fss_arm_model.simulation import Surroundings
 from fss_arm_ros.settings import setting
 from fss_sim.noise import PRESETS, Noise
+from fss_sim.plant import Joints, World
 from fss_sim.pty import LinkTerminal
 from fss_sim.sensors import RATE
+from fss_sim.target import Gripper, Target
 from fss_sim.testbed import State
+from fss_sim.thrusters import Propulsion
 from fss_sim.udp import LinkSocket
 
 
 @dataclass(frozen=True)
-class TestbedSettings:
+class PlantSettings:
+    """What base and arm are made of, what acts on them, and the target."""
+
+    rotor_inertia: float = setting(
+        0.0, "of each motor, felt at its joint [kg m^2]; 0.0026 in the FHA-8C-30, 0: none"
+    )
+    gear_ratio: float = setting(30.0, "of the harmonic drives")
+    viscous_friction: float = setting(0.5, "of each joint [N m s/rad]")
+    coulomb_friction: float = setting(0.3, "of each joint [N m]")
+    end_stops: bool = setting(True, "stops at the ends of the joints' ranges")
+    tilt: tuple[float, ...] = setting((0.0, 0.0), "of the table along x and y, downhill [rad]")
+    film_damping: float = setting(0.0, "of the air films, by mass and velocity [1/s]")
+    tether_drag: float = setting(0.0, "on the base's origin [N s/m]")
+    tether_twist: float = setting(0.0, "against the base's turning [N m s]")
+    table: tuple[float, ...] = setting((4.0, 4.0), "sides of the table about the origin [m]")
+    thrust: float = setting(0.16, "of one of the eight thrusters [N]")
+    thruster_lever: float = setting(0.11, "from the base's origin to the line of thrust [m]")
+    specific_impulse: float = setting(34.0, "of the thrusters [s]")
+    minimum_on_time: float = setting(0.01, "of a thruster's valve [s]")
+    valve_delay: float = setting(0.005, "from a command to the valve's answer [s]")
+    tank_volume: float = setting(0.43e-3, "[m^3]")
+    tank_pressure: float = setting(20e6, "at the begin [Pa]")
+    tolerance: float = setting(
+        0.0, "of error control, by step and coordinate, SI units; 0: fixed steps of 1 ms"
+    )
+    target_mass: float = setting(0.0, "of a second spacecraft simulator [kg]; 0: there is none")
+    target_inertia: float = setting(0.25, "of the target about its centre of mass [kg m^2]")
+    target_pose: tuple[float, ...] = setting(
+        (1.0, 1.0, 0.0), "of the target at the begin: x, y [m], heading [rad]"
+    )
+    target_twist: tuple[float, ...] = setting((0.0, 0.0, 0.0), "likewise [m/s, m/s, rad/s]")
+    target_fixture: tuple[float, ...] = setting(
+        (0.19, 0.0, 0.0), "where to grip the target, in its frame: x, y [m], outward [rad]"
+    )
+    grip_reach: float = setting(0.03, "of the gripper [m]")
+    grip_angle: float = setting(0.5, "most that the fixture may be askew to be gripped [rad]")
+    grip_speed: float = setting(0.1, "most that it may move past the gripper [m/s]")
+
+    def __post_init__(self) -> None:
+        sizes = {"tilt": 2, "table": 2, "target_pose": 3, "target_twist": 3, "target_fixture": 3}
+        for name, size in sizes.items():
+            if len(getattr(self, name)) != size:
+                raise ValueError(f"{name} has {len(getattr(self, name))} numbers, expected {size}")
+        for name in (
+            "rotor_inertia", "viscous_friction", "coulomb_friction", "film_damping", "tether_drag",
+            "tether_twist", "tolerance", "target_mass",
+        ):  # fmt: skip
+            if not getattr(self, name) >= 0.0:
+                raise ValueError(f"{name} is {getattr(self, name)}, expected 0 or more")
+        if not self.gear_ratio > 0.0 or not min(self.table) > 0.0:
+            raise ValueError(
+                f"gear_ratio is {self.gear_ratio} and table {list(self.table)}, expected above 0"
+            )
+        self.world()
+
+    def world(self) -> World:
+        """What the plant is made of beside the arm."""
+        stops = {} if self.end_stops else {"stop_stiffness": 0.0, "stop_damping": 0.0}
+        frictions = self.viscous_friction, self.coulomb_friction
+        fixture = self.target_fixture
+        return World(
+            Joints(self.rotor_inertia, self.gear_ratio, *frictions, **stops),
+            Surroundings(
+                (self.tilt[0], self.tilt[1]),
+                self.film_damping,
+                self.tether_drag,
+                self.tether_twist,
+                (self.table[0], self.table[1]),
+            ),
+            Propulsion(
+                self.thrust,
+                self.thruster_lever,
+                self.specific_impulse,
+                self.minimum_on_time,
+                self.valve_delay,
+                self.tank_volume,
+                self.tank_pressure,
+            ),
+            Gripper(self.grip_reach, self.grip_angle, self.grip_speed),
+            Target(self.target_mass, self.target_inertia, (fixture[0], fixture[1], fixture[2]))
+            if self.target_mass
+            else None,
+            self.tolerance,
+        )
+
+
+@dataclass(frozen=True)
+class TestbedSettings(PlantSettings):
     """The parameters of a TestbedNode."""
 
     arm: str = setting("", "file of the true arm's description; empty: the paper's arm")
@@ -57,11 +148,15 @@ class TestbedSettings:
         1.0, "of the clock kept, in multiples of real time; 0: as the links' drivers can follow"
     )
     paused: bool = setting(False, "begin with the clock kept standing still, to be stepped")
+    truth_rate: float = setting(10.0, "of sim/truth and gripper/state [1/s]")
     state_file: str = setting("", "where the state is kept to resume from; empty: nowhere")
     world_frame: str = setting("world", "frame_id of the VICON poses")
     base_frame: str = setting("fss", "frame_id of the FOG")
 
     def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 0.0 < self.truth_rate <= RATE:
+            raise ValueError(f"truth_rate is {self.truth_rate}, expected above 0 to {RATE}")
         if self.preset not in PRESETS:
             raise ValueError(f"preset is {self.preset!r}, expected one of {', '.join(PRESETS)}")
         if self.seed < 0:
@@ -124,4 +219,6 @@ class TestbedSettings:
         q = self.q or n * (0.0,)
         if len(q) != n:
             raise ValueError(f"q has {len(q)} angles, expected {n}")
-        return State(frame=0, boots=1, rests=0, q=(*self.base, *q), qd=(*self.twist, *n * (0.0,)))
+        target = (*self.target_pose, *self.target_twist)
+        rates = (*self.twist, *n * (0.0,))
+        return State(0, 1, 0, q=(*self.base, *q), qd=rates, target=target)

@@ -6,7 +6,7 @@ Pure: time is what the caller lets pass, datagrams are bytes. One frame is one p
 import json
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,7 +17,7 @@ from fss_sim.channel import SECOND, Datagram
 from fss_sim.faults import Event, Faults
 from fss_sim.link import Link
 from fss_sim.noise import Noise
-from fss_sim.plant import Plant
+from fss_sim.plant import Plant, World
 from fss_sim.sensors import RATE, Sensors, Sight
 
 FRAME = SECOND // RATE  # [ns]
@@ -37,6 +37,9 @@ class State:
     rests: int  # of the arm, each with its own error of the sensors
     q: tuple[float, ...]  # (3 + n)
     qd: tuple[float, ...]  # (3 + n)
+    target: tuple[float, ...] = 6 * (0.0,)  # its pose and twist
+    holds: bool = False  # the gripper, the target
+    propellant: float = 0.0  # used [kg]
 
     def save(self, path: Path) -> None:
         """Write it to a file, which at any time is whole."""
@@ -54,18 +57,19 @@ class State:
         try:
             given = json.loads(path.read_text())
             numbers = {name: int(given[name]) for name in ("frame", "boots", "rests")}
-            q, qd = (tuple(map(float, given[name])) for name in ("q", "qd"))
+            q, qd, target = (tuple(map(float, given[name])) for name in ("q", "qd", "target"))
+            holds, propellant = bool(given["holds"]), float(given["propellant"])
         except (ValueError, TypeError, KeyError) as error:
             raise StateError(f"{path} does not hold the state of a test bed: {error!r}") from None
         if not len(q) == len(qd) == 3 + n or not np.isfinite((q, qd)).all():
             raise StateError(
                 f"{path} holds {len(q)} coordinates, expected {3 + n} finite ones for {n} links"
             )
-        return cls(**numbers, q=q, qd=qd)
+        return cls(**numbers, q=q, qd=qd, target=target, holds=holds, propellant=propellant)
 
     def resumed(self) -> "State":
         """The state at the next start; its time lies after all that was ever reported."""
-        return State(self.frame + OUTAGE, self.boots % 65535 + 1, self.rests, self.q, self.qd)
+        return replace(self, frame=self.frame + OUTAGE, boots=self.boots % 65535 + 1)
 
 
 class Report(NamedTuple):
@@ -89,6 +93,7 @@ class Testbed:
         torque_rate: samples of the torque converters a second.
         charge: of the links' batteries, 0 to 1.
         script: faults to come.
+        world: all that the plant is made of beside the arm.
     """
 
     def __init__(
@@ -102,8 +107,10 @@ class Testbed:
         torque_rate: int = 80,
         charge: float = 1.0,
         script: Sequence[Event] = (),
+        world: World | None = None,
     ) -> None:
-        self.plant = Plant(arm, state.q, state.qd)
+        target = np.reshape(state.target, (2, 3))
+        self.plant = Plant(arm, state.q, state.qd, world, target, state.holds, state.propellant)
         self.sensors = Sensors(noise, seed, state.rests)
         self.faults = Faults(arm.n, script)
         keys = keys or {}
@@ -115,7 +122,6 @@ class Testbed:
         for link in self.links:
             link.start(self._boots, self.now, link.uptime)
         self._motions = self.plant.motions()
-        self._momentum = self.plant.momentum()
 
     @property
     def now(self) -> int:
@@ -133,8 +139,9 @@ class Testbed:
         self.frame += 1
         plant, of = self.plant, self.faults
         rate, qd = float(plant.qd[2]), plant.qd[3:]
+        target = plant.target[0].tolist() if plant.world.target else None
         sight = self.sensors.look(
-            self.frame, plant.base, plant.tip, rate, qd, of.base, of.tip, of.gyro
+            self.frame, plant.base, plant.tip, rate, qd, of.base, of.tip, of.gyro, target
         )
         telemetry = [
             link.report(self.now, self._motions[i], 1.0 / RATE, of.links[i])
@@ -161,9 +168,7 @@ class Testbed:
 
     def state(self) -> State:
         """What to save."""
-        q, qd = (tuple(x.tolist()) for x in (self.plant.q, self.plant.qd))
-        return State(self.frame, self._boots, self.sensors.rests, q, qd)
-
-    def momentum_drift(self) -> float:
-        """How much of the momentum was gained or lost since the start [kg m/s, kg m^2/s]."""
-        return float(np.abs(self.plant.momentum() - self._momentum).max())
+        plant = self.plant
+        q, qd, target = (tuple(x.ravel().tolist()) for x in (plant.q, plant.qd, plant.target))
+        used = plant.thrusters.used
+        return State(self.frame, self._boots, self.sensors.rests, q, qd, target, plant.holds, used)

@@ -14,18 +14,19 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import Imu
+from std_msgs.msg import Bool
 from std_srvs.srv import SetBool
 
 from fss_arm_driver.protocol import load_keys
-from fss_arm_msgs.msg import SimFaults
+from fss_arm_msgs.msg import GripperState, SimFaults, SimTruth, ThrusterCommand
 from fss_arm_msgs.srv import ResetTestbed, StepTime
 from fss_arm_ros.convert import SECOND, to_time
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
-from fss_arm_ros.qos import LATCHED, SENSOR
+from fss_arm_ros.qos import COMMAND, LATCHED, SENSOR
 from fss_arm_ros.run import run
 from fss_arm_ros.settings import declare, declare_live
 from fss_sim.faults import kinds, read_script
-from fss_sim.messages import ClockImage, GyroImage, PoseImage
+from fss_sim.messages import ClockImage, GyroImage, PoseImage, gripper_state, truth
 from fss_sim.pace import Clocked, FlatOut, Pace
 from fss_sim.sensors import RATE, Sight
 from fss_sim.settings import TestbedSettings
@@ -51,6 +52,10 @@ class TestbedNode(Node):
         self.base = self.create_publisher(PoseStamped, "vicon/fss/fss", SENSOR)
         self.tip = self.create_publisher(PoseStamped, "vicon/end_effector/end_effector", SENSOR)
         self.gyro = self.create_publisher(Imu, "fog/imu", SENSOR)
+        if settings.target_mass:
+            self.target = self.create_publisher(PoseStamped, "vicon/target/target", SENSOR)
+        self.truth = self.create_publisher(SimTruth, "sim/truth", SENSOR)
+        self.gripper = self.create_publisher(GripperState, "gripper/state", SENSOR)
         if settings.keep_clock:
             self.clock = self.create_publisher(ClockMessage, "/clock", 10)
         self.clock_image, self.pose_image = ClockImage(), PoseImage(settings.world_frame)
@@ -60,6 +65,8 @@ class TestbedNode(Node):
         self.set_faults: dict[tuple[str, str], float] = {}
         self.begin(settings.begin(arm.n))
         declare_live(self, kinds(arm.n), self.on_fault)
+        self.create_subscription(ThrusterCommand, "thrusters/command", self.on_thrust, COMMAND)
+        self.create_subscription(Bool, "gripper/command", self.on_grip, COMMAND)
         self.create_service(SetBool, "sim/pause", self.on_pause)
         self.create_service(StepTime, "sim/step", self.on_step)
         self.create_service(ResetTestbed, "sim/reset", self.on_reset)
@@ -80,6 +87,7 @@ class TestbedNode(Node):
             settings.torque_rate,
             settings.battery,
             read_script(self.script),
+            settings.world(),
         )
         for (part, fault), value in self.set_faults.items():
             self.testbed.faults.set(part, fault, value)
@@ -128,6 +136,19 @@ class TestbedNode(Node):
             self.publish_faults()
         if self.testbed.frame % SAVED == 0:
             self.save()
+
+    def on_thrust(self, command: ThrusterCommand) -> None:
+        """Open valves."""
+        with self.lock:
+            try:
+                self.testbed.plant.thrust(command.on_time)
+            except ValueError as error:
+                self.get_logger().warning(f"thrusters/command is refused: {error}")
+
+    def on_grip(self, command: Bool) -> None:
+        """Close the gripper, or open it."""
+        with self.lock:
+            self.testbed.plant.closed = command.data
 
     def on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         """Let time stand still, or go on."""
@@ -195,8 +216,13 @@ class TestbedNode(Node):
         for publisher, seen in ((self.base, sight.base), (self.tip, sight.tip)):
             if seen:
                 publisher.publish(self.pose_image.of(stamp, seen))
+        if sight.target:
+            self.target.publish(self.pose_image.of(stamp, sight.target))
         if sight.rate is not None:
             self.gyro.publish(self.gyro_image.of(stamp, sight.rate))
+        if self.testbed.frame % round(RATE / self.settings.truth_rate) == 0:
+            self.truth.publish(truth(stamp, self.settings.world_frame, self.testbed.plant))
+            self.gripper.publish(gripper_state(stamp, self.testbed.plant))
 
     def receive(self) -> None:
         """Hand datagrams to the links, as arrived now, or at the last frame if time is kept."""
@@ -219,10 +245,14 @@ class TestbedNode(Node):
         self._counted = frame, now
         speed = (frame - before) / RATE / max(now - then, 1e-9)
         slow = now - then > 0.5 and speed < 0.95 * self.settings.speed and not self.paused
+        plant = self.testbed.plant
         values: dict[str, Any] = {
             "simulated time [s]": frame / RATE,
             "speed": speed,
-            "momentum drift [kg m/s, kg m^2/s]": self.testbed.momentum_drift(),
+            "momentum and energy from nothing [N s, N m s, J]": abs(plant.imbalance).max(),
+            "gap between bodies [m]": plant.clearance,
+            "gap to the table's edge [m]": plant.edge_clearance,
+            "propellant used [kg]": plant.thrusters.used,
             "rests": self.testbed.sensors.rests,
             "clock jumps": self.pace.jumps,
         }
@@ -230,8 +260,11 @@ class TestbedNode(Node):
             values[f"link {link.number}"] = f"{wire.place}, {link.refused} refused"
         for part, fault, value in self.testbed.faults.in_force():
             values[f"fault {part}.{fault}"] = value
+        touches = min(plant.clearance, plant.edge_clearance) < 0.0
         state = "paused" if self.paused else "too slow" if slow else "running"
-        return Health(WARN if slow else OK, state, values)
+        if touches:
+            state += ", bodies touch each other or the table's border"
+        return Health(WARN if slow or touches else OK, state, values)
 
     def close(self) -> None:
         """Keep the state and give the ports back."""

@@ -54,13 +54,14 @@ class Thrusters:
 
     Args:
         propulsion: what they are like.
+        used: propellant used before [kg].
     """
 
-    def __init__(self, propulsion: Propulsion | None = None) -> None:
+    def __init__(self, propulsion: Propulsion | None = None, used: float = 0.0) -> None:
         self.propulsion = p = propulsion or Propulsion()
         self.layout = layout(p.thrust, p.lever)
         self.tank = p.tank_pressure * p.tank_volume / (GAS * p.temperature)  # [kg]
-        self.used = 0.0  # propellant [kg]
+        self.used = used  # propellant [kg]
         self._begin, self._end = np.zeros(COUNT), np.zeros(COUNT)  # of each pulse [step]
 
     @property
