@@ -150,7 +150,7 @@ class Parser(argparse.ArgumentParser):
 
 
 def parser(
-    kind: type[CalibrationSettings] | type[DynamicCalibrationSettings],
+    kind: type[CalibrationSettings] | type[DynamicCalibrationSettings] = CalibrationSettings,
 ) -> argparse.ArgumentParser:
     """The command line: the bags, what to write, and each setting that the node has, too."""
     p = Parser("from_bag", description=__doc__, epilog=EPILOG)

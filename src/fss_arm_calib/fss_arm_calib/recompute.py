@@ -87,12 +87,18 @@ def comparisons(bags: Bags) -> list[Comparison]:
     return found
 
 
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    p = argparse.ArgumentParser("recompute", description=__doc__)
+    p.add_argument("bags", nargs="+", metavar="BAG", help="bag, or folder of bags")
+    return p
+
+
 def main(args: Sequence[str] | None = None) -> int:
     """Run as `ros2 run fss_arm_calib recompute`."""
-    parser = argparse.ArgumentParser("recompute", description=__doc__)
-    parser.add_argument("bags", nargs="+", metavar="BAG", help="bag, or folder of bags")
+    options = parser().parse_args(args)
     try:
-        with open_bags(parser.parse_args(args).bags) as bags:
+        with open_bags(options.bags) as bags:
             found = comparisons(bags)
     except (ValueError, OSError) as error:
         print(f"recompute: {' '.join(str(error).split())}", file=sys.stderr)
