@@ -11,4 +11,9 @@ setup(
     ],
     description="Workspace and manipulability of the arm on a fixed and on a floating base.",
     license="Apache-2.0",
+    entry_points={
+        "console_scripts": [
+            "map = fss_arm_workspace.map:main",
+        ],
+    },
 )

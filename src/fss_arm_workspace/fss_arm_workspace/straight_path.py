@@ -60,6 +60,10 @@ class Rules:
         if not (low_x < high_x and low_y < high_y):
             raise ValueError(f"table is {self.table}, expected low x, low y, high x, high y")
 
+    def on(self, base: str) -> "Rules":
+        """The same rules on another of BASES."""
+        return replace(self, base=base)
+
 
 @dataclass(frozen=True)
 class Paths:

@@ -1,0 +1,172 @@
+"""Figures 6, 7 and 8 of the paper, and the data that they show."""
+
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fss_arm_model.description import to_yaml
+from fss_arm_model.kinematics import joint_positions
+from fss_arm_model.momentum import system_com
+from fss_arm_model.straight_path import REASONS
+
+from .analysis import Analysis
+from .arcs import Floats
+from .manipulability import FIXED, FLOATING, ellipsoid, jacobian, measure
+
+_REASON_COLORS = ("tab:gray", "tab:orange", "tab:red", "tab:blue")
+_BASE_SIDE = 0.3  # of the simulator as drawn [m]
+_SCALE = 0.25  # of ellipsoids as drawn
+
+
+def draw(analysis: Analysis, folder: str | PathLike[str]) -> list[Path]:
+    """Write figure_6, figure_7 and figure_8, each as PNG and SVG; return their paths.
+
+    Raises:
+        OSError: a file cannot be written.
+    """
+    # Nothing else needs it, and it takes a second to import.
+    from matplotlib.figure import Figure
+
+    written = []
+    for name, size, paint in (
+        ("figure_6", (11.0, 5.2), _maps),
+        ("figure_7", (8.0, 7.4), _straight),
+        ("figure_8", (11.0, 4.0), _ellipsoids),
+    ):
+        figure = Figure(figsize=size, layout="constrained")
+        paint(figure, analysis)
+        for kind in ("png", "svg"):
+            path = Path(folder) / f"{name}.{kind}"
+            figure.savefig(path, dpi=150)
+            written.append(path)
+    return written
+
+
+def save(analysis: Analysis, path: str | PathLike[str]) -> None:
+    """Write all numbers as .npz; arrays of points are x, y [m].
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    a = analysis
+    data: dict[str, Any] = {
+        "arm": to_yaml(a.arm),
+        "limits": a.limits,
+        "start": a.start,
+        "radius": a.radius,
+        "radius_deviation": a.radius_deviation,
+        "reach": a.reach,
+        "area": a.region.area,
+    }
+    for k, (points, deviation) in enumerate(a.known):
+        data[f"boundary_{k}"] = _pairs(points)
+        data[f"boundary_{k}_deviation"] = deviation
+    for name, found in a.maps.items():
+        data[f"map_{name}"], data[f"map_{name}_q"] = found.w, found.q
+        data["map_corner"], data["map_cell"] = (found.grid.x, found.grid.y), found.grid.cell
+    for name, paths in a.straight.items():
+        key = f"straight_{name.replace(' ', '_')}"
+        data[key] = _pairs(paths.ends)
+        data[f"{key}_direction"], data[f"{key}_distance"] = paths.direction, paths.distance
+        data[f"{key}_reason"] = np.array(REASONS)[paths.reason]
+        data[f"{key}_last"], data[f"{key}_grazes"] = paths.last, paths.grazes
+    np.savez_compressed(path, **data)
+
+
+def _pairs(points: Any) -> Floats:
+    return np.stack([points.real, points.imag], axis=-1)
+
+
+def _maps(figure: Any, a: Analysis) -> None:
+    """Figure 6: fixed vehicle workspace and largest manipulability; beside it, on a free base."""
+    for axes, (name, found) in zip(figure.subplots(1, 2), a.maps.items(), strict=True):
+        grid = found.grid
+        extent = (
+            grid.x, grid.x + grid.width * grid.cell, grid.y, grid.y + grid.height * grid.cell
+        )  # fmt: skip
+        image = axes.imshow(found.w, origin="lower", extent=extent, cmap="viridis")
+        figure.colorbar(image, ax=axes, label="w = sqrt(det(J Jᵀ)) [m²]", shrink=0.85)
+        for points, _ in a.known:
+            closed = np.append(points, points[:1])
+            axes.plot(closed.real, closed.imag, "k-", linewidth=1.2)
+        _arm(axes, a, np.concatenate([np.zeros(3), a.start[3:]]))
+        axes.set_title(f"{name} base: largest w of all postures", fontsize=10)
+        axes.margins(0.02)
+        axes.autoscale()
+        _frame(axes, "base's frame")
+    worst = max(float(deviation.max(initial=0.0)) for _, deviation in a.known)
+    known = f", boundary known to {1e3 * worst:.1f} mm (1 sigma)" if worst > 0.0 else ""
+    figure.suptitle(f"Fixed vehicle workspace, {a.region.area:.3f} m²{known}", fontsize=11)
+
+
+def _straight(figure: Any, a: Analysis) -> None:
+    """Figure 7: straight-path workspace, with the reason why each path ends."""
+    axes = figure.subplots()
+    styles = {"fixed": "k--", "floating": "k-", "zero reaction": "k:"}
+    for base, paths in a.straight.items():
+        ends = np.append(paths.ends, paths.ends[:1])
+        label = f"{base}{' base' if base != 'zero reaction' else ''}: {paths.area:.3f} m²"
+        axes.plot(ends.real, ends.imag, styles[base], linewidth=1.2, label=label)
+    floating = a.straight["floating"]
+    axes.fill(floating.ends.real, floating.ends.imag, color="tab:blue", alpha=0.12)
+    for number, (reason, color) in enumerate(zip(REASONS, _REASON_COLORS, strict=True)):
+        ends = floating.ends[floating.reason == number]
+        if ends.size:
+            axes.plot(ends.real, ends.imag, ".", color=color, markersize=4, label=f"ends: {reason}")
+    com = system_com(a.arm.vector(), a.start)
+    turn = np.linspace(0.0, 2.0 * np.pi, 200)
+    axes.plot(
+        com[0] + a.radius * np.cos(turn), com[1] + a.radius * np.sin(turn), color="tab:green",
+        linewidth=1.0, label=f"maximum reachable: R = {a.radius:.3f} m",
+    )  # fmt: skip
+    axes.plot(*com, "+", color="tab:green", markersize=10)
+    _arm(axes, a, a.start)
+    axes.legend(fontsize=8, loc="lower left")
+    axes.set_title(f"Straight-path workspace, rule: {a.rules.redundancy}", fontsize=11)
+    _frame(axes, "world")
+
+
+def _ellipsoids(figure: Any, a: Analysis) -> None:
+    """Figure 8: manipulability ellipsoids on a fixed and on a floating base."""
+    n = a.arm.n
+    bent = np.full((3, n), [[0.35], [0.8], [1.2]]).clip(a.limits[:, 0], a.limits[:, 1])
+    bent[:, 0] = (-0.5 * bent[:, 0] * (n - 1)).clip(*a.limits[0])
+    turn = np.linspace(0.0, 2.0 * np.pi, 100)
+    circle = np.stack([np.cos(turn), np.sin(turn)])
+    for axes, q in zip(figure.subplots(1, 3), bent, strict=True):
+        state = np.concatenate([np.zeros(3), q])
+        _arm(axes, a, state)
+        tip = joint_positions(a.arm.vector(), state)[-1]
+        for kind, color, name in ((FIXED, "tab:red", "fixed"), (FLOATING, "tab:blue", "floating")):
+            radii, directions = ellipsoid(jacobian(a.arm, q, kind))
+            line = tip[:, None] + _SCALE * directions.T @ (radii[:, None] * circle)
+            label = f"{name}: w = {float(measure(a.arm, q, kind)):.3f} m²"
+            axes.plot(*line, color=color, label=label)
+        reach = 1.15 * float(sum(link.a for link in a.arm.links))
+        axes.set_xlim(-0.3, a.arm.base.mount[0] + reach)
+        axes.set_ylim(-0.6 * reach, 0.6 * reach)
+        axes.legend(fontsize=8, loc="lower right")
+        axes.set_title("q = " + ", ".join(f"{x:.0f}°" for x in np.degrees(q)), fontsize=9)
+        _frame(axes, "base's frame")
+    figure.suptitle(f"Manipulability ellipsoids, drawn at {_SCALE:g} m per m/rad", fontsize=11)
+
+
+def _arm(axes: Any, a: Analysis, state: Floats) -> None:
+    """Base, links and tip."""
+    joints = joint_positions(a.arm.vector(), state)
+    turn = complex(np.cos(state[2]), np.sin(state[2]))
+    corners = 0.5 * _BASE_SIDE * np.array([1 + 1j, -1 + 1j, -1 - 1j, 1 - 1j, 1 + 1j]) * turn
+    corners += complex(state[0], state[1])
+    axes.plot(corners.real, corners.imag, color="tab:gray", linewidth=1.0)
+    axes.plot(joints[:, 0], joints[:, 1], "-", color="tab:gray", linewidth=2.0)
+    axes.plot(joints[:-1, 0], joints[:-1, 1], "o", color="white", markeredgecolor="tab:gray")
+    axes.plot(*joints[-1], "k.", markersize=5)
+
+
+def _frame(axes: Any, frame: str) -> None:
+    axes.set_aspect("equal")
+    axes.set_xlabel(f"x [m], {frame}")
+    axes.set_ylabel("y [m]")
+    axes.grid(alpha=0.2)

@@ -1,0 +1,158 @@
+"""Workspace and manipulability of an arm as the paper's Figures 6, 7 and 8, without ROS running."""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NoReturn
+
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+from fss_arm_model.description import load, paper_arm
+from fss_arm_model.straight_path import RULES
+from fss_arm_ros.bags import BagError, open_bags
+
+from .analysis import Analysis, AnalysisSettings, analyse
+from .calibrated import TOPICS, Calibrated
+from .figures import draw, save
+from .straight_path import Rules
+from .virtual import base_mass_for
+
+EPILOG = "Exit codes: 0 done, 1 the command cannot be carried out."
+PAPER_RADIUS = 1.3  # [m]
+
+
+class _Parser(argparse.ArgumentParser):
+    """Complains in one line."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(1, f"{self.prog}: {message}\n")
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    p = _Parser("map", description=__doc__, epilog=EPILOG)
+    p.add_argument(
+        "source", nargs="*", metavar="SOURCE",
+        help="description YAML, or bags with a calibration (default: the paper's arm)",
+    )  # fmt: skip
+    p.add_argument("--output", metavar="FOLDER", default="workspace", help="default: %(default)s")
+    p.add_argument("--cell", type=float, default=0.01, metavar="M", help="size of a map's cell [m]")
+    p.add_argument(
+        "--rule", choices=RULES[:3], default=Rules.redundancy, help="how straight paths use the "
+        "redundancy (default: %(default)s)",
+    )  # fmt: skip
+    p.add_argument(
+        "--start", type=float, nargs="+", metavar="DEG", help="joint readings from which straight "
+        "paths begin [deg] (default: an arch)",
+    )  # fmt: skip
+    p.add_argument(
+        "--true-angle", action="store_true", help="joint limits hold for q + theta_0, not for the "
+        "encoder's reading q",
+    )  # fmt: skip
+    p.add_argument("--workers", type=int, default=1, metavar="N", help="threads to use")
+    return p
+
+
+def calibrated(sources: Sequence[str]) -> Calibrated:
+    """The arm that a description, or the calibrations in bags, tell of.
+
+    Raises:
+        BagError: a bag cannot be read, or holds no calibration that passed.
+        DescriptionError: a description cannot be right.
+        OSError: a file cannot be read.
+    """
+    if not sources:
+        return Calibrated(paper_arm())
+    if len(sources) == 1 and Path(sources[0]).suffix in (".yaml", ".yml"):
+        return Calibrated(load(sources[0]))
+    known = None
+    with open_bags(sources) as bags:
+        topics = {t for t, kind in bags.topics.items() if kind.msgtype in TOPICS.values()}
+        for topic, _, _, message in bags.messages(topics):
+            if message.verdict == "pass":
+                known = (known or Calibrated(paper_arm())).with_message(topic, message)
+    if known is None:
+        raise BagError(f"{', '.join(sources)}: no calibration that passed")
+    return known
+
+
+def report(analysis: Analysis, console: Console) -> None:
+    """The numbers beside the paper's."""
+    a = analysis
+    hole = -sum(area for area in a.region.areas if area < 0.0)
+    console.print(
+        f"fixed vehicle workspace: {a.region.area:.4f} m^2 within {len(a.region.arcs)} arcs, "
+        f"holes of {hole:.4f} m^2"
+    )
+    spread = f" ± {a.radius_deviation:.4f}" if a.radius_deviation > 0.0 else ""
+    console.print(
+        f"maximum reachable workspace: R = {a.radius:.4f}{spread} m (Eq. 13); within the joint "
+        f"limits {a.reach[0]:.4f} to {a.reach[1]:.4f} m from the centre of mass"
+    )
+    try:
+        mass = base_mass_for(a.arm, PAPER_RADIUS)
+        console.print(
+            f"the paper's R = {PAPER_RADIUS} m would take a base of {mass:.2f} kg "
+            f"instead of {a.arm.base.mass:g} kg"
+        )
+    except ValueError as error:
+        console.print(f"the paper's R = {PAPER_RADIUS} m: {error}")
+    for base, paths in a.straight.items():
+        grazing = int(paths.grazes.sum())
+        console.print(
+            f"straight-path workspace, {base}: {paths.area:.4f} m^2, {len(paths.distance)} "
+            f"directions ({grazing} graze a singularity), rule: {a.rules.redundancy}"
+        )
+    for name, found in a.maps.items():
+        console.print(f"largest w, {name} base: up to {np.nanmax(found.w):.4f} m^2")
+
+
+def run(options: argparse.Namespace, console: Console) -> None:
+    """Compute, write and report.
+
+    Raises:
+        ValueError: an option or a source is impossible.
+        OSError: a file cannot be read or written.
+    """
+    known = calibrated(options.source)
+    rules = Rules(redundancy=options.rule)
+    settings = AnalysisSettings(
+        cell=options.cell, rules=rules, of_true_angle=options.true_angle, workers=options.workers
+    )
+    start = None
+    if options.start:
+        start = np.concatenate([np.zeros(3), np.radians(options.start)])
+    folder = Path(options.output)
+    folder.mkdir(parents=True, exist_ok=True)
+    columns = TextColumn("{task.description:34}"), BarColumn(), TimeElapsedColumn()
+    with Progress(*columns, console=console, transient=True) as bar:
+        task = bar.add_task("", total=1.0)
+        analysis = analyse(
+            known,
+            settings,
+            start,
+            lambda what, share: bar.update(task, description=what, completed=share),
+        )
+        bar.update(task, description="figures", completed=0.0)
+        written = draw(analysis, folder)
+        save(analysis, folder / "workspace.npz")
+    report(analysis, console)
+    names = ", ".join(path.name for path in [*written, folder / "workspace.npz"])
+    console.print(f"written to {folder}: {names}", soft_wrap=True)
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run as `ros2 run fss_arm_workspace map`."""
+    try:
+        run(parser().parse_args(args), Console(soft_wrap=True))
+    except (ValueError, OSError) as error:
+        print(f"map: {' '.join(str(error).split())}", file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,78 @@
+"""The command `map`: figures, numbers and complaints."""
+
+import numpy as np
+import pytest
+
+from fss_arm_model.description import from_yaml, paper_arm, save, to_yaml
+from fss_arm_msgs.msg import DynamicCalibration, KinematicCalibration
+from fss_arm_workspace.calibrated import Calibrated
+from fss_arm_workspace.fixed import fixed_workspace
+from fss_arm_workspace.map import main
+
+
+def test_it_draws_three_figures_and_keeps_their_numbers(tmp_path, capsys):
+    save(paper_arm(), tmp_path / "arm.yaml")
+    folder = tmp_path / "out"
+    assert main([str(tmp_path / "arm.yaml"), "--output", str(folder), "--cell", "0.1"]) == 0
+    for number in (6, 7, 8):
+        assert (folder / f"figure_{number}.png").read_bytes().startswith(b"\x89PNG")
+        assert "<svg" in (folder / f"figure_{number}.svg").read_text()
+    with np.load(folder / "workspace.npz") as data:
+        assert from_yaml(str(data["arm"])) == paper_arm()
+        assert data["area"] == fixed_workspace(paper_arm()).area
+        assert data["radius"] == pytest.approx(1.172, abs=5e-4)
+        assert np.nanmax(data["map_fixed"]) > 3.0 * np.nanmax(data["map_floating"]) > 0.0
+        assert len(data["straight_floating"]) >= 360
+    said = capsys.readouterr().out
+    assert "R = 1.1721 m" in said
+    assert "17.07 kg" in said
+
+
+@pytest.mark.parametrize(
+    ("args", "complaint"),
+    [
+        (["/no/such.yaml"], "No such file"),
+        (["/no/such/bag"], "no such file or folder"),
+        (["--cell", "0"], "cell is 0.0 m, expected 0.001 or more"),
+        (["--start", "10", "20"], "expected 7 finite numbers"),
+        (["--start", "100", "0", "0", "0"], "joint 1 starts at 1.74533 rad"),
+    ],
+)
+def test_what_a_user_gets_wrong_ends_in_one_line(tmp_path, capsys, args, complaint):
+    assert main([*args, "--output", str(tmp_path)]) == 1
+    said = capsys.readouterr().err
+    assert complaint in said
+    assert said.count("\n") == 1
+
+
+def passed(kind, arm, names, deviation):
+    size = len(names)
+    covariance = (deviation**2 * np.eye(size)).ravel().tolist()
+    return kind(verdict="pass", description=to_yaml(arm), names=names, covariance=covariance)
+
+
+def test_a_calibration_that_passed_is_taken_with_its_covariance():
+    arm = paper_arm()
+    longer = arm.with_kinematics(arm.vector()[[8, 14, 20, 26, 15, 21, 27, 4, 5, 6]] * 1.01)
+    known = Calibrated(arm)
+    assert (
+        known.with_message("calibration/kinematic", KinematicCalibration(verdict="fail")) == known
+    )
+    kinematic = passed(KinematicCalibration, longer, ["a", "a_4"], 1e-3)
+    known = known.with_message("calibration/kinematic", kinematic)
+    assert known.arm == longer
+    assert np.sqrt(known.covariance[8, 8]) == pytest.approx(1e-3)
+
+
+def test_a_later_kinematic_calibration_keeps_what_is_known_of_masses():
+    arm = paper_arm()
+    kinematics = arm.vector()[[8, 14, 20, 26, 15, 21, 27, 4, 5, 6]]
+    heavy = from_yaml(to_yaml(arm).replace("inertia: 0.034", "inertia: 0.05"))
+    longer = arm.with_kinematics(kinematics * 1.01)
+    dynamic = passed(DynamicCalibration, heavy, ["I"], 2e-3)
+    kinematic = passed(KinematicCalibration, longer, ["a_1"], 1e-3)
+    known = Calibrated(arm).with_message("calibration/dynamic", dynamic)
+    known = known.with_message("calibration/kinematic", kinematic)
+    assert [link.inertia for link in known.arm.links] == [0.05] * 4
+    assert [link.a for link in known.arm.links] == [link.a for link in longer.links]
+    assert np.sqrt(np.diag(known.covariance)[[8, 11]]) == pytest.approx([1e-3, 2e-3])
