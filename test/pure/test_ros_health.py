@@ -58,6 +58,11 @@ def test_what_is_wrong_with_the_times_is_said_in_numbers(receipts, delay, said):
     assert only.startswith(said)
 
 
+def test_a_recorder_that_was_held_up_lost_nothing():
+    held_up = np.where((STEADY > 4.0) & (STEADY < 4.4), 4.4, STEADY)
+    assert found(held_up, delay=0.003 + held_up - STEADY) == []
+
+
 def test_a_slow_topic_may_be_silent_for_longer():
     assert found(np.arange(20) * 1.0) == []
     assert len(found(np.append(np.arange(20), 30.0))) == 1

@@ -34,9 +34,19 @@ class Stream:
         return (len(self.receipts) - 1) * SECOND / float(self.receipts[-1] - self.receipts[0])
 
     @property
+    def silences(self) -> np.ndarray:
+        """From each message to the next [ns].
+
+        By receipt and by stamp: a recorder that was held up received late, and lost nothing; a
+        clock that jumped forward did not make a pause.
+        """
+        received = np.diff(self.receipts)
+        return np.minimum(received, np.diff(self.stamps)) if len(self.stamps) else received
+
+    @property
     def longest_gap(self) -> float:
         """The longest silence [s]; NaN: fewer than two messages."""
-        return float(np.diff(self.receipts).max() / SECOND) if len(self.receipts) > 1 else np.nan
+        return float(self.silences.max() / SECOND) if len(self.receipts) > 1 else np.nan
 
 
 def streams(bags: Bags) -> dict[str, Stream]:
@@ -78,7 +88,7 @@ def findings(topic: Topic, stream: Stream, begin: int) -> Iterator[str]:
         return
     if any(qos.reliability == QosReliability.BEST_EFFORT for qos in topic.qos):
         yield "was published best effort: messages may have been lost"
-    yield from _gaps(stream.receipts, begin)
+    yield from _gaps(stream, begin)
     yield from _clocks(stream, begin)
 
 
@@ -93,9 +103,9 @@ def _of_type(topic: Topic) -> Iterator[str]:
         yield f"{topic.msgtype} is installed in another version; replay leaves it out"
 
 
-def _gaps(receipts: np.ndarray, begin: int) -> Iterator[str]:
+def _gaps(stream: Stream, begin: int) -> Iterator[str]:
     """Silences that are long for a steady topic."""
-    silences = np.diff(receipts)
+    silences = stream.silences
     if not len(silences):
         return
     gaps = np.flatnonzero(silences > max(PERIODS * np.median(silences), SHORTEST_GAP))
@@ -103,7 +113,7 @@ def _gaps(receipts: np.ndarray, begin: int) -> Iterator[str]:
         worst = gaps[np.argmax(silences[gaps])]
         yield (
             f"{_count(len(gaps), 'gap')}, the longest of {silences[worst] / SECOND:.3f} s "
-            f"at {(receipts[worst] - begin) / SECOND:.3f} s"
+            f"at {(stream.receipts[worst] - begin) / SECOND:.3f} s"
         )
 
 
