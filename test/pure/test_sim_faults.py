@@ -1,13 +1,17 @@
 """Faults: what there is, scripts of them, and what they do to datagrams on their way."""
 
 from collections import Counter
+from dataclasses import fields
 from itertools import pairwise
+from pathlib import Path
 from random import Random
 
 import pytest
 
 from fss_sim.channel import SECOND, Channel, Datagram
-from fss_sim.faults import Event, FaultError, Faults, LinkFaults, read_script
+from fss_sim.faults import Event, FaultError, Faults, LinkFaults, kinds, read_script
+
+ROOT = Path(__file__).parents[2]
 
 
 def test_a_script_comes_into_force_and_ends_over_what_was_set():
@@ -120,3 +124,18 @@ def test_a_corrupted_datagram_has_one_bit_flipped():
     bits = Counter(word.count("1") for word in flipped)
     assert bits.keys() == {0, 1}
     assert bits[1] / 2000 == pytest.approx(0.3, abs=0.042)
+
+
+def test_the_documentation_names_each_fault_and_no_other():
+    page = (ROOT / "docs/simulator.md").read_text()
+    table = page[page.index("| part | fault |") :].split("\n\n")[0]
+    told = [row.split("|")[2].strip(" `") for row in table.splitlines()[2:]]
+    assert told == [
+        f.name for kind in dict.fromkeys(kinds(2).values()) for f in fields(kind)
+    ]  # fmt: skip
+
+
+def test_the_example_is_a_script():
+    events = read_script((ROOT / "config/faults.yaml").read_text())
+    Faults(4, events)
+    assert len(events) == 7
