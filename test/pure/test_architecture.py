@@ -29,7 +29,7 @@ ALLOWED = {
     | {"fss_arm_model", "fss_arm_ros", "numpy", "scipy", "yaml", "rich", "matplotlib"},
     "fss_arm_workspace": ROS
     | {"fss_arm_model", "fss_arm_ros", "numpy", "scipy", "rich", "matplotlib"},
-    "fss_arm_view": ROS | {"fss_arm_model", "fss_arm_ros", "numpy", "rerun"},
+    "fss_arm_view": ROS | {"fss_arm_model", "fss_arm_ros", "numpy", "rerun", "rerun_cli"},
 }
 
 # Where the mathematics of a package meets ROS: its nodes, and these.

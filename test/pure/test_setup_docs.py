@@ -17,7 +17,11 @@ import yaml
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 #: Commands of the system and of ROS that the documentation may use.
-SYSTEM = {".", "colcon", "export", "fast-discovery-server", "python", "ssh", "sudo", "systemctl"}
+SYSTEM = {
+    ".", "arduino-cli", "cd", "colcon", "cp", "export", "fast-discovery-server", "make", "python",
+    "ssh", "sudo", "systemctl",
+}  # fmt: skip
+FIRMWARE = "build/firmware/"  # what its own tests build and run
 
 
 def commands():
@@ -56,7 +60,7 @@ def test_each_command_can_be_given(words):
     elif program == "ros2":
         assert arguments[0] == "security"  # of the distribution; not among the wheels
     else:
-        assert program in SYSTEM or program.startswith("("), program
+        assert program in SYSTEM or program.startswith(("(", FIRMWARE)), program
 
 
 def check_node(package, executable, *arguments):

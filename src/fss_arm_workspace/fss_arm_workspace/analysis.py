@@ -1,4 +1,4 @@
-"""Section 5 of the paper whole, for one arm: what the command `map` draws and the node publishes."""
+"""Section 5 of the paper for one arm: what the command `map` draws and the node publishes."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
