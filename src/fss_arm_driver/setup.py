@@ -15,6 +15,7 @@ setup(
         "console_scripts": [
             "link = fss_arm_driver.link_node:main",
             "arm = fss_arm_driver.arm_node:main",
+            "check = fss_arm_driver.check:main",
         ],
     },
 )

@@ -1,0 +1,100 @@
+"""The command `check`: finds each link, tries it, and writes down what was found."""
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+
+from fss_arm_driver.protocol import load_keys
+from fss_arm_driver.transport import open_transport
+from fss_arm_driver.trials import FAIL, NOT_TRIED, PASS, Finding, Rig, trials
+from fss_arm_model.description import Arm, load, paper_arm
+
+SEARCH = 3.0  # for each link's number at a URL [s]
+EXIT_CODES = {PASS: 0, FAIL: 2, NOT_TRIED: 3}
+
+
+def find(url: str, arm: Arm, keys: Mapping[int, bytes]) -> Rig | None:
+    """The link that answers at a URL, whatever its number."""
+    for number, link in enumerate(arm.links, 1):
+        transport = open_transport(url, number, keys.get(number))
+        rig = Rig(number, link, transport, keys.get(number))
+        if rig.listen(SEARCH):
+            return rig
+        transport.close()
+    return None
+
+
+def as_yaml(findings: list[Finding], urls: dict[int, str], when: str) -> str:
+    """The result, as it is written."""
+    lines = ["# What `ros2 run fss_arm_driver check` found.", f"when: {json.dumps(when)}", "links:"]
+    for number, url in urls.items():
+        lines += [f"  - link: {number}", f"    url: {json.dumps(url)}", "    findings:"]
+        for finding in findings:
+            if finding.link == number:
+                values = {k: v for k, v in asdict(finding).items() if k != "link"}
+                first, *rest = (f"{name}: {json.dumps(text)}" for name, text in values.items())
+                lines += [f"      - {first}", *(f"        {line}" for line in rest)]
+    return "\n".join(lines) + "\n"
+
+
+def main() -> int:
+    """Run as `ros2 run fss_arm_driver check`."""
+    parser = argparse.ArgumentParser(
+        prog="check",
+        description="Try links, one at a time, and write down what was found.",
+        epilog="Exit codes: 0 pass, 1 cannot be carried out, 2 fail, 3 something was not tried.",
+    )
+    parser.add_argument("urls", metavar="URL", nargs="+", help="where a link may be")
+    parser.add_argument("--arm", default="", help="the arm's description (default: the paper's)")
+    parser.add_argument("--keys", default="", help="file of the links' keys")
+    parser.add_argument("--current", type=float, default=0.1, help="first step of current [A]")
+    parser.add_argument("--output", default="check.yaml", help="what is written")
+    given = parser.parse_args()
+    if not 0.0 < given.current <= 0.5:
+        parser.error(f"--current is {given.current} A, expected above 0 to 0.5")
+    try:
+        return run(given)
+    except (ValueError, OSError) as error:
+        print(f"check: {error}", file=sys.stderr)
+        return 1
+
+
+def run(given: argparse.Namespace) -> int:
+    """Try what was asked for.
+
+    Raises:
+        ValueError: a URL, the description or the keys are wrong.
+        OSError: a file cannot be read or written.
+    """
+    arm = load(given.arm) if given.arm else paper_arm()
+    keys = load_keys(given.keys) if given.keys else {}
+    findings: list[Finding] = []
+    places: dict[int, str] = {}
+    for url in given.urls:
+        rig = find(url, arm, keys)
+        if rig is None:
+            findings.append(Finding(0, "answers", FAIL, f"nothing at {url}"))
+            places.setdefault(0, url)
+            print(f"{url}: no link answers")
+            continue
+        places[rig.number] = url
+        try:
+            for finding in trials(rig, input, given.current):
+                findings.append(finding)
+                print(f"link {finding.link}: {finding.name}: {finding.verdict}: {finding.found}")
+        finally:
+            rig.transport.close()
+    when = time.strftime("%Y-%m-%dT%H:%M:%S%z")
+    Path(given.output).write_text(as_yaml(findings, places, when), encoding="utf-8")
+    verdict = max((EXIT_CODES[finding.verdict] for finding in findings), default=0)
+    failed = any(finding.verdict == FAIL for finding in findings)
+    print(f"written to {given.output}")
+    return EXIT_CODES[FAIL] if failed else verdict
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,201 @@
+"""The first day with hardware, on links that are right and on links that are not."""
+
+import sys
+from dataclasses import replace
+from math import pi
+
+import pytest
+
+from fss_arm_driver import check, trials
+from fss_arm_driver.protocol import Mode
+from fss_arm_driver.trials import FAIL, NOT_TRIED, PASS, Rig
+from fss_arm_model.description import Drive, TorqueSensor, paper_arm
+from fss_sim.electronics import LinkElectronics
+from fss_sim.plant import Motion
+
+LINK = paper_arm().links[0]
+INERTIA = 0.3  # [kg m^2]
+STEP = 0.005  # [s]
+
+
+class Bench:
+    """A link on a bench and its person, in time of their own; stands for the module `time`, too."""
+
+    def __init__(self, description, friction=0.0, deaf=False, hand=pi / 2, load=0.5):
+        self.counts, self.trouble = {}, ""
+        self.link = LinkElectronics(1, description, boot=3)
+        self.seconds, self.q, self.qd, self.torque, self.current = 0.0, -0.6, 0.0, 0.0, 0.0
+        self.friction, self.deaf, self.hand, self.load = friction, deaf, hand, load
+        self.frames, self.asked = [], []
+
+    def monotonic(self):
+        return self.seconds
+
+    def time_ns(self):
+        return 1_700_000_000_000_000_000 + round(self.seconds * 1e9)
+
+    def clock(self):
+        return 10_000_000 + round(self.seconds * 1e6)
+
+    def send(self, data):
+        if not self.deaf:
+            self.link.receive(data, self.clock())
+
+    def wait(self, timeout):
+        for _ in range(max(1, round(timeout / STEP))):
+            self.step()
+        return bool(self.frames)
+
+    def step(self):
+        motion = Motion(self.q, self.qd, self.current, self.torque)
+        demand = self.link.demand(self.clock(), motion)
+        self.current = demand.set_point if demand.mode == Mode.CURRENT else 0.0
+        push = 0.8 * self.current
+        if demand.mode == Mode.CURRENT:
+            self.torque = push
+            free = max(0.0, abs(push) - self.friction)
+            self.qd += STEP * free / INERTIA * (1 if push > 0 else -1)
+        elif demand.mode == Mode.VELOCITY:
+            self.qd = demand.set_point
+        else:
+            self.qd, self.torque = 0.0, self.torque if demand.mode == Mode.OFF else 0.0
+        self.q += STEP * self.qd
+        self.seconds += STEP
+        if data := self.link.telemetry(
+            self.clock(), Motion(self.q, self.qd, self.current, self.torque)
+        ):
+            self.frames.append(data)
+
+    def receive(self):
+        frames, self.frames = self.frames, []
+        return frames
+
+    def close(self):
+        pass
+
+    def ask(self, question):
+        """A person who does as told, and tells what was done."""
+        self.asked.append(question)
+        if "Turn the joint by hand" in question:
+            self.q += self.hand
+            return "90"
+        if "known torque" in question:
+            self.torque = self.load
+            return "0.5"
+        self.torque = 0.0
+        return "yes"
+
+
+@pytest.fixture
+def tried(monkeypatch):
+    """tried(bench): the findings on a bench by name, with the paper's link as description."""
+
+    def run(bench, ask=None):
+        monkeypatch.setattr(trials, "time", bench)
+        rig = Rig(1, LINK, bench, None)
+        assert rig.listen(3.0)
+        return {f.name: f for f in trials.trials(rig, ask or bench.ask, 0.1)}
+
+    return run
+
+
+def test_a_link_that_is_as_described_passes(tried):
+    bench = Bench(LINK)
+    found = tried(bench)
+    assert list(found) == [
+        "answers", "direction and counts per turn", "torque zero", "torque gain", "current sign",
+        "measured current", "torque sign", "stop", "watchdog",
+    ]  # fmt: skip
+    assert {f.verdict for f in found.values()} == {PASS}
+    assert "firmware 1.0.0" in found["answers"].found
+    assert found["direction and counts per turn"].found.startswith("240000 counts a turn")
+    assert "watchdog 1.0 s" in found["watchdog"].found
+    assert not bench.link.armed
+
+
+@pytest.mark.parametrize(
+    ("changes", "name", "words"),
+    [
+        ({"drive": Drive(direction=-1)}, "direction and counts per turn", "-240000 counts a turn"),
+        ({"drive": Drive(counts_per_turn=200_000)}, "direction and counts per turn", "200000"),
+        ({"torque_sensor": TorqueSensor(zero=1e6)}, "torque zero", "off by +0.2503 N m"),
+        ({"torque_sensor": TorqueSensor(gain=-2.1 / 2**23)}, "torque gain", "-2.5034e-07 N m"),
+        ({"torque_sensor": TorqueSensor(gain=-2.1 / 2**23)}, "torque sign", "N m while"),
+    ],
+)
+def test_what_is_not_as_described_fails_with_what_was_found(tried, changes, name, words):
+    found = tried(Bench(replace(LINK, **changes)))
+    assert found[name].verdict == FAIL
+    assert words in found[name].found
+
+
+def test_a_joint_that_sticks_is_said(tried):
+    found = tried(Bench(LINK, friction=10.0))
+    assert found["current sign"].verdict == FAIL
+    assert found["current sign"].found == "does not turn with up to -0.50 A"
+
+
+def test_a_motor_that_turns_the_other_way_is_found(tried):
+    bench = Bench(LINK)
+    step = bench.step
+
+    def other_way():
+        before = bench.q
+        step()
+        if bench.current:
+            bench.q = 2 * before - bench.q
+
+    bench.step = other_way
+    found = tried(bench)
+    assert found["current sign"].verdict == FAIL
+    assert "-0.10 A turned it by +" in found["current sign"].found
+
+
+def test_nothing_moves_unless_a_person_agrees(tried):
+    bench = Bench(LINK, hand=0.0)
+    found = tried(bench, ask=lambda _: "")
+    assert {f.name for f in found.values() if f.verdict == NOT_TRIED} == {
+        "direction and counts per turn", "torque gain", "current sign", "stop", "watchdog",
+    }  # fmt: skip
+    assert bench.q == -0.6
+
+
+def test_the_result_is_written_and_the_exit_code_tells(monkeypatch, tmp_path, capsys):
+    bench = Bench(LINK)
+    monkeypatch.setattr(trials, "time", bench)
+    monkeypatch.setattr(check, "open_transport", lambda url, link, key: bench)
+    monkeypatch.setattr("builtins.input", bench.ask)
+    output = tmp_path / "check.yaml"
+    monkeypatch.setattr("sys.argv", ["check", "udp://link:5001", "--output", str(output)])
+    assert check.main() == 0
+    text = output.read_text()
+    assert '    url: "udp://link:5001"\n' in text
+    assert text.count('verdict: "pass"') == 9
+    assert "link 1: watchdog: pass: at rest" in capsys.readouterr().out
+
+
+def test_a_place_where_nothing_answers_is_a_failure(monkeypatch, tmp_path, capsys):
+    bench = Bench(LINK, deaf=True)
+    bench.receive = list
+    monkeypatch.setattr(trials, "time", bench)
+    monkeypatch.setattr(check, "open_transport", lambda url, link, key: bench)
+    output = tmp_path / "check.yaml"
+    monkeypatch.setattr("sys.argv", ["check", "udp://nobody:5001", "--output", str(output)])
+    assert check.main() == 2
+    assert "udp://nobody:5001: no link answers" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (["udp://x"], 1, "expected udp://HOST:PORT"),
+        (["udp://127.0.0.1:9", "--arm", "/no/such"], 1, "/no/such"),
+        (["udp://127.0.0.1:9", "--current", "2"], 2, "--current is 2.0 A, expected above 0 to 0.5"),
+    ],
+)
+def test_what_cannot_be_carried_out_is_one_line(monkeypatch, capsys, arguments, code, words):
+    monkeypatch.setattr("sys.argv", ["check", *arguments])
+    with pytest.raises(SystemExit) as end:
+        sys.exit(check.main())
+    assert end.value.code == code
+    assert words in capsys.readouterr().err
