@@ -158,7 +158,9 @@ def test_stop_is_obeyed_whatever_its_boot_and_sequence():
 
 
 def test_disarming_brakes_and_switches_off_at_rest():
-    electronics = link(QUIET, GO, replace(QUIET, sequence=3))
+    electronics = link(QUIET, GO)
+    electronics.demand(SECOND, REST)
+    assert electronics.receive(encode(replace(QUIET, sequence=3)), SECOND)
     assert electronics.demand(SECOND, replace_speed(REST, 0.3)).mode == Mode.POSITION
     assert electronics.demand(SECOND, REST).mode == Mode.OFF
 

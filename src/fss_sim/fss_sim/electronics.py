@@ -12,10 +12,11 @@ from fss_arm_driver.protocol import (
     VELOCITY_UNIT,
     Command,
     Gate,
+    Goal,
+    LinkState,
     Mode,
     Order,
     Slow,
-    State,
     Telemetry,
     encode,
 )
@@ -31,7 +32,7 @@ DISABLED, AT_HIGHEST, AT_LOWEST, IN_MOTION = 1 << 12, 1 << 16, 1 << 17, 1 << 27
 SUPPLY, TEMPERATURE, FIRMWARE = 240, 31, 0x010000  # 24.0 V, deg C, 1.0.0
 
 
-class LinkElectronics:
+class LinkElectronics(LinkState):
     """The electronics of one link, from their start.
 
     The node that owns it calls `receive` for each datagram, `demand` before the joint moves on and
@@ -55,10 +56,9 @@ class LinkElectronics:
         key: bytes | None = None,
         instruments: Instruments | None = None,
     ) -> None:
+        super().__init__(Gate(number, boot, key))
         self.link = link
         self.instruments = instruments or make(link.torque_sensor)
-        self.gate = Gate(number, boot, key)
-        self.armed = self.stopped = self.watchdog_tripped = False
         self.referenced, self.homings, self._homing = True, 1, False
         drive = link.drive
         self._count = drive.direction * 2.0 * pi / drive.counts_per_turn  # [rad]
@@ -70,23 +70,22 @@ class LinkElectronics:
 
     def receive(self, data: bytes, clock: int) -> bool:
         """Obey or refuse a datagram that has come; return whether it was taken."""
-        command = self.gate.take(data, clock)
-        if command:
-            self._obey(command)
-        return command is not None
+        taken, command = super().receive(data, clock), self.gate.command
+        if taken and command:
+            homing, self._homing = self._homing, bool(self.armed and command.flags & Order.HOME)
+            if self._homing and not homing:  # it finds it where it is
+                self.referenced, self.homings = True, self.homings + 1
+        return taken
 
     def demand(self, clock: int, motion: Motion) -> Demand:
         """What the servo drive is to do from now on."""
-        gate, command = self.gate, self.gate.command
-        if command and self.armed:
-            if clock - gate.arrival > gate.watchdog:
-                self.armed, self.watchdog_tripped = False, True
-                self._hold()
-            elif command.expiry < clock:
-                self._hold()
-        released = not (self.armed or self.stopped or self.watchdog_tripped)
-        if released and abs(motion.qd) < STILL:
-            self._demand = Demand(Mode.OFF)
+        goal, command = self.goal(clock), self.gate.command
+        if goal is Goal.OBEY and command and not command.flags & Order.HOME:
+            self._demand = self._commanded(command)
+        elif goal is not Goal.RELEASE:
+            self._demand = self._held()
+        elif self._demand.mode != Mode.OFF:
+            self._demand = Demand(Mode.OFF) if abs(motion.qd) < STILL else self._held()
         return self._demand
 
     def telemetry(self, clock: int, motion: Motion) -> bytes | None:
@@ -101,7 +100,7 @@ class LinkElectronics:
         gate, command = self.gate, self.gate.command
         frame = Telemetry(
             link=gate.number,
-            flags=self._flags(),
+            flags=self.flags(self.referenced),
             boot=gate.boot,
             sequence=sequence,
             clock=clock,
@@ -119,26 +118,9 @@ class LinkElectronics:
         )
         return encode(frame, gate.key)
 
-    def _obey(self, command: Command) -> None:
-        homing, self._homing = self._homing, bool(command.flags & Order.HOME)
-        if command.flags & Order.STOP:
-            self.armed, self.stopped = False, True
-            self._hold()
-        elif not command.flags & Order.ARM:
-            self.armed = self.stopped = self.watchdog_tripped = False
-            self._hold()  # and off once at rest, by demand()
-        elif not (self.stopped or self.watchdog_tripped):
-            self.armed = True
-            if command.flags & Order.HOME and not homing:  # it finds it where it is
-                self.referenced, self.homings = True, self.homings + 1
-            if command.flags & (Order.HOLD | Order.HOME):
-                self._hold()
-            else:
-                self._demand = self._commanded(command)
-
-    def _hold(self) -> None:
+    def _held(self) -> Demand:
         """Decelerate and hold there; a drive that holds already goes on holding the same place."""
-        self._demand = Demand(Mode.POSITION, 0.0, 0.0, self._acceleration)
+        return Demand(Mode.POSITION, 0.0, 0.0, self._acceleration)
 
     def _commanded(self, command: Command) -> Demand:
         """The command in SI units, within the drive's own limits."""
@@ -155,14 +137,6 @@ class LinkElectronics:
         else:
             set_point = command.set_point * CURRENT_UNIT * drive.direction
         return Demand(command.mode, set_point, speed, self._acceleration)
-
-    def _flags(self) -> int:
-        return (
-            State.ARMED * self.armed
-            | State.STOPPED * self.stopped
-            | State.WATCHDOG * self.watchdog_tripped
-            | State.REFERENCED * self.referenced
-        )
 
     def _status(self, motion: Motion) -> int:
         return (
