@@ -1,0 +1,9 @@
+#!/usr/bin/env bash
+# A dynamic calibration, rehearsed: maneuvers designed, made in the simulator over UDP, recorded and
+# solved. Usage: scripts/rehearse_dynamic.sh [--help] [--noise paper] [--speed 2] [--seed 1]
+set -euo pipefail
+here=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
+"$here/setup.sh"
+# shellcheck source=scripts/env.sh
+. "$here/env.sh"
+exec python3 "$here/rehearse_dynamic.py" "$@"
