@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # A dynamic calibration, rehearsed: maneuvers designed, made in the simulator over UDP, recorded and
-# solved. Usage: scripts/rehearse_dynamic.sh [--help] [--noise paper] [--speed 2] [--seed 1]
+# solved. Usage: scripts/rehearse_dynamic.sh [--help] [--noise paper] [--seed 1] [--out DIR]
 set -euo pipefail
 here=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
 "$here/setup.sh"

@@ -1,0 +1,48 @@
+"""The study of the paper's tables: its figures, and where it is put."""
+
+import numpy as np
+import pytest
+
+from fss_arm_calib import paper_study
+from fss_arm_calib.paper_study import BEGIN, END, as_the_paper, designed, shares, single_joint
+
+
+def test_the_paper_s_experiment_hardly_knows_the_inertia():
+    rng, found = np.random.default_rng(5), []
+    for _ in range(20):
+        first, second = np.radians(rng.uniform(-75.0, 75.0, (2, 4)))
+        plan = single_joint(first, 1.0) + single_joint(second, -1.0)
+        found.append(shares(as_the_paper(plan))[0])
+    assert 0.5 < min(found) < max(found) < 1.2
+    assert 0.75 < np.median(found) < 1.0
+    random, total = shares(as_the_paper(plan, 0.001))
+    assert random < 0.16  # with the base's position
+    assert total > 1.0
+
+
+def test_kinematics_are_found_as_finely_as_13_observations_allow():
+    text = paper_study.tables_2_and_3()
+    assert "| a_1 .. a_3 | m | 0.3825 |" in text
+    assert "| theta_BJ1 | deg | 18.21 |" in text
+
+
+@pytest.mark.slow
+def test_what_cuts_the_deviation_to_10_and_to_1_percent():
+    fine = {"position_deviation": 0.001, "heading_deviation": float(np.radians(0.5))}
+    random, total = shares(designed(16, "I b_i I_0 com_0", **fine))
+    assert total < 0.13
+    random, total = shares(designed(2048, "I b_i I_0 com_0", **fine))
+    assert random < 0.011
+    assert total < 0.04
+
+
+def test_the_study_takes_its_place_in_a_file(tmp_path, monkeypatch):
+    monkeypatch.setattr(paper_study, "study", lambda: f"{BEGIN}\nnew\n{END}")
+    page = tmp_path / "paper.md"
+    page.write_text(f"# Paper\n\nbefore\n\n{BEGIN}\nold\n{END}\n\n## Workspace\n")
+    assert paper_study.main(["--output", str(page)]) == 0
+    assert page.read_text() == f"# Paper\n\nbefore\n\n{BEGIN}\nnew\n{END}\n\n## Workspace\n"
+    page.write_text("# Paper\n\n## Workspace\n")
+    assert paper_study.main(["--output", str(page)]) == 0
+    assert page.read_text().startswith("# Paper\n\n## Workspace\n\n")
+    assert page.read_text().count("new") == 1
