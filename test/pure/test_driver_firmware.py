@@ -13,6 +13,7 @@ import pytest
 from firmware import Core, FirmwareLink, build
 from firmware_vectors import cases
 
+from fss_arm_driver.faults import FAULTS, Word
 from fss_arm_driver.protocol import Command, Mode, Order, Slow, State, decode, encode
 from fss_arm_model.description import paper_arm
 from fss_sim.electronics import LinkElectronics
@@ -61,6 +62,7 @@ MOVE = replace(
 )  # fmt: skip
 TURN = replace(MOVE, mode=Mode.VELOCITY, set_point=-300_000, velocity=0)
 PUSH = replace(MOVE, mode=Mode.CURRENT, set_point=20, velocity=0, acceleration=0)
+HOME = replace(QUIET, flags=Order.ARM | Order.HOME, mode=Mode.POSITION, expiry=100 * SECOND)
 LATCHES = State.ARMED | State.STOPPED | State.WATCHDOG
 
 
@@ -497,6 +499,17 @@ def test_a_drive_that_others_switched_off_is_not_switched_on_again(link):
     assert not link.frame().flags & State.ARMED
 
 
+def test_homing_is_begun_once_and_counted(link):
+    assert link.send(QUIET)
+    for sequence in range(2, 5):
+        assert link.send(replace(HOME, sequence=sequence))
+        frames = link.run(0.25)
+        assert bool(frames[-1].flags & State.REFERENCED) == (sequence > 2)
+    assert link.orders() == ["s r0x24 21", "t 2"]
+    (homings,) = {f.slow_value for f in link.run(1.6) if f.slow_id == Slow.HOMINGS}
+    assert homings == 2
+
+
 @pytest.mark.parametrize("flags", [Order.ARM | Order.HOLD, Order.STOP])
 def test_a_drive_that_held_is_off_after_a_power_cycle(link, flags):
     moving(link)
@@ -517,6 +530,16 @@ def test_its_own_restart_stops_a_moving_drive(link, command):
     assert link.joint()[1:] == (0, Mode.OFF, 115200)
     assert frames[-1].boot == BOOT + 1
     assert not frames[-1].flags & LATCHES
+
+
+@pytest.mark.parametrize("bit", [*range(20), *range(21, 32)])
+def test_status_bits_disarm_as_the_fault_table_says(link, bit):
+    blocks = {fault.bit: fault.blocks for fault in FAULTS if fault.word is Word.STATUS}
+    moving(link)
+    link.tell(f"status {1 << bit}")
+    frame = link.run(0.5)[-1]
+    assert frame.status >> bit & 1
+    assert bool(frame.flags & State.ARMED) != blocks.get(bit, False)
 
 
 def test_a_latched_fault_disarms_and_is_cleared_once_the_drive_is_off(link):

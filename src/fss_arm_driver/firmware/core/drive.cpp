@@ -21,10 +21,11 @@ constexpr uint8_t kRound[] = {kPosition,         kVelocity,     kCurrent, kStatu
 constexpr uint8_t kSlowTurn = 6;  // where these take turns
 constexpr uint8_t kSlowReadings[] = {kFaults, kSupply, kTemperature, kAbortDeceleration};
 
-// Status bits with which it cannot move: short, over-temperature, under-voltage, feedback, latched
-// fault.
-constexpr uint32_t kBlocking = 1u << 0 | 1u << 1 | 1u << 3 | 1u << 5 | 1u << 22;
-constexpr int32_t kReferencedBit = 1 << 12;  // of the trajectory status
+// Status bits that block motion, by docs/faults.md: short, heat, supply, feedback and phasing, the
+// enable input, tracking, latched faults.
+constexpr uint32_t kBlocking = 0x7F | 1u << 11 | 1u << 18 | 1u << 22;
+
+constexpr int32_t kReferencedBit = 1 << 12, kHomingBit = 1 << 13;  // of the trajectory status
 
 constexpr int32_t kStill = 1000;  // slower is at rest [0.1 counts/s]; 2.6 mrad/s
 constexpr int32_t kAbort = 0, kStart = 1, kFindHome = 2;
@@ -245,7 +246,7 @@ void Drive::end_round(uint64_t now) {
   measured_.velocity = round_[1];
   measured_.current = round_[2];
   measured_.status = static_cast<uint32_t>(round_[3]);
-  const bool referenced = round_[4] & kReferencedBit;
+  const bool referenced = (round_[4] & (kReferencedBit | kHomingBit)) == kReferencedBit;
   homings_ = static_cast<uint16_t>(homings_ + (referenced && !referenced_));
   referenced_ = referenced;
   take_mode(round_[5]);

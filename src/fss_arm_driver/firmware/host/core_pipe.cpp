@@ -13,7 +13,7 @@
 //   orders                      what the drive was told since the last call, but for readings
 //   joint                       position [counts], velocity [counts/s], mode and baud of the drive
 //   torque COUNTS | push VELOCITY | reference 0 or 1 | plug 0 or 1 | power | off |
-//   noise DATA | faults BITS | fail CODE
+//   noise DATA | status BITS | faults BITS | fail CODE
 //                               what may happen to the drive; the last: its next order fails
 //
 // Bytes are hexadecimal, `-` for none. Time is simulated: nothing here depends on the machine's.
@@ -189,6 +189,7 @@ std::string happen(const std::string& what, Words& words) {
   else if (what == "power") drive.power_cycle();
   else if (what == "off") drive.switch_off();
   else if (what == "noise") drive.noise(bytes(words), world->now);
+  else if (what == "status") drive.report(number<uint32_t>(words));
   else if (what == "faults") drive.latch_faults(number<uint32_t>(words));
   else if (what == "fail") drive.fail_next(number<int32_t>(words));
   else return "unknown request";

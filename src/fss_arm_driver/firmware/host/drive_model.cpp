@@ -12,6 +12,7 @@ namespace {
 
 constexpr uint64_t kLatency = 500;         // from a line's end to its reply [us]
 constexpr uint64_t kStep = 1000;           // of the motion [us]
+constexpr uint64_t kHoming = 300'000;      // a homing takes [us]
 constexpr double kDt = 1e-6 * kStep;
 constexpr double kFastest = 800'000.0;     // 200 turns a minute [counts/s]
 constexpr double kFriction = 200'000.0;    // deceleration of the free joint [counts/s^2]
@@ -60,12 +61,16 @@ void DriveModel::write(const uint8_t* data, size_t size, uint64_t now) {
 size_t DriveModel::read(uint8_t* data, size_t room, uint64_t now) {
   advance(now);
   size_t size = 0;
-  while (size < room && !to_computer_.empty() && to_computer_.front().at <= now) {
+  while (size < room && has_come(now)) {
     const Byte byte = to_computer_.front();
     to_computer_.pop_front();
     if (plugged_) data[size++] = byte.baud == computer_baud_ ? byte.value : byte.value ^ 0x5A;
   }
   return size;
+}
+
+bool DriveModel::has_come(uint64_t now) const {
+  return !to_computer_.empty() && to_computer_.front().at <= now;
 }
 
 void DriveModel::noise(const std::vector<uint8_t>& bytes, uint64_t now) {
@@ -156,7 +161,7 @@ std::string DriveModel::get(uint8_t variable) {
     case 0x0c: return value(current_);
     case 0x1e: return value(240);
     case 0x20: return value(31);
-    case 0xc9: return value((referenced_ ? 1 << 12 : 0) | (aborting_ ? 1 << 14 : 0) |
+    case 0xc9: return value((referenced_ ? 1 << 12 : 0) | (now_ < homed_ ? 1 << 13 : 0) | (aborting_ ? 1 << 14 : 0) |
                             (moving_ ? 1 << 15 : 0));
     case 0xa0: return value(status());
     default: break;
@@ -186,6 +191,7 @@ std::string DriveModel::trajectory(int32_t command) {
     moving_ = true;
     aborting_ = false;
   } else if (command == 2) {  // set up to take the present place for the reference
+    homed_ = now_ + kHoming;
     referenced_ = true;
   }
   return "ok";
@@ -194,7 +200,7 @@ std::string DriveModel::trajectory(int32_t command) {
 uint32_t DriveModel::status() const {
   const bool faulty = registers_[0xa4] != 0;
   return (faulty ? kLatched : 0) | (mode() == 0 || faulty ? kDisabled : 0) |
-         (was_reset_ ? kReset : 0) | (fabs(velocity_) >= 1.0 ? kMoving : 0);
+         (was_reset_ ? kReset : 0) | reported_ | (fabs(velocity_) >= 1.0 ? kMoving : 0);
 }
 
 // --- the motion ---------------------------------------------------------------------------------

@@ -18,6 +18,7 @@ class DriveModel {
   void set_baud(uint32_t baud, uint64_t now);
   void write(const uint8_t* data, size_t size, uint64_t now);
   size_t read(uint8_t* data, size_t room, uint64_t now);
+  bool has_come(uint64_t now) const;  // whether there is something to read
 
   // What may happen to it.
   void power_cycle();
@@ -28,6 +29,7 @@ class DriveModel {
   void latch_faults(uint32_t bits);
   void push(double velocity) { velocity_ = velocity; }          // by hand [counts/s]
   void reference(bool is) { referenced_ = is; }
+  void report(uint32_t status) { reported_ = status; }          // these status bits, too
 
   double position() const { return position_; }  // [counts]
   double velocity() const { return velocity_; }  // [counts/s]
@@ -61,6 +63,8 @@ class DriveModel {
   uint32_t computer_baud_ = 9600, baud_ = 9600;
   uint64_t sent_ = 0, answered_ = 0;  // when the wires are free again
   uint64_t now_ = 0;                  // of the motion
+  uint64_t homed_ = 0;                // when the homing under way will have ended
+  uint32_t reported_ = 0;
   bool plugged_ = true, referenced_ = true, was_reset_ = false, moving_ = false, aborting_ = false;
   int error_ = 0;
   double position_ = 0.0, velocity_ = 0.0, target_ = 0.0, current_ = 0.0;

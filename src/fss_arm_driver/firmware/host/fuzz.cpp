@@ -116,9 +116,11 @@ class Fuzzer {
     link_.emplace(uint8_t{2}, ++boot_, key_, board_);
   }
 
+  // Until all that has come is read, so that nothing but an input can change anything then.
   void poll() {
     board_.pass(now_);
-    link_->poll(now_);
+    do link_->poll(now_);
+    while (board_.drive().has_come(now_));
   }
 
   void input() {
@@ -152,7 +154,7 @@ class Fuzzer {
 
   // Mostly one that the link may take.
   void command(uint8_t* frame) {
-    constexpr uint8_t flags[] = {0, 1, 1, 1, 1, 1, 1, 5, 2, 8};
+    constexpr uint8_t flags[] = {0, 1, 1, 1, 1, 1, 1, 5, 2, 8, 17};
     constexpr uint8_t modes[] = {0, 1, 11, 21, 21, 21};
     memset(frame, 0, kFrameSize);
     store(frame, uint16_t{0x4653});
