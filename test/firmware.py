@@ -1,11 +1,15 @@
 """The firmware's programs on this computer, built once and kept for the next run."""
 
 import fcntl
+import os
 import subprocess
 from pathlib import Path
 from typing import NamedTuple
 
 from fss_arm_driver.protocol import Command, Telemetry, decode, encode
+
+# The search for leaks traces the process, which a container may forbid; the core has no heap.
+os.environ.setdefault("ASAN_OPTIONS", "detect_leaks=0")
 
 ROOT = Path(__file__).parents[1]
 SOURCES = ROOT / "src/fss_arm_driver/firmware"

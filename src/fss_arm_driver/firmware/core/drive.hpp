@@ -50,7 +50,8 @@ class Drive {
 
   // From now on. The same demand again changes nothing, unless the drive refused it.
   void demand(const Demand& demand);
-  // The latched ones that it has now, once it is off.
+
+  // Those that are latched now, once it is off.
   void clear_faults() { clearing_ = faults_ != 0; }
 
   // Whether the drive answers, and has been measured since it does.
@@ -60,9 +61,9 @@ class Drive {
   Mode mode() const { return mode_; }
   const Measurement& measured() const { return measured_; }
   uint64_t position_clock() const { return position_clock_; }  // of its newest reading [us]
-  uint32_t faults() const { return faults_; }           // latched ones
-  int32_t supply() const { return supply_; }               // [0.1 V]
-  int32_t temperature() const { return temperature_; }     // [deg C]
+  uint32_t faults() const { return faults_; }                  // latched ones
+  int32_t supply() const { return supply_; }                   // [0.1 V]
+  int32_t temperature() const { return temperature_; }         // [deg C]
   bool referenced() const { return referenced_; }
   uint16_t homings() const { return homings_; }
 
@@ -89,7 +90,6 @@ class Drive {
   void take_ok();
   void take_error();
   void fail(uint64_t now);
-  void proceed(uint64_t now);
   void connect(uint64_t now);
   void read_next(uint64_t now);
   bool order_next(uint64_t now);
@@ -106,12 +106,12 @@ class Drive {
   // The exchange under way.
   Phase phase_ = Phase::Begin;
   Waiting waiting_ = Waiting::Nothing;
+  uint32_t baud_ = 9600;
   uint64_t asked_at_ = 0;
   uint64_t quiet_until_ = 0;  // nothing is sent, and what comes is dropped
-  uint32_t baud_ = 9600;
   uint64_t alive_ = 0;        // when it was last connected to or measured
-  uint8_t variable_ = 0;      // that is read
-  Write write_ = {};
+  uint8_t variable_ = 0;      // that is read; 0: none, it is an order
+  Write write_ = {};          // the order
   bool outdated_ = false;     // it was given for an earlier demand
   char line_[24] = {};
   size_t line_size_ = 0;
@@ -122,7 +122,8 @@ class Drive {
   bool pending_ = false;     // what was asked is another set-point for the same goal
   bool clearing_ = false;
   bool paused_ = false;      // no orders until it has been measured anew
-  bool braked_ = false, done_ = false;
+  bool braked_ = false;      // the orders to brake are given
+  bool done_ = false;        // all orders are given
   uint64_t braked_at_ = 0;
   uint8_t step_ = 0;         // of the plan that is followed
   Mode mode_ = Mode::Off;    // as acknowledged or read
