@@ -25,6 +25,7 @@ from fss_arm_model.kinematics import tip_in_base
 from fss_arm_msgs.msg import KinematicCalibration, KinematicObservations
 from fss_arm_ros.bags import BagError
 from fss_arm_ros.qos import LATCHED, sensor
+from fss_arm_ros.replay_node import ReplayNode
 
 
 class Bed(Node):
@@ -318,3 +319,26 @@ def test_node_and_command_have_the_same_settings(ros):
     for f in fields(CalibrationSettings):
         assert getattr(options, f.name) == node.get_parameter(f.name).value == f.default
     node.destroy_node()
+
+
+@pytest.mark.parametrize("rate", [0.0, 15.0])
+def test_replayed_at_any_rate_the_result_is_that_of_the_bag(spin, samples, tmp_path, rate):
+    bag = record(tmp_path / "bags", samples)
+    offline = to_message(solve_bag(bag), "fss")
+    node = make_node()
+    settings = {"rate": rate, "discovery": 0.0, "wait_for": [f"/{topic}" for topic in TYPES]}
+    player = ReplayNode(
+        str(bag), parameter_overrides=[Parameter(k, value=v) for k, v in settings.items()]
+    )
+    with pytest.raises(SystemExit) as end:
+        spin([player, node], lambda: False, 60.0)
+    assert end.value.code == 0
+    newest = {s.stream: s.t for s in samples}
+    spin(node, lambda: all(p.newest == newest[s] for s, p in node.finder.subjects.items()))
+    spin(node, lambda: all(j.newest == newest[i] for i, j in enumerate(node.finder.joints, 1)))
+    node.take(node.finder.close())
+    replayed = to_message(node.calibration, "fss")
+    assert replayed.observations_hash == offline.observations_hash
+    for name in ("values", "covariance", "residuals", "time_offset"):
+        difference = np.subtract(getattr(replayed, name), getattr(offline, name))
+        assert np.abs(difference).max() < 1e-9

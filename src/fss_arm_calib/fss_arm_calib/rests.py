@@ -31,10 +31,10 @@ from .poses import (
     OUT_OF_ORDER,
     POSITION_NOISE,
     REPEATED,
+    SECOND,
     Hole,
     Poses,
 )
-from .poses import SECOND as _SECOND
 from .settings import RestSettings
 
 BASE, TIP = "fss", "end_effector"  # the two subjects, as the motion capture system names them
@@ -218,7 +218,7 @@ class RestFinder:
                 for why, number in sorted(stream.refused.items())
                 if number
             },
-            set_back={stream.name: stream.set_back / _SECOND for stream in every},
+            set_back={stream.name: stream.set_back / SECOND for stream in every},
             offset=self.alignment.offset,
         )
 
@@ -235,7 +235,7 @@ class RestFinder:
         t, q = joint.waiting.popleft()
         self.alignment.reading(self.joints.index(joint) + 1, t, q)
         if joint.last >= 0 and joint.still_with(q, self.settings.still):
-            joint.extend(t, q, self.settings.joint_gap * _SECOND)
+            joint.extend(t, q, self.settings.joint_gap * SECOND)
         else:
             if joint.last >= 0:  # it moved
                 if not self._done() and (rest := self._rest(t)):
@@ -243,7 +243,7 @@ class RestFinder:
                 self._observed, self._resting_at = False, None
             joint.begin(t, q)
             start = max(j.start for j in self.joints)
-            self._settled = start + round(self.settings.settle * _SECOND)
+            self._settled = start + round(self.settings.settle * SECOND)
         self._confirmed = min(j.last for j in self.joints)
 
     def _done(self) -> bool:
@@ -266,7 +266,7 @@ class RestFinder:
             return None
         holes = [hole for j in self.joints for hole in j.holes]
         if until is not None:
-            gap = self.settings.joint_gap * _SECOND
+            gap = self.settings.joint_gap * SECOND
             late = [Hole(j.last, until, j.name) for j in self.joints if until - j.last > gap]
             holes += late
             end = until if late else end
@@ -303,16 +303,16 @@ class RestFinder:
 
     def _align(self, begin: int, until: int) -> None:
         """Learn the clocks' offset from the move before a rest that all have heard of by now."""
-        heard = begin + round(self.settings.shortest * _SECOND)
+        heard = begin + round(self.settings.shortest * SECOND)
         if self._aligned == begin or until < heard:
             return
         self._aligned = begin
-        move = self.alignment.move(begin - round(self.settings.settle * _SECOND))
+        move = self.alignment.move(begin - round(self.settings.settle * SECOND))
         if not move:
             return
-        search = round(self.alignment.search * _SECOND)
+        search = round(self.alignment.search * SECOND)
         first, last = move[0] - search, move[1] + search
-        gap = self.settings.vicon_gap * _SECOND
+        gap = self.settings.vicon_gap * SECOND
         if any(poses.holes(first, last, gap) for poses in self.subjects.values()):
             return
         t, seen = self._from_base(first, last)
@@ -320,17 +320,17 @@ class RestFinder:
         self.alignment.learn(*move, heard, t - lag, np.unwrap(seen[:, 2]))
         if self.alignment.offset.deviation < inf:
             for poses in self.subjects.values():
-                poses.lag = round(self.alignment.offset.value * _SECOND)
+                poses.lag = round(self.alignment.offset.value * SECOND)
 
     def _long_enough(self, seen: int) -> bool:
         """Whether the present rest may hold an interval of full length, told without arrays."""
-        least = self.settings.longest * _SECOND
+        least = self.settings.longest * SECOND
         return min(seen, self._confirmed) - self._settled >= least and not self._done()
 
     def _observe(self, rest: _Rest, over: bool) -> Observation | None:
         """The observation of a rest; None if it is too short, or may yet become longer."""
         shortest, longest = (
-            round(s * _SECOND) for s in (self.settings.shortest, self.settings.longest)
+            round(s * SECOND) for s in (self.settings.shortest, self.settings.longest)
         )
         # A stream that has not begun is no gap.
         begin = max(rest.begin, *(poses.begun for poses in self.subjects.values()))
@@ -338,7 +338,7 @@ class RestFinder:
             return None
         holes = [hole for hole in rest.holes if hole.end > begin and hole.start < rest.end]
         for poses in self.subjects.values():
-            gap = self.settings.vicon_gap * _SECOND
+            gap = self.settings.vicon_gap * SECOND
             holes += poses.holes(begin, rest.end, gap, rest.moved)
         pieces = _pieces(begin, rest.end, holes)
         whole = [(a, a + longest) for a, b in pieces if b - a >= longest]
@@ -377,7 +377,7 @@ class RestFinder:
             scatter=tuple(np.sqrt(np.sum(away**2, axis=0) / (len(away) - 1)).tolist()),
             joint_samples=min(map(len, inside)),
             vicon_frames=len(seen),
-            time_offset=self.subjects[BASE].lag / _SECOND,
+            time_offset=self.subjects[BASE].lag / SECOND,
         )
 
     def _from_base(
@@ -401,11 +401,11 @@ class RestFinder:
         if not self._observed:
             past = min(past, max(j.start for j in self.joints))
         horizon = max(stream.newest for stream in self._streams)
-        horizon -= round(self.settings.horizon * _SECOND)
+        horizon -= round(self.settings.horizon * SECOND)
         for joint in self.joints:
             joint.forget(max(past, horizon))
         # A rest's clocks are aligned by the move before it.
-        past -= round((LONGEST_MOVE + 2.0 * self.alignment.search) * _SECOND)
+        past -= round((LONGEST_MOVE + 2.0 * self.alignment.search) * SECOND)
         for poses in self.subjects.values():
             poses.forget(max(past, horizon))
         self.alignment.forget(max(past, horizon))
