@@ -1,22 +1,33 @@
 """Recorded results computed again from what was recorded with them."""
 
-import struct
+from contextlib import suppress
+from functools import cache
 
 import pytest
+from calib_float import Float, feed, postures
 from calib_rig import ARM
 from rclpy.serialization import serialize_message
+from rosbags.serde import SerdeError
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from fss_arm_calib.dynamic_messages import maneuvers_message
+from fss_arm_calib.dynamic_messages import to_message as dynamic_message
+from fss_arm_calib.dynamic_node import DynamicSettings
+from fss_arm_calib.dynamic_verdict import calibrate as calibrate_dynamics
+from fss_arm_calib.maneuvers import ManeuverFinder
 from fss_arm_calib.messages import observations_message, to_message
 from fss_arm_calib.postures import DEFAULT
-from fss_arm_calib.recompute import RESULTS, main
+from fss_arm_calib.recompute import main
 from fss_arm_calib.rests import TIP, Observation
 from fss_arm_calib.settings import CalibrationSettings
 from fss_arm_calib.verdict import calibrate
 from fss_arm_model.kinematics import tip_in_base
-from fss_arm_msgs.msg import KinematicCalibration
+from fss_arm_ros.definitions import definition
 from fss_arm_ros.qos import LATCHED
 from fss_arm_ros.recording import Recording
 
+KINEMATIC = "/calibration/observations", "/calibration/kinematic"
+DYNAMIC = "/calibration/maneuvers", "/calibration/dynamic"
 SETTINGS = CalibrationSettings(max_outliers=2, loss="huber")
 
 
@@ -38,16 +49,24 @@ def published():
     return found
 
 
+@cache
+def types(kind):
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg(definition(kind).text, kind))
+    return store
+
+
 def serialized(message):
-    """As a publisher does it: serialize_message leaves some bytes more at the end."""
-    data = serialize_message(message)
-    if isinstance(message, KinematicCalibration):
-        last = struct.pack("<d", message.time_offset_deviation)
-        data = data[: data.rindex(last) + len(last)]
-    return data
+    """As a publisher does it: serialize_message may leave some bytes more at the end."""
+    kind, data = f"fss_arm_msgs/msg/{type(message).__name__}", serialize_message(message)
+    for end in range(len(data), len(data) - 100, -1):
+        with suppress(SerdeError):
+            types(kind).deserialize_cdr(data[:end], kind)
+            return data[:end]
+    raise AssertionError(kind)
 
 
-def record(folder, published, topics=("/calibration/observations", RESULTS)):
+def record(folder, published, topics=KINEMATIC):
     bag = Recording(folder)
     for topic, message in zip(topics, published[0], strict=False):
         bag.add(topic, f"fss_arm_msgs/msg/{type(message).__name__}", [LATCHED])
@@ -73,12 +92,33 @@ def test_a_result_that_does_not_is_told(published, tmp_path, capsys):
     assert capsys.readouterr().out.splitlines()[-1].endswith("NOT the same, to 1.0e-08")
 
 
+def test_dynamic_results_follow_from_their_maneuvers(tmp_path, capsys):
+    """Given by a node's settings, of which it tells those that matter."""
+    noise, settings = (5e-4, 2e-3), DynamicSettings(output="arm.yaml", heading_deviation=2e-3)
+    found = feed(ManeuverFinder(4), Float(postures(7, seed=5), noise=noise).samples())
+    results = [calibrate_dynamics(found[:k], ARM, settings) for k in (2, 6, 7)]
+    published = [
+        (maneuvers_message(found[:k], "fss"), dynamic_message(result, "fss"))
+        for k, result in zip((2, 6, 7), results, strict=True)
+    ]
+    assert main([record(tmp_path / "a", published, DYNAMIC)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split(",")[0] for line in lines] == ["2 maneuvers", "6 maneuvers", "7 maneuvers"]
+    assert all("the same, to " in line for line in lines)
+    published[-1][1].values[0] += 1e-8
+    assert main([record(tmp_path / "b", published, DYNAMIC)]) == 2
+
+
 def test_what_is_missing_is_named(published, tmp_path, capsys):
-    assert main([record(tmp_path / "a", published, ["/calibration/observations"])]) == 1
-    assert f"no result on {RESULTS} in " in capsys.readouterr().err
+    assert main([record(tmp_path / "a", published, KINEMATIC[:1])]) == 1
+    error = capsys.readouterr().err
+    assert "no result on /calibration/kinematic or /calibration/dynamic in " in error
     others = [(published[0][0], result) for _, result in published]
     assert main([record(tmp_path / "b", others)]) == 1
     error = capsys.readouterr().err
-    assert error == "recompute: a result from 2 observations was recorded without them\n"
+    assert error.startswith(
+        "recompute: a result on /calibration/kinematic lacks its observations ("
+    )
+    assert error.count("\n") == 1
     assert main(["/nowhere"]) == 1
     assert "no such file" in capsys.readouterr().err

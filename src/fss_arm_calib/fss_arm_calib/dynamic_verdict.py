@@ -216,6 +216,7 @@ def calibrate(
         stages=tuple(stages),
         provenance=provenance(
             s,
+            DynamicCalibrationSettings,
             [np.array(part) for one in used for part in _data(one)],
             source,
             used[0].start if used else 0,

@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy.typing as npt
@@ -71,15 +71,21 @@ class Provenance:
 
 
 def provenance(
-    settings: Any, data: Sequence[npt.NDArray[Any]], source: str, begin: int, end: int
+    settings: Any,
+    kind: type[Any],
+    data: Sequence[npt.NDArray[Any]],
+    source: str,
+    begin: int,
+    end: int,
 ) -> Provenance:
-    """The provenance of what this package computes from `data` by `settings`, a dataclass."""
+    """The provenance of what this package computes from `data` by settings of a kind."""
     digest = hashlib.sha256()
     for array in data:
         digest.update(array.tobytes())
+    parameters = {f.name: getattr(settings, f.name) for f in fields(kind)}
     return Provenance(
         software=f"fss_arm_calib {__version__}",
-        parameters=yaml.safe_dump(asdict(settings), sort_keys=False),
+        parameters=yaml.safe_dump(parameters, sort_keys=False),
         data_hash=digest.hexdigest(),
         source=source,
         begin=begin,

@@ -2,29 +2,60 @@
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from fss_arm_model.description import from_yaml
+from fss_arm_model.description import Arm, from_yaml
 from fss_arm_ros.bags import BagError, Bags, open_bags
+from fss_arm_ros.convert import stamp_ns
 
+from . import dynamic_messages, dynamic_verdict, messages, verdict
+from .dynamic_settings import DynamicCalibrationSettings
 from .judgement import settings_of
-from .messages import observations_of, to_message
 from .settings import CalibrationSettings
-from .verdict import calibrate
 
 LARGEST = 1e-9  # difference of any number, in its unit
 
 SAME, OTHER, USER_ERROR = 0, 2, 1
 
-RESULTS, OBSERVATIONS = "/calibration/kinematic", "/calibration/observations"
 
-NUMBERS = (
-    "values", "covariance", "residuals", "leverage", "normalized_residuals", "held_out_residuals",
-    "chi_square", "position_residual", "heading_residual",
+class Kind(NamedTuple):
+    """A kind of calibration: where its results and their data are published."""
+
+    results: str
+    data: str
+    parts: str  # of the data's message: what it was solved from
+    settings: type[Any]
+    again: Callable[[Any, Any, Any], Any]  # the message, of data, arm and settings
+    numbers: tuple[str, ...]  # to compare
+
+
+def _kinematic(data: Any, arm: Arm, settings: CalibrationSettings) -> Any:
+    found = verdict.calibrate(messages.observations_of(data), arm, settings)
+    return messages.to_message(found, "")
+
+
+def _dynamic(data: Any, arm: Arm, settings: DynamicCalibrationSettings) -> Any:
+    found = dynamic_verdict.calibrate(dynamic_messages.maneuvers_of(data), arm, settings)
+    return dynamic_messages.to_message(found, "")
+
+
+KINDS = (
+    Kind(
+        "/calibration/kinematic", "/calibration/observations", "observations",
+        CalibrationSettings, _kinematic,
+        ("values", "covariance", "residuals", "leverage", "normalized_residuals",
+         "held_out_residuals", "chi_square", "position_residual", "heading_residual"),
+    ),
+    Kind(
+        "/calibration/dynamic", "/calibration/maneuvers", "maneuvers",
+        DynamicCalibrationSettings, _dynamic,
+        ("values", "covariance", "residuals", "leverage", "prediction_errors", "momenta",
+         "combination_values", "chi_square", "position_residual", "heading_residual"),
+    ),
 )  # fmt: skip
 
 
@@ -32,7 +63,7 @@ NUMBERS = (
 class Comparison:
     """A recorded result beside the same computed again."""
 
-    observations: int
+    what: str  # it was computed from
     verdict: str
     difference: float  # largest of all numbers, each in its unit; inf: they are not of one shape
 
@@ -41,20 +72,26 @@ class Comparison:
         """Whether rounding explains the difference."""
         return self.difference <= LARGEST
 
+    def __str__(self) -> str:
+        same = "the same" if self.same else "NOT the same"
+        return f"{self.what}, {self.verdict}: {same}, to {self.difference:.1e}"
 
-def recompute(result: Any, observations: Any) -> Comparison | None:
-    """Compute a KinematicCalibration again from its KinematicObservations; None: it has others.
+
+def recompute(kind: Kind, result: Any, data: Any) -> Comparison | None:
+    """Compute a published result again from its data; None: it has others.
 
     Raises:
         ValueError: the result does not tell its settings or its guess.
     """
-    settings = settings_of(result.provenance, CalibrationSettings)
-    again = calibrate(observations_of(observations), from_yaml(result.guess), settings)
+    used = [part for part in getattr(data, kind.parts) if part.used]
+    if (stamp_ns(used[-1].end) if used else 0) != stamp_ns(result.provenance.end):
+        return None
+    settings = settings_of(result.provenance, kind.settings)
+    again = kind.again(data, from_yaml(result.guess), settings)
     if again.provenance.data_hash != result.provenance.data_hash:
         return None
-    there = to_message(again, result.header.frame_id)
-    difference = max(_difference(getattr(result, n), getattr(there, n)) for n in NUMBERS)
-    return Comparison(len(again.q), result.verdict, difference)
+    difference = max(_difference(getattr(result, n), getattr(again, n)) for n in kind.numbers)
+    return Comparison(f"{len(used)} {kind.parts}", result.verdict, difference)
 
 
 def _difference(a: Any, b: Any) -> float:
@@ -65,25 +102,25 @@ def _difference(a: Any, b: Any) -> float:
 
 
 def comparisons(bags: Bags) -> list[Comparison]:
-    """All recorded results whose observations were recorded, too, computed again.
+    """All recorded results computed again.
 
     Raises:
-        BagError: no result was recorded, or one without its observations.
+        BagError: no result was recorded, or one without its data.
         ValueError: a result does not tell its settings.
     """
-    messages = [(topic, m) for topic, _, _, m in bags.messages({RESULTS, OBSERVATIONS})]
-    every = [m for topic, m in messages if topic == OBSERVATIONS]
-    results = [m for topic, m in messages if topic == RESULTS]
-    if not results:
-        raise BagError(f"no result on {RESULTS} in {', '.join(map(str, bags.paths))}")
     found = []
-    for result in results:
-        count = len(result.tip) // 3
-        fitting = [m for m in every if sum(o.used for o in m.observations) == count]
-        again = next((c for m in fitting[::-1] if (c := recompute(result, m))), None)
-        if again is None:
-            raise BagError(f"a result from {count} observations was recorded without them")
-        found.append(again)
+    for kind in KINDS:
+        read = [(topic, m) for topic, _, _, m in bags.messages({kind.results, kind.data})]
+        every = [m for topic, m in read if topic == kind.data][::-1]
+        for result in (m for topic, m in read if topic == kind.results):
+            again = next((c for m in every if (c := recompute(kind, result, m))), None)
+            if again is None:
+                begin = result.provenance.data_hash[:8]
+                raise BagError(f"a result on {kind.results} lacks its {kind.parts} ({begin}..)")
+            found.append(again)
+    if not found:
+        topics = " or ".join(kind.results for kind in KINDS)
+        raise BagError(f"no result on {topics} in {', '.join(map(str, bags.paths))}")
     return found
 
 
@@ -103,11 +140,7 @@ def main(args: Sequence[str] | None = None) -> int:
     except (ValueError, OSError) as error:
         print(f"recompute: {' '.join(str(error).split())}", file=sys.stderr)
         return USER_ERROR
-    for one in found:
-        print(
-            f"{one.observations} observations, {one.verdict}: "
-            f"{'the same' if one.same else 'NOT the same'}, to {one.difference:.1e}"
-        )
+    print(*found, sep="\n")
     return SAME if all(one.same for one in found) else OTHER
 
 

@@ -1,7 +1,7 @@
 """What a kinematic calibration concludes from its observations, and whether to believe it."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from math import nan
 from typing import Any
 
@@ -145,7 +145,8 @@ def calibrate(
             stages.append(_inseparable(problem, error, s))
     verdict, reason = conclude(stages)
     origin = provenance(
-        CalibrationSettings(**{f.name: getattr(s, f.name) for f in fields(CalibrationSettings)}),
+        s,
+        CalibrationSettings,
         (problem.q, problem.tip),
         source,
         used[0].start if used else 0,
