@@ -203,3 +203,12 @@ def test_node_and_command_have_the_same_settings(ros):
 def test_impossible_parameters_are_refused(ros, settings, message):
     with pytest.raises((ValueError, OSError), match=message):
         make_node(**settings)
+
+
+def test_a_report_is_written_when_asked_to_solve(ros, tmp_path):
+    node = make_node(report=str(tmp_path / "report"))
+    answer = node.on_solve(Trigger.Request(), Trigger.Response())
+    assert not answer.success
+    assert "needed" in answer.message or "at least" in answer.message
+    assert "not evaluated" in (tmp_path / "report" / "index.html").read_text()
+    node.destroy_node()

@@ -342,3 +342,12 @@ def test_replayed_at_any_rate_the_result_is_that_of_the_bag(spin, samples, tmp_p
     for name in ("values", "covariance", "residuals", "time_offset"):
         difference = np.subtract(getattr(replayed, name), getattr(offline, name))
         assert np.abs(difference).max() < 1e-9
+
+
+def test_a_report_is_written_when_asked_to_solve(ros, tmp_path):
+    node = make_node(report=str(tmp_path / "report"))
+    answer = node.on_solve(Trigger.Request(), Trigger.Response())
+    assert not answer.success
+    assert "needed" in answer.message or "at least" in answer.message
+    assert "not evaluated" in (tmp_path / "report" / "index.html").read_text()
+    node.destroy_node()

@@ -19,10 +19,12 @@ from fss_arm_ros.run import run
 from fss_arm_ros.settings import declare
 
 from .dynamic_messages import feed_gyro, feed_joints, feed_pose, maneuvers_message, to_message
+from .dynamic_report import dynamic_report
 from .dynamic_settings import DynamicCalibrationSettings
 from .dynamic_verdict import calibrate
 from .judgement import PASS
 from .maneuvers import Maneuver, ManeuverFinder
+from .report import write
 from .settings import setting
 
 
@@ -32,6 +34,7 @@ class DynamicSettings(DynamicCalibrationSettings):
 
     base_frame: str = setting("fss", "frame id of the results")
     output: str = setting("", "description YAML to write whenever a calibration passes")
+    report: str = setting("", "folder to write a report to when asked to solve; empty: none")
 
 
 class DynamicNode(Node):
@@ -68,6 +71,15 @@ class DynamicNode(Node):
         if not self.take(self.finder.close()):
             self.solve()
             self.publish()
+        s = self.settings
+        if s.report:
+            write(
+                s.report,
+                dynamic_report(
+                    to_message(self.calibration, s.base_frame),
+                    maneuvers=maneuvers_message(self.maneuvers, s.base_frame).maneuvers,
+                ),
+            )
         response.success = self.calibration.verdict == PASS
         response.message = f"{self.calibration.verdict}: {self.calibration.reason}"
         return response
