@@ -213,3 +213,16 @@ def test_joints_of_another_arm_are_named(samples):
 def test_impossible_settings_are_refused(change, message):
     with pytest.raises(ValueError, match=message):
         DynamicCalibrationSettings(**change)
+
+
+@pytest.mark.parametrize("late", [-0.8, 0.05, 1.5])
+def test_an_offset_between_the_clocks_is_allowed_for(samples, found, late):
+    """Stamps of joints and gyro are late against those of the base's poses."""
+    shift = round(late * SECOND)
+    late_ones = [s if s.stream == "base" else s._replace(t=s.t + shift) for s in samples]
+    shifted = feed(ManeuverFinder(4, ManeuverSettings(time_offset=late)), late_ones)
+    assert shifted == [
+        dataclasses.replace(m, start=m.start + shift, end=m.end + shift) for m in found
+    ]
+    with pytest.raises(ValueError, match="time_offset is nan s, must be within"):
+        ManeuverSettings(time_offset=float("nan"))

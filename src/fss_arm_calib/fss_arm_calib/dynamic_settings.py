@@ -26,6 +26,11 @@ class ManeuverSettings(RestSettings):
     joint_gap: float = setting(0.5, "silence of a joint that spoils a maneuver [s]")
     bin: float = setting(0.5, "poses of a look are averaged over so long each [s]")
     least_travel: float = setting(0.05, "a smaller motion is no maneuver [rad]")
+    time_offset: float = setting(
+        0.0,
+        "of the joints' and the gyro's stamps against motion capture's, as a kinematic calibration "
+        "tells it [s]",
+    )
     max_base_turn: float = setting(
         3.0, "the base turns no faster; what it may turn by unseen, the gyro must tell [rad/s]"
     )
@@ -35,6 +40,10 @@ class ManeuverSettings(RestSettings):
         for name in ("bin", "least_travel", "max_base_turn"):
             if not 0.0 < getattr(self, name) < inf:
                 raise ValueError(f"{name} is {getattr(self, name)}, must be positive")
+        if not abs(self.time_offset) < self.horizon:
+            raise ValueError(
+                f"time_offset is {self.time_offset} s, must be within {self.horizon} s"
+            )
 
 
 @dataclass(frozen=True)

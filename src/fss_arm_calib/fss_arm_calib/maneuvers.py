@@ -139,6 +139,7 @@ class ManeuverFinder:
         self.settings = s = settings or ManeuverSettings()
         self.joints = [_Joint(f"joint_{i}") for i in range(1, n + 1)]
         self.base = Poses(BASE, s.max_speed, s.max_turn)
+        self.base.lag = round(s.time_offset * SECOND)
         self.gyro = _Gyro()
         self.strange: set[int] = set()  # joints heard that the arm does not have
         self._before: _Rest | None = None  # the rest that the next maneuver begins with
@@ -257,7 +258,7 @@ class ManeuverFinder:
 
     def _passed(self, before: _Rest, after: _Rest) -> bool:
         end = self._looks(before, after)[1][1]
-        return self.base.newest >= end and (self.gyro.newest < 0 or self.gyro.newest >= end)
+        return self.base.reached >= end and (self.gyro.newest < 0 or self.gyro.newest >= end)
 
     def _maneuver(self, before: _Rest, after: _Rest) -> Maneuver | None:
         """What happened between two rests; None if no joint moved far enough to be called so."""
