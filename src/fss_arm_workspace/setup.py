@@ -13,6 +13,7 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": [
+            "workspace = fss_arm_workspace.workspace_node:main",
             "map = fss_arm_workspace.map:main",
         ],
     },

@@ -1,10 +1,9 @@
-"""Section 5 of the paper for one arm: what the command `map` draws and the node publishes."""
+"""Section 5 of the paper whole, for one arm: what `map` draws and `workspace` publishes."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import inf
 
-import numpy as np
 import numpy.typing as npt
 
 from fss_arm_model.description import Arm
@@ -13,7 +12,7 @@ from .arcs import Complexes, Floats, Region
 from .calibrated import Calibrated
 from .fixed import fixed_workspace, joint_limits
 from .manipulability import FIXED, FLOATING, Map, manipulability_map
-from .straight_path import BASES, Paths, Rules, arch, straight_workspace
+from .straight_path import BASES, Paths, Rules, straight_workspace
 from .uncertainty import boundary_deviation, radius_deviation
 from .virtual import VirtualManipulator
 
@@ -22,19 +21,16 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True)
 class Analysis:
-    """Workspaces and maps of an arm. Points are complex numbers [m]."""
+    """What an arm reaches, and how well it moves there. Points are complex numbers [m]."""
 
     arm: Arm
     limits: Floats  # (n, 2) lowest and highest joint readings [rad]
-    start: Floats  # (3 + n,) state from which straight paths begin
-    rules: Rules  # how they go
     region: Region  # fixed vehicle workspace, in the base's frame
     known: list[tuple[Complexes, Floats]]  # points of its loops, and deviations along the normal
     radius: float  # R of Eq. 13 [m]
     radius_deviation: float  # [m]
     reach: tuple[float, float]  # least and greatest distance from the centre of mass [m]
     maps: Mapping[str, Map]  # by "fixed" and "floating"
-    straight: Mapping[str, Paths]  # by name of BASES, in the world's frame
 
 
 @dataclass(frozen=True)
@@ -63,30 +59,22 @@ class AnalysisSettings:
 def analyse(
     known: Calibrated,
     settings: AnalysisSettings | None = None,
-    start: npt.ArrayLike | None = None,
     progress: Progress = lambda what, share: None,
 ) -> Analysis:
-    """Compute all of it.
+    """Compute all that depends on the arm alone.
 
     Args:
         known: the arm, and how well it is known.
         settings: what is computed.
-        start: state from which straight paths begin, (3 + n,); an arch by default.
         progress: told what is being done and the share done; what it raises ends the work.
 
     Raises:
-        ValueError: the start is impossible, or the arm has a single link.
+        ValueError: the arm has a single link.
     """
     s, arm = settings or AnalysisSettings(), known.arm
     limits = joint_limits(arm, of_true_angle=s.of_true_angle)
-    begin = arch(arm) if start is None else np.asarray(start, dtype=float)
     progress("boundary", 0.0)
     region, virtual = fixed_workspace(arm, limits), VirtualManipulator(arm)
-    straight = {}
-    for k, base in enumerate(BASES):
-        progress(f"straight paths, {base}", k / len(BASES))
-        rules = s.rules.on(base)
-        straight[base] = straight_workspace(arm, begin, rules, limits, count=s.directions)
     maps = {}
     for name, kind in (("fixed", FIXED), ("floating", FLOATING)):
 
@@ -99,13 +87,32 @@ def analyse(
     return Analysis(
         arm=arm,
         limits=limits,
-        start=begin,
-        rules=s.rules,
         region=region,
-        known=boundary_deviation(arm, region, known.covariance, spacing=0.01),
+        known=boundary_deviation(arm, region, known.covariance),
         radius=virtual.radius,
         radius_deviation=radius_deviation(arm, known.covariance),
         reach=virtual.reach(limits),
         maps=maps,
-        straight=straight,
     )
+
+
+def straight_workspaces(
+    arm: Arm,
+    start: npt.ArrayLike,
+    settings: AnalysisSettings | None = None,
+    progress: Progress = lambda what, share: None,
+) -> dict[str, Paths]:
+    """The straight-path workspaces from a state (3 + n,), by the names of BASES.
+
+    Raises:
+        ValueError: the start is impossible.
+    """
+    s = settings or AnalysisSettings()
+    limits = joint_limits(arm, of_true_angle=s.of_true_angle)
+    found = {}
+    for k, base in enumerate(BASES):
+        progress(f"straight paths, {base}", k / len(BASES))
+        found[base] = straight_workspace(
+            arm, start, replace(s.rules, base=base), limits, count=s.directions
+        )
+    return found

@@ -1,5 +1,6 @@
 """Figures 6, 7 and 8 of the paper, and the data that they show."""
 
+from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -14,13 +15,16 @@ from fss_arm_model.straight_path import REASONS
 from .analysis import Analysis
 from .arcs import Floats
 from .manipulability import FIXED, FLOATING, ellipsoid, jacobian, measure
+from .straight_path import Paths
 
 _REASON_COLORS = ("tab:gray", "tab:orange", "tab:red", "tab:blue")
 _BASE_SIDE = 0.3  # of the simulator as drawn [m]
 _SCALE = 0.25  # of ellipsoids as drawn
 
 
-def draw(analysis: Analysis, folder: str | PathLike[str]) -> list[Path]:
+def draw(
+    analysis: Analysis, straight: Mapping[str, Paths], folder: str | PathLike[str]
+) -> list[Path]:
     """Write figure_6, figure_7 and figure_8, each as PNG and SVG; return their paths.
 
     Raises:
@@ -36,7 +40,7 @@ def draw(analysis: Analysis, folder: str | PathLike[str]) -> list[Path]:
         ("figure_8", (11.0, 4.0), _ellipsoids),
     ):
         figure = Figure(figsize=size, layout="constrained")
-        paint(figure, analysis)
+        paint(figure, analysis, straight)
         for kind in ("png", "svg"):
             path = Path(folder) / f"{name}.{kind}"
             figure.savefig(path, dpi=150)
@@ -44,7 +48,7 @@ def draw(analysis: Analysis, folder: str | PathLike[str]) -> list[Path]:
     return written
 
 
-def save(analysis: Analysis, path: str | PathLike[str]) -> None:
+def save(analysis: Analysis, straight: Mapping[str, Paths], path: str | PathLike[str]) -> None:
     """Write all numbers as .npz; arrays of points are x, y [m].
 
     Raises:
@@ -54,7 +58,6 @@ def save(analysis: Analysis, path: str | PathLike[str]) -> None:
     data: dict[str, Any] = {
         "arm": to_yaml(a.arm),
         "limits": a.limits,
-        "start": a.start,
         "radius": a.radius,
         "radius_deviation": a.radius_deviation,
         "reach": a.reach,
@@ -66,11 +69,12 @@ def save(analysis: Analysis, path: str | PathLike[str]) -> None:
     for name, found in a.maps.items():
         data[f"map_{name}"], data[f"map_{name}_q"] = found.w, found.q
         data["map_corner"], data["map_cell"] = (found.grid.x, found.grid.y), found.grid.cell
-    for name, paths in a.straight.items():
+    for name, paths in straight.items():
         key = f"straight_{name.replace(' ', '_')}"
         data[key] = _pairs(paths.ends)
         data[f"{key}_direction"], data[f"{key}_distance"] = paths.direction, paths.distance
         data[f"{key}_reason"] = np.array(REASONS)[paths.reason]
+        data["start"] = paths.start
         data[f"{key}_last"], data[f"{key}_grazes"] = paths.last, paths.grazes
     np.savez_compressed(path, **data)
 
@@ -79,7 +83,7 @@ def _pairs(points: Any) -> Floats:
     return np.stack([points.real, points.imag], axis=-1)
 
 
-def _maps(figure: Any, a: Analysis) -> None:
+def _maps(figure: Any, a: Analysis, straight: Mapping[str, Paths]) -> None:
     """Figure 6: fixed vehicle workspace and largest manipulability; beside it, on a free base."""
     for axes, (name, found) in zip(figure.subplots(1, 2), a.maps.items(), strict=True):
         grid = found.grid
@@ -91,7 +95,7 @@ def _maps(figure: Any, a: Analysis) -> None:
         for points, _ in a.known:
             closed = np.append(points, points[:1])
             axes.plot(closed.real, closed.imag, "k-", linewidth=1.2)
-        _arm(axes, a, np.concatenate([np.zeros(3), a.start[3:]]))
+        _arm(axes, a, np.concatenate([np.zeros(3), straight["fixed"].start[3:]]))
         axes.set_title(f"{name} base: largest w of all postures", fontsize=10)
         axes.margins(0.02)
         axes.autoscale()
@@ -101,34 +105,34 @@ def _maps(figure: Any, a: Analysis) -> None:
     figure.suptitle(f"Fixed vehicle workspace, {a.region.area:.3f} m²{known}", fontsize=11)
 
 
-def _straight(figure: Any, a: Analysis) -> None:
+def _straight(figure: Any, a: Analysis, straight: Mapping[str, Paths]) -> None:
     """Figure 7: straight-path workspace, with the reason why each path ends."""
     axes = figure.subplots()
     styles = {"fixed": "k--", "floating": "k-", "zero reaction": "k:"}
-    for base, paths in a.straight.items():
+    for base, paths in straight.items():
         ends = np.append(paths.ends, paths.ends[:1])
         label = f"{base}{' base' if base != 'zero reaction' else ''}: {paths.area:.3f} m²"
         axes.plot(ends.real, ends.imag, styles[base], linewidth=1.2, label=label)
-    floating = a.straight["floating"]
+    floating = straight["floating"]
     axes.fill(floating.ends.real, floating.ends.imag, color="tab:blue", alpha=0.12)
     for number, (reason, color) in enumerate(zip(REASONS, _REASON_COLORS, strict=True)):
         ends = floating.ends[floating.reason == number]
         if ends.size:
             axes.plot(ends.real, ends.imag, ".", color=color, markersize=4, label=f"ends: {reason}")
-    com = system_com(a.arm.vector(), a.start)
+    com = system_com(a.arm.vector(), floating.start)
     turn = np.linspace(0.0, 2.0 * np.pi, 200)
     axes.plot(
         com[0] + a.radius * np.cos(turn), com[1] + a.radius * np.sin(turn), color="tab:green",
         linewidth=1.0, label=f"maximum reachable: R = {a.radius:.3f} m",
     )  # fmt: skip
     axes.plot(*com, "+", color="tab:green", markersize=10)
-    _arm(axes, a, a.start)
+    _arm(axes, a, floating.start)
     axes.legend(fontsize=8, loc="lower left")
-    axes.set_title(f"Straight-path workspace, rule: {a.rules.redundancy}", fontsize=11)
+    axes.set_title(f"Straight-path workspace, rule: {floating.redundancy}", fontsize=11)
     _frame(axes, "world")
 
 
-def _ellipsoids(figure: Any, a: Analysis) -> None:
+def _ellipsoids(figure: Any, a: Analysis, straight: Mapping[str, Paths]) -> None:
     """Figure 8: manipulability ellipsoids on a fixed and on a floating base."""
     n = a.arm.n
     bent = np.full((3, n), [[0.35], [0.8], [1.2]]).clip(a.limits[:, 0], a.limits[:, 1])

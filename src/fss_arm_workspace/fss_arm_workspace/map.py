@@ -2,7 +2,7 @@
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NoReturn
 
@@ -14,10 +14,10 @@ from fss_arm_model.description import load, paper_arm
 from fss_arm_model.straight_path import RULES
 from fss_arm_ros.bags import BagError, open_bags
 
-from .analysis import Analysis, AnalysisSettings, analyse
+from .analysis import Analysis, AnalysisSettings, analyse, straight_workspaces
 from .calibrated import TOPICS, Calibrated
 from .figures import draw, save
-from .straight_path import Rules
+from .straight_path import Paths, Rules, arch
 from .virtual import base_mass_for
 
 EPILOG = "Exit codes: 0 done, 1 the command cannot be carried out."
@@ -79,7 +79,7 @@ def calibrated(sources: Sequence[str]) -> Calibrated:
     return known
 
 
-def report(analysis: Analysis, console: Console) -> None:
+def report(analysis: Analysis, straight: Mapping[str, Paths], console: Console) -> None:
     """The numbers beside the paper's."""
     a = analysis
     hole = -sum(area for area in a.region.areas if area < 0.0)
@@ -100,11 +100,11 @@ def report(analysis: Analysis, console: Console) -> None:
         )
     except ValueError as error:
         console.print(f"the paper's R = {PAPER_RADIUS} m: {error}")
-    for base, paths in a.straight.items():
+    for base, paths in straight.items():
         grazing = int(paths.grazes.sum())
         console.print(
             f"straight-path workspace, {base}: {paths.area:.4f} m^2, {len(paths.distance)} "
-            f"directions ({grazing} graze a singularity), rule: {a.rules.redundancy}"
+            f"directions ({grazing} graze a singularity), rule: {paths.redundancy}"
         )
     for name, found in a.maps.items():
         console.print(f"largest w, {name} base: up to {np.nanmax(found.w):.4f} m^2")
@@ -122,7 +122,7 @@ def run(options: argparse.Namespace, console: Console) -> None:
     settings = AnalysisSettings(
         cell=options.cell, rules=rules, of_true_angle=options.true_angle, workers=options.workers
     )
-    start = None
+    start = arch(known.arm)
     if options.start:
         start = np.concatenate([np.zeros(3), np.radians(options.start)])
     folder = Path(options.output)
@@ -130,16 +130,16 @@ def run(options: argparse.Namespace, console: Console) -> None:
     columns = TextColumn("{task.description:34}"), BarColumn(), TimeElapsedColumn()
     with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task("", total=1.0)
-        analysis = analyse(
-            known,
-            settings,
-            start,
-            lambda what, share: bar.update(task, description=what, completed=share),
-        )
-        bar.update(task, description="figures", completed=0.0)
-        written = draw(analysis, folder)
-        save(analysis, folder / "workspace.npz")
-    report(analysis, console)
+
+        def progress(what: str, share: float) -> None:
+            bar.update(task, description=what, completed=share)
+
+        straight = straight_workspaces(known.arm, start, settings, progress)
+        analysis = analyse(known, settings, progress)
+        progress("figures", 0.0)
+        written = draw(analysis, straight, folder)
+        save(analysis, straight, folder / "workspace.npz")
+    report(analysis, straight, console)
     names = ", ".join(path.name for path in [*written, folder / "workspace.npz"])
     console.print(f"written to {folder}: {names}", soft_wrap=True)
 

@@ -43,7 +43,7 @@ class Rules:
     gain: float = 5.0  # pull away from limits, at a limit [rad/m]
     stopping_rate: float = 100.0  # of a joint, counts as a singularity [rad/m]
     step: float = 2e-3  # longest [m]
-    table: tuple[float, float, float, float] = (-2.0, -2.0, 2.0, 2.0)  # x, y, x, y in the world [m]
+    table: tuple[float, ...] = (-2.0, -2.0, 2.0, 2.0)  # x, y, x, y in the world [m]
     segment: float = 0.1  # of the preferred rates [m]
     preferred: Floats = field(default_factory=lambda: np.zeros((1, 1)))  # (..., c, n) [rad/m]
 
@@ -56,13 +56,8 @@ class Rules:
                 raise ValueError(f"{name} is {getattr(self, name)}, must be positive")
         if not 0.0 <= self.gain < inf:
             raise ValueError(f"gain is {self.gain} rad/m, must not be negative")
-        low_x, low_y, high_x, high_y = self.table
-        if not (low_x < high_x and low_y < high_y):
+        if len(self.table) != 4 or not np.less(self.table[:2], self.table[2:]).all():
             raise ValueError(f"table is {self.table}, expected low x, low y, high x, high y")
-
-    def on(self, base: str) -> "Rules":
-        """The same rules on another of BASES."""
-        return replace(self, base=base)
 
 
 @dataclass(frozen=True)
@@ -70,6 +65,7 @@ class Paths:
     """Straight paths from one start, k of them."""
 
     start: Floats  # (3 + n,) state: the base's pose and joint readings
+    redundancy: str  # the rule that resolved it
     tip: complex  # where they begin, in the world [m]
     direction: Floats  # (k,) in the world [rad]
     distance: Floats  # (k,) [m]
@@ -120,7 +116,7 @@ def straight_paths(
     )
     length, reason, peak, left = np.moveaxis(result, -1, 0)
     grazes = (peak > GRAZED * rules.stopping_rate) | (left > NEAR)
-    return Paths(start, tip, direction, length, reason.astype(int), last, grazes)
+    return Paths(start, rules.redundancy, tip, direction, length, reason.astype(int), last, grazes)
 
 
 def states_along(
@@ -255,6 +251,7 @@ def optimal_paths(
         chosen = np.where((top > best)[:, None, None], elite[:, 0], chosen)
         best = np.maximum(best, top)
     paths = straight_paths(arm, start, direction, replace(rules, preferred=chosen), limits)
+    paths = replace(paths, redundancy=OPTIMAL)
     for other in (MINIMUM_NORM, AWAY_FROM_LIMITS, WEIGHTED):
         rival = straight_paths(arm, start, direction, replace(rules, redundancy=other), limits)
         farther = rival.distance > paths.distance

@@ -85,12 +85,12 @@ def deviation(
     """
     p = arm.vector()
     variances, directions = np.linalg.eigh(np.asarray(covariance, dtype=float))
-    total = 0.0
+    total = np.zeros_like(np.asarray(function(p)))
     for variance, v in zip(variances, directions.T, strict=True):
         if variance > 1e-12 * variances[-1]:
             ahead, behind = (np.asarray(function(p + s * _STEP * v)) for s in (1.0, -1.0))
             total = total + variance * ((ahead - behind) / (2.0 * _STEP)) ** 2
-    return np.sqrt(total)
+    return np.asarray(np.sqrt(total))
 
 
 def boundary_deviation(

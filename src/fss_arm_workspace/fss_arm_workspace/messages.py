@@ -1,0 +1,194 @@
+"""Workspaces, maps and ellipsoids as ROS messages, for RViz, Foxglove and bags."""
+
+from array import array
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from hashlib import sha256
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import Point, Point32, PolygonStamped
+from nav_msgs.msg import OccupancyGrid
+from std_msgs.msg import ColorRGBA, Header
+from visualization_msgs.msg import Marker, MarkerArray
+
+from fss_arm_model.description import Arm, to_yaml
+from fss_arm_model.kinematics import tip_in_base
+from fss_arm_model.momentum import system_com
+from fss_arm_model.straight_path import REASONS
+from fss_arm_msgs.msg import ManipulabilityMap, Provenance, StraightPaths, Workspace
+
+from . import __version__
+from .analysis import Analysis, AnalysisSettings
+from .arcs import Complexes, Floats
+from .manipulability import FIXED, FLOATING, Map, ellipsoid, jacobian
+from .straight_path import Paths
+
+_COLORS = {
+    "fixed": (0.85, 0.15, 0.15),
+    "floating": (0.1, 0.4, 0.8),
+    "zero reaction": (0.5, 0.2, 0.7),
+    "maximum": (0.15, 0.6, 0.2),
+}
+_LINE = 0.01  # width of lines [m]
+
+
+def workspace_message(a: Analysis, settings: AnalysisSettings, header: Header) -> Workspace:
+    """What the arm reaches, with all that it was computed from."""
+    points = np.concatenate([points for points, _ in a.known])
+    description = to_yaml(a.arm)
+    return Workspace(
+        header=header,
+        area=a.region.area,
+        loops=array("I", [len(points) for points, _ in a.known]),
+        x=_doubles(points.real),
+        y=_doubles(points.imag),
+        deviation=_doubles(np.concatenate([deviation for _, deviation in a.known])),
+        radius=a.radius,
+        radius_deviation=a.radius_deviation,
+        nearest=a.reach[0],
+        farthest=a.reach[1],
+        limits=_doubles(a.limits),
+        description=description,
+        provenance=Provenance(
+            software=f"fss_arm_workspace {__version__}",
+            parameters=_yaml(settings),
+            data_hash=sha256(description.encode()).hexdigest(),
+            source="live",
+        ),
+    )
+
+
+def map_message(found: Map, base: str, header: Header) -> ManipulabilityMap:
+    """A map in full precision."""
+    grid = found.grid
+    return ManipulabilityMap(
+        header=header,
+        base=base,
+        cell=grid.cell,
+        x=grid.x,
+        y=grid.y,
+        width=grid.width,
+        height=grid.height,
+        w=_doubles(found.w),
+    )
+
+
+def occupancy_grid(found: Map, header: Header) -> OccupancyGrid:
+    """A map as viewers draw it: 0 to 100 of its largest value, -1 where nothing is reached."""
+    grid, message = found.grid, OccupancyGrid(header=header)
+    message.info.map_load_time = header.stamp
+    message.info.resolution = grid.cell
+    message.info.width, message.info.height = grid.width, grid.height
+    message.info.origin.position.x, message.info.origin.position.y = grid.x, grid.y
+    message.info.origin.orientation.w = 1.0
+    share = np.nan_to_num(100.0 * found.w / np.nanmax(found.w), nan=-1.0)
+    message.data = array("b", share.round().astype(np.int8).tobytes())
+    return message
+
+
+def straight_message(paths: Paths, base: str, header: Header) -> StraightPaths:
+    """A straight-path workspace."""
+    return StraightPaths(
+        header=header,
+        base=base,
+        redundancy=paths.redundancy,
+        start=_doubles(paths.start),
+        direction=_doubles(paths.direction),
+        distance=_doubles(paths.distance),
+        reasons=list(REASONS),
+        reason=array("B", paths.reason.astype(np.uint8).tobytes()),
+        grazes=paths.grazes.tolist(),
+        last=_doubles(paths.last),
+        area=paths.area,
+    )
+
+
+def polygon(points: Complexes, header: Header) -> PolygonStamped:
+    """A closed line."""
+    message = PolygonStamped(header=header)
+    message.polygon.points = [Point32(x=float(z.real), y=float(z.imag)) for z in points]
+    return message
+
+
+def workspace_markers(a: Analysis, header: Header) -> MarkerArray:
+    """The boundary of the fixed vehicle workspace, holes too."""
+    lines = [points for points, _ in a.known]
+    return MarkerArray(
+        markers=[
+            _line(z, header, "fixed vehicle workspace", "fixed", k) for k, z in enumerate(lines)
+        ]
+    )
+
+
+def straight_markers(
+    arm: Arm, straight: Mapping[str, Paths], radius: float, header: Header
+) -> MarkerArray:
+    """Straight-path workspaces, and the circle of radius R [m] about the centre of mass."""
+    markers = [
+        _line(paths.ends, header, f"straight paths, {base}", base, 0)
+        for base, paths in straight.items()
+    ]
+    start = next(iter(straight.values())).start
+    circle = complex(*system_com(arm.vector(), start)) + radius * np.exp(
+        2j * np.pi * np.arange(128) / 128
+    )
+    markers.append(_line(circle, header, "maximum reachable workspace", "maximum", 0))
+    return MarkerArray(markers=markers)
+
+
+def ellipsoid_markers(arm: Arm, q: Floats, scale: float, header: Header) -> MarkerArray:
+    """The ellipsoids of the tip's velocity at joint readings q (n,), on both kinds of base.
+
+    Args:
+        arm: the arm.
+        q: joint readings [rad].
+        scale: of the drawing [m per m/rad].
+        header: in the base's frame.
+    """
+    x, y, _ = tip_in_base(arm.vector(), q)
+    markers = []
+    for number, (kind, base) in enumerate(((FIXED, "fixed"), (FLOATING, "floating"))):
+        radii, axes = ellipsoid(jacobian(arm, q, kind))
+        turn = 0.5 * np.arctan2(axes[0, 1], axes[0, 0])
+        marker = _marker(header, f"manipulability, {base} base", base, 0, Marker.SPHERE)
+        marker.pose.position.x, marker.pose.position.y = float(x), float(y)
+        marker.pose.position.z = 0.01 * number  # seen from above, the smaller one is not hidden
+        marker.pose.orientation.z, marker.pose.orientation.w = (
+            float(np.sin(turn)),
+            float(np.cos(turn)),
+        )
+        marker.scale.x, marker.scale.y = (float(2.0 * scale * r) for r in radii)
+        marker.scale.z = 0.005
+        marker.color.a = 0.5
+        markers.append(marker)
+    return MarkerArray(markers=markers)
+
+
+def _line(points: Complexes, header: Header, name: str, color: str, number: int) -> Marker:
+    marker = _marker(header, name, color, number, Marker.LINE_STRIP)
+    closed = [*points, *points[:1]]
+    marker.points = [Point(x=float(z.real), y=float(z.imag)) for z in closed]
+    marker.scale.x = _LINE
+    return marker
+
+
+def _marker(header: Header, name: str, color: str, number: int, kind: int) -> Marker:
+    r, g, b = _COLORS[color]
+    marker = Marker(header=header, ns=name, id=number, type=kind, action=Marker.ADD)
+    marker.color = ColorRGBA(r=r, g=g, b=b, a=1.0)
+    marker.pose.orientation.w = 1.0
+    return marker
+
+
+def _doubles(values: Floats | Sequence[float]) -> "array[float]":
+    """What a float64[] takes without a copy by elements."""
+    return array("d", np.ascontiguousarray(values, dtype=float).tobytes())
+
+
+def _yaml(settings: AnalysisSettings) -> str:
+    rules: dict[str, Any] = asdict(settings.rules)
+    rules.pop("preferred")
+    rules["table"] = list(rules["table"])
+    own = {k: v for k, v in vars(settings).items() if k != "rules"}
+    return "".join(f"{name}: {value}\n" for name, value in {**own, **rules}.items())

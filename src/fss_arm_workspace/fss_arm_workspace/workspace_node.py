@@ -1,0 +1,182 @@
+"""The node `workspace`: workspace and manipulability of the arm as it is calibrated and stands."""
+
+import sys
+from functools import partial
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import PolygonStamped, PoseStamped
+from nav_msgs.msg import OccupancyGrid
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Header
+from visualization_msgs.msg import MarkerArray
+
+from fss_arm_model.description import load, paper_arm
+from fss_arm_model.straight_path import BASES
+from fss_arm_msgs.msg import (
+    DynamicCalibration,
+    KinematicCalibration,
+    ManipulabilityMap,
+    StraightPaths,
+    Workspace,
+)
+from fss_arm_ros.convert import PoseError, planar_pose
+from fss_arm_ros.diagnostics import ERROR, OK, Diagnostics, Health
+from fss_arm_ros.qos import LATCHED, subscribe_sensor
+from fss_arm_ros.run import run
+from fss_arm_ros.settings import declare
+
+from . import messages
+from .analysis import analyse, straight_workspaces
+from .arcs import Floats
+from .calibrated import Calibrated
+from .fixed import joint_limits
+from .settings import WorkspaceSettings
+from .virtual import VirtualManipulator
+from .worker import Progress, Worker
+
+
+class WorkspaceNode(Node):
+    """Publishes workspace, maps, straight paths from the present posture, and ellipsoids there.
+
+    A calibration that passed begins them anew; straight paths follow arm and base.
+    """
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__("workspace", **options)
+        s = self.settings = declare(self, WorkspaceSettings)
+        self.known = Calibrated(load(s.arm) if s.arm else paper_arm())
+        self.readings: dict[str, float] = {}
+        self.pose: tuple[float, float, float] | None = None
+        self.shown: tuple[Calibrated, Floats] | None = None  # what straight paths were begun from
+        kinds: dict[str, type] = {"result": Workspace, "boundary": PolygonStamped}
+        kinds |= {"markers": MarkerArray, "straight_markers": MarkerArray}
+        for base in ("fixed", "floating"):
+            kinds |= {f"map/{base}": OccupancyGrid, f"manipulability/{base}": ManipulabilityMap}
+        for base in map(_topic, BASES):
+            kinds |= {f"straight/{base}": PolygonStamped, f"straight_paths/{base}": StraightPaths}
+        kinds["ellipsoids"] = MarkerArray
+        self.outputs = {
+            name: self.create_publisher(kind, f"workspace/{name}", LATCHED)
+            for name, kind in kinds.items()
+        }
+        self.maps = Worker(self.find_maps)
+        self.paths = Worker(self.find_paths)
+        self.maps.submit(self.known)
+        for topic, kind in (
+            ("calibration/kinematic", KinematicCalibration),
+            ("calibration/dynamic", DynamicCalibration),
+        ):
+            self.create_subscription(kind, topic, partial(self.on_calibration, topic), LATCHED)
+        subscribe_sensor(self, JointState, s.joints_topic, self.on_joints)
+        subscribe_sensor(self, PoseStamped, s.base_topic, self.on_pose)
+        self.create_timer(1.0 / s.rate, self.on_timer)
+        self.diagnostics = Diagnostics(self, self.health)
+
+    def on_calibration(self, topic: str, message: Any) -> None:
+        """Begin anew with what a calibration found."""
+        known = self.known.with_message(topic, message)
+        if known is not self.known:
+            self.known = known
+            self.maps.submit(known)
+            self.get_logger().info(f"computes with the calibration of {known.arm.name}")
+
+    def on_joints(self, message: JointState) -> None:
+        """Readings of one link or more."""
+        self.readings.update(zip(message.name, message.position, strict=False))
+
+    def on_pose(self, message: PoseStamped) -> None:
+        """A pose of the base."""
+        try:
+            self.pose = planar_pose(message.pose)
+        except PoseError:
+            self.get_logger().debug("the base is occluded")
+
+    def on_timer(self) -> None:
+        """Publish the ellipsoids; follow arm and base with the straight paths."""
+        known, q = self.known, self.posture()
+        if q is None:
+            return
+        header = self.header(self.settings.base_frame)
+        self.outputs["ellipsoids"].publish(
+            messages.ellipsoid_markers(known.arm, q, self.settings.scale, header)
+        )
+        state = np.concatenate([self.pose or np.zeros(3), q])
+        if not self.paths.busy and not self.is_shown(known, state):
+            self.shown = known, state
+            self.paths.submit((known, state, self.pose is not None))
+
+    def posture(self) -> Floats | None:
+        """The joint readings (n,) [rad]; None until all have come."""
+        names = [f"joint_{i}" for i in range(1, self.known.arm.n + 1)]
+        if not all(name in self.readings for name in names):
+            return None
+        return np.array([self.readings[name] for name in names])
+
+    def is_shown(self, known: Calibrated, state: Floats) -> bool:
+        """Whether straight paths were begun from about there."""
+        if self.shown is None or self.shown[0] is not known:
+            return False
+        return bool((np.abs(state - self.shown[1]) <= self.settings.moved).all())
+
+    def find_maps(self, known: Calibrated, progress: Progress) -> None:
+        """In the worker's thread: compute and publish all that hangs on the arm alone."""
+        settings = self.settings.analysis
+        found = analyse(known, settings, progress)
+        header = self.header(self.settings.base_frame)
+        for base, one in found.maps.items():
+            self.outputs[f"map/{base}"].publish(messages.occupancy_grid(one, header))
+            self.outputs[f"manipulability/{base}"].publish(messages.map_message(one, base, header))
+        self.outputs["boundary"].publish(messages.polygon(found.known[0][0], header))
+        self.outputs["markers"].publish(messages.workspace_markers(found, header))
+        self.outputs["result"].publish(messages.workspace_message(found, settings, header))
+
+    def find_paths(self, request: tuple[Calibrated, Floats, bool], progress: Progress) -> None:
+        """In the worker's thread: compute and publish the straight paths from a state."""
+        (known, state, in_world), s = request, self.settings
+        limits = joint_limits(known.arm, of_true_angle=s.of_true_angle)
+        start = np.append(state[:3], state[3:].clip(*limits.T))  # an encoder may read a bit more
+        found = straight_workspaces(known.arm, start, s.analysis, progress)
+        header = self.header(s.world_frame if in_world else s.base_frame)
+        for base, paths in found.items():
+            self.outputs[f"straight/{_topic(base)}"].publish(messages.polygon(paths.ends, header))
+            self.outputs[f"straight_paths/{_topic(base)}"].publish(
+                messages.straight_message(paths, base, header)
+            )
+        radius = VirtualManipulator(known.arm).radius
+        self.outputs["straight_markers"].publish(
+            messages.straight_markers(known.arm, found, radius, header)
+        )
+
+    def header(self, frame_id: str) -> Header:
+        """Now, in a frame."""
+        return Header(stamp=self.get_clock().now().to_msg(), frame_id=frame_id)
+
+    def health(self) -> Health:
+        """For diagnostics."""
+        values = {"arm": self.known.arm.name, "maps": self.maps.doing}
+        values["straight paths"] = self.paths.doing
+        failure = self.maps.failure or self.paths.failure
+        if failure:
+            return Health(ERROR, failure, values)
+        what = "computing" if self.maps.busy or self.paths.busy else "up to date"
+        return Health(OK, what, values)
+
+    def close(self) -> None:
+        """End the workers."""
+        self.maps.close()
+        self.paths.close()
+
+
+def _topic(base: str) -> str:
+    return base.replace(" ", "_")
+
+
+def main() -> int:
+    """Run as `ros2 run fss_arm_workspace workspace`."""
+    return run(WorkspaceNode, WorkspaceSettings)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
