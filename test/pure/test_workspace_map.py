@@ -1,13 +1,21 @@
 """The command `map`: figures, numbers and complaints."""
 
+import struct
+
 import numpy as np
 import pytest
+from rclpy.serialization import serialize_message
 
 from fss_arm_model.description import from_yaml, paper_arm, save, to_yaml
 from fss_arm_msgs.msg import DynamicCalibration, KinematicCalibration
+from fss_arm_ros.bags import BagError
+from fss_arm_ros.qos import LATCHED
+from fss_arm_ros.recording import Recording
 from fss_arm_workspace.calibrated import Calibrated
 from fss_arm_workspace.fixed import fixed_workspace
-from fss_arm_workspace.map import main
+from fss_arm_workspace.map import calibrated, main
+
+TOPIC = "/calibration/kinematic"
 
 
 def test_it_draws_three_figures_and_keeps_their_numbers(tmp_path, capsys):
@@ -76,3 +84,34 @@ def test_a_later_kinematic_calibration_keeps_what_is_known_of_masses():
     assert [link.inertia for link in known.arm.links] == [0.05] * 4
     assert [link.a for link in known.arm.links] == [link.a for link in longer.links]
     assert np.sqrt(np.diag(known.covariance)[[8, 11]]) == pytest.approx([1e-3, 2e-3])
+
+
+def serialized(message):
+    """As a publisher does it: serialize_message leaves some bytes more at the end."""
+    message.time_offset_deviation = 0.125
+    data, last = serialize_message(message), struct.pack("<d", 0.125)
+    return data[: data.rindex(last) + len(last)]
+
+
+def test_a_bag_tells_its_last_calibration_that_passed(tmp_path):
+    arm = paper_arm()
+    kinematics = arm.vector()[[8, 14, 20, 26, 15, 21, 27, 4, 5, 6]]
+    arms = [arm.with_kinematics(kinematics * share) for share in (1.01, 1.02)]
+    messages = [passed(KinematicCalibration, a, ["a", "a_4"], 1e-3) for a in arms]
+    bag = Recording(tmp_path / "bag")
+    bag.add(TOPIC, "fss_arm_msgs/msg/KinematicCalibration", [LATCHED])
+    for t, message in enumerate([*messages, KinematicCalibration(verdict="fail")], 1):
+        bag.write(TOPIC, t, serialized(message))
+    bag.close()
+    known = calibrated([str(bag.path)])
+    assert known.arm == arms[1]
+    assert np.sqrt(known.covariance[8, 8]) == pytest.approx(1e-3)
+
+
+def test_a_bag_without_a_calibration_is_refused(tmp_path):
+    bag = Recording(tmp_path / "bag")
+    bag.add(TOPIC, "fss_arm_msgs/msg/KinematicCalibration", [LATCHED])
+    bag.write(TOPIC, 1, serialized(KinematicCalibration(verdict="fail")))
+    bag.close()
+    with pytest.raises(BagError, match="no calibration that passed"):
+        calibrated([str(bag.path)])
