@@ -1,0 +1,132 @@
+"""What recording everything costs, and whether anything is lost, with links at 500 frames a second.
+
+The real drivers and test bed at five times real time, 100 simulated frames a second of each link:
+500 a second on the wire and on topics, likewise VICON, FOG and /clock. The recorder runs as always,
+flushing twice a second; beside it a bare raw subscription to the same topics that only counts. Then
+rosbags' writer alone writes the same messages from memory.
+"""
+
+import argparse
+import os
+import sys
+import time
+from collections import Counter
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import rclpy
+from bench_graph import LINKS, MODULES, TELEMETRY, VICON, Graph
+from rosbags.rosbag2 import StoragePlugin, Writer
+from std_srvs.srv import SetBool
+
+from fss_arm_ros.bags import Bags, open_bags
+from fss_arm_ros.convert import stamp_ns
+
+SPEED, RATE = 5.0, 100.0
+os.environ["PYTHONPATH"] = f"{Path(__file__).parent}:{os.environ.get('PYTHONPATH', '')}"
+MODULES |= {"count": "raw_counter", "arm": "fss_arm_driver.arm_node"}
+
+
+def run_graph(folder: Path, seconds: float) -> tuple[dict[str, float], float]:
+    """Run for a time [s]; what each process took of the processor [s], and how long it was."""
+    graph = Graph(SPEED, folder, LINKS, RATE)
+    graph.start("arm", use_sim_time=True)
+    graph.start("count", use_sim_time=True)
+    rclpy.init()
+    operator = rclpy.create_node("operator")
+    pause = operator.create_client(SetBool, "sim/pause")
+
+    def paused(data: bool) -> None:
+        done = pause.call_async(SetBool.Request(data=data))
+        rclpy.spin_until_future_complete(operator, done)
+
+    try:
+        deadline = time.monotonic() + 60.0
+        while operator.count_subscribers(TELEMETRY[-1]) < 3:  # recorder, counter, arm
+            if time.monotonic() > deadline:
+                raise RuntimeError(f"the graph does not come up, see {folder}")
+            time.sleep(0.1)
+        pause.wait_for_service(30.0)
+        time.sleep(2.0)
+        paused(False)
+        before, begin = graph.cpu(), time.monotonic()
+        time.sleep(seconds)
+        after, took = graph.cpu(), time.monotonic() - begin
+        paused(True)
+        time.sleep(3.0)  # for those who lag
+    finally:
+        graph.stop()
+        operator.destroy_node()
+        rclpy.try_shutdown()
+    return {name: after[name] - before[name] for name in after}, took
+
+
+def lost(bags: Bags) -> dict[str, int]:
+    """What is missing of the numbered telemetry and of the steady poses.
+
+    Without what the drivers say that they missed themselves: no recorder can have that.
+    """
+    missed: dict[str, int] = {}
+    for _, _, _, message in bags.messages({"/diagnostics"}):
+        for status in message.status:
+            values = {pair.key: pair.value for pair in status.values}
+            missed[f"/{status.name}/telemetry"] = int(values.get("missed", 0))
+    print("missed by the drivers, on the wire:", sum(missed.values()))
+    sequences: dict[str, list[int]] = {topic: [] for topic in TELEMETRY}
+    stamps: dict[str, list[int]] = {topic: [] for topic in VICON}
+    for topic, _, _, message in bags.messages({*TELEMETRY, *VICON}):
+        if topic in stamps:
+            stamps[topic].append(stamp_ns(message.header.stamp) // 10_000_000)
+        else:
+            sequences[topic].append(message.sequence)
+    numbers = sequences | stamps
+    return {t: n[-1] - n[0] + 1 - len(n) - missed.get(t, 0) for t, n in numbers.items()}
+
+
+def write_alone(bags: Bags, path: Path) -> float:
+    """Time of rosbags' writer for a message [s], all of them in memory before."""
+    messages = list(bags.raw())
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connections = {
+            name: writer.add_connection(
+                name, topic.msgtype, msgdef=topic.definition, rihs01=topic.hash
+            )
+            for name, topic in bags.topics.items()
+        }
+        begin = time.process_time()
+        for topic, _, receipt, data in messages:
+            writer.write(connections[topic], receipt, data)
+    return (time.process_time() - begin) / len(messages)
+
+
+def main() -> int:
+    """Run, and print; exit code 2 if something was lost."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seconds", type=float, default=600.0, help="of real time")
+    options = parser.parse_args()
+    load = os.getloadavg()[0]
+    with TemporaryDirectory(prefix="bench_record_") as name:
+        folder = Path(name)
+        cpu, took = run_graph(folder, options.seconds)
+        with open_bags(folder / "bag") as bags:
+            count = sum(topic.messages for topic in bags.topics.values())
+            rates = Counter({n: t.messages / took for n, t in bags.topics.items()})
+            missing = lost(bags)
+            alone = write_alone(bags, folder / "alone")
+        size = sum(file.stat().st_size for file in (folder / "bag").rglob("*.mcap"))
+        counted = int((folder / "count.log").read_text().split()[-1])
+    print(f"{os.cpu_count()} cores, load {load:.1f} before; {took:.0f} s")
+    print(f"{count} messages ({count / took:.0f}/s, {size / 1e6:.0f} MB), {counted} counted")
+    print("most: " + ", ".join(f"{topic} {rate:.0f}/s" for topic, rate in rates.most_common(8)))
+    print(f"missing: {sum(missing.values())} of telemetry and poses {missing}")
+    ours, bare = cpu["record"] / count, cpu["count"] / counted
+    print(f"processor time a message: record {1e6 * ours:.1f} us, bare raw subscription "
+          f"{1e6 * bare:.1f} us, rosbags' writer alone {1e6 * alone:.1f} us")  # fmt: skip
+    print(f"ratio to the bare subscription {ours / bare:.2f}; to it and the writer together "
+          f"{ours / (bare + alone):.2f}")  # fmt: skip
+    print("share of a core: " + ", ".join(f"{k} {v / took:.2f}" for k, v in cpu.items()))
+    return 2 if any(missing.values()) else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
