@@ -11,6 +11,7 @@ from conftest import DOMAIN
 from test_setup_fss import free_ports
 
 from fss_arm_model.description import load
+from fss_arm_ros.bags import open_bags
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -57,6 +58,11 @@ def test_without_hardware(tmp_path):
     assert re.search(r"/calibration/kinematic +pass", said)
     assert load(tmp_path / "out/arm.yaml").n == 4
     assert list((tmp_path / "out/report").glob("*.html"))
+    known = re.sub(r"link_<i>", "link_1", (ROOT / "docs/topics.md").read_text())
+    with open_bags(tmp_path / "out/bags") as bags:
+        heard = {re.sub(r"^/link_\d", "/link_1", topic) for topic in bags.topics}
+    for topic in heard - {"/rosout", "/parameter_events"}:
+        assert f"`{topic}`" in known or f"`{topic[1:]}`" in known, topic
 
 
 @pytest.mark.slow

@@ -18,10 +18,9 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 #: Commands of the system and of ROS that the documentation may use.
 SYSTEM = {
-    ".", "arduino-cli", "cd", "colcon", "cp", "export", "fast-discovery-server", "make", "python",
-    "ssh", "sudo", "systemctl",
-}  # fmt: skip
-FIRMWARE = "build/firmware/"  # what its own tests build and run
+    *(".", "cd", "cmake", "colcon", "cp", "export", "make", "python", "ssh", "sudo", "systemctl"),
+    *("arduino-cli", "fast-discovery-server", "build/firmware/fss_link"),
+}
 
 
 def commands():
@@ -60,7 +59,7 @@ def test_each_command_can_be_given(words):
     elif program == "ros2":
         assert arguments[0] == "security"  # of the distribution; not among the wheels
     else:
-        assert program in SYSTEM or program.startswith(("(", FIRMWARE)), program
+        assert program in SYSTEM or program.startswith("("), program
 
 
 def check_node(package, executable, *arguments):

@@ -34,9 +34,8 @@ def script(path: Path, text: str) -> Path:
     return path
 
 
-@pytest.mark.parametrize("name", SCRIPTS)
-def test_shellcheck_finds_nothing(name: str) -> None:
-    check = run("shellcheck", "-x", name, cwd=ROOT)
+def test_shellcheck_finds_nothing() -> None:
+    check = run("shellcheck", "-x", *SCRIPTS, cwd=ROOT)
     assert check.returncode == 0, check.stdout
 
 

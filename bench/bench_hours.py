@@ -1,0 +1,130 @@
+"""Whether a process grows, and whether bags are whole, over hours of operation in fast time.
+
+Test bed, four drivers, arm, calibration, base reaction and recorder at a multiple of real time, the
+arm moving all the while. Memory is what a process holds itself (RSS less what it shares with
+files), compared from the end of its first simulated hour on.
+"""
+
+import argparse
+import os
+import sys
+import time
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import rclpy
+from bench_graph import LINKS, MODULES, Graph
+from rclpy.action import ActionClient
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from std_srvs.srv import SetBool
+
+from fss_arm_msgs.action import MoveArm
+from fss_arm_ros.bags import find, is_sound, open_bags
+from fss_arm_ros.health import findings, streams
+
+MODULES |= {"arm": "fss_arm_driver.arm_node", "reaction": "fss_arm_view.base_reaction_node"}
+PAGE = os.sysconf("SC_PAGE_SIZE")
+MOST = 0.05  # growth after the first hour
+
+
+class Operator(Node):
+    """Arms the links and moves the arm from one posture to the next without a rest."""
+
+    def __init__(self) -> None:
+        super().__init__("operator", parameter_overrides=[Parameter("use_sim_time", value=True)])
+        self.random = np.random.default_rng(1)
+        self.pause = self.create_client(SetBool, "sim/pause")
+        self.arm = self.create_client(SetBool, "arm/arm")
+        self.mover = ActionClient(self, MoveArm, "arm/move")
+        self.moves = 0
+
+    def hours(self) -> float:
+        """Simulated time."""
+        return float(self.get_clock().now().nanoseconds / 3.6e12)
+
+    def wait(self, future, seconds: float):  # type: ignore[no-untyped-def]
+        """The answer; None: not in time."""
+        rclpy.spin_until_future_complete(self, future, timeout_sec=seconds)
+        return future.result() if future.done() else None
+
+    def move(self) -> None:
+        """One move; if it fails, arm again."""
+        goal = MoveArm.Goal(q=self.random.uniform(-1.4, 1.4, LINKS).tolist())
+        handle = self.wait(self.mover.send_goal_async(goal), 10.0)
+        answer = handle and handle.accepted and self.wait(handle.get_result_async(), 60.0)
+        if answer and answer.result.reached:
+            self.moves += 1
+        else:
+            self.wait(self.arm.call_async(SetBool.Request(data=True)), 10.0)
+
+
+def memory(graph: Graph) -> dict[str, float]:
+    """What each process holds [MB]."""
+    held = {}
+    for name, process in graph.processes.items():
+        _, resident, shared, *_ = Path(f"/proc/{process.pid}/statm").read_text().split()
+        held[name] = (int(resident) - int(shared)) * PAGE / 1e6
+    return held
+
+
+def operate(graph: Graph, hours: float) -> tuple[dict[str, float], dict[str, float], int]:
+    """Operate for simulated hours; memory after the first and at the end [MB], and the moves."""
+    operator = Operator()
+    operator.pause.wait_for_service(60.0)
+    operator.mover.wait_for_server(60.0)
+    operator.wait(operator.pause.call_async(SetBool.Request(data=False)), 10.0)
+    first: dict[str, float] = {}
+    begin, told = time.monotonic(), 0.0
+    print(" hours   took " + " ".join(f"{name:>9}" for name in graph.processes) + "  [MB]")
+    while (now := operator.hours()) < hours:
+        operator.move()
+        if now >= told:
+            held, told = memory(graph), told + 0.25
+            took = (time.monotonic() - begin) / 3600
+            print(f"{now:6.2f} {took:6.2f} " + " ".join(f"{mb:9.1f}" for mb in held.values()),
+                  flush=True)  # fmt: skip
+            if now >= 1.0 and not first:
+                first = held
+    last = memory(graph)
+    operator.wait(operator.pause.call_async(SetBool.Request(data=True)), 10.0)
+    operator.destroy_node()
+    return first or last, last, operator.moves
+
+
+def main() -> int:
+    """Run, and print; exit code 2 if a process grew or a bag is not whole."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--hours", type=float, default=8.0, help="simulated")
+    parser.add_argument("--speed", type=float, default=10.0, help="multiple of real time")
+    options = parser.parse_args()
+    with TemporaryDirectory(prefix="bench_hours_") as name:
+        folder = Path(name)
+        graph = Graph(options.speed, folder, LINKS, 5.0)
+        graph.start("arm", use_sim_time=True, time_to_live=options.speed)
+        graph.start("reaction", use_sim_time=True)
+        rclpy.init()
+        try:
+            first, last, moves = operate(graph, options.hours)
+        finally:
+            graph.stop()
+            rclpy.try_shutdown()
+        growth = {name: last[name] / first[name] - 1.0 for name in first}
+        print("growth after the first hour: "
+              + ", ".join(f"{name} {100 * g:+.1f}%" for name, g in growth.items()))  # fmt: skip
+        bags = find(folder / "bag")
+        whole = all(map(is_sound, bags))
+        with open_bags(folder / "bag") as read:
+            heard = streams(read)
+            count = sum(topic.messages for topic in read.topics.values())
+            for topic, about in read.topics.items():
+                for finding in findings(about, heard[topic], read.span[0]):
+                    print(f"{topic}: {finding}")
+        print(f"{moves} moves; {len(bags)} bags, {'all' if whole else 'NOT all'} whole, "
+              f"{count} messages")  # fmt: skip
+    return 0 if whole and max(growth.values()) <= MOST else 2
+
+
+if __name__ == "__main__":
+    sys.exit(main())
