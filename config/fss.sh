@@ -16,4 +16,5 @@ node arm fss_arm_driver arm --ros-args -p arm:=$arm
 # node vicon PACKAGE EXECUTABLE ...              # your VICON receiver
 node kinematic fss_arm_calib kinematic --ros-args -p arm:=config/cad.yaml \
   -p output:=out/arm.yaml -p state_file:=out/observations.json
+node dynamic fss_arm_calib dynamic --ros-args -p arm:=$arm -p output:=out/arm_dynamic.yaml
 node base_reaction fss_arm_view base_reaction --ros-args -p arm:=$arm

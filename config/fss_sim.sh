@@ -13,4 +13,6 @@ done
 node arm fss_arm_driver arm --ros-args -p arm:=$arm
 node kinematic fss_arm_calib kinematic --ros-args -p arm:=config/cad.yaml \
   -p output:=out/fss_sim/arm.yaml -p state_file:=out/fss_sim/observations.json
+# When that has passed, the dynamic calibration can begin from its result:
+# node dynamic fss_arm_calib dynamic --ros-args -p arm:=out/fss_sim/arm.yaml
 node base_reaction fss_arm_view base_reaction --ros-args -p arm:=$arm

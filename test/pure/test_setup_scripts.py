@@ -108,14 +108,18 @@ def test_env_says_in_one_line_what_it_lacks(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "others"), [("fss", ["record"]), ("fss_sim", ["record", "testbed"])]
+    ("name", "first", "last"),
+    [
+        ("fss", ["record"], ["kinematic", "dynamic", "base_reaction"]),
+        ("fss_sim", ["record", "testbed"], ["kinematic", "base_reaction"]),
+    ],
 )
 def test_systemd_takes_the_units_of_each_configuration(
-    tmp_path: Path, name: str, others: list[str]
+    tmp_path: Path, name: str, first: list[str], last: list[str]
 ) -> None:
     written = run("scripts/fss_systemd.sh", tmp_path, f"config/{name}.sh", cwd=ROOT)
     assert written.returncode == 0, written.stderr
-    nodes = [*others, *(f"link_{i}" for i in range(1, 5)), "arm", "kinematic", "base_reaction"]
+    nodes = [*first, *(f"link_{i}" for i in range(1, 5)), "arm", *last]
     units = {tmp_path / f"{name}-{node}.service" for node in nodes}
     assert set(tmp_path.iterdir()) == units | {tmp_path / f"{name}.target"}
     after = dict(pairwise(nodes))
