@@ -26,6 +26,7 @@ from rich.table import Table
 
 from fss_arm_msgs.msg import LinkTelemetry
 from fss_arm_ros.definitions import MEASUREMENTS, NotInstalledError, message_class
+from fss_arm_ros.executor import BatchExecutor
 from fss_arm_ros.qos import LATCHED
 
 LOOSE = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)  # slows no publisher
@@ -38,6 +39,11 @@ LEVELS = {
     DiagnosticStatus.ERROR: ("ERROR", "bold red"),
     DiagnosticStatus.STALE: ("stale", "yellow"),
 }
+STATES = {
+    "up": "green", "starting": "yellow", "ended": "",
+    "stopped": "bold red", "failed": "bold red", "down": "bold red",
+}  # fmt: skip
+LOST = ("stopped", "failed", "down")
 VERDICTS = {"pass": "bold green", "fail": "bold red", "not_evaluated": "bold yellow"}
 
 
@@ -116,17 +122,19 @@ class Processes:
     def __init__(self, logs: Path, names: list[str], mute: list[str]) -> None:
         self.logs, self.names, self.mute = logs, [*names, *mute], mute
 
-    def state(self, name: str) -> tuple[str, str]:
-        """In a word, and its colour."""
-        kept, runs = (self._held(self.logs / f"{name}.{role}") for role in ("keep", "node"))
-        if not runs:
-            return ("starting", "yellow") if kept else ("down", "bold red")
-        age = time.time() - (self.logs / f"{name}.node").stat().st_mtime
-        return f"up {_duration(age)}", "green"
+    def state(self, name: str) -> str:
+        """One of STATES."""
+        node, keeper = (self.logs / f"{name}.{role}" for role in ("node", "keep"))
+        if self._held(node):
+            return "up"
+        if self._held(keeper):
+            return "starting"
+        last = keeper.read_text().strip() if keeper.exists() else ""
+        return last if last in STATES else "down"
 
-    def runs(self, name: str) -> bool:
-        """Whether the node is there."""
-        return self._held(self.logs / f"{name}.node")
+    def age(self, name: str) -> float:
+        """For how long the node is up [s]."""
+        return time.time() - (self.logs / f"{name}.node").stat().st_mtime
 
     def events(self) -> list[str]:
         """What the operator was told last."""
@@ -159,11 +167,12 @@ def nodes(processes: Processes, listener: Listener) -> Table:
     table = _table("node", "process", "health", "")
     others = sorted(name for name in listener.reports if name not in processes.names)
     for name in [*processes.names, *others]:
-        state, colour = processes.state(name) if name in processes.names else ("elsewhere", "")
+        state = processes.state(name) if name in processes.names else "elsewhere"
+        shown = f"up {_duration(processes.age(name))}" if state == "up" else state
         status = listener.report(name)
         word, tone = LEVELS[status.level] if status else ("", "")
         said = escape(status.message) if status else ""
-        table.add_row(name, _in(state, colour), _in(word, tone), said)
+        table.add_row(name, _in(shown, STATES.get(state, "")), _in(word, tone), said)
     return table
 
 
@@ -212,20 +221,20 @@ def verdicts(listener: Listener) -> Table:
 
 
 def sound(processes: Processes, listener: Listener) -> bool:
-    """Whether every node runs, and says so, and none reports an error."""
-    reports = [listener.report(name) for name in listener.reports]
-    wanted = [name for name in processes.names if name not in processes.mute]
-    return (
-        all(map(processes.runs, processes.names))
-        and all(map(listener.report, wanted))
-        and not any(status.level == DiagnosticStatus.ERROR for status in reports if status)
+    """Whether every node is up, and says so, or has ended well, and none reports an error."""
+    states = {name: processes.state(name) for name in processes.names}
+    heard = {name for name in listener.reports if listener.report(name)} | set(processes.mute)
+    return all(
+        state == "ended" or (state == "up" and name in heard) for name, state in states.items()
+    ) and not any(
+        status.level == DiagnosticStatus.ERROR for status in map(listener.report, heard) if status
     )
 
 
 def settled(processes: Processes, listener: Listener) -> bool:
-    """Whether all is well, or cannot become so, as a node has ended."""
-    ended = any(processes.state(name)[0] == "down" for name in processes.names)
-    return ended or sound(processes, listener)
+    """Whether all is well, or cannot become so, as a node is down for good."""
+    down = any(processes.state(name) in LOST for name in processes.names)
+    return down or sound(processes, listener)
 
 
 def _table(*headings: str, rows: Iterable[list[str]] = ()) -> Table:
@@ -271,12 +280,13 @@ def main() -> int:
     processes = Processes(options.logs, options.names, options.mute)
     console = Console(width=None if sys.stdout.isatty() else 120, highlight=False)
     rclpy.init()
-    listener = Listener()
+    listener, executor = Listener(), BatchExecutor()
+    executor.add_node(listener)
 
     def listen(seconds: float) -> None:
         until = time.monotonic() + seconds
         while time.monotonic() < until:
-            rclpy.spin_once(listener, timeout_sec=0.05)
+            executor.spin_once(timeout_sec=0.05)
 
     try:
         if options.watch:

@@ -41,7 +41,8 @@ node() {
 }
 
 # Each node and its keeper hold the lock of a file with their process's number in it. A lock ends
-# with its process, and nobody else can have the number before that.
+# with its process, and nobody else can have the number before that. A keeper's last word stays in
+# its file: ended, failed or stopped.
 held() { [ -e "$FSS_LOGS/$1" ] && ! flock -s -n "$FSS_LOGS/$1" true; }
 
 # hold FILE: takes its lock on descriptor 9, for this process and what it starts or becomes.

@@ -28,14 +28,17 @@ while [ -z "$ending" ]; do
   [ -z "$ending" ] || break
   if [ "$code" = 0 ]; then
     tell "$name has ended"
+    echo ended >"$FSS_LOGS/$name.keep"
     exit 0
   fi
   [ $(($(date +%s) - began)) -lt "$FSS_WINDOW" ] || failures=0
   failures=$((failures + 1))
   if [ "$failures" -gt "$FSS_RESTARTS" ]; then
     tell "$name failed ($code) $failures times and is not started again; see $FSS_LOGS/$name.log"
+    echo failed >"$FSS_LOGS/$name.keep"
     exit 1
   fi
   tell "$name failed ($code), starting it again ($failures of $FSS_RESTARTS)"
   sleep 1
 done
+echo stopped >"$FSS_LOGS/$name.keep"

@@ -132,11 +132,21 @@ def test_a_node_that_keeps_failing_is_given_up_and_the_operator_told(laboratory)
     lab = laboratory("node record fss_arm_ros record")  # without the folder that it needs
     up = lab.run("up")
     assert up.returncode == 1
-    assert re.search(r"record +down", up.stdout)
+    assert re.search(r"record +failed", up.stdout)
     first, last = lab.events().splitlines()
     assert first.endswith("record failed (1), starting it again (1 of 1)")
     assert last.endswith(f"failed (1) 2 times and is not started again; see {lab.logs}/record.log")
     assert (lab.logs / "record.log").read_text().count("output is empty") == 2
+
+
+@pytest.mark.slow
+def test_a_node_that_ends_well_is_not_missed(laboratory):
+    lab = laboratory("node record fss_arm_ros record --help")
+    assert lab.run("up").returncode == 0
+    shown = lab.run("status")
+    assert shown.returncode == 0
+    assert re.search(r"record +ended", shown.stdout)
+    assert lab.events().endswith("record has ended\n")
 
 
 @pytest.mark.slow
