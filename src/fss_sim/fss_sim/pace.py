@@ -8,6 +8,7 @@ from fss_sim.channel import SECOND
 from fss_sim.testbed import FRAME
 
 LEAD = 40  # frames that may pass without a word from a driver that sends five times a second
+SHORTEST = 0.001  # real time to let pass between two looks [s]: sending costs more than frames
 STRIDE = 10  # frames made at once at most, so that the node remains responsive
 PATIENCE = 1_000_000_000  # a driver silent for this long of real time has ended [ns]
 
@@ -44,7 +45,7 @@ class Clocked:
         self, now: Callable[[], int], frame: int, back: int, ahead: int, speed: float = 1.0
     ) -> None:
         self.now, self.back, self.ahead = now, back, ahead
-        self.rest = 0.5 * FRAME / SECOND / speed
+        self.rest = max(0.5 * FRAME / SECOND / speed, SHORTEST)
         self.epoch = now() - frame * FRAME  # the clock's time of frame 0
         self.jumps = 0
 

@@ -34,6 +34,7 @@ from fss_sim.testbed import FRAME, State, Testbed
 from fss_sim.ticker import Ticker
 
 BURST = RATE  # frames made up for at once, so that the node remains responsive
+TOGETHER = 5  # of them, for which the clock is published once
 SAVED = RATE // 5  # frames from one writing of the state file to the next
 LONGEST = 60 * RATE  # frames of one step, so that the node answers before long
 
@@ -114,8 +115,8 @@ class TestbedNode(Node):
         """
         with self.lock:
             due = 0 if self.paused else self.pace.due(self.testbed.frame)
-            for _ in range(min(due, BURST)):
-                self.make_frame()
+            for made in range(0, min(due, BURST), TOGETHER):
+                self.make_frames(min(due - made, TOGETHER))
             if due <= BURST and not self.paused:
                 self.receive()
         return self.pace.rest if due <= BURST else 0.0
@@ -124,6 +125,13 @@ class TestbedNode(Node):
         """The thread has ended; so does the node."""
         if self.ticker.error and self.context.ok():
             raise self.ticker.error
+
+    def make_frames(self, count: int) -> None:
+        """Let so many frames pass, the clock going before, so that nothing is early by it."""
+        if self.settings.keep_clock:
+            self.clock.publish(self.clock_image.of(self.stamp() + count * FRAME))
+        for _ in range(count):
+            self.make_frame()
 
     def make_frame(self) -> None:
         """Let one frame's time pass and report it."""
@@ -170,7 +178,7 @@ class TestbedNode(Node):
             else:
                 for _ in range(request.frames):
                     self.receive()
-                    self.make_frame()
+                    self.make_frames(1)
                 response.success = True
             response.stamp = to_time(self.stamp())
         return response
@@ -211,8 +219,6 @@ class TestbedNode(Node):
 
     def publish(self, stamp: int, sight: Sight) -> None:
         """Publish what the sensors see."""
-        if self.settings.keep_clock:
-            self.clock.publish(self.clock_image.of(stamp))
         for publisher, seen in ((self.base, sight.base), (self.tip, sight.tip)):
             if seen:
                 publisher.publish(self.pose_image.of(stamp, seen))
