@@ -61,7 +61,7 @@ class Reception:
         self.heard = 0  # when a frame was last believed
         self.track: Track | None = None  # believed; remembered for a while when lost
         self._scale, self._timeout, self._resolution = scale, timeout, resolution
-        self._early = max(EARLY, timeout // 10)  # longer where time is simulated and fast
+        self._early = timeout if resolution else EARLY  # a clock that is simulated may lag
         self._prove, self._counts = prove, counts
         self._candidates: deque[Track] = deque(maxlen=CANDIDATES)  # on probation
 
