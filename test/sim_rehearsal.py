@@ -6,10 +6,13 @@ the person's part (arming again) and the experiment's (from posture to posture) 
 
 from contextlib import suppress
 from dataclasses import replace
-from math import pi
+from math import pi, radians
 
 import numpy as np
 
+from fss_arm_calib import dynamic_verdict
+from fss_arm_calib.dynamic_settings import DynamicCalibrationSettings
+from fss_arm_calib.maneuvers import ManeuverFinder
 from fss_arm_calib.postures import DEFAULT
 from fss_arm_calib.rests import BASE, TIP, RestFinder, spoiled
 from fss_arm_calib.settings import CalibrationSettings
@@ -25,6 +28,10 @@ from fss_sim.testbed import SECOND, State
 
 COMMANDS = 20  # frames from one command to the next
 EPOCH = 1_700_000_000 * SECOND
+# White noise of every frame, with something left for the encoders.
+DYNAMIC = DynamicCalibrationSettings(
+    position_deviation=0.0005, heading_deviation=radians(0.1), fresh_rate=100.0
+)
 WAIT = 6.0  # for an observation of a rest [s]
 ROUNDS = 2  # of postures whose rest was spoiled
 
@@ -45,6 +52,7 @@ class Rehearsal:
         )
         self.links = [LinkSession(i, k) for i, k in enumerate(self.guess.links, 1)]
         self.finder, self.observations = RestFinder(4, CalibrationSettings()), []
+        self.maneuver_finder, self.maneuvers = ManeuverFinder(4, DYNAMIC), []
         self.postures, self.samples = list(np.asarray(postures)), [[] for _ in self.links]
         self.arming_asked = [0] * 4
 
@@ -59,11 +67,17 @@ class Rehearsal:
             for datagram in datagrams:
                 if sample := self.links[i].feed(datagram.data, self.now):
                     self.samples[i].append(sample)
-                    self.observations += self.finder.joint(i + 1, sample.stamp, sample.position)
+                    reading = i + 1, sample.stamp, sample.position
+                    self.observations += self.finder.joint(*reading)
+                    self.maneuvers += self.maneuver_finder.joint(*reading, sample.velocity)
         for name, seen in ((BASE, report.sight.base), (TIP, report.sight.tip)):
             if seen:
                 pose = None if seen.occluded else seen.pose
                 self.observations += self.finder.pose(name, self.now, pose)
+                if name == BASE:
+                    self.maneuvers += self.maneuver_finder.pose(self.now, pose)
+        if report.sight.rate is not None:
+            self.maneuvers += self.maneuver_finder.rate(self.now, report.sight.rate)
         if self.bed.frame % COMMANDS == 0:
             for i, link in enumerate(self.links):
                 self.bed.receive(i, link.command(self.now), peer="driver")
@@ -75,7 +89,7 @@ class Rehearsal:
                 link.arm(self.now)
                 self.arming_asked[i] += 1
 
-    def go(self, posture, patience=30.0):
+    def go(self, posture, patience=20.0):
         """Move there and wait for the rest to be observed; whether it was."""
         done, seen, end = None, len(self.observations), self.bed.now + patience * SECOND
         order = None
@@ -115,8 +129,14 @@ class Rehearsal:
             for lost in spoiled(self.observations, np.radians(1.0)):
                 self.go(lost.q)
         self.observations += self.finder.close()
+        self.maneuvers += self.maneuver_finder.close()
         settings = CalibrationSettings(parametrization="full")
         return calibrate(self.observations, self.guess, settings, self.finder.streams())
+
+    def dynamic(self):
+        """The dynamic calibration from the moves between the postures, kinematics known."""
+        streams = self.maneuver_finder.streams()
+        return dynamic_verdict.calibrate(self.maneuvers, self.truth, DYNAMIC, streams)
 
     def errors(self, result):
         """Of each parameter, in its standard deviations."""
