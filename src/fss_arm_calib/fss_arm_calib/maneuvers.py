@@ -267,10 +267,7 @@ class ManeuverFinder:
         series = []
         holes: list[Hole] = []
         for joint in self.joints:
-            t, _, _ = joint.within(start, end)
-            late = np.flatnonzero(np.diff(t, prepend=start, append=end) > self._gap)
-            edges = np.concatenate([[start], t, [end]])
-            holes += [Hole(int(edges[k]), int(edges[k + 1]), joint.name) for k in late]
+            holes += self._holes(joint, start, end)
             series.append(self._samples(joint, looks))
         travel = max(float(np.ptp(q)) if len(q) else 0.0 for _, q, _ in series)
         if not holes and travel < self.settings.least_travel:
@@ -283,9 +280,15 @@ class ManeuverFinder:
             return replace(maneuver, used=False, reason=str(holes[0]))
         return self._seen(maneuver, looks)
 
-    @property
-    def _gap(self) -> float:
-        return self.settings.joint_gap * SECOND
+    def _holes(self, joint: _Joint, start: int, end: int) -> list[Hole]:
+        """Silences of a joint that tell nothing of where it went meanwhile."""
+        t, q, _ = joint.within(start, end)
+        if not len(q):
+            return [Hole(start, end, joint.name)]
+        moved = np.concatenate([[True], np.abs(np.diff(q)) > self.settings.still, [True]])
+        t = np.concatenate([[start], t, [end]])
+        late = np.flatnonzero((np.diff(t) > self.settings.joint_gap * SECOND) & moved)
+        return [Hole(int(t[k]), int(t[k + 1]), joint.name) for k in late]
 
     def _samples(
         self, joint: _Joint, looks: tuple[tuple[int, int], tuple[int, int]]

@@ -1,0 +1,38 @@
+"""A dynamic calibration as a person rehearses it: design, simulator over UDP, bags, solution."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fss_arm_calib.dynamic_parameters import parameter_names, values
+from fss_arm_calib.dynamic_settings import DynamicCalibrationSettings
+from fss_arm_calib.from_bag import solve_dynamic_bag
+from fss_arm_model.description import load
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.mark.slow
+def test_the_truth_lies_within_what_is_claimed(tmp_path):
+    """Eight maneuvers in two sessions, at real time: about two minutes."""
+    out = tmp_path / "run"
+    command = [sys.executable, ROOT / "scripts/rehearse_dynamic.py", "--count", "8", "--out", out]
+    run = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
+    assert run.returncode in (0, 2), run.stdout + run.stderr  # 2: eight may be too few for I_1
+    assert "mm promised" in run.stdout
+    assert (out / "report" / "index.html").exists()
+    settings = DynamicCalibrationSettings(
+        arm=str(out / "guess.yaml"), max_relative=9.0, max_place=1.0
+    )
+    result, maneuvers = solve_dynamic_bag(out / "bags", settings)
+    assert len(maneuvers) == 8
+    assert result.verdict == "pass", result.reason
+    chosen = [name for name in result.names if not name.startswith("g_")]
+    every = dict(zip(parameter_names(4), values(load(out / "truth.yaml")), strict=True))
+    truth = np.array([every[name] for name in chosen])
+    error = result.values[: len(chosen)] - truth
+    nees = error @ np.linalg.solve(result.covariance[: len(chosen), : len(chosen)], error)
+    assert nees < 32.9  # chi-square of 11, 0.05% beyond
