@@ -1,9 +1,11 @@
 """The node of one link: its telemetry to topics, commands to its electronics.
 
-A thread waits for datagrams and wakes the executor; all else happens in the executor.
+A thread takes the link's datagrams and publishes what they say; all else happens in the executor.
+What both touch is the session, under a lock.
 """
 
 import sys
+from threading import RLock
 from typing import Any
 
 from rclpy.callback_groups import ReentrantCallbackGroup
@@ -23,13 +25,13 @@ from fss_arm_driver.messages import (
     state_words,
     telemetry,
 )
+from fss_arm_driver.receiver import Receiver
 from fss_arm_driver.scale import CommandError
 from fss_arm_driver.settings import LinkSettings
 from fss_arm_driver.transport import Transport, open_transport
-from fss_arm_driver.waker import Waker
 from fss_arm_msgs.msg import CommandStatus, LinkCommand, LinkTelemetry
 from fss_arm_ros.convert import stamp_ns
-from fss_arm_ros.diagnostics import Diagnostics
+from fss_arm_ros.diagnostics import Diagnostics, Health
 from fss_arm_ros.qos import COMMAND, SENSOR
 from fss_arm_ros.run import run
 from fss_arm_ros.settings import declare
@@ -65,7 +67,7 @@ class LinkNode(Node):
             settings.empty,
         )
         self.transport = transport or open_transport(settings.url, number, settings.key())
-        self.name = f"link_{number}"
+        self.name, self.lock = f"link_{number}", RLock()
         self.said = {"trouble": self.transport.trouble}  # by kind, as much is repeated
         self.told: tuple[Any, ...] = ()  # of the last command
         self.waiting: list[Future] = []
@@ -84,9 +86,10 @@ class LinkNode(Node):
         self.create_service(SetBool, f"{self.name}/arm", self.on_arm, callback_group=group)
         self.create_service(Trigger, f"{self.name}/clear_faults", self.on_clear_faults)
         self.create_timer(1.0 / settings.rate, self.send)
-        self.waker = Waker(self.transport, self.create_guard_condition(self.poll))
-        health = LinkHealth(self.session, self.transport, bool(settings.keys))
-        self.diagnostics = Diagnostics(self, lambda: health(self.now()), settings.url)
+        self.link_health = LinkHealth(self.session, self.transport, bool(settings.keys))
+        self.diagnostics = Diagnostics(self, self.health, settings.url)
+        self.news = self.create_guard_condition(self.answer)
+        self.receiver = Receiver(self.transport, self.poll, self.news)
 
     def now(self) -> int:
         """The node's clock [ns]; 0 before the first /clock if that is followed."""
@@ -95,17 +98,20 @@ class LinkNode(Node):
     def poll(self) -> None:
         """Take what has come. Without a clock yet nothing can be stamped: it is dropped."""
         datagrams, now = self.transport.receive(), self.now()
-        self.waker.taken()
         for data in datagrams if now else ():
-            if sample := self.session.feed(data, now):
+            with self.lock:
+                sample = self.session.feed(data, now)
+            if sample and self.context.ok():
                 if sample.referenced:  # else the position says nothing
                     self.joint_states.publish(joint_state(self.session.number, sample))
                 self.telemetry.publish(telemetry(sample))
-        self.answer()
+        if self.waiting or self.progressed():
+            self.news.trigger()
 
     def send(self) -> None:
         """Send the command of the moment."""
-        self.transport.send(self.session.command(self.now()))
+        with self.lock:
+            self.transport.send(self.session.command(self.now()))
         self.answer()
         trouble = self.transport.trouble
         self.warn("trouble", trouble and f"{self.settings.url}: {trouble}")
@@ -117,14 +123,15 @@ class LinkNode(Node):
         try:
             if not 0.0 < message.time_to_live <= 3600.0:
                 raise CommandError(f"time_to_live is {message.time_to_live} s, expected above 0")
-            self.session.set(
-                message.mode,
-                message.set_point,
-                message.max_velocity,
-                message.max_acceleration,
-                given + round(message.time_to_live * SECOND),
-                now,
-            )
+            with self.lock:
+                self.session.set(
+                    message.mode,
+                    message.set_point,
+                    message.max_velocity,
+                    message.max_acceleration,
+                    given + round(message.time_to_live * SECOND),
+                    now,
+                )
         except CommandError as error:
             self.status.publish(command_refused(str(error), given, now))
             self.warn("refused", f"command refused: {error}")
@@ -132,18 +139,21 @@ class LinkNode(Node):
 
     def on_stop(self, _: Empty) -> None:
         """Stop at once."""
-        self.session.stop()
+        with self.lock:
+            self.session.stop()
         self.send()
 
     async def on_arm(self, request: SetBool.Request, response: SetBool.Response) -> Any:
         """Arm or disarm; answer when the link has."""
         if not request.data:
-            self.session.disarm()
+            with self.lock:
+                self.session.disarm()
             self.send()
             response.success, response.message = True, state_words(self.session)
             return response
         try:
-            self.session.arm(self.now())
+            with self.lock:
+                self.session.arm(self.now())
             self.waiting.append(settled := Future())
             self.send()
             await settled
@@ -154,21 +164,35 @@ class LinkNode(Node):
 
     def on_clear_faults(self, _: Trigger.Request, response: Trigger.Response) -> Any:
         """Disarm and clear what the drive has latched; telemetry tells what remains."""
-        self.session.clear_faults(self.now())
+        with self.lock:
+            self.session.clear_faults(self.now())
         self.send()
         response.success = not self.session.lost
         response.message = "asked for" if response.success else f"{self.name} is lost"
         return response
 
+    def progressed(self) -> bool:
+        """Whether the last command has come to a station that has not been told."""
+        progress = self.session.progress
+        return progress is not None and (progress.given, progress.status) != self.told
+
     def answer(self) -> None:
         """Tell what has changed: how far the last command has come, whether arming has ended."""
-        if progress := self.session.progress:
-            told = progress.given, progress.status
-            if told != self.told:
-                self.status.publish(command_status(progress, self.now()))
-            self.told = told
+        if self.receiver.error and self.context.ok():
+            raise self.receiver.error
+        with self.lock:
+            progress, told = self.session.progress, self.progressed()
+            if progress:
+                self.told = progress.given, progress.status
+        if progress and told:
+            self.status.publish(command_status(progress, self.now()))
         while self.waiting and self.session.arming is not Arming.ARMING:
             self.waiting.pop().set_result(None)
+
+    def health(self) -> Health:
+        """For diagnostics."""
+        with self.lock:
+            return self.link_health(self.now())
 
     def warn(self, kind: str, text: str) -> None:
         """Log a warning once in a row."""
@@ -178,7 +202,7 @@ class LinkNode(Node):
 
     def close(self) -> None:
         """Give the port back."""
-        self.waker.close()
+        self.receiver.close()
         self.transport.close()
 
 
