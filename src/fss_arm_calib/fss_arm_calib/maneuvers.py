@@ -243,10 +243,11 @@ class ManeuverFinder:
 
     def _collect(self, everything: bool = False) -> list[Maneuver]:
         """Maneuvers that every stream has passed by now."""
-        rest = self._rest()
-        if self._before and rest and self._look(rest) == round(self.settings.longest * SECOND):
+        before, rest = self._before, self._rest()
+        full = rest is not None and self._look(rest) == round(self.settings.longest * SECOND)
+        if before and rest and full and rest.begin > before.end:
             # A long rest's look after the maneuver is settled before the rest is over.
-            self._pending.append((self._before, rest))
+            self._pending.append((before, rest))
             self._before = None
         found = []
         while self._pending and (everything or self._passed(*self._pending[0])):
