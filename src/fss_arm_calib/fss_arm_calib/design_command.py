@@ -103,16 +103,17 @@ def comparison(
 ) -> report.Table:
     """Each kind alone, in as much floating time as `count` of the longest maneuvers take."""
     total = count * (given.duration + given.rest)
-    rows = []
+    names: tuple[str, ...] = ()
+    columns, head = [], ["parameter"]
     for kind in KINDS:
         conditions = replace(given, kinds=(kind,), total=total)
         plan = design(arm, MANY, settings, conditions, tried=100)
         result = expected(arm, plan, settings, given.rest)
-        shown = zip(result.problem.names, result.deviations, strict=True)
-        told = {n: f"{d:.2g}" for n, d in shown if not n.startswith("g_")}
         floating = sum(one.length + given.rest for one in plan)
-        rows.append([kind, str(len(plan)), f"{floating:.0f}", *told.values()])
-    head = ["kind", "maneuvers", "time [s]", *told]
+        head.append(f"{len(plan)} of kind {kind}, {floating:.0f} s")
+        columns.append(result.deviations)
+        names = result.problem.names
+    rows = [[name, *(f"{d:.2g}" for d in row)] for name, *row in zip(names, *columns, strict=True)]
     return report.Table("Deviations of each kind of maneuvers at equal floating time", head, rows)
 
 
