@@ -146,11 +146,11 @@ template <typename Board>
   }
 }
 
-int whole(const char* text, int low, int high) {
+int whole(const char* name, const char* text, int low, int high) {
   char* end = nullptr;
   const long number = strtol(text, &end, 10);
   if (*end || end == text || number < low || number > high) {
-    fail(std::string("'") + text + "', expected " + std::to_string(low) + " to " +
+    fail(std::string(name) + " is '" + text + "', expected " + std::to_string(low) + " to " +
          std::to_string(high));
   }
   return static_cast<int>(number);
@@ -170,8 +170,8 @@ int main(int argc, char** argv) {
   const char* keys = nullptr;
   for (int which; (which = getopt_long(argc, argv, "", options, nullptr)) != -1;) {
     switch (which) {
-      case 'l': number = fss::whole(optarg, 1, 255); break;
-      case 'u': port = fss::whole(optarg, 0, 65535); break;
+      case 'l': number = fss::whole("link", optarg, 1, 255); break;
+      case 'u': port = fss::whole("udp", optarg, 0, 65535); break;
       case 'p': pty = true; break;
       case 'k': keys = optarg; break;
       default: number = 0;
