@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from fss_arm_model.description import paper_arm
+from fss_arm_model.drives import POSITION
 from fss_arm_model.simulation import Surroundings
-from fss_sim.plant import Plant, World
+from fss_sim.plant import Demand, Plant, World
 from fss_sim.thrusters import Propulsion, Thrusters, layout
 
 PROPULSION = Propulsion()
@@ -39,6 +40,16 @@ def test_a_pulse_gives_its_impulse_and_takes_its_propellant(on_time):
     assert bed.audit.impulse[0] == pytest.approx(2 * 0.16 * on_time, rel=1e-3)
     assert bed.thrusters.used == pytest.approx(2 * FLOW * on_time, rel=1e-12)
     np.testing.assert_allclose(bed.audit.balance, 0.0, atol=1e-9)
+
+
+def test_joints_are_measured_as_ever_while_mass_is_lost():
+    bed = Plant(paper_arm(), np.zeros(7))
+    bed.command(0, Demand(POSITION, 0.3, 0.5, 1.0))
+    bed.thrust(pulse(0, 1))
+    for _ in range(20):
+        bed.advance(0.01)
+        assert all(0.0 <= abs(m.torque) <= 1.8 for m in bed.motions())
+    assert abs(bed.motion(0).torque) > 0.05
 
 
 def test_a_pulse_below_the_minimum_does_nothing():

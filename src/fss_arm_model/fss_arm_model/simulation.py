@@ -60,7 +60,7 @@ def _advance(  # type: ignore[no-untyped-def]
     begin, turned, work = np.empty((3, m), kind), np.empty((3, m), kind), np.empty((2, m), kind)
     held, torque, asked, inertia = np.empty(m), np.empty(m), np.empty(m), np.empty((2, m))
     laws, dz, around = np.empty((m, 6)), np.zeros((2, 4 + m)), surroundings.copy()
-    tight, wants, follows, gives = joints.copy(), demand.copy(), reference0.copy(), torques.copy()
+    tight, wants, follows, gives = joints.copy(), demand.copy(), reference0.copy(), np.zeros((m, 2))
     q, qd = state0[0].copy(), state0[1].copy()
     _to_centroidal(bodies, q, qd, begin, z)
     start_x, start_y = z[1, 0], z[1, 1]
@@ -134,8 +134,8 @@ def advance(
     Returns:
         state, reference; audit: linear momentum [N s], angular momentum about the world's origin
         [N m s] and energy [J] that the bodies have, and below, added to what was there, those that
-        forces have given them; and torques (n, 2) [N m], the motors' and those that pass the gears,
-        less by the friction. Leading dimensions of all arguments broadcast.
+        forces have given them; and torques (n, 2) [N m] of the last step, the motors' and those
+        that pass the gears, less by the friction; 0 without a step. Leading dimensions broadcast.
     """
     control = np.array([steps, tolerance], dtype=float)
     return _advance(

@@ -165,11 +165,15 @@ class Plant:
             self._release()
         steps = round(seconds / STEP)
         begin, self._step = self._step, self._step + steps
+        if not self.thrusters.busy(begin):
+            self._pass(steps)
+            return
         self._pass(steps, self.thrusters.valves(begin))
         spent = self.thrusters.spend(begin, steps)
-        if spent > 0.0:
-            self._p[0] -= spent
-            self._book(self._audit[0].copy())
+        had = self._audit[0].copy()
+        self._p[0] -= spent
+        self._pass(0)
+        self._audit[1] += self._audit[0] - had
 
     def motion(self, joint: int) -> Motion:
         """What the instruments of a link are exposed to."""
@@ -251,21 +255,17 @@ class Plant:
     def _pass(self, steps: int, valves: npt.ArrayLike = ((0.0,) * 5,)) -> None:
         """Let steps pass; none: renew the books."""
         world, around = self.world, self._surroundings
-        self._state, self._reference, self._audit, self._torques = advance(
+        self._state, self._reference, self._audit, torques = advance(
             self._p, world.joints.rotor, self._joints, around, valves, self._demand,
             self._state, self._reference, self._audit, steps, world.tolerance,
         )  # fmt: skip
+        self._torques = torques if steps else self._torques
         if world.target and not self.holds:
             none, shut = np.zeros((0, 2)), ((0.0,) * 5,)
             self._target, _, self._target_audit, _ = advance(
                 world.target.vector(), (0.0, 0.0), np.zeros((0, 7)), around, shut,
                 np.zeros((0, 4)), self._target, none, self._target_audit, steps, world.tolerance,
             )  # fmt: skip
-
-    def _book(self, had: Floats) -> None:
-        """Book as given what the bodies now have more than they had, (4,)."""
-        self._pass(0)
-        self._audit[1] += self._audit[0] - had
 
     def _catch(self) -> None:
         """Close the gripper on the target: momentum stays, the energy lost is booked."""

@@ -99,6 +99,10 @@ class Thrusters:
         pulses = np.stack([self._begin - now, self._end - now], axis=-1)
         return np.hstack([self.thrust * self.layout, pulses])
 
+    def busy(self, now: int) -> bool:
+        """Whether a valve is open or will be."""
+        return bool((self._end > now).any())
+
     def open(self, now: int) -> list[bool]:
         """Which valves are."""
         return ((self._begin <= now) & (now < self._end)).tolist()
