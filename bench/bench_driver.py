@@ -20,6 +20,7 @@ from dataclasses import replace
 from threading import Thread
 
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
@@ -84,11 +85,11 @@ class FakeLink(Peer):
         super().__init__()
         self.frame = replace(FRAME, link=number)
 
-    def measure(self, at: float | None = None) -> None:
-        """Send a frame measured at a time [s], now by default."""
+    def measure(self, at: float | None = None) -> bytes:
+        """The frame measured at a time [s], now by default."""
         clock = round(1e6 * (time.monotonic() if at is None else at))
         self.frame = replace(self.frame, sequence=self.frame.sequence + 1, clock=clock)
-        self.send(encode(self.frame))
+        return encode(self.frame)
 
 
 def start(*code_and_arguments: str) -> subprocess.Popen[bytes]:
@@ -117,29 +118,29 @@ def latencies(samples: int, rate: float) -> tuple[list[float], list[float]]:
             sensor(), raw=True,
         )  # fmt: skip
 
-    def once(topic: str, send: Callable[[], None], timeout: float) -> float:
+    def once(topic: str, end: Peer, data: bytes, timeout: float) -> float:
         came.pop(topic, None)
         begun = time.perf_counter()
-        send()
+        end.send(data)
         while topic not in came and time.perf_counter() - begun < timeout:
             executor.spin_once(timeout_sec=0.01)
         return came.get(topic, float("inf")) - begun
 
-    ways = (
-        ("joint_states", link.measure),
-        ("relayed", lambda: peer.send(struct.pack("<9d", *9 * [1]))),
+    ways: tuple[tuple[str, Peer, Callable[[], bytes]], ...] = (
+        ("joint_states", link, link.measure),
+        ("relayed", peer, lambda: struct.pack("<9d", *9 * [1.0])),
     )
     try:
-        for topic, send in ways:
+        for topic, end, make in ways:
             deadline = time.monotonic() + 20.0
-            while once(topic, send, 0.1) == float("inf"):
+            while once(topic, end, make(), 0.1) == float("inf"):
                 if time.monotonic() > deadline:
                     raise RuntimeError(f"nothing on {topic}")
-        results: dict[str, list[float]] = {topic: [] for topic, _ in ways}
+        results: dict[str, list[float]] = {topic: [] for topic, *_ in ways}
         for _ in range(samples):
-            for topic, send in ways:
+            for topic, end, make in ways:
                 due = time.perf_counter() + 0.5 / rate
-                results[topic].append(once(topic, send, 1.0))
+                results[topic].append(once(topic, end, make(), 1.0))
                 while (rest := due - time.perf_counter()) > 0.0:
                     executor.spin_once(timeout_sec=rest)
     finally:
@@ -151,41 +152,42 @@ def latencies(samples: int, rate: float) -> tuple[list[float], list[float]]:
 
 
 def share(rate: float, seconds: float) -> tuple[float, float]:
-    """Of a core, that one process takes for four links; of the frames, that became joint states.
-
-    A process of its own hears the joint states, as somebody always does.
-    """
+    """Of a core, that one process takes for four links; of their frames, that it published."""
     links = [FakeLink(i) for i in (1, 2, 3, 4)]
     urls = ", ".join(f"'{link.url}'" for link in links)
-    heard: list[int] = []
-    node = Node("bench_driver")
-    for kind, topic in ((JointState, "joint_states"), *TELEMETRY):
-        ear = heard.append if kind is JointState else len
-        node.create_subscription(kind, topic, lambda _, ear=ear: ear(b""), sensor(), raw=True)
-    executor = SingleThreadedExecutor()
+    node, executor = Node("bench_driver"), SingleThreadedExecutor()
+    for kind, topic in ((JointState, "joint_states"), *TELEMETRY):  # somebody always listens
+        node.create_subscription(kind, topic, lambda _: None, sensor(), raw=True)
+    believed: dict[str, int] = {}
+
+    def hear(message: DiagnosticArray) -> None:
+        for status in message.status:
+            values = {pair.key: pair.value for pair in status.values}
+            believed[status.name] = int(values.get("believed", 0))
+
+    node.create_subscription(DiagnosticArray, "/diagnostics", hear, 100)
     executor.add_node(node)
-    Thread(target=executor.spin, daemon=True).start()
+    listening = Thread(target=executor.spin)
+    listening.start()
     process = start_driver(f"urls:=[{urls}]", f"rate:={rate}")
     try:
-        begun, sent = time.monotonic() + 5.0, 0  # by then it has started, and has adopted its links
-        at = begun - 2.0
+        begun = time.monotonic() + 5.0  # by then it has started, and has adopted its links
+        at, sent, used = begun - 2.0, 0, 0.0
         while at < begun + seconds:
             time.sleep(max(0.0, at - time.monotonic()))
             for link in links:
-                link.measure(at)
+                link.send(link.measure(at))
             if at < begun:
-                used, before = processor_time(process.pid), len(heard)
-            sent += at >= begun
-            at += 1.0 / rate
-        time.sleep(0.5)
-        return (
-            (processor_time(process.pid) - used) / seconds,
-            (len(heard) - before) / (4 * sent),
-        )
+                used = processor_time(process.pid)
+            at, sent = at + 1.0 / rate, sent + 4
+        used = processor_time(process.pid) - used
+        time.sleep(2.0)  # for the last diagnostics
+        return used / seconds, sum(believed.values()) / sent
     finally:
         process.send_signal(signal.SIGINT)
         process.wait()
         executor.shutdown()
+        listening.join()
         node.destroy_node()
 
 
