@@ -15,7 +15,7 @@ from time import process_time
 import numpy as np
 from rosbags.highlevel import AnyReader
 
-from fss_arm_calib.dynamic_settings import DynamicSettings
+from fss_arm_calib.dynamic_settings import DynamicCalibrationSettings
 from fss_arm_calib.from_bag import solve_bag, solve_dynamic_bag
 from fss_arm_calib.postures import DEFAULT
 from fss_arm_calib.settings import CalibrationSettings
@@ -114,7 +114,7 @@ def kinematic(bag: Path) -> str:
 
 def dynamic(bag: Path) -> str:
     """From maneuvers to masses and inertias."""
-    calibration, _ = solve_dynamic_bag(bag, DynamicSettings())
+    calibration, _ = solve_dynamic_bag(bag, DynamicCalibrationSettings())
     return f"{calibration.verdict}, {calibration.maneuvers_used} maneuvers"
 
 
