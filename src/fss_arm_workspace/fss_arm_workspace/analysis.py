@@ -7,12 +7,14 @@ from math import inf
 import numpy.typing as npt
 
 from fss_arm_model.description import Arm
+from fss_arm_model.kinematics import tip_in_base
+from fss_arm_model.manipulability import climb
 
 from .arcs import Complexes, Floats, Region
 from .calibrated import Calibrated
 from .fixed import fixed_workspace, joint_limits
-from .manipulability import FIXED, FLOATING, Map, manipulability_map
-from .straight_path import BASES, Paths, Rules, straight_workspace
+from .manipulability import FIXED, FLOATING, Map, jacobian, manipulability_map
+from .straight_path import BASES, Paths, Rules, arch, straight_paths, straight_workspace
 from .uncertainty import boundary_deviation, radius_deviation
 from .virtual import VirtualManipulator
 
@@ -116,3 +118,13 @@ def straight_workspaces(
             arm, start, replace(s.rules, base=base), limits, count=s.directions
         )
     return found
+
+
+def load_kernels(arm: Arm) -> None:
+    """Load the kernels that the above call: the first call of a kernel holds up all threads."""
+    start = arch(arm)
+    straight_paths(arm, start, 0.0)
+    tip = tip_in_base(arm.vector(), start[3:])[:2]
+    climb(arm.vector(), start[3:], tip, joint_limits(arm), FLOATING, steps=0)
+    for kind in (FIXED, FLOATING):
+        jacobian(arm, start[3:], kind)

@@ -28,13 +28,16 @@ from fss_arm_ros.run import run
 from fss_arm_ros.settings import declare
 
 from . import messages
-from .analysis import analyse, straight_workspaces
+from .analysis import analyse, load_kernels, straight_workspaces
 from .arcs import Floats
 from .calibrated import Calibrated
 from .fixed import joint_limits
 from .settings import WorkspaceSettings
 from .virtual import VirtualManipulator
 from .worker import Progress, Worker
+
+# rclpy keeps this class in its extension and offers no public name for it.
+from rclpy._rclpy_pybind11 import RCLError  # isort: skip
 
 
 class WorkspaceNode(Node):
@@ -46,7 +49,9 @@ class WorkspaceNode(Node):
     def __init__(self, **options: Any) -> None:
         super().__init__("workspace", **options)
         s = self.settings = declare(self, WorkspaceSettings)
-        self.known = Calibrated(load(s.arm) if s.arm else paper_arm())
+        self.described = self.known = Calibrated(load(s.arm) if s.arm else paper_arm())
+        self.calibrations: dict[str, Any] = {}  # the last of each kind that passed, the newest last
+        load_kernels(self.known.arm)
         self.readings: dict[str, float] = {}
         self.pose: tuple[float, float, float] | None = None
         self.shown: tuple[Calibrated, Floats] | None = None  # what straight paths were begun from
@@ -63,7 +68,7 @@ class WorkspaceNode(Node):
         }
         self.maps = Worker(self.find_maps)
         self.paths = Worker(self.find_paths)
-        self.maps.submit(self.known)
+        self.maps.submit({})
         for topic, kind in (
             ("calibration/kinematic", KinematicCalibration),
             ("calibration/dynamic", DynamicCalibration),
@@ -76,11 +81,10 @@ class WorkspaceNode(Node):
 
     def on_calibration(self, topic: str, message: Any) -> None:
         """Begin anew with what a calibration found."""
-        known = self.known.with_message(topic, message)
-        if known is not self.known:
-            self.known = known
-            self.maps.submit(known)
-            self.get_logger().info(f"computes with the calibration of {known.arm.name}")
+        if message.verdict == message.PASS:
+            self.calibrations.pop(topic, None)
+            self.calibrations[topic] = message
+            self.maps.submit(dict(self.calibrations))
 
     def on_joints(self, message: JointState) -> None:
         """Readings of one link or more."""
@@ -99,8 +103,8 @@ class WorkspaceNode(Node):
         if q is None:
             return
         header = self.header(self.settings.base_frame)
-        self.outputs["ellipsoids"].publish(
-            messages.ellipsoid_markers(known.arm, q, self.settings.scale, header)
+        self.publish(
+            "ellipsoids", messages.ellipsoid_markers(known.arm, q, self.settings.scale, header)
         )
         state = np.concatenate([self.pose or np.zeros(3), q])
         if not self.paths.busy and not self.is_shown(known, state):
@@ -120,17 +124,20 @@ class WorkspaceNode(Node):
             return False
         return bool((np.abs(state - self.shown[1]) <= self.settings.moved).all())
 
-    def find_maps(self, known: Calibrated, progress: Progress) -> None:
+    def find_maps(self, calibrations: dict[str, Any], progress: Progress) -> None:
         """In the worker's thread: compute and publish all that hangs on the arm alone."""
-        settings = self.settings.analysis
+        known, settings = self.described, self.settings.analysis
+        for topic, message in calibrations.items():
+            known = known.with_message(topic, message)
+        self.known = known
         found = analyse(known, settings, progress)
         header = self.header(self.settings.base_frame)
         for base, one in found.maps.items():
-            self.outputs[f"map/{base}"].publish(messages.occupancy_grid(one, header))
-            self.outputs[f"manipulability/{base}"].publish(messages.map_message(one, base, header))
-        self.outputs["boundary"].publish(messages.polygon(found.known[0][0], header))
-        self.outputs["markers"].publish(messages.workspace_markers(found, header))
-        self.outputs["result"].publish(messages.workspace_message(found, settings, header))
+            self.publish(f"map/{base}", messages.occupancy_grid(one, header))
+            self.publish(f"manipulability/{base}", messages.map_message(one, base, header))
+        self.publish("boundary", messages.polygon(found.known[0][0], header))
+        self.publish("markers", messages.workspace_markers(found, header))
+        self.publish("result", messages.workspace_message(found, settings, header))
 
     def find_paths(self, request: tuple[Calibrated, Floats, bool], progress: Progress) -> None:
         """In the worker's thread: compute and publish the straight paths from a state."""
@@ -140,14 +147,22 @@ class WorkspaceNode(Node):
         found = straight_workspaces(known.arm, start, s.analysis, progress)
         header = self.header(s.world_frame if in_world else s.base_frame)
         for base, paths in found.items():
-            self.outputs[f"straight/{_topic(base)}"].publish(messages.polygon(paths.ends, header))
-            self.outputs[f"straight_paths/{_topic(base)}"].publish(
-                messages.straight_message(paths, base, header)
+            self.publish(f"straight/{_topic(base)}", messages.polygon(paths.ends, header))
+            self.publish(
+                f"straight_paths/{_topic(base)}", messages.straight_message(paths, base, header)
             )
         radius = VirtualManipulator(known.arm).radius
-        self.outputs["straight_markers"].publish(
-            messages.straight_markers(known.arm, found, radius, header)
+        self.publish(
+            "straight_markers", messages.straight_markers(known.arm, found, radius, header)
         )
+
+    def publish(self, name: str, message: Any) -> None:
+        """Publish from any thread, unless the node is being shut down meanwhile."""
+        try:
+            self.outputs[name].publish(message)
+        except RCLError:
+            if self.context.ok():
+                raise
 
     def header(self, frame_id: str) -> Header:
         """Now, in a frame."""
@@ -175,6 +190,7 @@ def _topic(base: str) -> str:
 
 def main() -> int:
     """Run as `ros2 run fss_arm_workspace workspace`."""
+    sys.setswitchinterval(5e-4)  # workers give way to the ellipsoids sooner than Python's 5 ms
     return run(WorkspaceNode, WorkspaceSettings)
 
 
