@@ -13,7 +13,8 @@ from .definitions import MEASUREMENTS, NotInstalledError, definition, extends
 
 PERIODS = 5  # of a steady topic; a longer silence is a gap
 SHORTEST_GAP = SECOND // 5  # [ns]
-JUMP = SECOND // 2  # of stamps against times of receipt, from one message to the next [ns]
+JUMP = SECOND // 2  # of stamps against times of receipt [ns]
+WINDOW = 2 * SECOND  # within which one message at least was not held up [ns]
 APART = 2 * SECOND  # stamps that far from the times of receipt are of another clock [ns]
 
 STAMP = Struct("<4xiI")  # of a message that begins with a header, little-endian as DDS writes it
@@ -120,13 +121,17 @@ def _gaps(stream: Stream, begin: int) -> Iterator[str]:
 def _clocks(stream: Stream, begin: int) -> Iterator[str]:
     """Stamps that jump against the times of receipt, or are of another clock."""
     delays = stream.receipts - stream.stamps
-    jumps = np.flatnonzero(np.abs(np.diff(delays)) > JUMP)
+    # The least delay of some time, as a message that was held up tells nothing of its clock.
+    starts = np.flatnonzero(np.diff((stream.receipts - stream.receipts[0]) // WINDOW, prepend=-1))
+    steps = np.diff(np.minimum.reduceat(delays, starts))
+    jumps = np.flatnonzero(np.abs(steps) > JUMP)
     if len(jumps):
-        first = jumps[0]
+        around = slice(starts[jumps[0]], np.append(starts, len(delays))[jumps[0] + 2])
+        place = around.start + np.argmax(np.abs(np.diff(delays[around]))) + 1
         yield (
             f"{_count(len(jumps), 'jump')} of its clock, the first by "
-            f"{-np.diff(delays)[first] / SECOND:+.3f} s "
-            f"at {(stream.receipts[first + 1] - begin) / SECOND:.3f} s"
+            f"{-steps[jumps[0]] / SECOND:+.3f} s "
+            f"at {(stream.receipts[place] - begin) / SECOND:.3f} s"
         )
     delay = float(np.median(delays)) / SECOND
     if abs(delay) * SECOND > APART:
