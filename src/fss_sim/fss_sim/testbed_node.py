@@ -34,6 +34,7 @@ from fss_sim.testbed import FRAME, State, Testbed
 from fss_sim.ticker import Ticker
 
 BURST = RATE  # frames made up for at once, so that the node remains responsive
+STALL = 0.3  # of a busy computer, in real time [s]
 TOGETHER = 5  # of them, for which the clock is published once
 SAVED = RATE // 5  # frames from one writing of the state file to the next
 LONGEST = 60 * RATE  # frames of one step, so that the node answers before long
@@ -103,9 +104,10 @@ class TestbedNode(Node):
             return Clocked(self._ros_time, frame, back=SECOND, ahead=30 * SECOND)
         if not self.settings.speed:
             return FlatOut()
-        # What cannot be computed in time makes time run slower.
+        # What cannot be computed in time makes time run slower, but a stall is made up for.
         speed = self.settings.speed
-        return Clocked(self._own_time, frame, back=SECOND, ahead=SECOND, speed=speed)
+        ahead = round(max(1.0, STALL * speed) * SECOND)
+        return Clocked(self._own_time, frame, back=SECOND, ahead=ahead, speed=speed)
 
     def tick(self) -> float:
         """Make the frames that are due, and hand on the datagrams that have come.
@@ -117,6 +119,8 @@ class TestbedNode(Node):
             due = 0 if self.paused else self.pace.due(self.testbed.frame)
             for made in range(0, min(due, BURST), TOGETHER):
                 self.make_frames(min(due - made, TOGETHER))
+                if self.settings.keep_clock:
+                    self.receive()
             if due <= BURST and not self.paused:
                 self.receive()
         return self.pace.rest if due <= BURST else 0.0
