@@ -41,21 +41,27 @@ def as_yaml(findings: list[Finding], urls: dict[int, str], when: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def main() -> int:
-    """Run as `ros2 run fss_arm_driver check`."""
-    parser = argparse.ArgumentParser(
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    p = argparse.ArgumentParser(
         prog="check",
         description="Try links, one at a time, and write down what was found.",
         epilog="Exit codes: 0 pass, 1 cannot be carried out, 2 fail, 3 something was not tried.",
     )
-    parser.add_argument("urls", metavar="URL", nargs="+", help="where a link may be")
-    parser.add_argument("--arm", default="", help="the arm's description (default: the paper's)")
-    parser.add_argument("--keys", default="", help="file of the links' keys")
-    parser.add_argument("--current", type=float, default=0.1, help="first step of current [A]")
-    parser.add_argument("--output", default="check.yaml", help="what is written")
-    given = parser.parse_args()
+    p.add_argument("urls", metavar="URL", nargs="+", help="where a link may be")
+    p.add_argument("--arm", default="", help="the arm's description (default: the paper's)")
+    p.add_argument("--keys", default="", help="file of the links' keys")
+    p.add_argument("--current", type=float, default=0.1, help="first step of current [A]")
+    p.add_argument("--output", default="check.yaml", help="what is written")
+    return p
+
+
+def main() -> int:
+    """Run as `ros2 run fss_arm_driver check`."""
+    command = parser()
+    given = command.parse_args()
     if not 0.0 < given.current <= 0.5:
-        parser.error(f"--current is {given.current} A, expected above 0 to 0.5")
+        command.error(f"--current is {given.current} A, expected above 0 to 0.5")
     try:
         return run(given)
     except (ValueError, OSError) as error:
