@@ -122,11 +122,14 @@ class DriveOnPty(threading.Thread):
         self.start()
 
     def run(self):
+        turned = time.monotonic()
         while not self.closing:
+            if time.monotonic() - turned > 0.02:
+                self.drive.turn()
+                turned = time.monotonic()
             line = self.end.line
             try:
                 if not select.select([line], [], [], 0.02)[0]:
-                    self.drive.turn()
                     continue
                 data = os.read(line.fileno(), 100)
                 speed = termios.tcgetattr(line.fileno())[5]
