@@ -156,7 +156,8 @@ def prepare(options: argparse.Namespace, out: Path, cameras: Cameras) -> tuple[A
     save(truth, out / "truth.yaml")
     plan = design(
         guess, options.count, settings, Conditions(rest=PAUSE, table=TABLE), seed=options.seed,
-        tried=500, chosen=[f"b_{i}" for i in range(1, LINKS + 1)], begin=np.array([0.6, -1.0, 1.0, -0.6]),
+        chosen=[f"b_{i}" for i in range(1, LINKS + 1)], begin=np.array([0.6, -1.0, 1.0, -0.6]),
+        tried=500,
     )  # fmt: skip
     for session, first in enumerate(range(0, len(plan), SESSION)):
         part = plan[first : first + SESSION]

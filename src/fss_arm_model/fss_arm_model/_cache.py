@@ -85,7 +85,8 @@ class Kernel:
         cores = self.layout.replace("->", ",").split("),")
         types = [numba.float64[(slice(None),) * (core.count(",") + 1)] for core in cores]
         wrap = numba.guvectorize([tuple(types)], self.layout, nopython=True, cache=CACHED)
-        return wrap(self.function)
+        with _alone():
+            return wrap(self.function)
 
     def __call__(self, *inputs: npt.ArrayLike) -> Any:
         return self.compiled(*inputs)
