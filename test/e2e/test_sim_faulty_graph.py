@@ -10,7 +10,7 @@ from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
 from fss_arm_model.description import kinematic_index, load
-from fss_arm_msgs.msg import KinematicCalibration, LinkTelemetry
+from fss_arm_msgs.msg import KinematicCalibration, LinkTelemetry, SimFaults
 from fss_arm_ros.bags import open_bags
 from fss_arm_ros.convert import stamp_ns
 from fss_arm_ros.qos import LATCHED, SENSOR
@@ -91,7 +91,12 @@ def nap():
 def test_drivers_go_on_and_the_bag_tells_what_was_wrong(graph, spin, tmp_path):
     record, operator = graph(), Operator()
     spin(operator, lambda: any(m.boot == 2 for m in operator.telemetry[2]), 60.0)
-    spin(operator, lambda: all(len(heard) > 30 for heard in operator.telemetry.values()), 60.0)
+    told = []
+    operator.create_subscription(SimFaults, "sim/faults", told.append, LATCHED)
+    spin(operator, lambda: all(len(heard) > 60 for heard in operator.telemetry.values()), 60.0)
+    spin(operator, lambda: operator.count_subscribers("sim/faults") == 2, 60.0)
+    told.clear()
+    spin(operator, lambda: len(told) > 1, 60.0)  # the recorder hears it too
     assert all(m.boot == 1 for m in operator.telemetry[1])
     assert record.stop() == 0, record.output
     with open_bags(tmp_path / "bag") as bags:

@@ -127,7 +127,8 @@ def test_all_faults_at_once_leave_the_answer_within_three_sigma():
     rehearsal = Rehearsal(CONFIG, script, torque_rate=10)
     result = rehearsal.run()
     dynamic = check(Case(script, ("crc", "lost", "missed"), adopted=2), rehearsal, result)
-    assert dynamic.verdict == PASS or "spoiled" in dynamic.reason
+    told = any(words in dynamic.reason for words in ("spoiled", "too uncertain"))
+    assert dynamic.verdict == PASS or told, dynamic.reason
     counted = [link.counts for link in rehearsal.links]
     assert counted[0]["repeated"]
     assert counted[2]["missed"]

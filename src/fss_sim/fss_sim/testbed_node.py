@@ -35,6 +35,7 @@ from fss_sim.ticker import Ticker
 
 BURST = RATE  # frames made up for at once, so that the node remains responsive
 STALL = 0.3  # of a busy computer, in real time [s]
+REMINDED = 10 * RATE  # from one telling of the faults to the next, for recorders that come late
 TOGETHER = 5  # of them, for which the clock is published once
 SAVED = RATE // 5  # frames from one writing of the state file to the next
 LONGEST = 60 * RATE  # frames of one step, so that the node answers before long
@@ -144,7 +145,7 @@ class TestbedNode(Node):
         for wire, datagrams in zip(self.wires, telemetry, strict=True):
             for datagram in datagrams:
                 wire.send(*datagram)
-        if faulted:
+        if faulted or self.testbed.frame % REMINDED == 0:
             self.publish_faults()
         if self.testbed.frame % SAVED == 0:
             self.save()
