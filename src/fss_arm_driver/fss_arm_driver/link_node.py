@@ -97,10 +97,10 @@ class LinkNode(Node):
 
     def poll(self) -> None:
         """Take what has come. Without a clock yet nothing can be stamped: it is dropped."""
-        datagrams, now = self.transport.receive(), self.now()
-        for data in datagrams if now else ():
-            with self.lock:
-                sample = self.session.feed(data, now)
+        with self.lock:  # the time as well: read before, it would run back in the session
+            datagrams, now = self.transport.receive(), self.now()
+            samples = [self.session.feed(data, now) for data in datagrams if now]
+        for sample in samples:
             if sample and self.context.ok():
                 if sample.referenced:  # else the position says nothing
                     self.joint_states.publish(joint_state(self.session.number, sample))
@@ -118,23 +118,23 @@ class LinkNode(Node):
 
     def on_command(self, message: LinkCommand) -> None:
         """Take a command, from the time that its stamp says it was given."""
-        now = self.now()
-        given = min(stamp_ns(message.header.stamp) or now, now)
-        try:
-            if not 0.0 < message.time_to_live <= 3600.0:
-                raise CommandError(f"time_to_live is {message.time_to_live} s, expected above 0")
-            with self.lock:
+        with self.lock:
+            now = self.now()
+            given = min(stamp_ns(message.header.stamp) or now, now)
+            try:
+                if not 0.0 < (lives := message.time_to_live) <= 3600.0:
+                    raise CommandError(f"time_to_live is {lives} s, expected above 0")
                 self.session.set(
                     message.mode,
                     message.set_point,
                     message.max_velocity,
                     message.max_acceleration,
-                    given + round(message.time_to_live * SECOND),
+                    given + round(lives * SECOND),
                     now,
                 )
-        except CommandError as error:
-            self.status.publish(command_refused(str(error), given, now))
-            self.warn("refused", f"command refused: {error}")
+            except CommandError as error:
+                self.status.publish(command_refused(str(error), given, now))
+                self.warn("refused", f"command refused: {error}")
         self.answer()
 
     def on_stop(self, _: Empty) -> None:
