@@ -270,7 +270,8 @@ def test_simulated_time_is_waited_for_and_followed(spin):
 
     spin([node, user], tick)
     stamps = [stamp_ns(m.header.stamp) for m in user.telemetry]
-    assert all(50 * SECOND < stamp < simulated + SECOND // 10 for stamp in stamps)
+    # The link here keeps real time, and /clock may lag behind it by the timeout.
+    assert all(50 * SECOND < stamp < simulated + 5 * SECOND for stamp in stamps)
     spin([node, user], lambda: user.health[-1].status[0].message == "the clock stands still")
 
 
