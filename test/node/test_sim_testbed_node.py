@@ -223,7 +223,7 @@ def test_a_link_answers_who_sends_it_a_good_command(spin, ears):
 
 def test_the_driver_reaches_links_on_terminals(spin, tmp_path):
     paths = [str(tmp_path / f"link_{i}") for i in (1, 2, 3, 4)]
-    bed = testbed(keep_clock=True, speed=5.0, terminals=paths, q=[0.0, 0.3, 0.0, 0.0])
+    bed = testbed(terminals=paths, q=[0.0, 0.3, 0.0, 0.0])
     link = LinkNode(2, f"serial://{paths[1]}?baud=115200")
     spin([bed, link], lambda: link.session.frame)
     assert link.session.scale.position(link.session.frame.position) == pytest.approx(0.3, abs=0.01)
