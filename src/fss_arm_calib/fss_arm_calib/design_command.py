@@ -14,6 +14,7 @@ from rich.progress import Progress
 from fss_arm_model.description import Arm, load, paper_arm
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_ros.bags import open_bags
+from fss_arm_ros.command_line import USER_ERROR, Parser
 
 from . import postures, report
 from .design import (
@@ -27,7 +28,7 @@ from .design import (
 from .dynamic import DynamicResult, information
 from .dynamic_settings import DynamicCalibrationSettings
 from .dynamic_verdict import problem_of
-from .from_bag import USER_ERROR, Parser, add_settings, maneuvers
+from .from_bag import add_settings, maneuvers
 from .kinematic import FULL, KinematicProblem, solve
 from .least_squares import Floats
 from .maneuvers import ManeuverFinder

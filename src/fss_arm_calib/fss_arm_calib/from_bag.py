@@ -6,13 +6,14 @@ from argparse import BooleanOptionalAction
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
 from os import PathLike
-from typing import Any, NoReturn
+from typing import Any
 
 from rich.console import Console
 
 from fss_arm_model.description import Arm, from_yaml, load, paper_arm, save
 from fss_arm_ros.bags import BagError, Bags, digest, open_bags
 from fss_arm_ros.bulk import pieces, poses, turn_rates
+from fss_arm_ros.command_line import USER_ERROR, Parser
 from fss_arm_ros.convert import SECOND
 
 from . import dynamic_messages, dynamic_verdict, report
@@ -27,7 +28,6 @@ from .settings import CalibrationSettings
 from .verdict import FAIL, NOT_EVALUATED, PASS, Calibration, calibrate
 
 EXIT_CODES = {PASS: 0, FAIL: 2, NOT_EVALUATED: 3}
-USER_ERROR = 1
 
 JOINTS, POSES = "sensor_msgs/msg/JointState", "geometry_msgs/msg/PoseStamped"
 
@@ -139,14 +139,6 @@ def maneuvers(
         found += finder.rates(*turn_rates(piece.get(gyro, ())))
         found += finder.poses(*poses(piece.get(base, ())))
     return found + finder.close()
-
-
-class Parser(argparse.ArgumentParser):
-    """Complains in one line, and not with the exit code of a failed calibration."""
-
-    def error(self, message: str) -> NoReturn:
-        """Exit with USER_ERROR."""
-        self.exit(USER_ERROR, f"{self.prog}: {message}\n")
 
 
 def parser(

@@ -10,6 +10,7 @@ import numpy as np
 
 from fss_arm_model.description import Arm, from_yaml
 from fss_arm_ros.bags import BagError, Bags, open_bags
+from fss_arm_ros.command_line import USER_ERROR, Parser
 from fss_arm_ros.convert import stamp_ns
 
 from . import dynamic_messages, dynamic_verdict, messages, verdict
@@ -19,7 +20,7 @@ from .settings import CalibrationSettings
 
 LARGEST = 1e-9  # difference of any number, in its unit
 
-SAME, OTHER, USER_ERROR = 0, 2, 1
+SAME, OTHER = 0, 2
 
 
 class Kind(NamedTuple):
@@ -126,7 +127,7 @@ def comparisons(bags: Bags) -> list[Comparison]:
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    p = argparse.ArgumentParser("recompute", description=__doc__)
+    p = Parser("recompute", description=__doc__)
     p.add_argument("bags", nargs="+", metavar="BAG", help="bag, or folder of bags")
     return p
 

@@ -12,6 +12,7 @@ from fss_arm_driver.protocol import load_keys
 from fss_arm_driver.transport import open_transport
 from fss_arm_driver.trials import FAIL, NOT_TRIED, PASS, Finding, Rig, trials
 from fss_arm_model.description import Arm, load, paper_arm
+from fss_arm_ros.command_line import Parser
 
 SEARCH = 3.0  # for each link's number at a URL [s]
 EXIT_CODES = {PASS: 0, FAIL: 2, NOT_TRIED: 3}
@@ -43,7 +44,7 @@ def as_yaml(findings: list[Finding], urls: dict[int, str], when: str) -> str:
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    p = argparse.ArgumentParser(
+    p = Parser(
         prog="check",
         description="Try links, one at a time, and write down what was found.",
         epilog="Exit codes: 0 pass, 1 cannot be carried out, 2 fail, 3 something was not tried.",

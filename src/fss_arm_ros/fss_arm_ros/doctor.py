@@ -12,6 +12,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from .bags import BagError, Bags, find, open_bags, repair
+from .command_line import Parser
 from .convert import seconds
 from .health import Stream, findings, remark, streams
 
@@ -20,7 +21,7 @@ HEALTHY, UNREADABLE, ILL = 0, 1, 2
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    p = argparse.ArgumentParser(
+    p = Parser(
         prog="doctor",
         description=f"{__doc__} Exit code 0: healthy, or repaired to be so; 1: not readable; "
         "2: damaged, or with findings.",
