@@ -91,7 +91,7 @@ def test_a_calibration_that_passed_is_used_and_one_that_failed_is_not(run, spin)
     bench.calibration.publish(message)
     message.verdict = "pass"
     bench.calibration.publish(message)
-    spin([node, bench], lambda: node.arm == truth)
+    spin([node, bench], lambda: node.known.arm == truth)
     assert node.reaction.covariance.any()
 
 

@@ -8,13 +8,13 @@ from numpy.testing import assert_allclose
 
 from fss_arm_model.description import paper_arm
 from fss_arm_model.manipulability import climb
+from fss_arm_ros.calibrated import vector_covariance
 from fss_arm_workspace.fixed import fixed_workspace, joint_limits
 from fss_arm_workspace.manipulability import FIXED, FLOATING, Search
 from fss_arm_workspace.uncertainty import (
     boundary_deviation,
     measure_deviation,
     radius_deviation,
-    vector_covariance,
 )
 from fss_arm_workspace.virtual import VirtualManipulator
 

@@ -1,6 +1,7 @@
 """The node `base_reaction`: the base's motion, predicted and measured, as topics a bag keeps."""
 
 import sys
+from functools import partial
 from math import cos, sin
 from typing import Any
 
@@ -10,9 +11,10 @@ from rclpy.node import Node
 from sensor_msgs.msg import Imu, JointState
 from tf2_msgs.msg import TFMessage
 
-from fss_arm_model.description import from_yaml, load, paper_arm
+from fss_arm_model.description import load, paper_arm
 from fss_arm_msgs.msg import BaseReaction as BaseReactionMessage
-from fss_arm_msgs.msg import KinematicCalibration
+from fss_arm_msgs.msg import DynamicCalibration, KinematicCalibration
+from fss_arm_ros.calibrated import Calibrated
 from fss_arm_ros.convert import SECOND, PoseError, planar_pose, seconds, stamp_ns, to_time
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.qos import LATCHED, SENSOR, subscribe_sensor
@@ -20,7 +22,7 @@ from fss_arm_ros.run import run
 from fss_arm_ros.settings import declare
 
 from .base_filter import BaseFilter, Estimate
-from .reaction import BaseReaction, Reaction, spread
+from .reaction import BaseReaction, Reaction
 from .settings import BaseReactionSettings
 
 
@@ -30,9 +32,9 @@ class BaseReactionNode(Node):
     def __init__(self, **options: Any) -> None:
         super().__init__("base_reaction", **options)
         s = self.settings = declare(self, BaseReactionSettings)
-        self.arm = load(s.arm) if s.arm else paper_arm()
+        self.known = Calibrated(load(s.arm) if s.arm else paper_arm())
         self.filter = BaseFilter(s)
-        self.reaction = BaseReaction(self.arm, settings=s)
+        self.reaction = BaseReaction(self.known.arm, settings=s)
         self.occluded = 0
         self.state = self.create_publisher(Odometry, "base/state", SENSOR)
         self.transform = self.create_publisher(TFMessage, "/tf", SENSOR)
@@ -40,9 +42,11 @@ class BaseReactionNode(Node):
         subscribe_sensor(self, JointState, s.joints_topic, self.on_joints)
         subscribe_sensor(self, PoseStamped, s.base_topic, self.on_pose)
         subscribe_sensor(self, Imu, s.gyro_topic, self.on_gyro)
-        self.create_subscription(
-            KinematicCalibration, "calibration/kinematic", self.on_calibration, LATCHED
-        )
+        for kind, topic in (
+            (KinematicCalibration, "calibration/kinematic"),
+            (DynamicCalibration, "calibration/dynamic"),
+        ):
+            self.create_subscription(kind, topic, partial(self.on_calibration, topic), LATCHED)
         self.diagnostics = Diagnostics(self, self.health)
 
     def on_joints(self, message: JointState) -> None:
@@ -52,7 +56,7 @@ class BaseReactionNode(Node):
             message.name, message.position, message.velocity, message.effort, strict=True
         ):
             i = int(name.rpartition("_")[2]) - 1
-            if 0 <= i < self.arm.n:
+            if 0 <= i < self.known.arm.n:
                 self.reaction.joint(i, t, *values)
         self.advance()
 
@@ -70,13 +74,13 @@ class BaseReactionNode(Node):
         t, rate = stamp_ns(message.header.stamp), message.angular_velocity.z
         self.take(self.filter.rate(t, rate))
 
-    def on_calibration(self, message: KinematicCalibration) -> None:
-        """Predict with it from the next rest on."""
-        if message.verdict == KinematicCalibration.PASS:
-            self.arm = from_yaml(message.description)
-            covariance = spread(message.names, message.covariance, self.arm)
-            self.reaction.describe(self.arm, covariance)
-            self.get_logger().info(f"predicts with the calibration of {self.arm.name}")
+    def on_calibration(self, topic: str, message: Any) -> None:
+        """Predict with it from the next rest on, if it passed."""
+        known = self.known.with_message(topic, message)
+        if known is not self.known:
+            self.known = known
+            self.reaction.describe(known.arm, known.covariance)
+            self.get_logger().info(f"predicts with {topic} of {known.arm.name}")
 
     def take(self, estimates: list[Estimate]) -> None:
         """Publish the base's motion and keep it."""
@@ -97,7 +101,7 @@ class BaseReactionNode(Node):
         """Publish the reaction at t."""
         found = self.reaction.advance(t)
         if found:
-            self.reacted.publish(to_message(found, self.arm.name, self.settings.world_frame))
+            self.reacted.publish(to_message(found, self.known.arm.name, self.settings.world_frame))
 
     def health(self) -> Health:
         """For diagnostics."""
@@ -112,7 +116,7 @@ class BaseReactionNode(Node):
         values["behind"] = behind
         if behind > 2.0:
             return Health(WARN, f"nothing to compute from for {behind:.1f} s", values)
-        return Health(OK, f"predicts with {self.arm.name}", values)
+        return Health(OK, f"predicts with {self.known.arm.name}", values)
 
 
 def odometry(estimate: Estimate, settings: BaseReactionSettings) -> Odometry:

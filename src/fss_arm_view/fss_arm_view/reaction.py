@@ -7,7 +7,6 @@ next motion. Its band holds the calibration's covariance and the fit's.
 
 from bisect import bisect_right
 from collections import deque
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -15,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fss_arm_model.base_motion import base_pose_sensitivities, path, sampled
-from fss_arm_model.description import Arm, kinematic_index, kinematic_names
+from fss_arm_model.description import Arm
 from fss_arm_model.dynamics import bias, inertia_matrix, inverse_dynamics, kinetic_energy
 from fss_arm_model.momentum import momentum, system_com
 
@@ -26,7 +25,6 @@ Floats = npt.NDArray[np.float64]
 
 _SECOND = 1_000_000_000  # [ns]
 _KEPT = 5 * _SECOND  # of the past
-_THETA_E = 7  # where it stands in Arm.vector()
 
 
 class Anchor(NamedTuple):
@@ -307,30 +305,3 @@ def _by_parameter(p: Floats, q: Floats, qd: Floats) -> Floats:
     step = 1e-4 * np.eye(len(p))
     up, down = (momentum(p + side * step, q, qd) for side in (1.0, -1.0))
     return ((up - down) / 2e-4).T
-
-
-def spread(names: Sequence[str], covariance: Sequence[float], arm: Arm) -> Floats:
-    """A calibration's covariance as one of Arm.vector(), the other parameters known exactly.
-
-    With the length of a link its centre of mass moves, as b is kept.
-
-    Raises:
-        ValueError: a name is not a parameter's.
-    """
-    J = np.array([_column(name, arm) for name in names]).T
-    size = len(names)
-    return J @ np.reshape(covariance, (size, size)) @ J.T
-
-
-def _column(name: str, arm: Arm) -> Floats:
-    """How Arm.vector() changes with a kinematic parameter, or a length that links share."""
-    column = np.zeros(len(arm.vector()))
-    index = dict(zip(kinematic_names(arm.n), kinematic_index(arm.n), strict=True))
-    index["theta_E"] = _THETA_E
-    for one in [f"a_{i}" for i in range(1, arm.n)] if name == "a" else [name]:
-        if one not in index:
-            raise ValueError(f"{name!r} is not a parameter of {arm.name!r}")
-        column[index[one]] = 1.0
-        if one.startswith("a_"):
-            column[index[one] + 4] = 1.0  # g = a - b
-    return column

@@ -9,9 +9,9 @@ import numpy.typing as npt
 from fss_arm_model.description import Arm
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_model.manipulability import climb
+from fss_arm_ros.calibrated import Calibrated
 
 from .arcs import Complexes, Floats, Region
-from .calibrated import Calibrated
 from .fixed import fixed_workspace, joint_limits
 from .manipulability import FIXED, FLOATING, Map, jacobian, manipulability_map
 from .straight_path import BASES, Paths, Rules, arch, straight_paths, straight_workspace

@@ -4,7 +4,6 @@ import argparse
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NoReturn
 
 import numpy as np
 from rich.console import Console
@@ -13,9 +12,10 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from fss_arm_model.description import load, paper_arm
 from fss_arm_model.straight_path import RULES
 from fss_arm_ros.bags import BagError, open_bags
+from fss_arm_ros.calibrated import TOPICS, Calibrated
+from fss_arm_ros.command_line import Parser
 
 from .analysis import Analysis, AnalysisSettings, analyse, straight_workspaces
-from .calibrated import TOPICS, Calibrated
 from .figures import draw, save
 from .straight_path import Paths, Rules, arch
 from .virtual import base_mass_for
@@ -24,16 +24,9 @@ EPILOG = "Exit codes: 0 done, 1 the command cannot be carried out."
 PAPER_RADIUS = 1.3  # [m]
 
 
-class _Parser(argparse.ArgumentParser):
-    """Complains in one line."""
-
-    def error(self, message: str) -> NoReturn:
-        self.exit(1, f"{self.prog}: {message}\n")
-
-
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    p = _Parser("map", description=__doc__, epilog=EPILOG)
+    p = Parser("map", description=__doc__, epilog=EPILOG)
     p.add_argument(
         "source", nargs="*", metavar="SOURCE",
         help="description YAML, or bags with a calibration (default: the paper's arm)",

@@ -9,12 +9,12 @@ boundary moves, to first order, by what the tip of that posture moves along the 
 the largest w at a point changes as w does while its posture gives way just enough to stay there.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
 
-from fss_arm_model.description import BASE_SIZE, LINK_SIZE, Arm, kinematic_index, kinematic_names
+from fss_arm_model.description import Arm
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_model.manipulability import climb
 
@@ -23,53 +23,6 @@ from .manipulability import Best
 from .virtual import virtual_links
 
 _STEP = 1e-6  # of a parameter, for central differences
-
-
-def vector_covariance(arm: Arm, names: Sequence[str], covariance: npt.ArrayLike) -> Floats:
-    """A calibration's covariance, (k, k), as one of Arm.vector(), (8 + 6 n, 8 + 6 n).
-
-    Args:
-        arm: the calibrated arm.
-        names: of the parameters, as KinematicCalibration and DynamicCalibration have them; `a` or
-            `a_1 .. a_3`, and `I`, for a value that links share. Others are taken as exact.
-        covariance: of the parameters, row by row or as a matrix.
-
-    Raises:
-        ValueError: a name is no parameter of the arm.
-    """
-    T = np.array([_column(arm, name) for name in names]).reshape(len(names), -1).T
-    return T @ np.reshape(covariance, (len(names), len(names))) @ T.T
-
-
-def _column(arm: Arm, name: str) -> Floats:
-    """How Arm.vector() changes with a parameter; g = a - b."""
-    n = arm.n
-    column = np.zeros(BASE_SIZE + LINK_SIZE * n)
-    index = dict(zip(kinematic_names(n), kinematic_index(n), strict=True))
-    index |= {"m_0": 0, "I_0": 1, "x_com": 2, "y_com": 3, "theta_E": 7}
-    for i in range(n):
-        first = BASE_SIZE + LINK_SIZE * i
-        index |= {f"m_{i + 1}": first + 2, f"I_{i + 1}": first + 3, f"b_{i + 1}": first + 4}
-    for one in _members(name, n):
-        if one not in index:
-            raise ValueError(f"{name!r} is no parameter of {arm.name!r}")
-        column[index[one]] = -1.0 if one.startswith("b_") else 1.0
-        if one.startswith("a_"):
-            column[index[one] + 4] = 1.0
-    return column
-
-
-def _members(name: str, n: int) -> list[str]:
-    """The parameters that one value stands for."""
-    if name == "a":  # of all links but the last
-        return [f"a_{i}" for i in range(1, max(n, 2))]
-    if name in ("m", "b", "I"):
-        return [f"{name}_{i}" for i in range(1, n + 1)]
-    first, _, last = name.partition(" .. ")
-    kind = first.split("_")[0]
-    if not last:
-        return [name]
-    return [f"{kind}_{i}" for i in range(int(first.split("_")[1]), int(last.split("_")[1]) + 1)]
 
 
 def deviation(

@@ -21,6 +21,7 @@ from fss_arm_msgs.msg import (
     StraightPaths,
     Workspace,
 )
+from fss_arm_ros.calibrated import Calibrated
 from fss_arm_ros.convert import PoseError, planar_pose
 from fss_arm_ros.diagnostics import ERROR, OK, Diagnostics, Health
 from fss_arm_ros.qos import LATCHED, subscribe_sensor
@@ -30,7 +31,6 @@ from fss_arm_ros.settings import declare
 from . import messages
 from .analysis import analyse, load_kernels, straight_workspaces
 from .arcs import Floats
-from .calibrated import Calibrated
 from .fixed import joint_limits
 from .settings import WorkspaceSettings
 from .virtual import VirtualManipulator

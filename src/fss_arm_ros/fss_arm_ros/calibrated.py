@@ -1,0 +1,108 @@
+"""The arm as calibrations left it, from their messages: rclpy's and rosbags' alike."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from fss_arm_model.description import (
+    BASE_SIZE,
+    LINK_SIZE,
+    Arm,
+    from_yaml,
+    kinematic_index,
+    kinematic_names,
+)
+
+Floats = npt.NDArray[np.float64]
+
+TOPICS = {
+    "calibration/kinematic": "fss_arm_msgs/msg/KinematicCalibration",
+    "calibration/dynamic": "fss_arm_msgs/msg/DynamicCalibration",
+}
+
+
+@dataclass(frozen=True)
+class Calibrated:
+    """An arm, and how well it is known: kinematics by one calibration, dynamics by another."""
+
+    arm: Arm
+    kinematic: Floats | None = None  # covariance of Arm.vector(); None: taken as exact
+    dynamic: Floats | None = None
+
+    @property
+    def covariance(self) -> Floats:
+        """Of Arm.vector(), (8 + 6 n, 8 + 6 n)."""
+        size = len(self.arm.vector())
+        known = [C for C in (self.kinematic, self.dynamic) if C is not None]
+        return np.sum([np.zeros((size, size)), *known], axis=0)
+
+    def with_message(self, topic: str, message: Any) -> "Calibrated":
+        """What is known after a calibration: all that one tells if it passed, else the same.
+
+        A kinematic calibration knows nothing of masses, and those known before are kept.
+
+        Raises:
+            DescriptionError: the calibrated description cannot be right.
+            ValueError: a parameter is not the arm's.
+        """
+        if message.verdict != "pass":
+            return self
+        arm = from_yaml(message.description)
+        C = vector_covariance(arm, message.names, message.covariance) if message.names else None
+        if topic.endswith("dynamic"):
+            return Calibrated(arm, self.kinematic, C)
+        if self.dynamic is not None and arm.n == self.arm.n:
+            kinematics = arm.vector()[kinematic_index(arm.n)]
+            arm = replace(self.arm.with_kinematics(kinematics), theta_E=arm.theta_E)
+            return Calibrated(arm, C, self.dynamic)
+        return Calibrated(arm, C)
+
+
+def vector_covariance(arm: Arm, names: Sequence[str], covariance: npt.ArrayLike) -> Floats:
+    """A calibration's covariance, (k, k), as one of Arm.vector(), (8 + 6 n, 8 + 6 n).
+
+    Args:
+        arm: the calibrated arm.
+        names: of the parameters, as KinematicCalibration and DynamicCalibration have them; `a` or
+            `a_1 .. a_3`, and `I`, for a value that links share. Others are taken as exact.
+        covariance: of the parameters, row by row or as a matrix.
+
+    Raises:
+        ValueError: a name is no parameter of the arm.
+    """
+    T = np.array([_column(arm, name) for name in names]).reshape(len(names), -1).T
+    return T @ np.reshape(covariance, (len(names), len(names))) @ T.T
+
+
+def _column(arm: Arm, name: str) -> Floats:
+    """How Arm.vector() changes with a parameter; g = a - b."""
+    n = arm.n
+    column = np.zeros(BASE_SIZE + LINK_SIZE * n)
+    index = dict(zip(kinematic_names(n), kinematic_index(n), strict=True))
+    index |= {"m_0": 0, "I_0": 1, "x_com": 2, "y_com": 3, "theta_E": 7}
+    for i in range(n):
+        first = BASE_SIZE + LINK_SIZE * i
+        index |= {f"m_{i + 1}": first + 2, f"I_{i + 1}": first + 3, f"b_{i + 1}": first + 4}
+    for one in _members(name, n):
+        if one not in index:
+            raise ValueError(f"{name!r} is no parameter of {arm.name!r}")
+        column[index[one]] = -1.0 if one.startswith("b_") else 1.0
+        if one.startswith("a_"):
+            column[index[one] + 4] = 1.0
+    return column
+
+
+def _members(name: str, n: int) -> list[str]:
+    """The parameters that one value stands for."""
+    if name == "a":  # of all links but the last
+        return [f"a_{i}" for i in range(1, max(n, 2))]
+    if name in ("m", "b", "I"):
+        return [f"{name}_{i}" for i in range(1, n + 1)]
+    first, _, last = name.partition(" .. ")
+    kind = first.split("_")[0]
+    if not last:
+        return [name]
+    return [f"{kind}_{i}" for i in range(int(first.split("_")[1]), int(last.split("_")[1]) + 1)]
