@@ -324,6 +324,8 @@ def main() -> int:
         ("bag", "recording"),
         ("arm.yaml", "calibrated description"),
         ("report/index.html", "report"),
+        ("report/kinematic_observations.png", "residuals"),
+        ("report/kinematic_postures.png", "postures"),
         ("logs", "of the nodes"),
     ):
         if (out / name).exists():
