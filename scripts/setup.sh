@@ -12,6 +12,19 @@ die() { say "$*"; exit 1; }
 digest() { sha256sum -- "$@" | sha256sum | cut -c -16; }
 current() { [[ -f $1 && $(<"$1") == "$2" ]]; }   # current STAMP KEY
 
+# Runs a command beside what comes next. `join` waits for it, tells its words and ends as it did.
+beside() {
+  set -m   # a process group of its own, which can be ended as one
+  log=$log.beside "$@" >"$log.said" 2>&1 &
+  job=$!
+  set +m
+}
+join() {
+  [[ $job ]] || return 0
+  wait "$job" || { job=; cat "$log.said" >&2; exit 1; }
+  job=
+}
+
 dev=
 case "$*" in
   '') ;;
@@ -127,10 +140,11 @@ supply_needs() {
 
 # --- .venv ---------------------------------------------------------------------------------------
 
-# pip's own words are kept to one line, and without addresses.
+# pip's own words are kept to one line, and without addresses. Python compiles what it imports.
 pip() {
   "$venv/bin/python" -m pip --quiet --no-input --disable-pip-version-check install --no-deps \
-    --only-binary :all: --no-binary empy --no-build-isolation "$@" >"$log" 2>&1 && return
+    --no-compile --only-binary :all: --no-binary empy --no-build-isolation "$@" >"$log" 2>&1 &&
+    return
   local where package
   where="$("$venv/bin/python" -c 'import platform as p
 print("Python", p.python_version(), "on", p.machine())')"
@@ -203,37 +217,54 @@ make_venv() {
 
 add_packages() {
   say "installing the pinned packages for $ros${dev:+ and those of the tests} (a minute or two)"
-  rm -f "$venv/.stamp-packages"
-  pip -r "$requirements.txt" ${dev:+-r "$requirements-dev.txt"}
+  rm -f "$venv/.stamp-packages" "$venv/.stamp-dev"
+  [[ -z $dev ]] || beside pip -r "$requirements-dev.txt"
+  pip -r "$requirements.txt"
   [[ $ros == jazzy ]] || { repair_wheels; add_tf2_msgs; }
+  join
   echo "$pins" >"$venv/.stamp-packages"
   [[ -z $dev ]] || echo "$dev_pins" >"$venv/.stamp-dev"
 }
 
 # --- the build -----------------------------------------------------------------------------------
 
+colcon_build() (
+  cd "$root"
+  # shellcheck disable=SC2030,SC2031  # meant for the subshell alone
+  export PATH=$venv/bin:$PATH VIRTUAL_ENV=$venv
+  if [[ $ros == wheels ]]; then
+    unset COLCON_PREFIX_PATH
+    # shellcheck disable=SC2030,SC2031
+    export AMENT_PREFIX_PATH=$venv CMAKE_PREFIX_PATH=$venv
+  fi
+  mkdir -p log
+  colcon build --symlink-install --base-paths src "$@" >"$log" 2>&1 ||
+    { tail -n 25 "$log" >&2; die "the build failed; its log is in $root/log"; }
+)
+
 build() {
   supply_needs
-  say "building with colcon"
-  mkdir -p "$root/log"
-  (
-    cd "$root"
-    # shellcheck disable=SC2030,SC2031  # meant for the subshell alone
-    export PATH=$venv/bin:$PATH VIRTUAL_ENV=$venv
-    if [[ $ros == wheels ]]; then
-      unset COLCON_PREFIX_PATH
-      # shellcheck disable=SC2030,SC2031
-      export AMENT_PREFIX_PATH=$venv CMAKE_PREFIX_PATH=$venv
-    fi
-    colcon build --symlink-install --base-paths src
-  ) >"$log" 2>&1 || { tail -n 25 "$log" >&2; die "the build failed; its log is in $root/log"; }
+  say "building with colcon (a minute)"
+  if [[ ! -e $warm ]]; then   # they take one core about as long as the rest of the build
+    colcon_build --packages-select fss_arm_model
+    beside compile_kernels
+  fi
+  colcon_build
   echo "$build_key $(readlink "$root/log/latest_build")" >"$root/install/.stamp"
+}
+
+compile_kernels() {
+  say "compiling the kernels"
+  # shellcheck source=scripts/env.sh
+  ( . "$root/scripts/env.sh" && python -m fss_arm_model.warm ) >"$log" 2>&1 ||
+    { tail -n 25 "$log" >&2; die "the kernels did not compile"; }
+  touch "$warm"
 }
 
 # --- in order ------------------------------------------------------------------------------------
 
-log=$(mktemp)
-trap 'rm -f "$log"' EXIT
+log=$(mktemp) job=
+trap '[[ -z $job ]] || kill -- "-$job"; rm -f "$log"*' EXIT
 
 choose_ros
 requirements=$root/scripts/requirements
@@ -251,6 +282,13 @@ then
   add_packages
 fi
 
+kernels=$({ cat "$root"/src/fss_arm_model/fss_arm_model/*.py && echo "$pins $kind"; } |
+  sha256sum | cut -c -16)
+home=~
+caches=${NUMBA_CACHE_DIR:-${XDG_CACHE_HOME:-$home/.cache}/fss_arm}
+warm=$caches/warm-$kernels
+mkdir -p "$caches"
+
 # Python files are linked to, so only what shapes the packages asks for a build. A build by hand may
 # have copied them: then the build's log is not the one that the stamp names.
 shape=$(cd "$root" && find src colcon.meta -type f ! -path '*/.*' ! -name '*.pyc' \
@@ -262,15 +300,5 @@ then
   build
 fi
 
-kernels=$({ cat "$root"/src/fss_arm_model/fss_arm_model/*.py && echo "$pins $kind"; } |
-  sha256sum | cut -c -16)
-home=~
-caches=${NUMBA_CACHE_DIR:-${XDG_CACHE_HOME:-$home/.cache}/fss_arm}
-if [[ ! -e $caches/warm-$kernels ]]; then
-  say "compiling the kernels"
-  # shellcheck source=scripts/env.sh
-  ( . "$root/scripts/env.sh" && python -m fss_arm_model.warm ) >"$log" 2>&1 ||
-    { tail -n 25 "$log" >&2; die "the kernels did not compile"; }
-  mkdir -p "$caches"
-  touch "$caches/warm-$kernels"
-fi
+[[ -z $job ]] || { say "waiting for the kernels"; join; }
+[[ -e $warm ]] || compile_kernels
