@@ -43,8 +43,10 @@ def test_the_tip_stays_on_its_line_and_the_base_obeys_its_law(base, rule):
     start, rules = arch(ARM), Rules(base=base, redundancy=rule)
     limits, p = joint_limits(ARM), ARM.vector()
     paths = straight_paths(ARM, start, AROUND, rules)
+    paths = paths[~paths.grazes]
+    assert len(paths.direction) > 0.7 * len(AROUND)
     for direction, distance in zip(paths.direction[::6], paths.distance[::6], strict=True):
-        s = np.linspace(0.0, 0.999 * distance, 40)
+        s = np.linspace(0.0, distance - 1e-3, 40)  # the samples' steps may end it 1 mm before
         q, rates = states_along(ARM, start, direction, s, rules)
         assert_allclose(complex_tip(ARM, q), paths.tip + s * np.exp(1j * direction), atol=1e-6)
         assert (q[:, 3:] >= limits[:, 0] - 1e-12).all()
@@ -71,18 +73,13 @@ def test_the_rates_are_the_derivatives_of_the_states(base):
 
 
 @pytest.mark.parametrize("base", BASES)
-@pytest.mark.parametrize(
-    ("rule", "worst", "rest"),
-    [(MINIMUM_NORM, 1e-3, 1e-3), (AWAY_FROM_LIMITS, 1e-3, 1e-3), (WEIGHTED, 5e-3, 1e-3)],
-)
-def test_half_the_step_gives_the_same_distances(base, rule, worst, rest):
-    """The weighted rule jumps where a joint turns: a few paths feel it."""
+@pytest.mark.parametrize("rule", RULES[:3])
+def test_half_the_step_gives_the_same_distances(base, rule):
     rules = Rules(base=base, redundancy=rule)
     full = straight_paths(ARM, arch(ARM), AROUND, rules)
     half = straight_paths(ARM, arch(ARM), AROUND, replace(rules, step=0.5 * rules.step))
     change = np.abs(full.distance - half.distance)[~(full.grazes | half.grazes)]
-    assert change.max() < worst
-    assert np.quantile(change, 0.95) < rest
+    assert change.max() < 1e-3
     assert len(change) > 0.7 * len(AROUND)
 
 

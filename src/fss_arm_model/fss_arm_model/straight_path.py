@@ -11,7 +11,7 @@ angular rate, which is to vanish. The rule that resolves the redundancy chooses 
     minimum norm          z = 0                                W = 1
     away from limits      z_i = -gain (q_i - mid_i) / half_i   W = 1          (Liegeois 1977)
     weighted least norm   z = 0                                W_i = 1 + |dH/dq_i| for joints that
-                          move towards a limit, else 1              (Chan and Dubey 1995)
+                          move from the middle, else 1              (Chan and Dubey 1995)
     preferred             z given, piecewise constant in s     W = 1
 
     H = sum of (max_i - min_i)^2 / (4 (max_i - q_i) (q_i - min_i))
@@ -45,6 +45,7 @@ _TABLE, _LIMIT, _LIMITS, _SINGULAR = 0.0, 1.0, 2.0, 3.0
 
 _TURN = 0.02  # of a joint in a step, at most [rad]
 _GROWTH = 0.2  # of the rates in a step, at most
+_NEARING = 0.1  # of a joint to a limit in a step, where weights grow without bound, at most
 _SHORTEST = 1e-5  # step, unless a joint meets its limit within [m]
 _HEAVY = 1e-3  # distance from which on weights all but stop a joint, and it counts as held [rad]
 _MET = 1e-11  # distance from a limit that counts as none [rad]
@@ -122,6 +123,14 @@ def _rows(p: Floats, q: Floats, base: float, d: Complexes, e: Complexes, A: Floa
 
 
 @helper
+def _weight(low: float, high: float, here: float) -> float:
+    """1 + |dH/dq| of one joint."""
+    room = max(high - here, _MET) * max(here - low, _MET)
+    side = (high - low) / (2.0 * room)
+    return 1.0 + side * side * abs(2.0 * here - high - low)
+
+
+@helper
 def _rates(
     limits: Floats,
     q: Floats,
@@ -139,26 +148,30 @@ def _rates(
     x: Floats,
 ) -> bool:
     """Write the rates x (n,) [rad/m] of the free joints by the rule; False if there are none."""
+    z[:] = 0.0
+    W[:] = 1.0
     for k in range(x.size):
         low, high, here = limits[k, 0], limits[k, 1], q[3 + k]
-        z[k], W[k] = 0.0, 1.0
         if rule == 1.0:
             z[k] = -gain * (2.0 * here - high - low) / (high - low)
         elif rule == 2.0:
-            room = max(high - here, _MET) * max(here - low, _MET)
-            side = (high - low) / (2.0 * room)
-            W[k] = 1.0 + side * side * abs(2.0 * here - high - low)
+            W[k] = _weight(low, high, here)
         elif rule == 3.0:
             z[k] = preferred[k]
-    y[0], y[1], y[2] = direction.real, direction.imag, 0.0
-    if not _least(A, rows, free, z, W, C, y, x):
-        return False
-    if rule == 2.0:  # joints that move towards the middle are as free as any
-        for k in range(x.size):
-            if x[k] * (2.0 * q[3 + k] - limits[k, 1] - limits[k, 0]) <= 0.0:
-                W[k] = 1.0
+    # W of a rate that itself depends on W: the sum is convex, so few rounds lead to its least.
+    for _ in range(2 * x.size):
         y[0], y[1], y[2] = direction.real, direction.imag, 0.0
-        return _least(A, rows, free, z, W, C, y, x)
+        if not _least(A, rows, free, z, W, C, y, x):
+            return False
+        settled = True
+        for k in range(x.size if rule == 2.0 else 0):
+            low, high, here = limits[k, 0], limits[k, 1], q[3 + k]
+            outward = x[k] * (2.0 * here - high - low) > 0.0
+            weight = _weight(low, high, here) if outward else 1.0
+            settled &= weight == W[k]
+            W[k] = weight
+        if settled:
+            break
     return True
 
 
@@ -395,7 +408,7 @@ def _traced(
         if options[3] == 2.0:  # its weights grow as fast as the room shrinks
             for k in range(n):
                 room = limits[k, 1] - q[3 + k] if x[k] > 0.0 else q[3 + k] - limits[k, 0]
-                h = min(h, max(_GROWTH * room / max(abs(x[k]), 1e-9), _SHORTEST))
+                h = min(h, max(_NEARING * room / max(abs(x[k]), 1e-9), _SHORTEST))
         if options[3] == 3.0:
             h = max(min(h, segment * (math.floor(s / segment) + 1.0) - s), 1e-9)
         good = True
