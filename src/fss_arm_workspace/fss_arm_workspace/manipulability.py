@@ -171,8 +171,8 @@ class Search:
         """The best postures at points (m, 2) of the base's frame [m]."""
         points = np.asarray(points, dtype=float)
         seeds = [*self.coarse.q[self.tree.query(points, k=4)[1]].swapaxes(0, 1)]
-        if self.p.size <= 8 + 6 * 3:
-            # Without much self-motion a branch can be small: try what reaches next to the point.
+        if self.arm.n <= 3 or self.kind[1] == 3.0:
+            # Where a branch can be so small that the grid misses it: try what reaches close by.
             seeds += [*self.random[self.random_tree.query(points, k=8)[1]].swapaxes(0, 1)]
         best = _nothing(len(points), self.p)
         guesses = [self._climb(seed, points, steps=0) for seed in seeds]
@@ -180,8 +180,8 @@ class Search:
         rows = np.arange(len(points))
         for rank in order:
             guess = Best(*(np.stack(part)[rank, rows] for part in zip(*guesses, strict=True)))
-            # A guess loses at most this share against its own maximum.
-            hopeful = ~(guess.w < 0.98 * best.w) & _differ(guess.q, best.q)
+            # A guess may lie this far below the maximum that it leads to.
+            hopeful = ~(guess.w < 0.5 * best.w) & _differ(guess.q, best.q)
             best = self._improved(best, guess.q, points, hopeful)
         return best
 
