@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from math import radians
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import rclpy
@@ -27,9 +28,10 @@ from fss_arm_calib.dynamic_messages import maneuvers_message
 from fss_arm_calib.dynamic_parameters import values
 from fss_arm_calib.dynamic_report import dynamic_report
 from fss_arm_calib.dynamic_settings import DynamicCalibrationSettings
-from fss_arm_calib.dynamic_verdict import DynamicCalibration
+from fss_arm_calib.dynamic_verdict import DynamicCalibration, calibrate
 from fss_arm_calib.from_bag import EXIT_CODES, solve_dynamic_bag
-from fss_arm_model.description import Arm, paper_arm, save
+from fss_arm_calib.maneuvers import Maneuver
+from fss_arm_model.description import Arm, load, paper_arm, save
 from fss_arm_msgs.msg import LinkTelemetry
 from fss_arm_ros.qos import SENSOR
 
@@ -119,6 +121,7 @@ def start_all(
         url = f"udp://127.0.0.1:{ports[i - 1]}?bind={ports[LINKS + i - 1]}"
         nodes.start(f"link_{i}", "fss_arm_driver", "link", link=i, url=url)
     nodes.start("arm", "fss_arm_driver", "arm")
+    nodes.start("dynamic", "fss_arm_calib", "dynamic", **known(out, cameras))
     nodes.start(
         "experiment", "fss_arm_calib", "experiment", maneuvers=out / f"plan_{session}.yaml",
         pause=PAUSE,
@@ -149,7 +152,7 @@ def run(options: argparse.Namespace, out: Path, cameras: Cameras, console: Conso
 
 def prepare(options: argparse.Namespace, out: Path, cameras: Cameras) -> tuple[Arm, list[Planned]]:
     """Write guess, truth and plan; return truth and plan."""
-    settings = settings_for(out, cameras)
+    settings = DynamicCalibrationSettings(**known(out, cameras))
     guess = paper_arm()
     truth = draw_truth(guess, settings, options.seed)
     save(guess, out / "guess.yaml")
@@ -165,15 +168,32 @@ def prepare(options: argparse.Namespace, out: Path, cameras: Cameras) -> tuple[A
     return truth, plan
 
 
-def settings_for(out: Path, cameras: Cameras) -> DynamicCalibrationSettings:
-    """As the node has them."""
-    return DynamicCalibrationSettings(
-        arm=str(out / "guess.yaml"),
-        position_deviation=cameras.position,
-        heading_deviation=cameras.heading,
-        fresh_rate=1.0 / cameras.hold,
-        bin=max(0.5, cameras.hold),
-    )
+def known(out: Path, cameras: Cameras) -> dict[str, Any]:
+    """The settings of the calibration, live and from the bags."""
+    return {
+        "arm": str(out / "guess.yaml"),
+        "position_deviation": cameras.position,
+        "heading_deviation": cameras.heading,
+        "fresh_rate": 1.0 / cameras.hold,
+        "bin": max(0.5, cameras.hold),
+    }
+
+
+def solve_first(
+    out: Path, settings: DynamicCalibrationSettings, count: int
+) -> tuple[DynamicCalibration, list[Maneuver]]:
+    """What the first so many maneuvers tell: gaps may have made some be repeated, and more of them.
+
+    Raises:
+        BagError: a bag cannot be read.
+    """
+    result, maneuvers = solve_dynamic_bag(out / "bags", settings)
+    used = [one for one in maneuvers if one.used]
+    if len(used) <= count:
+        return result, maneuvers
+    kept = [one for one in maneuvers if one.start < used[count].start]
+    guess = load(settings.arm)
+    return calibrate(kept, guess, settings, source=result.provenance.source), kept
 
 
 def summary(
@@ -211,7 +231,7 @@ def arguments() -> argparse.ArgumentParser:
     )  # fmt: skip
     parser.add_argument("--seed", type=int, default=1, help="of truth, errors and design")
     parser.add_argument("--out", type=Path, help="folder for the results")
-    parser.add_argument("--deadline", type=float, default=900.0, help="give up after [s]")
+    parser.add_argument("--deadline", type=float, default=1800.0, help="give up after [s]")
     return parser
 
 
@@ -230,11 +250,11 @@ def main() -> int:
     try:
         console.print(f"designing {options.count} maneuvers")
         truth, plan = prepare(options, out, cameras)
-        settings = settings_for(out, cameras)
+        settings = DynamicCalibrationSettings(**known(out, cameras))
         promised = expected(paper_arm(), plan, settings, PAUSE).deviations
         console.print("making them: simulator, drivers over UDP, recorder and calibration")
         run(options, out, cameras, console)
-        result, maneuvers = solve_dynamic_bag(out / "bags", settings)
+        result, maneuvers = solve_first(out, settings, options.count)
         told = dynamic_report(result, truth, maneuvers_message(maneuvers, "fss").maneuvers)
         console.print(report.printed(told))
         page = report.write(out / "report", told)

@@ -12,7 +12,7 @@ from rclpy.task import Future
 
 from fss_arm_calib.experiment_node import ExperimentNode
 from fss_arm_msgs.action import MoveArm
-from fss_arm_msgs.msg import KinematicObservation, KinematicObservations
+from fss_arm_msgs.msg import KinematicObservation, KinematicObservations, Maneuver, Maneuvers
 from fss_arm_ros.qos import LATCHED
 
 POSTURES = [0.1, 0.2, 0.3, 0.4, -0.5, 0.0, 0.5, 0.1, 0.9, -0.9, 0.0, 0.2]
@@ -211,6 +211,53 @@ def test_maneuvers_are_made_with_pauses_between(spin_to_the_end, tmp_path):
     assert arm.goals == [
         [0.0, 0.0, 0.0, 0.0], [0.5, 0.0, 0.5, 0.1], [0.0, 0.0, 0.1, 0.0], [0.0, 0.4, 0.1, 0.0],
     ]  # fmt: skip
+
+
+class FakeDynamic(Node):
+    """Publishes what it is told to have observed of maneuvers."""
+
+    def __init__(self):
+        super().__init__("dynamic")
+        self.message = Maneuvers()
+        self.output = self.create_publisher(Maneuvers, "calibration/maneuvers", LATCHED)
+
+    def observe(self, reason=""):
+        one = Maneuver(used=not reason, reason=reason)
+        one.end = self.get_clock().now().to_msg()
+        self.message.maneuvers.append(one)
+        self.output.publish(self.message)
+
+
+def test_a_maneuver_that_a_gap_spoiled_is_repeated(spin, spin_to_the_end, tmp_path):
+    """After going back the way it came, of which nothing is asked; at most three times."""
+    (tmp_path / "plan.yaml").write_text(PLAN)
+    arm, dynamic = FakeArm(), FakeDynamic()
+    experiment = make_node(maneuvers=str(tmp_path / "plan.yaml"), pause=0.2, patience=60.0)
+    nodes, gap = (arm, dynamic, experiment), "joint_2 silent for 0.80 s"
+    a, b, c, d = (stop.q.tolist() for stop in experiment.stops)
+    for so_far, reason in (
+        ([a, b, c], gap),
+        ([a, b, c, b, a, b, c], ""),
+        *(([a, b, c, b, a, b, c, *(k * [d, c]), d], gap) for k in range(4)),
+    ):
+        spin(
+            nodes,
+            lambda so_far=so_far: arm.goals == so_far and experiment.phase == experiment.watch,
+        )
+        dynamic.observe(reason)
+    assert spin_to_the_end(*nodes) == 0
+    assert arm.goals == [a, b, c, b, a, b, c, d, c, d, c, d, c, d]
+    assert f"posture 3 of 4: {gap}, so going back to repeat it" in experiment.log
+    assert experiment.log[-2:] == ["posture 4 of 4: left", "all 4 postures done"]
+
+
+def test_a_maneuver_that_nobody_tells_of_is_given_up(spin_to_the_end, tmp_path):
+    (tmp_path / "plan.yaml").write_text(PLAN)
+    arm, dynamic = FakeArm(), FakeDynamic()
+    experiment = make_node(maneuvers=str(tmp_path / "plan.yaml"), pause=0.2, patience=0.3)
+    assert spin_to_the_end(arm, dynamic, experiment) == 0
+    assert len(arm.goals) == 4
+    assert experiment.log.count("posture 4 of 4: not observed") == 1
 
 
 @pytest.mark.parametrize(

@@ -1,8 +1,10 @@
 """The node `experiment`: moves the arm through postures to be observed, or through maneuvers."""
 
 import sys
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,7 +16,7 @@ from rclpy.task import Future
 
 from fss_arm_model.description import Arm, load, paper_arm
 from fss_arm_msgs.action import MoveArm
-from fss_arm_msgs.msg import KinematicObservations
+from fss_arm_msgs.msg import KinematicObservations, Maneuvers
 from fss_arm_ros.convert import SECOND, stamp_ns
 from fss_arm_ros.diagnostics import OK, Diagnostics, Health
 from fss_arm_ros.qos import LATCHED
@@ -26,7 +28,7 @@ from .design import Planned, from_yaml
 from .kinematic import Floats
 from .postures import default
 
-ROUNDS = 3  # of repeating what gaps spoiled, at most
+ROUNDS = 3  # of repeating the rests that gaps spoiled, or a maneuver, at most
 
 
 @dataclass(frozen=True)
@@ -74,8 +76,9 @@ class ExperimentNode(Node):
     """Takes the arm through a list of postures, or of maneuvers, and ends when all are done.
 
     Each posture is left when it has been observed, or after a rest if nobody observes; a maneuver
-    goes from one posture to the next at once, and ends with a pause. It never arms a link: until
-    somebody has, as after any failed or lost move, it asks for the move again.
+    goes from one posture to the next at once, and ends with a pause. If somebody observes, what a
+    gap spoiled is repeated; a maneuver after going back the way it came. It never arms a link:
+    until somebody has, as after any failed or lost move, it asks for the move again.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -87,11 +90,15 @@ class ExperimentNode(Node):
         self.mover = ActionClient(self, MoveArm, "arm/move")
         self.observed: list[tuple[int, tuple[float, ...]]] = []  # end [ns], readings [rad]
         self.spoiled: list[Floats] = []  # readings [rad]
-        self.rounds = 0  # of repeating spoiled rests
+        self.rounds = 0  # of repeating all spoiled rests, or the present maneuver
         self.observer = False  # somebody observes
+        self.seen: list[tuple[int, str]] = []  # maneuvers' ends [ns], and what spoiled them
+        self.departed = 0  # end of the last pause, or when it began [ns]
+        self.way_back: deque[Stop] = deque()  # to where a maneuver began that is to be repeated
         self.create_subscription(
             KinematicObservations, "calibration/observations", self.on_observations, LATCHED
         )
+        self.create_subscription(Maneuvers, "calibration/maneuvers", self.on_maneuvers, LATCHED)
         self.phase: Callable[[int], None] = self.go
         self.since = 0  # start of the phase, or of the last sign of life in it [ns]
         self.goal, self.outcome = Future(), Future()
@@ -124,6 +131,15 @@ class ExperimentNode(Node):
             if not o.used and stamp_ns(o.end) >= self.progress.begun and np.isfinite(o.q).all()
         ]
 
+    def on_maneuvers(self, message: Maneuvers) -> None:
+        """What has been observed so far of maneuvers."""
+        self.seen = [(stamp_ns(m.end), "" if m.used else m.reason) for m in message.maneuvers]
+
+    @property
+    def stop(self) -> Stop:
+        """Where it goes, or is."""
+        return self.way_back[0] if self.way_back else self.stops[self.progress.done]
+
     def tick(self) -> None:
         """Ten times a second, go on with whatever is next."""
         now = self.now()
@@ -132,7 +148,9 @@ class ExperimentNode(Node):
         if not self.progress.begun:
             self.progress.begun = now
             self.save()
-        self.observer = self.observer or bool(self.count_publishers("calibration/observations"))
+        self.departed = self.departed or now
+        topic = "maneuvers" if self.settings.maneuvers else "observations"
+        self.observer = self.observer or bool(self.count_publishers(f"calibration/{topic}"))
         if self.progress.done < len(self.stops):
             self.phase(now)
         elif not self.repeat():
@@ -162,7 +180,7 @@ class ExperimentNode(Node):
         if not self.mover.server_is_ready():
             self.say("waiting for arm/move")
             return
-        q, duration, _ = self.stops[self.progress.done]
+        q, duration, _ = self.stop
         goal = MoveArm.Goal(q=q.tolist(), duration=duration)
         self.goal = self.mover.send_goal_async(goal, feedback_callback=self.on_feedback)
         self.goal.add_done_callback(self.on_answer)
@@ -179,7 +197,7 @@ class ExperimentNode(Node):
         if self.phase != self.move:
             return
         self.since = self.now()
-        degrees = np.degrees(self.stops[self.progress.done].q).round().astype(int)
+        degrees = np.degrees(self.stop.q).round().astype(int)
         self.say(f"{self.title}: moving to {degrees.tolist()} degrees")
 
     def move(self, now: int) -> None:
@@ -197,10 +215,10 @@ class ExperimentNode(Node):
 
     def watch(self, now: int) -> None:
         """Await the observation."""
-        posture, _, pause = self.stops[self.progress.done]
+        posture, _, pause = self.stop
         if pause >= 0.0:
             if self.waited(now, pause):
-                self.leave("done")
+                self.judge(now)
         elif any(
             end >= self.progress.begun and np.abs(posture - q).max() <= self.settings.tolerance
             for end, q in self.observed
@@ -212,10 +230,38 @@ class ExperimentNode(Node):
         elif not self.observer and self.waited(now, self.settings.rest):
             self.leave("done, nobody observes")
 
+    def judge(self, now: int) -> None:
+        """Go on if the maneuver that ends here has been observed, back if a gap spoiled it."""
+        stop, first = self.stop, self.began
+        planned = stop.pause > 0.0 and self.progress.done > 0 and not self.way_back
+        told = [spoiled for end, spoiled in self.seen if end >= self.departed]
+        if not planned or not self.observer or (told and not any(told)):
+            self.leave("done")
+        elif told and self.rounds < ROUNDS:
+            self.say(f"{self.title}: {max(told)}, so going back to repeat it")
+            self.way_back = back(self.stops[first : self.progress.done + 1])
+            self.rounds, self.progress.done, self.departed = self.rounds + 1, first + 1, now
+            self.save()
+            self.enter(self.go, 0)
+        elif told or self.waited(now, stop.pause + self.settings.patience):
+            self.get_logger().warning(f"{self.title}: not observed")
+            self.leave("left")
+
+    @property
+    def began(self) -> int:
+        """Where the present maneuver began: the last posture before it with a pause."""
+        return max((k for k in range(self.progress.done) if self.stops[k].pause), default=0)
+
     def leave(self, how: str) -> None:
         """Go on to the next posture."""
         self.say(f"{self.title}: {how}")
-        self.progress.done += 1
+        if self.stop.pause:
+            self.departed = self.now()
+        if self.way_back:
+            self.way_back.popleft()
+        else:
+            self.rounds = 0 if self.stop.pause > 0.0 else self.rounds
+            self.progress.done += 1
         self.save()
         self.enter(self.go, 0)
 
@@ -276,6 +322,14 @@ def through(plan: Sequence[Planned], pause: float) -> list[Stop]:
         moves = zip(one.waypoints[1:], one.durations.tolist(), strict=True)
         found += [Stop(q, duration, 0.0) for q, duration in moves]
         found[-1] = found[-1]._replace(pause=pause)
+    return found
+
+
+def back(stops: Sequence[Stop]) -> deque[Stop]:
+    """From the last of some postures to the first, as one went from the first to the last."""
+    found = deque(Stop(a.q, b.duration, 0.0) for a, b in pairwise(stops))
+    found.reverse()
+    found[-1] = found[-1]._replace(pause=stops[0].pause)
     return found
 
 
