@@ -76,6 +76,16 @@ def test_momentum_tilt_and_start_are_found_with_the_parameters():
     assert result.problem.names[-2:] == ("g_x", "g_y")
 
 
+def test_a_base_that_turns_from_the_start():
+    """By up to three turns a maneuver: without bounds, the first step must not lead astray."""
+    known, turning = problem(several(16), tilt=0.0, momentum=np.array([1.0, 1.0, 1.0])), at_rest(16)
+    for seed in range(20):
+        turning[:, 5] = np.random.default_rng(seed).uniform(-1.0, 1.0, 16)
+        result = solve(observe(known, perturbed(ARM, NAMES, 0.1, seed).vector(), turning), False)
+        assert result.minimum.converged
+        assert_allclose(result.momenta, turning[:, 3:6], rtol=0, atol=0.02)
+
+
 def test_a_sweep_that_turns_the_base_by_more_than_half_a_turn():
     path = stack(
         [maneuver(np.array([-q, q]), marks=1) for q in np.array([[1.5] * 4, [1.5, 1.4, 1, 1]])]

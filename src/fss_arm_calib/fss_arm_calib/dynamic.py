@@ -34,6 +34,8 @@ TILT = ("g_x", "g_y")  # acceleration of a free body down the table, world axes
 #: Beyond this condition number of the column-scaled regressor rounding has the say.
 MAX_CONDITION = 1e6
 
+FIRST = 2  # iterations of the maneuvers' own unknowns alone
+
 
 @dataclass(frozen=True)
 class DynamicProblem:
@@ -362,6 +364,19 @@ class DynamicResult:
         return replace(arm, base=base, links=links)
 
 
+def underway(problem: DynamicProblem) -> Floats:
+    """The unknowns to begin with: the guess, and what each maneuver then must have begun with.
+
+    The guess of a momentum is rest. Were the base to turn by radians more than that, the first step
+    of the parameters would lead far astray.
+    """
+    x, hold = problem.start, np.zeros(len(problem.names))
+    for _ in range(FIRST if (problem.own >= 3).any() else 0):
+        extend = problem.linearize(x).extend
+        x = x + extend(hold) if extend else x
+    return x
+
+
 def solve(problem: DynamicProblem, bounded: bool = True, tolerance: float = 1e-9) -> DynamicResult:
     """Iterate Eq. 9 from the guess.
 
@@ -377,7 +392,7 @@ def solve(problem: DynamicProblem, bounded: bool = True, tolerance: float = 1e-9
         problem,
         minimize(
             problem.linearize,
-            problem.start,
+            underway(problem),
             problem.bounds if bounded else None,
             tolerance=tolerance,
             max_condition=MAX_CONDITION,
