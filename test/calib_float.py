@@ -115,14 +115,18 @@ def message(sample):
     return "vicon/fss/fss", pose_stamped(t, "world", value)
 
 
-def record(folder, samples):
-    """The samples as a bag."""
+def record(folder, samples, topics=TYPES, late=lambda sample: SECOND // 100):
+    """The samples as a bag of some topics, in many chunks, received `late(sample)` ns late."""
     bag = Recording(folder)
-    for topic, kind in TYPES.items():
+    for topic in topics:
+        kind = TYPES[topic]
         bag.add(f"/{topic}", f"{kind.__module__.split('.')[0]}/msg/{kind.__name__}", [SENSOR])
-    for sample in samples:
+    for k, sample in enumerate(samples):
+        if k % 200 == 199:
+            bag.flush()
         topic, content = message(sample)
-        bag.write(f"/{topic}", sample.t + SECOND // 100, serialize_message(content))
+        if topic in topics:
+            bag.write(f"/{topic}", sample.t + late(sample), serialize_message(content))
     bag.close()
     return bag.path
 

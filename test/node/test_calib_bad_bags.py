@@ -1,6 +1,7 @@
 """Bags that something is wrong with: each ends in a named error or in a verdict that says it."""
 
 import re
+from dataclasses import replace
 from math import nan
 
 import numpy as np
@@ -97,6 +98,17 @@ def test_an_arm_of_other_joints_is_named(samples, tmp_path, links, words):
     calibration = solve_bag(record(tmp_path / "bag", samples), settings)
     assert calibration.verdict == NOT_EVALUATED
     assert words in calibration.reason
+
+
+def test_an_arm_of_other_lengths_is_named(samples, tmp_path):
+    """Estimated freely, its lengths fit."""
+    links = tuple(replace(link, a=link.a + 0.06) for link in ARM.links)
+    calibration = solve_bag(
+        record(tmp_path / "bag", samples), arm_file(tmp_path, replace(ARM, links=links))
+    )
+    assert calibration.verdict == FAIL
+    assert re.match(r"another arm's data: a_\d is 0.3\d+ m, 0.\d+ m in", calibration.reason)
+    assert calibration.chi_square < 1.0
 
 
 def test_an_arm_of_other_lengths_does_not_fit(samples, tmp_path):

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from fss_arm_model.base_motion import Path, stack
 from fss_arm_model.description import Arm, DescriptionError, to_yaml
+from fss_arm_model.kinematics import tip_in_base
 
 from .dynamic import DynamicProblem, DynamicResult, solve
 from .dynamic_parameters import Choice, Knowledge
@@ -23,11 +24,13 @@ from .judgement import (
     Stage,
     at_most,
     by_chance,
+    clocks_kept,
     conclude,
     count,
+    joints_known,
     provenance,
 )
-from .kinematic import LOSSES, SQUARE, root_mean_square
+from .kinematic import LOSSES, SQUARE, root_mean_square, wrap
 from .least_squares import Floats
 from .maneuvers import Maneuver
 from .rests import Streams
@@ -202,7 +205,8 @@ def calibrate(
     """
     s, streams = settings or DynamicCalibrationSettings(), streams or Streams()
     used = [one for one in maneuvers if one.used]
-    stages = [_joints(streams, arm), _enough(used, maneuvers, streams, s)]
+    stages = [joints_known(streams, arm), clocks_kept(streams, s.joint_gap)]
+    stages.append(_enough(used, maneuvers, streams, s))
     problem = problem_of(used, arm, s) if stages[-1].verdict == PASS else None
     solution = solution_of(problem, s) if problem else None
     if solution:
@@ -252,13 +256,6 @@ def _residuals(solution: Solution, used: Sequence[Maneuver]) -> Floats:
     return np.concatenate([residuals[: len(one.marks)] for residuals, one in rows])
 
 
-def _joints(streams: Streams, arm: Arm) -> Stage:
-    strange = streams.strange
-    reason = f"{', '.join(strange)} heard, but {arm.name!r} has {count(arm.n, 'joint')}"
-    verdict = NOT_EVALUATED if strange else PASS
-    return Stage("joints", verdict, arm.n + len(strange), arm.n, reason if strange else "")
-
-
 def _enough(
     used: Sequence[Maneuver],
     every: Sequence[Maneuver],
@@ -290,20 +287,19 @@ def _judged(solution: Solution, s: DynamicCalibrationSettings) -> list[Stage]:
     )
     held = r.at_bound
     words = f"at the bound of what is possible: {', '.join(held)}" if held else ""
+    words += "; of another arm, or its masses or lengths are others?" if held else ""
     stages.append(Stage("bounds", FAIL if held else PASS, len(held), 0, words))
     try:
         r.calibrated()
     except DescriptionError as error:
         stages.append(Stage("description", FAIL, nan, 0.0, f"no arm is like that: {error}"))
-    stages.append(
-        by_chance(
-            "fit",
-            r.chi_square,
-            r.problem.degrees_of_freedom,
-            s.min_probability,
-            "residuals are larger than the deviations allow",
-        )
-    )
+    fit = by_chance(
+        "fit", r.chi_square, r.problem.degrees_of_freedom, s.min_probability,
+        "residuals are larger than the deviations allow",
+    )  # fmt: skip
+    if fit.verdict == FAIL and _fits_swapped(r.problem, s):
+        fit = replace(fit, reason=f"the end effector is taken for the base; {fit.reason}")
+    stages.append(fit)
     worst = int(np.argmax(np.where(solution.kept, solution.errors, 0.0)))
     words = (
         f"largest error of a maneuver predicted from the others {solution.errors[worst]:.3g} of "
@@ -314,6 +310,24 @@ def _judged(solution: Solution, s: DynamicCalibrationSettings) -> list[Stage]:
     failing = f"maneuver {worst + 1} is off"
     stages.append(at_most("outliers", float(solution.errors[worst]), s.outlier, words, failing))
     return [*stages, _precise(r, s)]
+
+
+def _fits_swapped(problem: DynamicProblem, s: DynamicCalibrationSettings) -> bool:
+    """Whether the maneuvers fit if the subject seen as the base is the end effector."""
+    p, n = problem.arm.vector(), problem.arm.n
+    turns = problem.path.marks[..., : 2 * n]
+    q = wrap(np.diff(np.arctan2(turns[..., 1::2], turns[..., ::2]), axis=-1, prepend=0.0))
+    tip = tip_in_base(p, q)
+    heading = problem.poses[..., 2] - tip[..., 2]
+    away = (tip[..., 0] + 1j * tip[..., 1]) * np.exp(1j * heading)
+    poses = np.stack(
+        [problem.poses[..., 0] - away.real, problem.poses[..., 1] - away.imag, heading], axis=-1
+    )
+    sigma = problem.sigma.copy()
+    sigma[..., :2] = np.hypot(sigma[..., :2], (np.abs(away) * sigma[..., 2])[..., None])
+    r = solve(replace(problem, poses=poses, sigma=sigma), tolerance=TOLERANCE)
+    freedom = problem.degrees_of_freedom
+    return by_chance("", r.chi_square, freedom, s.min_probability, "").verdict == PASS
 
 
 def _determined(r: DynamicResult, s: DynamicCalibrationSettings) -> Stage:

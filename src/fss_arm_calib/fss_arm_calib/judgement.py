@@ -9,7 +9,10 @@ import numpy.typing as npt
 import yaml
 from scipy.special import gammaincc
 
+from fss_arm_model.description import Arm
+
 from . import __version__
+from .rests import Streams
 
 PASS, FAIL, NOT_EVALUATED = "pass", "fail", "not_evaluated"
 
@@ -43,6 +46,22 @@ def by_chance(name: str, chi_square: float, freedom: int, least: float, failing:
     passed = probability >= least
     reason = facts if passed else f"{failing}: {facts}"
     return Stage(name, PASS if passed else FAIL, probability, least, reason)
+
+
+def joints_known(streams: Streams, arm: Arm) -> Stage:
+    """Whether no joint was heard that the arm does not have."""
+    strange = streams.strange
+    reason = f"{', '.join(strange)} heard, but {arm.name!r} has {count(arm.n, 'joint')}"
+    verdict = NOT_EVALUATED if strange else PASS
+    return Stage("joints", verdict, arm.n + len(strange), arm.n, reason if strange else "")
+
+
+def clocks_kept(streams: Streams, most: float) -> Stage:
+    """Whether no clock ran back by more than `most` [s], which may have hidden what happened."""
+    name, back = max(streams.set_back.items(), key=lambda item: item[1], default=("", 0.0))
+    reason = f"clock of {name} ran back by {back:.3g} s (at most {most:g})"
+    bad = back > most
+    return Stage("clocks", NOT_EVALUATED if bad else PASS, back, most, reason if bad else "")
 
 
 def conclude(stages: Sequence[Stage]) -> tuple[str, str]:

@@ -74,6 +74,9 @@ class Criteria:
     held_out: int = setting(
         4, "every so-manyth observation is predicted from the others, if enough remain; 0: none"
     )
+    max_length_change: float = setting(
+        0.05, "largest change of a link's length from the description; more is another arm [m]"
+    )
     same_posture: float = setting(
         radians(1.0), "joints closer than this make a posture already observed [rad]"
     )
@@ -91,6 +94,8 @@ class Criteria:
             raise ValueError(f"max_outliers is {self.max_outliers}, must not be negative")
         if self.held_out < 0 or self.held_out == 1:
             raise ValueError(f"held_out is {self.held_out}, must be 0 or at least 2")
+        if not self.max_length_change > 0.0:
+            raise ValueError(f"max_length_change is {self.max_length_change} m, must be positive")
         if not self.same_posture > 0.0:
             raise ValueError(f"same_posture is {self.same_posture} rad, must be positive")
 

@@ -18,8 +18,10 @@ from .judgement import (
     Stage,
     at_most,
     by_chance,
+    clocks_kept,
     conclude,
     count,
+    joints_known,
     numbers,
     provenance,
 )
@@ -131,9 +133,9 @@ def calibrate(
     )
     streams = streams or Streams()
     stages = [
-        _joints(streams, arm),
+        joints_known(streams, arm),
         _rests(observations, s),
-        _clocks(streams, s),
+        clocks_kept(streams, s.joint_gap),
         _enough(problem, streams, s),
     ]
     solution: Solution | None = None
@@ -236,28 +238,12 @@ def _held_out(
     return held_out[:0], result.predicted(problem.only(held_out[:0]))
 
 
-def _joints(streams: Streams, arm: Arm) -> Stage:
-    strange = streams.strange
-    reason = f"{', '.join(strange)} heard, but {arm.name!r} has {count(arm.n, 'joint')}"
-    verdict = NOT_EVALUATED if strange else PASS
-    return Stage("joints", verdict, arm.n + len(strange), arm.n, reason if strange else "")
-
-
 def _rests(observations: Sequence[Observation], s: CalibrationSettings) -> Stage:
     lost = spoiled(observations, s.same_posture)
     reason = (
         f"{count(len(lost), 'rest')} spoiled ({lost[0].reason}) and not repeated" if lost else ""
     )
     return Stage("rests", NOT_EVALUATED if lost else PASS, len(lost), 0.0, reason)
-
-
-def _clocks(streams: Streams, s: CalibrationSettings) -> Stage:
-    """A clock that ran back may have hidden a rest."""
-    name, back = max(streams.set_back.items(), key=lambda item: item[1], default=("", 0.0))
-    reason = f"clock of {name} ran back by {back:.3g} s (at most {s.joint_gap:g})"
-    bad = back > s.joint_gap
-    verdict = NOT_EVALUATED if bad else PASS
-    return Stage("clocks", verdict, back, s.joint_gap, reason if bad else "")
 
 
 def _needed(problem: KinematicProblem, s: CalibrationSettings) -> int:
@@ -304,6 +290,7 @@ def _judged(solution: Solution, s: CalibrationSettings) -> list[Stage]:
     except DescriptionError as error:
         least = float(np.min(solution.problem.all_parameters(r.values)[: solution.problem.arm.n]))
         stages.append(Stage("lengths", FAIL, least, 0.0, f"a mirrored solution: {error}"))
+    stages.append(_lengths_kept(solution, s))
     fit = by_chance(
         "fit", r.chi_square, r.degrees_of_freedom, s.min_probability,
         "residuals are larger than the assumed deviations allow",
@@ -312,6 +299,19 @@ def _judged(solution: Solution, s: CalibrationSettings) -> list[Stage]:
     if FAIL in (fit.verdict, outliers.verdict) and (hint := _swap_hint(solution, s)):
         fit = replace(fit, verdict=FAIL, reason=f"{hint}; {fit.reason}")
     return [*stages, fit, outliers, _predicted(solution, s)]
+
+
+def _lengths_kept(solution: Solution, s: CalibrationSettings) -> Stage:
+    """Whether the links are about as long as described: data of another arm fit as well."""
+    problem = solution.problem
+    described = np.array([link.a for link in problem.arm.links])
+    lengths = problem.all_parameters(solution.result.values)[: len(described)]
+    k = int(np.argmax(np.abs(lengths - described)))
+    change = float(abs(lengths[k] - described[k]))
+    words = f"a_{k + 1} is {lengths[k]:.4f} m, {described[k]:.4f} m in the description"
+    words += f" (at most {s.max_length_change:g} m apart)"
+    stage = at_most("description", change, s.max_length_change, words, "another arm's data")
+    return stage if stage.verdict == FAIL else replace(stage, reason="")
 
 
 def _outliers(solution: Solution, s: CalibrationSettings) -> Stage:

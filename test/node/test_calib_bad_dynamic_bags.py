@@ -1,0 +1,178 @@
+"""Bags of maneuvers that something is wrong with: a named error, or a verdict that says it."""
+
+import re
+from dataclasses import replace
+from math import nan
+
+import numpy as np
+import pytest
+from calib_float import ARM, TYPES, Float, at, postures, record
+
+from fss_arm_calib.dynamic_settings import DynamicCalibrationSettings
+from fss_arm_calib.from_bag import main as from_bag
+from fss_arm_calib.from_bag import solve_dynamic_bag
+from fss_arm_calib.verdict import FAIL, NOT_EVALUATED, PASS
+from fss_arm_model.description import save
+from fss_arm_model.kinematics import tip_in_base
+from fss_arm_ros.bags import BagError
+from fss_arm_ros.convert import SECOND
+
+PRECISE = {"position_deviation": 0.0005, "heading_deviation": 0.001, "max_relative": 2.0}
+
+
+def rig(vector=None):
+    return Float(postures(10, seed=3), vector, noise=(0.0005, 0.001))
+
+
+@pytest.fixture(scope="module")
+def samples():
+    """Ten maneuvers, the base at 20 Hz."""
+    return rig().samples(rate=20)
+
+
+def solved(bag, arm=ARM):
+    save(arm, bag.parent / "arm.yaml")
+    return solve_dynamic_bag(
+        bag, DynamicCalibrationSettings(arm=str(bag.parent / "arm.yaml"), **PRECISE)
+    )[0]
+
+
+def test_nothing_is_wrong_with_this_one(samples, tmp_path):
+    calibration = solved(record(tmp_path / "bags", samples))
+    assert calibration.verdict == PASS, calibration.reason
+    assert calibration.maneuvers_used == 10
+    assert calibration.refused == ()
+
+
+@pytest.mark.parametrize(("share", "verdict"), [(0.9, PASS), (0.4, NOT_EVALUATED)])
+def test_of_a_truncated_bag_whole_chunks_are_used(samples, tmp_path, share, verdict):
+    bag = record(tmp_path / "bags", samples)
+    (bag / "metadata.yaml").unlink()
+    file = bag / "bag_0.mcap"
+    file.write_bytes(file.read_bytes()[: int(share * file.stat().st_size)])
+    calibration = solved(bag)
+    assert calibration.verdict == verdict, calibration.reason
+    assert re.search(r"^bag_0 [0-9a-f]{64} \(\d+ messages recovered", calibration.provenance.source)
+    assert 3 <= calibration.maneuvers_used < 10
+
+
+def test_a_damaged_chunk_is_named(samples, tmp_path, capsys):
+    bag = record(tmp_path / "bags", samples)
+    data = bytearray((bag / "bag_0.mcap").read_bytes())
+    middle = len(data) // 3
+    data[middle : middle + 4096] = bytes(4096)
+    (bag / "bag_0.mcap").write_bytes(data)
+    assert from_bag(["--dynamic", str(bag)]) == 1
+    error = capsys.readouterr().err
+    assert error.startswith(f"from_bag: {bag}: damaged, try doctor --repair")
+    assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize("missing", ["joint_states", "vicon/fss/fss"])
+def test_a_missing_topic_is_named(samples, tmp_path, missing):
+    topics = [topic for topic in TYPES if topic != missing]
+    bag = record(tmp_path / "bags", samples[:1000], topics)
+    with pytest.raises(BagError, match=f"no /{missing} in .*, which has "):
+        solved(bag)
+
+
+def test_no_gyro_is_needed(samples, tmp_path):
+    calibration = solved(record(tmp_path / "bags", samples, list(TYPES)[:2]))
+    assert calibration.verdict == PASS, calibration.reason
+
+
+@pytest.mark.parametrize(
+    ("stream", "name"), [("base", "fss"), (None, "joint_1, joint_2, joint_3, joint_4")]
+)
+def test_a_topic_without_messages_is_named(samples, tmp_path, stream, name):
+    kept = [s for s in samples[:1000] if (s.stream != stream if stream else s.stream == "base")]
+    calibration = solved(record(tmp_path / "bags", kept))
+    assert calibration.verdict == NOT_EVALUATED
+    assert f"nothing heard of {name}" in calibration.reason
+
+
+@pytest.mark.parametrize(
+    ("links", "words"),
+    [(5, "nothing heard of joint_5"), (3, "joint_4 heard, but 'paper' has 3 joints")],
+)
+def test_an_arm_of_other_joints_is_named(samples, tmp_path, links, words):
+    bag = record(tmp_path / "bags", samples)
+    calibration = solved(bag, replace(ARM, links=(ARM.links * 2)[:links]))
+    assert calibration.verdict == NOT_EVALUATED
+    assert words in calibration.reason
+
+
+@pytest.mark.parametrize("other", ["lengths", "base"])
+def test_another_arm_of_as_many_joints_is_named(tmp_path, other):
+    """Longer links hide in centres of mass, until these would lie beyond their links."""
+    if other == "base":
+        arm = replace(ARM, base=replace(ARM.base, mass=16.0, inertia=0.5))
+    else:
+        arm = ARM.with_kinematics(
+            [0.5, 0.5, 0.5, 0.4, *(link.theta_0 for link in ARM.links[1:]), *ARM.base.mount]
+        )
+    calibration = solved(record(tmp_path / "bags", rig(arm.vector()).samples(rate=20)))
+    assert calibration.verdict == FAIL
+    assert re.search(r"at the bound of .*: b_1.*; of another arm, or its", calibration.reason)
+
+
+@pytest.mark.parametrize("stream", [3, "base", "gyro"])
+def test_numbers_that_are_none_are_refused(samples, tmp_path, stream):
+    """One in ten does no harm; all leave nothing to calibrate from."""
+    value = {3: (nan, nan), "base": (nan, 0.0, 0.0), "gyro": nan}[stream]
+    some = [s._replace(value=value) if s.stream == stream and k % 10 == 0 else s
+            for k, s in enumerate(samples)]  # fmt: skip
+    calibration = solved(record(tmp_path / "some", some))
+    assert calibration.verdict == PASS, calibration.reason
+    every = [s._replace(value=value) if s.stream == stream else s for s in samples]
+    calibration = solved(record(tmp_path / "every", every))
+    if stream == "gyro":
+        assert calibration.verdict == PASS
+        return
+    why = "fss occluded" if stream == "base" else "joint_3 not finite"
+    assert calibration.verdict == NOT_EVALUATED
+    assert f"samples refused: {sum(s.value is value for s in every)} {why}" in calibration.reason
+
+
+@pytest.mark.parametrize("stream", [2, "base"])
+def test_a_clock_that_runs_back_is_named(samples, tmp_path, stream):
+    """By 12 s, at 25 s: what comes after may hide a maneuver."""
+
+    def is_back(sample):
+        return sample.stream == stream and at(25.0) < sample.t
+
+    back = [s._replace(t=s.t - 12 * SECOND) if is_back(s) else s for s in samples]
+    heard = {id(b): s.t - b.t for s, b in zip(samples, back, strict=True)}
+    bag = record(tmp_path / "bags", back, late=lambda sample: heard[id(sample)])
+    calibration = solved(bag)
+    assert calibration.verdict == NOT_EVALUATED
+    assert re.search(r"clock of \w+ ran back by 1[12]", calibration.reason)
+
+
+def of_the_tip(samples, rig, begin=0.0, end=np.inf):
+    """The end effector under the base's name, for a while."""
+
+    def seen(sample):
+        t = (sample.t - at(0.0)) / SECOND
+        if sample.stream != "base" or not begin < t < end:
+            return sample
+        x, y, heading = sample.value
+        tip = tip_in_base(ARM.vector(), rig.law([t])[0][0])
+        away = (tip[0] + 1j * tip[1]) * np.exp(1j * heading)
+        turned = np.angle(np.exp(1j * (heading + tip[2])))
+        return sample._replace(value=(x + away.real, y + away.imag, float(turned)))
+
+    return [seen(sample) for sample in samples]
+
+
+def test_a_swapped_subject_is_named(samples, tmp_path):
+    calibration = solved(record(tmp_path / "all", of_the_tip(samples, rig())))
+    assert calibration.verdict == FAIL
+    assert "the end effector is taken for the base" in calibration.reason
+
+    # in the midst of two maneuvers
+    calibration = solved(record(tmp_path / "some", of_the_tip(samples, rig(), 27.0, 39.0)))
+    refused = dict(zip(calibration.refused_kinds, calibration.refused, strict=True))
+    assert refused["fss jump"] > 0
+    assert calibration.verdict == FAIL
+    assert re.search(r"maneuver [2-5] is off", calibration.reason)
