@@ -10,6 +10,7 @@ import pytest
 from fss_arm_calib.dynamic_parameters import parameter_names, values
 from fss_arm_calib.dynamic_settings import DynamicCalibrationSettings
 from fss_arm_calib.from_bag import solve_dynamic_bag
+from fss_arm_calib.recompute import main as recompute
 from fss_arm_model.description import load
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -24,6 +25,8 @@ def test_the_truth_lies_within_what_is_claimed(tmp_path):
     assert run.returncode in (0, 2), run.stdout + run.stderr  # 2: eight may be too few for I_1
     assert "mm promised" in run.stdout
     assert (out / "report" / "index.html").exists()
+    # What was said live follows from the maneuvers that were published with it.
+    assert recompute([str(out / "bags")]) == 0
     # As eight are too few for every inertia, what CAD tells of the links is taken as a prior.
     settings = DynamicCalibrationSettings(
         arm=str(out / "guess.yaml"), priors="b_i I_i I_0 com_0", max_relative=9.0, max_place=1.0
