@@ -20,9 +20,9 @@ from .report_parts import (
     influence,
     number,
     origin,
-    refused,
     shown_unit,
     stages,
+    streams,
     text,
 )
 
@@ -68,7 +68,7 @@ def dynamic_report(
         details=(
             stages(c),
             *([_maneuvers(c), _directions(c), _bias(c)] if solved else []),
-            Table("Samples refused", ["what", ""], refused(c) or [["nothing to tell", ""]]),
+            streams(c),
         ),
         texts={"Settings": c.provenance.parameters, "Description it began from": c.guess},
     )

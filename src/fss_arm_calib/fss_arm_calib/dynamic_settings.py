@@ -28,8 +28,8 @@ class ManeuverSettings(RestSettings):
     least_travel: float = setting(0.05, "a smaller motion is no maneuver [rad]")
     time_offset: float = setting(
         0.0,
-        "of the joints' and the gyro's stamps against motion capture's, as a kinematic calibration "
-        "tells it [s]",
+        "of the joints' and the gyro's stamps against motion capture's, about; what the gyro tells "
+        "of it takes its place [s]",
     )
     max_base_turn: float = setting(
         3.0, "the base turns no faster; what it may turn by unseen, the gyro must tell [rad/s]"

@@ -93,6 +93,8 @@ class DynamicCalibration:
     degrees_of_freedom: int
     iterations: int
     last_update: float
+    time_offset: float
+    time_offset_deviation: float
 
 
 def problem_of(
@@ -233,6 +235,8 @@ def calibrate(
         maneuvers_refused=len(maneuvers) - len(used),
         refused_kinds=tuple(streams.refused),
         refused=tuple(streams.refused.values()),
+        time_offset=streams.offset.value,
+        time_offset_deviation=streams.offset.deviation,
         arm=arm.name,
         guess=to_yaml(arm),
         description=to_yaml(solution.result.calibrated()) if solution and verdict == PASS else "",

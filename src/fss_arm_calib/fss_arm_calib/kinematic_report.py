@@ -20,9 +20,9 @@ from .report_parts import (
     influence,
     number,
     origin,
-    refused,
     shown_unit,
     stages,
+    streams,
     text,
 )
 
@@ -59,7 +59,7 @@ def kinematic_report(calibration: Any, truth: Arm | None = None) -> Report:
         tables=(_parameters(c, truth), _residuals(c)),
         origin=origin(c),
         figures=figures if len(c.residuals) else (),
-        details=(stages(c), *([_observations(c)] if len(c.residuals) else []), _streams(c)),
+        details=(stages(c), *([_observations(c)] if len(c.residuals) else []), streams(c)),
         texts={"Settings": c.provenance.parameters, "Description it began from": c.guess},
     )
 
@@ -123,15 +123,6 @@ def _observations(c: Any) -> Table:
         "length in its own deviations; the observation's share in its own prediction."
     )
     return Table("Observations", head, rows, note=note)
-
-
-def _streams(c: Any) -> Table:
-    rows = refused(c)
-    if np.isfinite(c.time_offset):
-        offset = f"{1e3 * c.time_offset:.2f} ± {1e3 * c.time_offset_deviation:.2f} ms"
-        rows.append(["joints' stamps less motion capture's", offset])
-    rows = rows or [["nothing to tell", ""]]
-    return Table("Samples refused, and the clocks", ["what", ""], rows)
 
 
 def postures(c: Any) -> Any:

@@ -5,6 +5,9 @@ settle and to look twice is part of the motion. The second half of a rest, up to
 look before the next maneuver, the first half that after the last one: no pose counts twice. In a
 look the base may drift, so its poses are averaged over short bins, each a mark of the path.
 
+How the base turns, by its gyro and by motion capture, tells the offset between their clocks; the
+gyro's stamps are of the joints' clock. What was learned by then shifts the looks that follow.
+
 As with rests.py, samples are merged by their stamps and nothing is decided before every stream has
 passed the moment in question: what is found is a function of the data alone.
 """
@@ -21,11 +24,15 @@ import numpy as np
 
 from fss_arm_model.base_motion import Path, path, sampled
 
+from .alignment import Offset, mean_offset, offset_of_move
 from .dynamic_settings import ManeuverSettings
 from .kinematic import wrap
 from .least_squares import Floats
 from .poses import OUT_OF_ORDER, REPEATED, SECOND, Hole, Poses
 from .rests import BASE, Streams
+
+SEARCH = 0.5  # for an offset, about the one allowed for [s]
+WORST = 0.05  # an offset known no better tells nothing [s]
 
 _CLEANING = 1000  # samples between two looks at what may be forgotten
 
@@ -43,6 +50,7 @@ class Maneuver:
     poses: tuple[tuple[float, ...], ...] = ()  # (m) x, y [m], heading [rad], counting turns
     frames: tuple[int, ...] = ()  # (m) averaged
     seconds: tuple[float, ...] = ()  # (m) over which [s]
+    time_offset: float = 0.0  # of the joints' stamps against motion capture's, as allowed for [s]
     used: bool = True
     reason: str = ""  # why it is not used
 
@@ -116,12 +124,17 @@ class _Gyro:
 
     def turn(self, begin: int, end: int, gap: float) -> float | None:
         """Angle turned in an interval [rad]; None if there is a longer gap [ns] in the rates."""
+        found = self.angles(begin, end, gap)
+        return None if found is None else float(np.diff(np.interp([begin, end], *found))[0])
+
+    def angles(self, begin: int, end: int, gap: float) -> tuple[np.ndarray, Floats] | None:
+        """Stamps and angles turned since the first of them [rad]; None: there is a longer gap."""
         a, b = max(bisect_right(self.t, begin) - 1, 0), bisect_left(self.t, end) + 1
         t, rate = np.array(self.t[a:b]), np.array(self.rate[a:b])
         if len(t) < 2 or t[0] > begin or t[-1] < end or np.diff(t).max() > gap:
             return None
-        ends = np.array([begin, *t[(t > begin) & (t < end)], end])
-        return float(np.trapezoid(np.interp(ends, t, rate), ends / SECOND))
+        steps = 0.5 * (rate[1:] + rate[:-1]) * np.diff(t) / SECOND
+        return t, np.concatenate([[0.0], np.cumsum(steps)])
 
     def forget(self, before: int) -> None:
         k = max(bisect_right(self.t, before) - 1, 0)
@@ -141,6 +154,8 @@ class ManeuverFinder:
         self.base = Poses(BASE, s.max_speed, s.max_turn)
         self.base.lag = round(s.time_offset * SECOND)
         self.gyro = _Gyro()
+        self.offset = Offset()  # between the clocks
+        self._offsets: list[Offset] = []  # by each maneuver
         self.strange: set[int] = set()  # joints heard that the arm does not have
         self._before: _Rest | None = None  # the rest that the next maneuver begins with
         self._pending: list[tuple[_Rest, _Rest]] = []
@@ -205,6 +220,7 @@ class ManeuverFinder:
                 if number
             },
             set_back={s.name: s.set_back / SECOND for s in every},
+            offset=self.offset,
         )
 
     def _take_oldest(self) -> None:
@@ -279,7 +295,25 @@ class ManeuverFinder:
         maneuver = Maneuver(start, end, times, q, qd)
         if holes:
             return replace(maneuver, used=False, reason=str(holes[0]))
-        return self._seen(maneuver, looks)
+        maneuver = replace(self._seen(maneuver, looks), time_offset=self.base.lag / SECOND)
+        self._align(start, end)
+        return maneuver
+
+    def _align(self, begin: int, end: int) -> None:
+        """Learn the clocks' offset from how the base turned."""
+        gap = self.settings.vicon_gap * SECOND
+        turned = self.gyro.angles(begin, end, gap)
+        if turned is None or self.base.holes(begin, end, gap):
+            return
+        t, poses = self.base.slice(begin, end)
+        within = np.array([SEARCH, (end - begin) / SECOND - SEARCH])
+        gyro, seen = (turned[0] - begin) / SECOND, (t - begin) / SECOND
+        psi = np.unwrap(poses[:, 2])
+        found = offset_of_move(within, [(gyro, turned[1])], seen, psi, SEARCH)
+        if found.deviation <= WORST:
+            self._offsets.append(replace(found, value=found.value + self.base.lag / SECOND))
+            self.offset = mean_offset(self._offsets)
+            self.base.lag = round(self.offset.value * SECOND)
 
     def _holes(self, joint: _Joint, start: int, end: int) -> list[Hole]:
         """Silences of a joint that tell nothing of where it went meanwhile."""

@@ -25,9 +25,16 @@ def stages(c: Any) -> Table:
     return Table("What the verdict is made of", head, rows, words=3)
 
 
-def refused(c: Any) -> list[Sequence[str]]:
-    """Rows of a table: samples that were refused, by stream and reason."""
-    return [[kind, str(number)] for kind, number in zip(c.refused_kinds, c.refused, strict=True)]
+def streams(c: Any) -> Table:
+    """Samples that were refused, by stream and reason, and the offset between the clocks."""
+    rows: list[Sequence[str]] = [
+        [kind, str(number)] for kind, number in zip(c.refused_kinds, c.refused, strict=True)
+    ]
+    if np.isfinite(c.time_offset):
+        offset = f"{1e3 * c.time_offset:.2f} ± {1e3 * c.time_offset_deviation:.2f} ms"
+        rows.append(["joints' stamps less motion capture's", offset])
+    rows = rows or [["nothing to tell", ""]]
+    return Table("Samples refused, and the clocks", ["what", ""], rows)
 
 
 def correlation(covariance: Floats, labels: Sequence[str]) -> Any:
