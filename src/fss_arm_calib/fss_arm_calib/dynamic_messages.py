@@ -94,7 +94,8 @@ def _maneuver(one: Any) -> Maneuver:
             return tuple(map(float, given))
         return tuple(map(int, given)) if name == "frames" else given
 
-    return Maneuver(**{f.name: value(f.name) for f in fields(Maneuver)})
+    # Bags recorded before have no time_offset.
+    return Maneuver(**{f.name: value(f.name) for f in fields(Maneuver) if hasattr(one, f.name)})
 
 
 def _plain(value: Any) -> Any:
