@@ -40,7 +40,7 @@ class FakeLink:
         self.born = born
         self.taken: Command | None = None
         self.arrived = 0
-        self.flags, self.referenced = State(0), True
+        self.flags, self.referenced = 0, True
         self.position = self.target = 0
         self.speed = 0.0  # [counts/s]
         self.measured = 0
@@ -59,7 +59,7 @@ class FakeLink:
         if command.flags & Order.STOP:
             self.flags = State.STOPPED
         elif not command.flags & Order.ARM:
-            self.flags = State(0)
+            self.flags = 0
         elif not latches:
             self.flags = State.ARMED
             self.referenced |= bool(command.flags & Order.HOME)
@@ -79,7 +79,7 @@ class FakeLink:
         self.position += turned
         self.frame = replace(
             self.frame,
-            flags=int(self.flags | (State.REFERENCED if self.referenced else 0)),
+            flags=self.flags | (State.REFERENCED if self.referenced else 0),
             sequence=(self.frame.sequence + 1) & 0xFFFFFFFF,
             clock=self.clock(now),
             echo=taken.clock & 0xFFFFFFFF if taken else 0,

@@ -17,7 +17,7 @@ import pytest
 from driver_link import SECOND, FakeLink
 
 from fss_arm_driver.link import COUNTS, LinkSession
-from fss_arm_driver.messages import joint_state, telemetry
+from fss_arm_driver.messages import SampleMessages
 from fss_arm_driver.protocol import decode, encode
 from fss_arm_model.description import paper_arm
 
@@ -69,7 +69,6 @@ class Judge:
         self.since = 0  # forged ones since then
 
     def check(self, sample, now):
-        assert not sample.armed
         assert -0.15 * SECOND <= now - sample.stamp <= SECOND
         measured = self.sent.pop(sample.frame, None)
         if measured is not None:
@@ -96,6 +95,7 @@ def memory():
 def test_damaged_datagrams(datagrams):
     rng = random.Random(20)
     session = LinkSession(1, paper_arm().links[0])
+    messages = SampleMessages(session)
     link, judge = FakeLink(boot=3), Judge()
     recent, ahead, now, before = [], b"", SECOND, 0
     for k in range(datagrams):
@@ -111,9 +111,10 @@ def test_damaged_datagrams(datagrams):
         else:
             data = damage(rng, recent, ahead)
         if sample := session.feed(data, now):
+            assert not session.armed
             judge.check(sample, now)
-            joint_state(1, sample)
-            telemetry(sample)
+            messages.joint_state(sample)
+            messages.telemetry(sample, now)
         if k == datagrams // 5:
             before = memory()
     counts = session.counts

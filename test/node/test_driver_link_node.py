@@ -151,7 +151,7 @@ def test_commands_move_an_armed_link_only(bench):
     until(lambda: transport.link.taken.flags & Order.HOLD)  # the command has expired
     assert arm(user, until, data=False).success
     until(lambda: not user.telemetry[-1].armed)
-    assert transport.link.flags == State(0)
+    assert transport.link.flags == 0
 
 
 def test_refused_commands_change_nothing_and_are_said_once(bench, monkeypatch):

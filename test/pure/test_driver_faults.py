@@ -115,7 +115,7 @@ def test_latched_faults_are_cleared_by_frames_that_do_not_arm(bench):
 
 def test_a_link_without_reference_is_commanded_no_position_until_homed(bench):
     bench.link.referenced = False
-    assert bench.step().referenced is False
+    assert not bench.step().referenced
     with pytest.raises(CommandError, match="link 1 is not referenced: home it first"):
         bench.set(Mode.POSITION, 0.1)
     bench.set(Mode.VELOCITY, 0.1)

@@ -101,13 +101,15 @@ def test_a_sample_is_in_si_units_and_host_time():
 def test_without_a_round_trip_the_stamp_says_so(bench):
     bench.step(down=False)
     sample = bench.step(down=False)
-    assert sample.deviation == inf
-    assert isnan(sample.round_trip)
+    assert sample
+    assert bench.session.deviation(bench.now) == inf
+    assert isnan(bench.session.round_trip)
 
 
 def test_slow_fields_are_kept(heard):
     heard.step(slow_id=Slow.TEMPERATURE, slow_value=-3)
-    assert heard.step().slow == {Slow.TEMPERATURE: -3, Slow.SUPPLY: 240}
+    assert heard.step()
+    assert heard.session.slow == {Slow.TEMPERATURE: -3, Slow.SUPPLY: 240}
 
 
 def test_a_pause_at_the_begin_is_not_taken_for_the_usual_period(bench):
@@ -218,7 +220,8 @@ def test_a_silent_link_is_lost_and_returns_disarmed(armed):
     assert armed.session.arming is Arming.DISARMED
     told = armed.told()
     assert (told.flags, told.boot, told.mode) == (0, 0, Mode.OFF)
-    assert armed.step().armed is False
+    assert armed.step()
+    assert not armed.session.armed
     assert armed.session.counts["lost"] == 1
     assert armed.session.counts["adopted"] == 2
     assert not armed.told().flags & Order.ARM
@@ -242,8 +245,8 @@ def test_a_rebooted_link_is_adopted_disarmed(armed):
         silent += 1
     assert silent == 5  # not before the link it was is lost
     assert sample.frame.boot == 8
-    assert not sample.armed
-    assert sample.slow == {Slow.SUPPLY: 240}
+    assert not armed.session.armed
+    assert armed.session.slow == {Slow.SUPPLY: 240}
     assert armed.told().boot == 8
     assert armed.session.arming is Arming.DISARMED
 
@@ -387,7 +390,7 @@ def test_a_link_that_disarmed_itself_is_not_armed_again(armed):
     assert armed.session.arming is Arming.DISARMED
     assert armed.told().flags == 0
     armed.step()
-    assert armed.link.flags == State(0)
+    assert armed.link.flags == 0
 
 
 def test_a_clock_in_steps_is_stamped_with_its_uncertainty():
@@ -400,6 +403,7 @@ def test_a_clock_in_steps_is_stamped_with_its_uncertainty():
         measured = bench.now + 61 * MILLISECOND
         received = (measured + DELAY) // step * step
         sample = bench.session.feed(bench.link.telemetry(measured), received)
-        if sample and sample.deviation < inf:
-            assert abs(sample.stamp - measured) < 4 * 1e9 * sample.deviation
-    assert sample.deviation < 0.006
+        deviation = bench.session.deviation(received)
+        if sample and deviation < inf:
+            assert abs(sample.stamp - measured) < 4 * 1e9 * deviation
+    assert deviation < 0.006

@@ -5,9 +5,9 @@ says. All times are the caller's, in integer nanoseconds.
 """
 
 from collections import Counter
-from dataclasses import dataclass
 from enum import Enum
 from math import inf, nan
+from typing import NamedTuple
 
 from fss_arm_driver.battery import Battery
 from fss_arm_driver.faults import blocking
@@ -55,20 +55,19 @@ COUNTS = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Sample:
+class Sample(NamedTuple):
     """A telemetry frame that is believed, in host time and SI units."""
 
     frame: Telemetry
     stamp: int  # host time of the measurement [ns]
-    deviation: float  # of the stamp, 1 sigma [s]; infinite before a round trip
-    round_trip: float  # [s]; NaN before a round trip
     position: float  # [rad]
     velocity: float  # [rad/s]
     torque: float  # [N m]; NaN: none of the last 254 ms
-    slow: dict[Slow, int]  # the last report of each slow field
-    armed: bool
-    referenced: bool  # the position means something
+
+    @property
+    def referenced(self) -> bool:
+        """Whether the encoder's zero is known, so that the position means something."""
+        return bool(self.frame.flags & State.REFERENCED)
 
 
 class LinkSession:
@@ -106,7 +105,7 @@ class LinkSession:
         )
         self._now = 0
         self._boot = 0  # of the link that was followed last
-        self.slow: dict[Slow, int] = {}  # the last report of each
+        self.slow: dict[int, int] = {}  # the last report of each field, by Slow
         self._stamp = 0  # of the last sample
         self._order: SetPoint | None = None
         self._expiry = 0  # of the order
@@ -306,22 +305,39 @@ class LinkSession:
 
     def feed(self, data: bytes, now: int) -> Sample | None:
         """Take a datagram; return what it says if it is to be believed."""
+        if sample := self.measure(data, now):
+            self.follow(sample)
+        return sample
+
+    def measure(self, data: bytes, now: int) -> Sample | None:
+        """Take a datagram, as `feed` does, but leave its consequences to `follow`.
+
+        Whoever waits for the measurement need not wait for them.
+        """
         self.tick(now)
         self.counts["received"] += 1
         if (frame := self._decode(data)) is None:
             return None
-        lost, echoed = self.lost, self._sent.get(frame.echo) if frame.echo else None
+        lost, echoed = self.lost, self._sent_at(frame)
         if not self._reception.take(frame, echoed, now):
             return None
         if lost:  # nothing is wanted of a link that was not followed until now
             self.disarm("the link was lost")
+        return self._sample(frame, echoed, now)
+
+    def follow(self, sample: Sample) -> None:
+        """Learn from a sample what the link does: its slow values, arming, the last command."""
+        frame = sample.frame
         if frame.boot != self._boot:
             self._boot, self.slow, self.battery = frame.boot, {}, Battery(self._empty)
-        self.slow[Slow(frame.slow_id)] = frame.slow_value
+        self.slow[frame.slow_id] = frame.slow_value
         if frame.slow_id == Slow.BATTERY:
-            self.battery.take(0.1 * frame.slow_value, now)
-        self._follow_arming(frame, echoed)
-        return self._sample(frame, echoed, now)
+            self.battery.take(0.1 * frame.slow_value, self._now)
+        self._follow_arming(frame, self._sent_at(frame))
+
+    def _sent_at(self, frame: Telemetry) -> int | None:
+        """When the command that a frame echoes was sent, if that is known."""
+        return self._sent.get(frame.echo) if frame.echo else None
 
     def _decode(self, data: bytes) -> Telemetry | None:
         """The telemetry of this link that these bytes are, or None, counted."""
@@ -350,7 +366,7 @@ class LinkSession:
 
     def _sample(self, frame: Telemetry, echoed: int | None, now: int) -> Sample:
         assert self._reception.track
-        clock = self._reception.track.clock
+        clock, scale = self._reception.track.clock, self.scale
         if echoed is None:
             clock.one_way(frame.clock, now)
         else:
@@ -360,12 +376,7 @@ class LinkSession:
         return Sample(
             frame=frame,
             stamp=self._stamp,
-            deviation=clock.deviation(now),
-            round_trip=clock.round_trip,
-            position=self.scale.position(frame.position),
-            velocity=self.scale.velocity(frame.velocity),
-            torque=self.scale.torque(frame.torque) if frame.torque_age < NO_TORQUE else nan,
-            slow=dict(self.slow),
-            armed=self.armed,
-            referenced=self.referenced,
+            position=scale.position(frame.position),
+            velocity=scale.velocity(frame.velocity),
+            torque=scale.torque(frame.torque) if frame.torque_age < NO_TORQUE else nan,
         )

@@ -4,7 +4,9 @@ A thread takes the link's datagrams and publishes what they say; all else happen
 What both touch is the session, under a lock.
 """
 
+import os
 import sys
+import time
 from threading import RLock
 from typing import Any
 
@@ -19,11 +21,10 @@ from std_srvs.srv import SetBool, Trigger
 from fss_arm_driver.link import SECOND, Arming, LinkSession
 from fss_arm_driver.messages import (
     LinkHealth,
+    SampleMessages,
     command_refused,
     command_status,
-    joint_state,
     state_words,
-    telemetry,
 )
 from fss_arm_driver.receiver import Receiver
 from fss_arm_driver.scale import CommandError
@@ -33,7 +34,7 @@ from fss_arm_msgs.msg import CommandStatus, LinkCommand, LinkTelemetry
 from fss_arm_ros.convert import stamp_ns
 from fss_arm_ros.diagnostics import Diagnostics, Health
 from fss_arm_ros.qos import COMMAND, SENSOR
-from fss_arm_ros.run import run
+from fss_arm_ros.run import RCLError, run
 from fss_arm_ros.settings import declare
 
 SIMULATED_STEP = 0.01  # of /clock [s]
@@ -57,6 +58,7 @@ class LinkNode(Node):
         super().__init__(f"link_{number}", parameter_overrides=overrides, **options)
         self.settings = settings = declare(self, LinkSettings)
         simulated = self.get_parameter("use_sim_time").value
+        self.now = self.simulated_now if simulated else time.time_ns
         self.session = LinkSession(
             number,
             settings.description(),
@@ -86,27 +88,40 @@ class LinkNode(Node):
         self.create_service(SetBool, f"{self.name}/arm", self.on_arm, callback_group=group)
         self.create_service(Trigger, f"{self.name}/clear_faults", self.on_clear_faults)
         self.create_timer(1.0 / settings.rate, self.send)
+        self.messages = SampleMessages(self.session)
         self.link_health = LinkHealth(self.session, self.transport, bool(settings.keys))
         self.diagnostics = Diagnostics(self, self.health, settings.url)
         self.news = self.create_guard_condition(self.answer)
         self.receiver = Receiver(self.transport, self.poll, self.news)
 
-    def now(self) -> int:
-        """The node's clock [ns]; 0 before the first /clock if that is followed."""
+    def simulated_now(self) -> int:
+        """The time of /clock [ns]; 0 before its first message."""
         return int(self.get_clock().now().nanoseconds)
 
     def poll(self) -> None:
         """Take what has come. Without a clock yet nothing can be stamped: it is dropped."""
         with self.lock:  # the time as well: read before, it would run back in the session
             datagrams, now = self.transport.receive(), self.now()
-            samples = [self.session.feed(data, now) for data in datagrams if now]
-        for sample in samples:
-            if sample and self.context.ok():
-                if sample.referenced:  # else the position says nothing
-                    self.joint_states.publish(joint_state(self.session.number, sample))
-                self.telemetry.publish(telemetry(sample))
+            try:
+                for data in datagrams if now else ():
+                    self.publish(data, now)
+            except RCLError:
+                if self.context.ok():
+                    raise
+                return  # shut down meanwhile
         if self.waiting or self.progressed():
             self.news.trigger()
+
+    def publish(self, data: bytes, now: int) -> None:
+        """Publish what a datagram says; the joint's state before all else."""
+        sample = self.session.measure(data, now)
+        if sample is None:
+            return
+        if sample.referenced:  # else the position says nothing
+            self.joint_states.publish(self.messages.joint_state(sample))
+            os.sched_yield()  # on a busy processor, to who waits for it: the rest is not urgent
+        self.session.follow(sample)
+        self.telemetry.publish(self.messages.telemetry(sample, now))
 
     def send(self) -> None:
         """Send the command of the moment."""

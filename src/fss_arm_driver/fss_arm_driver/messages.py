@@ -1,7 +1,9 @@
 """What a link's session knows, as messages."""
 
+from math import nan
 from typing import Any
 
+from builtin_interfaces.msg import Time
 from sensor_msgs.msg import JointState
 
 from fss_arm_driver.faults import present
@@ -14,52 +16,57 @@ from fss_arm_ros.convert import SECOND, to_time
 from fss_arm_ros.diagnostics import ERROR, OK, WARN, Health
 
 MILLISECOND = 1_000_000  # [ns]
+#: What a LinkTelemetry has as the frame has it, and what took turns in the frames.
+REPORTED = (
+    *("boot", "sequence", "clock", "position", "velocity", "current"),
+    *("torque", "torque_age", "mode", "flags", "status"),
+)
+SLOW_NAMES = tuple((int(s), s.name.lower()) for s in Slow if s is not Slow.TEMPERATURE)
 LATCHED_WORDS = {State.STOPPED: "the link is stopped", State.WATCHDOG: "its watchdog tripped"}
 
 
-def joint_state(number: int, sample: Sample) -> JointState:
-    """A sample as the joint's state at the time of the measurement."""
-    message = JointState(
-        name=[f"joint_{number}"],
-        position=[sample.position],
-        velocity=[sample.velocity],
-        effort=[sample.torque],
-    )
-    message.header.stamp = to_time(sample.stamp)
-    return message
+class SampleMessages:
+    """A link's samples as messages.
+
+    Each message is made once and filled anew for each sample, as making one costs more than
+    publishing it: what is returned holds until the next sample.
+    """
+
+    def __init__(self, session: LinkSession) -> None:
+        self.session = session
+        name = [f"joint_{session.number}"]
+        self._joint_state = JointState(name=name, position=[nan], velocity=[nan], effort=[nan])
+        self._telemetry = LinkTelemetry(link=session.number)
+        self._telemetry.header.frame_id = f"link_{session.number}"
+
+    def joint_state(self, sample: Sample) -> JointState:
+        """The joint's state at the time of the measurement."""
+        message = self._joint_state
+        _set(message.header.stamp, sample.stamp)
+        message.position[0] = sample.position
+        message.velocity[0] = sample.velocity
+        message.effort[0] = sample.torque
+        return message
+
+    def telemetry(self, sample: Sample, now: int) -> LinkTelemetry:
+        """Everything that the link reported, raw, and what the session knows of it."""
+        message, frame, session = self._telemetry, sample.frame, self.session
+        _set(message.header.stamp, sample.stamp)
+        for name in REPORTED:
+            setattr(message, name, getattr(frame, name))
+        for field, name in SLOW_NAMES:
+            setattr(message, name, session.slow.get(field, 0) & 0xFFFFFFFF)
+        message.temperature = session.slow.get(Slow.TEMPERATURE, 0)
+        message.clock_deviation = session.deviation(now)
+        message.round_trip = session.round_trip
+        message.armed = session.armed
+        has_torque = frame.torque_age < NO_TORQUE
+        _set(message.torque_stamp, (sample.stamp - frame.torque_age * MILLISECOND) * has_torque)
+        return message
 
 
-def telemetry(sample: Sample) -> LinkTelemetry:
-    """A sample with everything that the link reported, raw."""
-    frame, slow = sample.frame, sample.slow
-    message = LinkTelemetry(
-        link=frame.link,
-        boot=frame.boot,
-        sequence=frame.sequence,
-        clock=frame.clock,
-        clock_deviation=sample.deviation,
-        round_trip=sample.round_trip,
-        position=frame.position,
-        velocity=frame.velocity,
-        current=frame.current,
-        torque=frame.torque,
-        torque_age=frame.torque_age,
-        mode=frame.mode,
-        flags=frame.flags,
-        status=frame.status,
-        temperature=slow.get(Slow.TEMPERATURE, 0),
-        armed=sample.armed,
-        **{
-            field.name.lower(): slow.get(field, 0) & 0xFFFFFFFF
-            for field in Slow
-            if field is not Slow.TEMPERATURE
-        },
-    )
-    message.header.stamp = to_time(sample.stamp)
-    message.header.frame_id = f"link_{frame.link}"
-    if frame.torque_age < NO_TORQUE:
-        message.torque_stamp = to_time(sample.stamp - frame.torque_age * MILLISECOND)
-    return message
+def _set(stamp: Time, ns: int) -> None:
+    stamp.sec, stamp.nanosec = divmod(ns, SECOND)
 
 
 def command_status(progress: Progress, now: int) -> CommandStatus:

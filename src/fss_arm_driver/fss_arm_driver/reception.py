@@ -1,8 +1,8 @@
 """Which telemetry of a link is believed, and when the link counts as lost (docs/protocol.md)."""
 
 from collections import Counter, deque
-from dataclasses import dataclass
 from enum import Enum
+from typing import NamedTuple
 
 from fss_arm_driver.clock import LinkClock
 from fss_arm_driver.protocol import Telemetry, newer
@@ -25,8 +25,7 @@ class Verdict(Enum):
     JUMP = "jump"
 
 
-@dataclass(frozen=True, slots=True)
-class Track:
+class Track(NamedTuple):
     """The last frame of a link, the clock that its frames are timed by, and their usual period."""
 
     frame: Telemetry
@@ -123,13 +122,16 @@ class Reception:
         period = frame.clock - track.frame.clock
         steps = (frame.sequence - track.frame.sequence) & 0xFFFFFFFF
         turned = frame.position - track.frame.position
-        known_to = track.clock.half_width(now)
-        early = self._early + (known_to if known_to < self._timeout else 0)
         # Frames that are said to have come between need their time; the next one is no leap.
         least = max(steps * SHORTEST_PERIOD, (steps - 1) * track.period / 2)
-        if age < -early or period < least:
+        if period < least or (age < -self._early and self._is_early(track, age, now)):
             return Verdict.JUMP
         return Verdict.FOLLOWS if self._scale.reachable(turned, period) else Verdict.JUMP
+
+    def _is_early(self, track: Track, age: int, now: int) -> bool:
+        """Whether a frame is from the future by more than the clock's uncertainty, too."""
+        known_to = track.clock.half_width(now)
+        return age < -self._early - (known_to if known_to < self._timeout else 0)
 
     def _believe(self, track: Track, frame: Telemetry, now: int) -> None:
         self._counts["adopted"] += self.lost

@@ -59,6 +59,11 @@ class Scale:
                 f"counts_per_turn is {drive.counts_per_turn}: with it the limits of position "
                 "or velocity do not fit the 32 bits of a frame"
             )
+        edges = [
+            q / self.radians_per_count
+            for q in (link.q_min - POSITION_MARGIN, link.q_max + POSITION_MARGIN)
+        ]
+        self._lowest, self._highest = min(edges), max(edges)  # [counts]
         self._largest_current = CURRENT_MARGIN * drive.max_current / CURRENT_UNIT
 
     def position(self, counts: int) -> float:
@@ -76,13 +81,10 @@ class Scale:
 
     def possible(self, frame: Telemetry) -> bool:
         """Whether this link could report this at all."""
-        link = self.link
         return (
-            abs(frame.velocity) <= self._largest_velocity
+            self._lowest <= frame.position <= self._highest
+            and abs(frame.velocity) <= self._largest_velocity
             and abs(frame.current) <= self._largest_current
-            and link.q_min - POSITION_MARGIN
-            <= self.position(frame.position)
-            <= link.q_max + POSITION_MARGIN
         )
 
     def reachable(self, counts: int, microseconds: int) -> bool:

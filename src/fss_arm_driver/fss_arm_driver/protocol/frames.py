@@ -6,7 +6,7 @@ the arm's description turns them into SI units.
 
 import struct
 from dataclasses import dataclass, field, fields
-from enum import Enum, IntEnum, IntFlag
+from enum import Enum, IntEnum
 from typing import Any
 from zlib import crc32
 
@@ -38,8 +38,8 @@ class Mode(IntEnum):
     POSITION = 21
 
 
-class State(IntFlag):
-    """Flags of a telemetry frame."""
+class State(IntEnum):
+    """Flags of a telemetry frame, one bit each."""
 
     ARMED = 1
     STOPPED = 2  # latched until a command frame with neither arm nor stop
@@ -47,8 +47,8 @@ class State(IntFlag):
     REFERENCED = 8  # the encoder's zero is known
 
 
-class Order(IntFlag):
-    """Flags of a command frame."""
+class Order(IntEnum):
+    """Flags of a command frame, one bit each."""
 
     ARM = 1  # absent: disarm
     STOP = 2  # disarm and latch it
@@ -131,8 +131,10 @@ class FrameError(ValueError):
 _TELEMETRY, _COMMAND = 1, 2
 _HEAD = "<HBBBBHIQ"  # magic, version, kind, link, flags, boot, sequence, clock
 _TELEMETRY_BODY = struct.Struct(_HEAD + "IIiihBBIIi")  # torque and its age share one word
+_TELEMETRY_FIELDS = struct.Struct("<4xBBHIQIIiihBBIIi")  # the same from the link on
 _COMMAND_BODY = struct.Struct(_HEAD + "QBBHiii8s")
 _CRC = struct.Struct("<I")
+_KIND = struct.Struct("<HBB")  # magic, version, kind
 _SIGNATURE_AT = FRAME_SIZE - SIGNATURE_SIZE
 _CRC_AT = _SIGNATURE_AT - _CRC.size
 _RESERVED = bytes(8)
@@ -173,7 +175,7 @@ def decode(data: bytes, key: bytes | None = None) -> Telemetry | Command:
     """
     if len(data) != FRAME_SIZE:
         raise FrameError(Refusal.LENGTH, f"{len(data)} bytes, expected {FRAME_SIZE}")
-    magic, version, kind = struct.unpack_from("<HBB", data)
+    magic, version, kind = _KIND.unpack_from(data)
     if magic != MAGIC:
         raise FrameError(Refusal.MAGIC, f"magic is {magic:#06x}, expected {MAGIC:#06x}")
     if version != VERSION:
@@ -200,7 +202,7 @@ def _pack_telemetry(head: tuple[int, ...], frame: Telemetry) -> bytes:
 
 
 def _telemetry(data: bytes) -> Telemetry:
-    *values, word, slow_value = _TELEMETRY_BODY.unpack_from(data)[3:]
+    *values, word, slow_value = _TELEMETRY_FIELDS.unpack_from(data)
     torque = (word & 0xFFFFFF) - ((word & 0x800000) << 1)
     values += torque, word >> 24, slow_value
     return Telemetry(*values)
