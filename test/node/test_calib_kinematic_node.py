@@ -8,6 +8,7 @@ import pytest
 from calib_rig import ARM, TYPES, Rig, at, message, record
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.serialization import serialize_message
 from std_srvs.srv import Trigger
 
 from fss_arm_calib.from_bag import main as from_bag
@@ -22,9 +23,11 @@ from fss_arm_calib.settings import CalibrationSettings
 from fss_arm_calib.verdict import calibrate
 from fss_arm_model.description import from_yaml, load, paper_arm, save
 from fss_arm_model.kinematics import tip_in_base
-from fss_arm_msgs.msg import KinematicCalibration, KinematicObservations
+from fss_arm_msgs.msg import KinematicCalibration, KinematicObservations, LinkTelemetry
 from fss_arm_ros.bags import BagError
-from fss_arm_ros.qos import LATCHED, sensor
+from fss_arm_ros.convert import to_time
+from fss_arm_ros.qos import LATCHED, SENSOR, sensor
+from fss_arm_ros.recording import Recording
 from fss_arm_ros.replay_node import ReplayNode
 
 
@@ -200,6 +203,41 @@ def test_a_node_that_was_killed_goes_on(spin, play, samples, tmp_path):
     play(bed, second, [s for s in samples if s.t >= at(16.5)])
     spin([bed, second], lambda: bed.observed() == 8)
     assert len(json.loads((tmp_path / "state.json").read_text())) == 8
+
+
+def reference(i, seconds, homings):
+    message = LinkTelemetry(link=i, boot=3, homings=homings)
+    message.header.stamp = to_time(at(seconds))
+    return message
+
+
+def test_a_link_homed_later_asks_for_its_offsets(spin, play, samples):
+    bed, node = Bed(), make_node()
+    link = bed.create_publisher(LinkTelemetry, "link_2/telemetry", 10)
+    spin([bed, node], link.get_subscription_count)
+    link.publish(reference(2, 0.0, 1))
+    play(bed, node, samples)
+    assert ask_to_solve(spin, bed, node).success
+    result = spin([bed, node], lambda: bed.observed() == 8 and bed.results[-1])
+    assert list(result.boots) == [0, 3, 0, 0]
+    assert list(result.homings) == [0, 1, 0, 0]
+    assert node.health().message == "8 observations"
+    link.publish(reference(2, 100.0, 2))
+    said = "joint_2 homed or restarted since: calibrate the offsets"
+    spin([bed, node], lambda: node.health().message == said)
+
+
+def test_homings_are_read_from_bags(samples, tmp_path):
+    told = Recording(tmp_path / "a")
+    told.add("/link_2/telemetry", "fss_arm_msgs/msg/LinkTelemetry", [SENSOR])
+    for seconds, homings in ((0.0, 1), (14.0, 2)):
+        message = serialize_message(reference(2, seconds, homings))
+        told.write("/link_2/telemetry", at(seconds), message)
+    told.close()
+    found = solve_bag([told.path, record(tmp_path / "b", samples)], CalibrationSettings())
+    assert found.homings == (0, 2, 0, 0)
+    assert len(found.q) == 5
+    assert "3 observations left out: joint_2 homed or restarted since" in found.reason
 
 
 def test_a_gap_makes_the_verdict_not_evaluated_until_the_posture_is_repeated(spin, play):

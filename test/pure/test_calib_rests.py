@@ -1,12 +1,22 @@
 """The finder on synthetic streams: any interleaving, gaps, occlusions, repeats, motion."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
 from calib_rig import ARM, COUNT, POSTURES, START, Rig, Sample, at
 
-from fss_arm_calib.rests import BASE, TIP, Observation, RestFinder, RestSettings, spoiled
+from fss_arm_calib.rests import (
+    BASE,
+    TIP,
+    Observation,
+    RestFinder,
+    RestSettings,
+    homed,
+    since_homed,
+    spoiled,
+)
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_ros.convert import SECOND
 
@@ -90,6 +100,24 @@ def test_the_order_of_arrival_does_not_matter(seed, joints_late):
         if not streams[name]:
             del streams[name]
     assert find(mixed) == expected
+
+
+def test_an_observation_knows_how_often_its_links_were_homed():
+    finder = RestFinder(4)
+    finder.reference(2, at(0.5), 7, 0)  # not told yet
+    finder.reference(2, at(1.0), 7, 1)
+    finder.reference(2, at(5.0), 7, 2)
+    finder.reference(2, at(4.0), 7, 3)  # late: the newer one stands
+    finder.reference(2, at(11.0), 8, 1)
+    finder.reference(5, at(0.0), 7, 1)  # another arm's
+    found = find(Rig().samples(), finder=finder)
+    assert [o.boots for o in found] == [(0, 7, 0, 0), (0, 7, 0, 0), (0, 8, 0, 0)]
+    assert [o.homings for o in found] == [(0, 1, 0, 0), (0, 2, 0, 0), (0, 1, 0, 0)]
+    assert [homed(o, finder.streams()) for o in found] == [[2], [2], []]
+    assert since_homed(found) == found[2:]
+    assert [replace(o, boots=(), homings=()) for o in found] == [
+        replace(o, boots=(), homings=()) for o in find(Rig().samples())
+    ]
 
 
 def test_repeated_samples_change_nothing():

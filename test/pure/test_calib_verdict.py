@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fss_arm_calib.judgement import settings_of
-from fss_arm_calib.kinematic import FULL, KinematicProblem, inverse, solve
+from fss_arm_calib.kinematic import FULL, OFFSETS, KinematicProblem, inverse, solve
 from fss_arm_calib.postures import DEFAULT
 from fss_arm_calib.rests import Observation, Streams
 from fss_arm_calib.settings import CalibrationSettings, Criteria
@@ -112,6 +112,38 @@ def test_a_robust_loss_passes_with_an_outlier_that_hardly_weighs():
     assert stage(calibration, "fit").verdict == PASS
     assert calibration.weights[4] < 0.2
     assert calibration.loss == "cauchy"
+
+
+def test_what_is_from_before_a_homing_is_left_out():
+    """A drive that is homed anew has another offset: no arm fits readings before and after."""
+    before = {"boots": (3, 3, 3, 3), "homings": (1, 1, 1, 1)}
+    offsets = [5.801 + 3.0, -3.402, -1.391]
+    again = paper_arm().with_kinematics(
+        [*[0.3825] * 3, 0.3351, *np.radians(offsets), 0.2058, 0.0155, np.radians(18.211)]
+    )
+    old = [replace(o, **before) for o in observe()]
+    new = observe(DEFAULT[:8], seed=2, arm=again)
+    new = [replace(o, start=o.start + 10**11, end=o.end + 10**11) for o in new]
+    assert calibrate([*old, *new], paper_arm()).verdict == FAIL
+    settings = CalibrationSettings(parametrization=OFFSETS)
+    alone = calibrate(new, paper_arm(), settings)
+    for after in (
+        {"boots": (3, 3, 3, 3), "homings": (1, 2, 1, 1)},
+        {"boots": (3, 4, 3, 3), "homings": (1, 1, 1, 1)},
+    ):
+        told = [replace(o, **after) for o in new]
+        found = calibrate([*old, *told], paper_arm(), settings)
+        assert found.verdict == PASS, found.reason
+        assert np.array_equal(found.values, alone.values)
+        assert abs(found.values[0] - np.radians(8.801)) < 4.0 * found.covariance[0, 0] ** 0.5
+        assert (found.boots, found.homings) == (after["boots"], after["homings"])
+        assert found.observations_refused == len(old)
+        words = "13 observations left out: joint_2 homed or restarted since"
+        assert stage(found, "homings").reason == words
+        assert words in found.reason
+    # A link that tells nothing of it leaves nothing out.
+    silent = {"boots": (3, 0, 3, 3), "homings": (1, 0, 1, 1)}
+    assert calibrate([*old, *[replace(o, **silent) for o in old]], paper_arm()).gaps == 0
 
 
 def swapped(observation):
@@ -252,7 +284,8 @@ def test_impossible_criteria_are_refused(change, message):
 
 def test_observations_are_kept_to_the_last_bit(tmp_path):
     unused = Observation(0, 1, (0.1, nan, 0.0, 0.0), used=False, reason="gap")
-    kept = [*observe(), unused]
+    told = [replace(o, boots=(3, 3, 9, 3), homings=(1, 2, 0, 1)) for o in observe(seed=3)]
+    kept = [*observe(), *told, unused]
     write_observations(tmp_path / "state.json", kept)
     restored = read_observations(tmp_path / "state.json", 4)
     assert restored[:-1] == kept[:-1]

@@ -135,7 +135,8 @@ def test_all_faults_at_once_leave_the_answer_within_three_sigma():
     assert counted[3]["reordered"]
     assert {s.frame.boot for s in rehearsal.samples[1]} == {1, 2}
     assert all(0.0 <= s.frame.torque_age <= 110 for s in rehearsal.samples[0])
-    batteries = [s.slow[Slow.BATTERY] for s in rehearsal.samples[0] if Slow.BATTERY in s.slow]
+    frames = [s.frame for s in rehearsal.samples[0]]
+    batteries = [f.slow_value for f in frames if f.slow_id == Slow.BATTERY]
     assert batteries[-1] < batteries[0]
 
 
@@ -151,12 +152,12 @@ def test_stamps_are_as_good_as_they_state_under_loss_and_delay():
         rehearsal.step()
         for link in rehearsal.bed.links:
             measured[link.number, link.clock(rehearsal.bed.now)] = rehearsal.bed.now
-    for samples in rehearsal.samples:
-        known = [s for s in samples if np.isfinite(s.deviation)]
-        true = [measured[s.frame.link, s.frame.clock] for s in known]
-        off = [(s.stamp - begin - t) * 1e-9 for s, t in zip(known, true, strict=True)]
+    for samples, deviations in zip(rehearsal.samples, rehearsal.deviations, strict=True):
+        known = [(s, d) for s, d in zip(samples, deviations, strict=True) if np.isfinite(d)]
+        true = [measured[s.frame.link, s.frame.clock] for s, _ in known]
+        off = [(s.stamp - begin - t) * 1e-9 for (s, _), t in zip(known, true, strict=True)]
         # The offset lies anywhere in an interval, of which a deviation is given.
-        bounds = [3**0.5 * s.deviation + 1e-6 for s in known]
+        bounds = [3**0.5 * d + 1e-6 for _, d in known]
         assert len(known) > 40
         assert (np.abs(off) <= bounds).all()
         assert abs(off[-1]) < 0.01

@@ -22,7 +22,7 @@ from .dynamic_settings import DynamicCalibrationSettings
 from .dynamic_verdict import DynamicCalibration
 from .kinematic_report import kinematic_report
 from .maneuvers import Maneuver, ManeuverFinder
-from .messages import feed_joints
+from .messages import feed_joints, feed_telemetry
 from .rests import BASE, TIP, Observation, RestFinder
 from .settings import CalibrationSettings
 from .verdict import FAIL, NOT_EVALUATED, PASS, Calibration, calibrate
@@ -30,6 +30,8 @@ from .verdict import FAIL, NOT_EVALUATED, PASS, Calibration, calibrate
 EXIT_CODES = {PASS: 0, FAIL: 2, NOT_EVALUATED: 3}
 
 JOINTS, POSES = "sensor_msgs/msg/JointState", "geometry_msgs/msg/PoseStamped"
+
+TELEMETRY = "fss_arm_msgs/msg/LinkTelemetry"
 
 PIECE = 0.2  # of the horizon that streams may lag each other by: what is read at once
 
@@ -109,10 +111,13 @@ def observations(
     """
     s = settings
     wanted = {s.joints_topic: JOINTS, s.base_topic: POSES, s.tip_topic: POSES}
-    joints, base, tip = topics(bags, wanted, 3)
+    wanted |= {f"link_{i}/telemetry": TELEMETRY for i in range(1, len(finder.joints) + 1)}
+    joints, base, tip, *links = topics(bags, wanted, 3)
     found: list[Observation] = []
     span = round(PIECE * s.horizon * SECOND)
-    for piece in pieces(bags.raw({joints, base, tip}), span):
+    for piece in pieces(bags.raw({joints, base, tip, *links}), span):
+        for data in (data for link in links for data in piece.get(link, ())):
+            feed_telemetry(finder, bags.deserialize(data, TELEMETRY))
         for data in piece.get(joints, ()):
             found += feed_joints(finder, bags.deserialize(data, JOINTS))
         for subject, topic in ((BASE, base), (TIP, tip)):

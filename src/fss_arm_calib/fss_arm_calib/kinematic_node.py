@@ -11,16 +11,22 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from fss_arm_model.description import from_yaml, load, paper_arm, save
-from fss_arm_msgs.msg import KinematicCalibration, KinematicObservations
+from fss_arm_msgs.msg import KinematicCalibration, KinematicObservations, LinkTelemetry
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.qos import LATCHED, subscribe_sensor
 from fss_arm_ros.run import run
 from fss_arm_ros.settings import declare
 
 from .kinematic_report import kinematic_report
-from .messages import feed_joints, feed_pose, observations_message, to_message
+from .messages import (
+    feed_joints,
+    feed_pose,
+    feed_telemetry,
+    observations_message,
+    to_message,
+)
 from .report import write
-from .rests import BASE, TIP, Observation, RestFinder
+from .rests import BASE, TIP, Observation, RestFinder, homed
 from .settings import CalibrationSettings, setting
 from .state import read_observations, write_observations
 from .verdict import PASS, calibrate
@@ -63,6 +69,9 @@ class KinematicNode(Node):
             subscribe_sensor(
                 self, PoseStamped, topic, partial(self.on_pose, subject), keep_all=True
             )
+        for i in range(1, self.arm.n + 1):
+            hear = partial(feed_telemetry, self.finder)
+            subscribe_sensor(self, LinkTelemetry, f"link_{i}/telemetry", hear)
         self.create_service(Trigger, "~/solve", self.on_solve)
         if kept:
             self.get_logger().info(f"goes on with {len(kept)} observations of {s.state_file}")
@@ -133,6 +142,9 @@ class KinematicNode(Node):
             return Health(WARN, f"waiting for {', '.join(streams.silent)}", values)
         if streams.strange:
             return Health(WARN, f"the arm has no {', '.join(streams.strange)}", values)
+        if again := homed(self.calibration, streams):
+            names = ", ".join(f"joint_{i}" for i in again)
+            return Health(WARN, f"{names} homed or restarted since: calibrate the offsets", values)
         return Health(OK, f"{len(self.observations)} observations", values)
 
 

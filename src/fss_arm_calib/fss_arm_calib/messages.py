@@ -30,6 +30,12 @@ def feed_joints(finder: RestFinder, message: Any) -> list[Observation]:
     return found
 
 
+def feed_telemetry(finder: RestFinder, message: Any) -> None:
+    """Give a LinkTelemetry to the finder: how often the link was homed, and started."""
+    t = stamp_ns(message.header.stamp)
+    finder.reference(int(message.link), t, int(message.boot), int(message.homings))
+
+
 def feed_pose(finder: RestFinder, subject: str, message: Any) -> list[Observation]:
     """Give a geometry_msgs/PoseStamped of a subject to the finder."""
     try:
@@ -91,6 +97,8 @@ def observations_of(message: Any) -> list[Observation]:
         given = getattr(one, name)
         if name in ("start", "end"):
             return stamp_ns(given)
+        if name in ("boots", "homings"):
+            return tuple(map(int, given))
         return tuple(map(float, given)) if name in ("q", "tip", "scatter") else given
 
     names = [f.name for f in fields(Observation)]

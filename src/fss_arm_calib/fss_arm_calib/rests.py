@@ -11,13 +11,14 @@ is therefore a function of the data alone, the same live, replayed and read from
 no stream lags another by more than `horizon`.
 """
 
-from bisect import bisect_left
+from bisect import bisect_left, bisect_right
 from collections import Counter, deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from math import inf, isfinite, nan
-from typing import NamedTuple
+from operator import itemgetter
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -56,6 +57,8 @@ class Observation:
     joint_samples: int = 0  # fewest readings of one joint averaged
     vicon_frames: int = 0  # pairs of poses averaged
     time_offset: float = 0.0  # of the joints' stamps against motion capture's, as allowed for [s]
+    boots: tuple[int, ...] = ()  # (n) start of each link's electronics; 0: not told
+    homings: tuple[int, ...] = ()  # (n) how often its drive was referenced since; 0: not told
     used: bool = True
     reason: str = ""  # why it is not used
 
@@ -70,6 +73,32 @@ def spoiled(observations: Sequence[Observation], tolerance: float) -> list[Obser
     ]
 
 
+class Referenced(Protocol):
+    """What holds as long as the joints keep their zeros."""
+
+    @property
+    def boots(self) -> tuple[int, ...]:
+        """(n) start of each link's electronics; 0: not told."""
+
+    @property
+    def homings(self) -> tuple[int, ...]:
+        """(n) how often its drive was referenced since; 0: not told."""
+
+
+def homed(before: Referenced, after: Referenced) -> list[int]:
+    """Numbers of the joints whose zeros may have changed in between.
+
+    The drive was referenced anew, or the link's electronics restarted, perhaps the drive with it.
+    """
+    keys = zip(before.boots, before.homings, after.boots, after.homings, strict=False)
+    return [i for i, (a, m, b, n) in enumerate(keys, 1) if m and n and (a, m) != (b, n)]
+
+
+def since_homed(observations: Sequence[Observation]) -> list[Observation]:
+    """Those with the same zeros of the joints as the last one: only they have offsets in common."""
+    return [o for o in observations if not homed(o, observations[-1])]
+
+
 @dataclass(frozen=True)
 class Streams:
     """What befell the streams that observations are from."""
@@ -79,6 +108,8 @@ class Streams:
     refused: Mapping[str, int] = field(default_factory=dict)  # samples, by stream and reason
     set_back: Mapping[str, float] = field(default_factory=dict)  # longest step back of stamps [s]
     offset: Offset = field(default_factory=Offset)  # between the clocks
+    boots: tuple[int, ...] = ()  # as an Observation's, at last
+    homings: tuple[int, ...] = ()
 
 
 class _Rest(NamedTuple):
@@ -89,6 +120,8 @@ class _Rest(NamedTuple):
     readings: list[tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]]
     holes: list[Hole]
     moved: int  # a moment just before, at which some joint was moving; -1: none is known
+    boots: tuple[int, ...]  # as an Observation's
+    homings: tuple[int, ...]
 
 
 class _Joint:
@@ -105,6 +138,12 @@ class _Joint:
         self.holes: list[Hole] = []
         self.start = self.last = self.moved = -1
         self.low, self.high = inf, -inf
+        self.references: list[tuple[int, int, int]] = []  # each from when on, start and homings
+
+    def reference(self, t: float) -> tuple[int, int]:
+        """Start of the electronics and homings as told until t, or first, if later; 0: never."""
+        k = bisect_right(self.references, t, key=itemgetter(0))
+        return self.references[max(k - 1, 0)][1:] if self.references else (0, 0)
 
     def begin(self, t: int, q: float) -> None:
         self.t, self.q, self.holes = [t], [q], []
@@ -178,6 +217,14 @@ class RestFinder:
             self._merge()
         return self._collect()
 
+    def reference(self, i: int, t: int, boot: int, homings: int) -> None:
+        """What link i tells of its start and of how often its drive was referenced; 0: nothing."""
+        if not 1 <= i <= len(self.joints) or not homings:
+            return
+        told = self.joints[i - 1].references
+        if not told or (t > told[-1][0] and told[-1][1:] != (boot, homings)):
+            told.append((t, boot, homings))
+
     def pose(
         self, subject: str, t: int, pose: tuple[float, float, float] | None
     ) -> list[Observation]:
@@ -209,6 +256,7 @@ class RestFinder:
     def streams(self) -> Streams:
         """What befell the streams so far."""
         every = self._streams
+        boots, homings = self._references(inf)
         return Streams(
             silent=tuple(stream.name for stream in every if stream.newest < 0),
             strange=tuple(f"joint_{i}" for i in sorted(self._strange)),
@@ -220,7 +268,14 @@ class RestFinder:
             },
             set_back={stream.name: stream.set_back / SECOND for stream in every},
             offset=self.alignment.offset,
+            boots=boots,
+            homings=homings,
         )
+
+    def _references(self, t: float) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """Starts and homings of all links as told until t."""
+        boots, homings = zip(*(joint.reference(t) for joint in self.joints), strict=True)
+        return boots, homings
 
     @property
     def _streams(self) -> list[_Joint | Poses]:
@@ -271,7 +326,8 @@ class RestFinder:
             holes += late
             end = until if late else end
         readings = [(np.array(j.t), np.array(j.q)) for j in self.joints]
-        return _Rest(begin, end, readings, holes, max(j.moved for j in self.joints))
+        moved = max(j.moved for j in self.joints)
+        return _Rest(begin, end, readings, holes, moved, *self._references(end))
 
     def _collect(self) -> list[Observation]:
         """Observations that every stream has passed by now."""
@@ -378,6 +434,8 @@ class RestFinder:
             joint_samples=min(map(len, inside)),
             vicon_frames=len(seen),
             time_offset=self.subjects[BASE].lag / SECOND,
+            boots=rest.boots,
+            homings=rest.homings,
         )
 
     def _from_base(
@@ -422,7 +480,9 @@ def _pieces(begin: int, end: int, holes: list[Hole]) -> list[tuple[int, int]]:
 
 def _unused(rest: _Rest, reason: str) -> Observation:
     q = tuple(float(np.mean(q)) if len(q) else nan for _, q in rest.readings)
-    return Observation(rest.begin, rest.end, q, used=False, reason=reason)
+    return Observation(
+        rest.begin, rest.end, q, boots=rest.boots, homings=rest.homings, used=False, reason=reason
+    )
 
 
 def _together(seen: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:

@@ -59,7 +59,7 @@ def read_observations(path: str | Path, n: int) -> list[Observation]:
     """
     saved = read(path, [])
     try:
-        observations = [Observation(**{k: _nan(v) for k, v in o.items()}) for o in saved]
+        observations = [Observation(**{k: _nan(k, v) for k, v in o.items()}) for o in saved]
     except (AttributeError, TypeError, ValueError) as error:
         raise StateError(f"{path} holds no observations: {error}") from None
     for observation in observations:
@@ -74,7 +74,9 @@ def _null(value: Any) -> Any:
     return value
 
 
-def _nan(value: Any) -> Any:
+def _nan(name: str, value: Any) -> Any:
+    if name in ("boots", "homings"):
+        return tuple(map(int, value))
     if isinstance(value, list):
         return tuple(float("nan") if v is None else float(v) for v in value)
     return value

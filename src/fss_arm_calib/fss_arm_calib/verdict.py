@@ -36,7 +36,7 @@ from .kinematic import (
     root_mean_square,
     solve,
 )
-from .rests import Observation, Streams, spoiled
+from .rests import Observation, Streams, homed, since_homed, spoiled
 from .settings import CalibrationSettings
 
 __all__ = ["FAIL", "NOT_EVALUATED", "PASS", "Calibration", "calibrate"]
@@ -93,6 +93,8 @@ class Calibration:
     refused: tuple[int, ...]
     time_offset: float
     time_offset_deviation: float
+    boots: tuple[int, ...]
+    homings: tuple[int, ...]
     arm: str
     guess: str
     description: str
@@ -110,7 +112,8 @@ def calibrate(
     """Solve for the arm's kinematics and judge the result.
 
     Args:
-        observations: in order of time; those not used count as refused.
+        observations: in order of time; those not used count as refused, and so do those from
+            before a link was homed last, as the offsets have changed by it.
         arm: the initial guess.
         settings: parametrization, deviations of an observation and criteria.
         streams: what befell the streams that the observations are from.
@@ -120,7 +123,8 @@ def calibrate(
         ValueError: observations and arm do not fit, or a setting is impossible.
     """
     s = settings or CalibrationSettings()
-    used = [o for o in observations if o.used]
+    comparable = since_homed(observations)
+    used = [o for o in comparable if o.used]
     problem = KinematicProblem(
         q=np.array([o.q for o in used]).reshape(len(used), -1 if used else arm.n),
         tip=np.array([o.tip for o in used]).reshape(-1, 3),
@@ -134,7 +138,8 @@ def calibrate(
     streams = streams or Streams()
     stages = [
         joints_known(streams, arm),
-        _rests(observations, s),
+        _homings(observations),
+        _rests(comparable, s),
         clocks_kept(streams, s.joint_gap),
         _enough(problem, streams, s),
     ]
@@ -170,11 +175,13 @@ def calibrate(
         position_deviation=s.position_deviation,
         heading_deviation=s.heading_deviation,
         observations_refused=len(observations) - len(used),
-        gaps=len(observations) - len(used),
+        gaps=len(comparable) - len(used),
         refused_kinds=tuple(streams.refused),
         refused=tuple(streams.refused.values()),
         time_offset=streams.offset.value,
         time_offset_deviation=streams.offset.deviation,
+        boots=used[-1].boots if used else (),
+        homings=used[-1].homings if used else (),
         arm=arm.name,
         guess=to_yaml(arm),
         description=to_yaml(solution.result.calibrated()) if solution and verdict == PASS else "",
@@ -236,6 +243,15 @@ def _held_out(
         except NotIdentifiable:
             pass
     return held_out[:0], result.predicted(problem.only(held_out[:0]))
+
+
+def _homings(observations: Sequence[Observation]) -> Stage:
+    """What is from before a homing is left out, which is no reason not to believe the rest."""
+    joints = sorted({i for o in observations for i in homed(o, observations[-1])})
+    left_out = len(observations) - len(since_homed(observations))
+    names = ", ".join(f"joint_{i}" for i in joints)
+    words = f"{count(left_out, 'observation')} left out: {names} homed or restarted since"
+    return Stage("homings", PASS, left_out, nan, words if left_out else "")
 
 
 def _rests(observations: Sequence[Observation], s: CalibrationSettings) -> Stage:
