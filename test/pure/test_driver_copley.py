@@ -317,6 +317,22 @@ def test_a_fault_disarms_it():
     assert bench.there.held[0x24] == 0
 
 
+def test_once_disarmed_by_a_fault_it_must_be_told_to_disarm():
+    bench = LinkBench()
+    bench.run(1.0)
+    bench.arm(mode=Mode.POSITION, set_point=40000, velocity=10)
+    bench.there.held[0xA4] = 1 << 9
+    bench.run(0.3)
+    bench.there.held[0xA4] = 0
+    bench.run(0.3)
+    command(bench.link, bench.now, flags=Order.ARM | Order.HOLD)
+    bench.run(0.5)
+    assert not bench.frames[-1].flags & State.ARMED
+    bench.arm(mode=Mode.POSITION, set_point=40000, velocity=10)
+    bench.run(0.5)
+    assert bench.frames[-1].flags & State.ARMED
+
+
 # --- on a port ---
 
 
@@ -393,6 +409,8 @@ def test_power_cycled_it_takes_no_position_until_it_is_homed(rig):
     rig.peer.drive.switch_on()
     rig.until(lambda: not rig.session.lost and not rig.session.referenced)
     assert not rig.session.armed
+    sent = rig.session.counts["sent"]
+    rig.until(lambda: rig.session.counts["sent"] > sent + 1)  # so it is told to disarm
     rig.arm()
     with pytest.raises(ValueError, match="home it first"):
         rig.set(Mode.POSITION, 0.1)

@@ -57,7 +57,7 @@ class DriveLink:
         """Take bytes from the drive; return those to send to it, and a telemetry frame or none."""
         reading = self.drive.reading
         if reading is None or blocking(reading.status, 0):
-            self.state.armed = False
+            self.state.drop()
         self.drive.demand = self._demand(clock)
         out = self.drive.poll(data, clock)
         return out, self._telemetry(clock)

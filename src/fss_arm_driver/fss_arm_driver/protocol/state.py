@@ -24,6 +24,7 @@ class LinkState:
     def __init__(self, gate: Gate) -> None:
         self.gate = gate
         self.armed = self.stopped = self.watchdog_tripped = False
+        self._dropped = False  # by a fault; not told in telemetry
 
     def receive(self, data: bytes, clock: int) -> bool:
         """Take or refuse bytes that have come; whether they were taken."""
@@ -33,10 +34,14 @@ class LinkState:
         if command.flags & Order.STOP:
             self.armed, self.stopped = False, True
         elif not command.flags & Order.ARM:
-            self.armed = self.stopped = self.watchdog_tripped = False
+            self.armed = self.stopped = self.watchdog_tripped = self._dropped = False
         else:
-            self.armed = not (self.stopped or self.watchdog_tripped)
+            self.armed = not (self.stopped or self.watchdog_tripped or self._dropped)
         return True
+
+    def drop(self) -> None:
+        """The drive has a fault or does not answer: disarm, until told to disarm."""
+        self._dropped, self.armed = self._dropped or self.armed, False
 
     def goal(self, clock: int) -> Goal:
         """What to do now; lets the watchdog trip."""
