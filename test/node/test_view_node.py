@@ -6,21 +6,40 @@ from pathlib import Path
 
 import pytest
 import rerun_cli
-from geometry_msgs.msg import Point32, Polygon, PolygonStamped
+from geometry_msgs.msg import PoseStamped
 from rclpy.parameter import Parameter
 from std_msgs.msg import Empty
-from view_bench import Bench
+from view_bench import BEGIN, Bench
 from view_flight import Flight
 
 from fss_arm_model.description import paper_arm
-from fss_arm_msgs.msg import BaseReaction, KinematicCalibration, LinkTelemetry
+from fss_arm_msgs.msg import (
+    BaseReaction,
+    DynamicCalibration,
+    KinematicCalibration,
+    LinkTelemetry,
+    ThrusterCommand,
+)
+from fss_arm_ros.convert import pose_stamped
 from fss_arm_ros.diagnostics import ERROR, OK
 from fss_arm_ros.qos import LATCHED, SENSOR
 from fss_arm_view.view_node import ViewNode
+from fss_arm_workspace.workspace_node import WorkspaceNode
 
 
 def view(**settings):
     return ViewNode(parameter_overrides=[Parameter(k, value=v) for k, v in settings.items()])
+
+
+def written(node, file):
+    """What a view has drawn into its file."""
+    node.close()
+    node.sink.stream.disconnect()
+    rerun = Path(rerun_cli.__file__).parent / "rerun"
+    return subprocess.run(
+        [rerun, "rrd", "print", "-vvv", file], capture_output=True, text=True, timeout=60,
+        check=True,
+    ).stdout  # fmt: skip
 
 
 def free_port():
@@ -40,31 +59,50 @@ def test_what_is_published_is_shown(spin, flight, tmp_path):
     reacts = bench.create_publisher(BaseReaction, "base_reaction", SENSOR)
     tells = bench.create_publisher(LinkTelemetry, "link_2/telemetry", SENSOR)
     stops = bench.create_publisher(Empty, "arm/stop", 10)
-    bounds = bench.create_publisher(PolygonStamped, "workspace/fixed", LATCHED)
-    used = (bench.joints, bench.pose, bench.calibration, reacts, tells, stops, bounds)
+    dynamic = bench.create_publisher(DynamicCalibration, "calibration/dynamic", LATCHED)
+    thrust = bench.create_publisher(ThrusterCommand, "thrusters/command", SENSOR)
+    target = bench.create_publisher(PoseStamped, "vicon/target/target", SENSOR)
+    used = (bench.joints, bench.pose, bench.calibration, reacts, tells, stops, dynamic)
+    used += (thrust, target)
     spin([node, bench], lambda: all(p.get_subscription_count() for p in used))
     reacts.publish(BaseReaction())
     for sequence in (1, 2, 5):  # two are missing
         tells.publish(LinkTelemetry(link=2, sequence=sequence, current=120))
     stops.publish(Empty())
-    bounds.publish(PolygonStamped(polygon=Polygon(points=[Point32(x=1.0), Point32(y=1.0)])))
+    thrust.publish(ThrusterCommand(on_time=[0.0, 9.0, *[0.0] * 6]))
+    target.publish(pose_stamped(1, "world", (1.0, 1.0, 0.0)))
+    dynamic.publish(DynamicCalibration(verdict="fail", reason="no maneuvers"))
     bench.calibration.publish(KinematicCalibration(verdict="fail", reason="too few"))
     bench.play(400)
     spin([node, bench], lambda: node.losses.get(2))
-    spin([node, bench], lambda: node.sink.counts["shown"] >= 8)
+    spin([node, bench], lambda: {"thrusters", "target"} <= set(node.legend))
+    spin([node, bench], lambda: node.t >= BEGIN + 390_000_000 and node.sink.counts["shown"] >= 12)
     assert node.losses[2] == pytest.approx(0.05 * 2 / 3)
     assert node.health().level == OK
-    node.close()
-    node.sink.stream.disconnect()
-    rerun = Path(rerun_cli.__file__).parent / "rerun"
-    shown = subprocess.run(
-        [rerun, "rrd", "print", "-vvv", file], capture_output=True, text=True, timeout=60,
-        check=True,
-    ).stdout  # fmt: skip
+    shown = written(node, file)
     for entity in ("/table/base", "/table/arm/links", "/plot/angle/link_1", "/plot/loss/link_2"):
         assert entity in shown
-    for entity in ("/table/predicted", "/table/boundary/fixed", "arm/stop", "too few"):
+    for entity in ("/table/predicted", "/table/target", "arm/stop", "too few", "no maneuvers"):
         assert entity in shown
+
+
+def test_the_workspace_is_drawn_where_its_node_publishes_it(spin, flight, tmp_path):
+    file = tmp_path / "view.rrd"
+    node, bench = view(mode="file", file=str(file)), Bench(flight)
+    few = {"cell": 0.2, "directions": 12}
+    workspace = WorkspaceNode(parameter_overrides=[Parameter(k, value=v) for k, v in few.items()])
+    nodes = [node, bench, workspace]
+    spin(nodes, lambda: bench.joints.get_subscription_count() == 2)
+    bench.play(400)
+    boundaries = {"fixed vehicle workspace", "maximum reachable workspace"}
+    boundaries |= {f"straight paths, {base}" for base in ("fixed", "floating", "zero reaction")}
+    spin(nodes, lambda: boundaries <= set(node.legend), 60.0)
+    shown = written(node, file)
+    assert "/table/fss/fixed_vehicle_workspace" in shown
+    assert "straight paths, zero reaction" in shown  # a word of the legend
+    in_base, in_world = (f"/table/{of}/straight_paths_floating" for of in ("fss", "outlines"))
+    assert in_base in shown
+    assert in_world in shown
 
 
 def test_a_viewer_that_ended_is_an_error_and_not_the_end(spin):

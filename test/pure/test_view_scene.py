@@ -49,9 +49,34 @@ def test_a_reaction_is_plotted_in_degrees_and_what_is_unknown_is_left_out():
         if name.startswith("plot/")
     }
     assert value["plot/heading/predicted"] == pytest.approx(90.0)
-    assert value["plot/heading/highest"] - value["plot/heading/lowest"] == pytest.approx(2.0)
+    band = value["plot/heading/band_above"] - value["plot/heading/band_below"]
+    assert band == pytest.approx(2.0)
     assert value["plot/torque/predicted"] == 0.3
-    assert "plot/torque/sensor" not in value
+    assert "plot/torque/measured" not in value
+
+
+def test_a_plume_leaves_the_corner_of_its_thruster():
+    """The second of the first corner, ahead and to the left, pushes the base to the right."""
+    _, drawing = scene.plumes((1.0, 0.0, np.pi / 2), [False, True, *[False] * 6])
+    a = scene.BASE / 2
+    jet = points(drawing)
+    np.testing.assert_allclose(jet[0], [1.0 - a, -a], atol=1e-6)  # y is drawn downwards
+    np.testing.assert_allclose(jet[1:3].mean(axis=0), [1.0 - a - scene.PLUME, -a], atol=1e-6)
+    assert not len(scene.plumes((0.0, 0.0, 0.0), [False] * 8)[1].strips.as_arrow_array())
+
+
+def test_lines_are_drawn_in_their_frame_and_no_longer_in_another():
+    line = [[(0.0, 0.0), (1.0, 0.0)]]
+    drawings = {
+        in_base: dict(scene.outline(line, "straight paths, fixed", scene.RED, in_base))
+        for in_base in (True, False)
+    }
+    for in_base, drawn in drawings.items():
+        count = {path: len(d.strips.as_arrow_array()) for path, d in drawn.items()}
+        assert count == {
+            "table/fss/straight_paths_fixed": int(in_base),
+            "table/outlines/straight_paths_fixed": int(not in_base),
+        }
 
 
 class Stuck:
@@ -89,6 +114,12 @@ def test_each_thing_has_its_own_rate():
     assert not sink.due("a")
     assert sink.due("b")
     assert sink.counts["thinned out"] == 1
+
+
+def test_a_burst_is_shown_whole_if_it_is_no_more_than_a_second_s_worth():
+    sink = Sink(Stuck(), rate=5.0, size=1)
+    shown = sum(sink.due("a") for _ in range(1000))
+    assert 5 <= shown < 500
 
 
 def test_a_recording_of_the_view_can_be_read(tmp_path):

@@ -1,10 +1,11 @@
 """What the view shows: drawings of the table from above, and series, as rerun's archetypes.
 
-Entities: `table/...` is drawn to scale [m], `plot/<what>/<series>` are numbers over time, `log` is
-text. A drawing is a pair of entity and archetype. rerun's plane has its y axis downwards, so y is
-drawn negated.
+Entities: `table/...` is drawn to scale [m], of which `table/fss/...` moves with the base;
+`plot/<what>/<series>` are numbers over time, `log` is text. A drawing is a pair of entity and
+archetype. rerun's plane has its y axis downwards, so y is drawn negated.
 """
 
+import re
 from collections.abc import Sequence
 from math import cos, degrees, pi, sin
 from typing import Any, NamedTuple
@@ -21,12 +22,31 @@ from fss_arm_model.momentum import generalized_jacobian
 Floats = npt.NDArray[np.float64]
 Drawing = tuple[str, Any]
 
+TIMELINE = "time"
+
 TABLE = 4.0  # edge of the granite table [m]
 BASE = 0.27  # edge of the spacecraft simulator as drawn [m]
+CORNERS = ((1, 1), (-1, 1), (-1, -1), (1, -1))  # of the base, as thrusters are numbered
+PLUME = 0.15  # length of a thruster's plume as drawn [m]
 TRAIL = 600  # points kept
+TRAIL_STEP = 0.005  # between them [m]
+SHOWN = 60  # seconds of the plots
 
-STONE, STEEL, GHOST = (110, 110, 110), (90, 160, 230), (250, 160, 60)
-MARK, TIP, GREEN = (230, 230, 230), (120, 220, 120), (80, 200, 120)
+# Told apart on white and on black.
+STONE, STEEL, GHOST, BAND = (130, 130, 130), (40, 110, 200), (240, 130, 20), (250, 190, 120)
+TIP, PURPLE, RED = (30, 150, 70), (150, 80, 190), (220, 50, 50)
+#: Of series that stand side by side: x, y and the third; or the links.
+PALETTE = (STEEL, GHOST, TIP, PURPLE, RED, (120, 90, 60), (220, 120, 190), (120, 120, 30),
+           (30, 170, 190), (90, 90, 90), (130, 180, 60), (100, 60, 130))  # fmt: skip
+
+LEGEND = (
+    ("base and arm, measured", STEEL),
+    ("base as predicted", GHOST),
+    ("path of the centre of mass", GHOST),
+    ("path of the end effector", TIP),
+    ("manipulability of the floating arm", TIP),
+)
+LEGEND_ROWS = 6
 
 
 class Series(NamedTuple):
@@ -37,16 +57,20 @@ class Series(NamedTuple):
     lines: tuple[str, ...]
 
 
-HEADING = Series("heading", "base heading [deg]", ("measured", "predicted", "lowest", "highest"))
-DIFFERENCE = Series("difference", "measured - predicted [mm, deg]", ("x", "y", "heading"))
-MOMENTUM = Series("momentum", "momentum [N s, N m s]", ("x", "y", "angular"))
-TORQUE = Series("torque", "torque about joint 1 [N m]", ("predicted", "sensor"))
+HEADING = Series(
+    "heading",
+    "heading of the base [deg]: measured, predicted with band of 1 sigma",
+    ("band_above", "band_below", "predicted", "measured"),
+)
+DIFFERENCE = Series("difference", "base, measured less predicted", ("x_mm", "y_mm", "heading_deg"))
+MOMENTUM = Series("momentum", "momentum of base and arm", ("x_N_s", "y_N_s", "angular_N_m_s"))
+TORQUE = Series("torque", "torque about joint 1 [N m]", ("predicted", "measured"))
 PLOTS = (HEADING, DIFFERENCE, MOMENTUM, TORQUE)
 OF_LINKS = {
     "angle": "joint angles [deg]",
-    "current": "currents [A]",
+    "current": "motor currents [A]",
     "effort": "torque sensors [N m]",
-    "loss": "datagrams lost [%]",
+    "loss": "telemetry lost [%]",
 }
 
 
@@ -56,10 +80,21 @@ def flat(points: npt.ArrayLike) -> Floats:
 
 
 def ground() -> list[Drawing]:
-    """What does not change: the table's edge."""
+    """What does not change: the table's edge, and what the colours mean."""
     a = TABLE / 2.0
     edge = flat([(-a, -a), (a, -a), (a, a), (-a, a), (-a, -a)])
-    return [("table/edge", rr.LineStrips2D([edge], colors=STONE, radii=0.01))]
+    return [
+        ("table/edge", rr.LineStrips2D([edge], colors=STONE, radii=0.01)),
+        *(legend(k, text, colour) for k, (text, colour) in enumerate(LEGEND)),
+    ]
+
+
+def legend(k: int, text: str, colour: tuple[int, int, int]) -> Drawing:
+    """The k-th entry of the legend, above the table: a word in its colour."""
+    column, row = divmod(k, LEGEND_ROWS)
+    place = (2.0 * column - 1.0, TABLE / 2.0 + 0.19 * (LEGEND_ROWS - row) + 0.05)
+    word = rr.Points2D(flat([place]), colors=colour, radii=0.001, labels=[text], show_labels=True)
+    return f"table/legend/{k}", word
 
 
 def base(pose: npt.ArrayLike, what: str, colour: tuple[int, int, int]) -> Drawing:
@@ -80,7 +115,7 @@ def arm(description: Arm, pose: npt.ArrayLike, q: npt.ArrayLike) -> list[Drawing
     joints = joint_positions(p, state)  # and the tip
     return [
         ("table/arm/links", rr.LineStrips2D([flat(joints)], colors=STEEL, radii=0.015)),
-        ("table/arm/joints", rr.Points2D(flat(joints), colors=MARK, radii=0.02)),
+        ("table/arm/joints", rr.Points2D(flat(joints), colors=STEEL, radii=0.028)),
         (
             "table/arm/centres",
             rr.Points2D(flat(com_positions(p, state)), colors=GHOST, radii=0.008),
@@ -104,13 +139,38 @@ def trail(
     return f"table/{what}", rr.LineStrips2D([flat(points)], colors=colour, radii=0.004)
 
 
-def boundary(points: npt.ArrayLike, what: str) -> Drawing:
-    """A closed boundary in the world."""
-    ring = flat(points)
-    return (
-        f"table/{what}",
-        rr.LineStrips2D([np.vstack([ring, ring[:1]])], colors=GREEN, radii=0.005),
-    )
+def place(pose: npt.ArrayLike) -> Drawing:
+    """Where the base is, with all that moves with it."""
+    x, y, heading = np.asarray(pose, dtype=float)
+    turn = rr.RotationAxisAngle(axis=[0.0, 0.0, 1.0], radians=-heading)
+    return "table/fss", rr.Transform3D(translation=[x, -y, 0.0], rotation_axis_angle=turn)
+
+
+def outline(
+    strips: Sequence[npt.ArrayLike],
+    what: str,
+    colour: tuple[int, int, int],
+    in_base: bool,
+) -> list[Drawing]:
+    """Lines given in the base's frame or in the world's, and none in the other one."""
+    path = re.sub(r"\W+", "_", what)
+    lines = rr.LineStrips2D([flat(strip) for strip in strips], colors=colour, radii=0.005)
+    here, there = f"table/fss/{path}", f"table/outlines/{path}"
+    return [(here if in_base else there, lines), (there if in_base else here, rr.LineStrips2D([]))]
+
+
+def plumes(pose: npt.ArrayLike, valves: Sequence[bool]) -> Drawing:
+    """The jets of open thrusters, as ThrusterCommand numbers them, away from the base."""
+    x, y, heading = np.asarray(pose, dtype=float)
+    turn = complex(cos(heading), sin(heading))
+    strips = []
+    for k in (k for k, is_open in enumerate(valves) if is_open):
+        corner = complex(*CORNERS[k // 2])
+        out = corner.imag * 1j if k % 2 else corner.real
+        jet = [0.0, PLUME * (out + 0.2j * out), PLUME * (out - 0.2j * out), 0.0]
+        points = complex(x, y) + turn * (0.5 * BASE * corner + np.array(jet))
+        strips.append(flat(np.column_stack([points.real, points.imag])))
+    return "table/plumes", rr.LineStrips2D(strips, colors=RED, radii=0.008)
 
 
 def numbers(series: Series, values: Sequence[float]) -> list[Drawing]:
@@ -131,7 +191,7 @@ def reaction(message: Any) -> list[Drawing]:
         ("table/centre_of_mass", rr.Points2D(flat([message.com]), colors=GHOST, radii=0.02)),
         *numbers(
             HEADING,
-            [degrees(a) for a in (message.measured[2], heading, heading - band, heading + band)],
+            [degrees(a) for a in (heading + band, heading - band, heading, message.measured[2])],
         ),
         *numbers(DIFFERENCE, (1e3 * dx, 1e3 * dy, degrees(turn))),
         *numbers(MOMENTUM, message.momentum),
@@ -150,39 +210,53 @@ def words(text: str, level: str = "INFO") -> Drawing:
 
 
 def styles(n: int) -> list[Drawing]:
-    """Names of the series, and the colours of those that belong together."""
-    colours = {"measured": STEEL, "predicted": GHOST, "lowest": (150, 110, 60)}
-    colours |= {"highest": colours["lowest"], "sensor": STEEL}
+    """Names and colours of the series."""
+    fixed = {"measured": (STEEL, 2.0), "predicted": (GHOST, 2.0)}
+    fixed |= dict.fromkeys(("band_above", "band_below"), (BAND, 1.0))
     found: list[Drawing] = []
     for series in PLOTS:
-        for line in series.lines:
-            colour = colours.get(line)
-            found.append((f"plot/{series.name}/{line}", _named(line, colour)))
+        for line, of_place in zip(series.lines, PALETTE, strict=False):
+            colour, width = fixed.get(line, (of_place, 1.5))
+            name, _, unit = line.partition("_")
+            name = f"{name} [{unit.replace('_', ' ')}]" if unit and name != "band" else name
+            found.append((f"plot/{series.name}/{line}", _series(name, colour, width)))
     for kind in OF_LINKS:
-        found += [(f"plot/{kind}/link_{i}", _named(f"link {i}", None)) for i in range(1, n + 1)]
+        for i in range(1, n + 1):
+            colour = PALETTE[(i - 1) % len(PALETTE)]
+            found.append((f"plot/{kind}/link_{i}", _series(f"link {i}", colour, 1.5)))
     return found
 
 
-def _named(name: str, colour: tuple[int, int, int] | None) -> Any:
-    return rr.SeriesLines(names=name, colors=colour) if colour else rr.SeriesLines(names=name)
+def _series(name: str, colour: tuple[int, int, int], width: float) -> Any:
+    return rr.SeriesLines(names=name, colors=colour, widths=width)
 
 
 def blueprint() -> Any:
-    """The table at the left, base reaction beside it, the links and the log below."""
+    """The table at the left, base reaction beside it, the links at the right, events below."""
     a = TABLE / 2.0 + 0.1
     table = rrb.Spatial2DView(
         origin="table",
-        name="table from above",
-        visual_bounds=rrb.VisualBounds2D(x_range=[-a, a], y_range=[-a, a]),
+        name="table from above, 4 m x 4 m",
+        visual_bounds=rrb.VisualBounds2D(x_range=[-a, a], y_range=[-a - 0.2 * LEGEND_ROWS, a]),
     )
-    plots = [rrb.TimeSeriesView(origin=f"plot/{s.name}", name=s.title) for s in PLOTS]
-    links = [rrb.TimeSeriesView(origin=f"plot/{k}", name=title) for k, title in OF_LINKS.items()]
+    last = rrb.VisibleTimeRange(
+        TIMELINE,
+        start=rrb.TimeRangeBoundary.cursor_relative(seconds=-SHOWN),
+        end=rrb.TimeRangeBoundary.cursor_relative(),
+    )
+    look: dict[str, Any] = {"plot_legend": rrb.PlotLegend(rrb.Corner2D.LeftTop)}
+    look["time_ranges"] = last
+    plots = [rrb.TimeSeriesView(origin=f"plot/{s.name}", name=s.title, **look) for s in PLOTS]
+    links = [
+        rrb.TimeSeriesView(origin=f"plot/{kind}", name=title, **look)
+        for kind, title in OF_LINKS.items()
+    ]
     return rrb.Blueprint(
         rrb.Horizontal(
             rrb.Vertical(table, rrb.TextLogView(origin="log", name="events"), row_shares=[4, 1]),
-            rrb.Vertical(*plots),
+            rrb.Vertical(*plots, row_shares=[3, 2, 2, 2]),
             rrb.Vertical(*links),
-            column_shares=[5, 3, 3],
+            column_shares=[5, 4, 3],
         ),
         collapse_panels=True,
     )

@@ -63,16 +63,17 @@ class ViewSettings:
     file: str = setting("view.rrd", "that mode file writes")
     url: str = setting("rerun+http://127.0.0.1:9876/proxy", "of the viewer of mode connect")
     memory: str = setting("1GB", "that the viewer keeps; the oldest goes first")
-    rate: float = setting(20.0, "most often that one thing is drawn [1/s]")
+    rate: float = setting(10.0, "most often that one thing is drawn [1/s]")
     queue: int = setting(500, "drawings that may wait for the viewer; more are dropped")
     arm: str = setting("", "file of the description to begin with; empty: the paper's arm")
     joints_topic: str = setting("joint_states", "of the joints' readings")
     base_topic: str = setting("vicon/fss/fss", "of the base's poses")
     tip_topic: str = setting("vicon/end_effector/end_effector", "of the end effector's poses")
     target_topic: str = setting("vicon/target/target", "of a target's poses")
-    boundaries: tuple[str, ...] = setting(
-        ("workspace/fixed", "workspace/reachable", "workspace/straight"), "polygons to draw"
+    outline_topics: tuple[str, ...] = setting(
+        ("workspace/markers", "workspace/straight_markers"), "of markers whose lines are drawn"
     )
+    base_frame: str = setting("fss", "frame id of lines that move with the base")
 
     def __post_init__(self) -> None:
         if self.mode not in ("native", "web", "file", "connect"):

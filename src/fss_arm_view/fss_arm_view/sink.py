@@ -1,9 +1,11 @@
 """Drawings on their way to rerun: bounded, limited in rate, counted, and off the node's thread."""
 
+import os
 import subprocess
 import time
 from collections import Counter
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 from queue import Full, Queue
 from threading import Thread
@@ -12,36 +14,36 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from .scene import Drawing
+from .scene import TIMELINE, Drawing
 
 NATIVE, WEB, FILE, CONNECT = "native", "web", "file", "connect"
 MODES = (NATIVE, WEB, FILE, CONNECT)
-
-TIMELINE = "time"
 
 
 class Sink:
     """Takes drawings without ever waiting; a thread hands them to rerun.
 
-    What comes faster than `rate` for one entity, or finds the queue full, is dropped and counted.
+    What comes faster than `rate` for one entity, but for bursts of a second's worth, or finds the
+    queue full, is dropped and counted.
     """
 
     def __init__(self, stream: rr.RecordingStream, rate: float, size: int) -> None:
-        self.stream, self.period = stream, 1.0 / rate
+        self.stream, self.rate = stream, rate
         self.queue: Queue[tuple[int | None, list[Drawing]] | None] = Queue(size)
-        self.last: dict[str, float] = {}
+        self.left: dict[str, tuple[float, float]] = {}  # turns of each entity, and when [s]
         self.counts: Counter[str] = Counter()
         self.thread = Thread(target=self._run, daemon=True)
         self.thread.start()
 
     def due(self, entity: str) -> bool:
-        """Whether the entity may be shown again; its next turn is counted from now."""
-        now = time.monotonic()
-        if now - self.last.get(entity, -1e9) < self.period:
-            self.counts["thinned out"] += 1
-            return False
-        self.last[entity] = now
-        return True
+        """Whether the entity may be shown again, which takes one of its turns."""
+        now, most = time.monotonic(), max(self.rate, 1.0)
+        turns, then = self.left.get(entity, (most, now))
+        turns = min(turns + (now - then) * self.rate, most)
+        is_due = turns >= 1.0
+        self.left[entity] = turns - is_due, now
+        self.counts["thinned out"] += not is_due
+        return is_due
 
     def put(self, t: int | None, drawings: Iterable[Drawing]) -> bool:
         """Show drawings at time t [ns], or always; False if there is no room."""
@@ -68,7 +70,8 @@ class Sink:
             for entity, archetype in drawings:
                 self.stream.log(entity, archetype, static=t is None)
             self.counts["shown"] += 1
-        self.stream.flush()
+        with suppress(RuntimeError):  # nobody is there any more to take it
+            self.stream.flush()
 
 
 class Viewer:
@@ -109,9 +112,12 @@ def open_stream(mode: str, target: str, blueprint: Any) -> rr.RecordingStream:
     Raises:
         ValueError: the file cannot be written, or the address is none.
     """
+    # Rows travel together: a browser takes a few large chunks sooner than many small ones.
+    os.environ.setdefault("RERUN_FLUSH_TICK_SECS", "0.2")
     stream = rr.RecordingStream("fss_arm")
     try:
         if mode == FILE:
+            Path(target).touch()  # rerun would tell of its failure in words of its own, too
             stream.save(target, default_blueprint=blueprint)
         else:
             stream.connect_grpc(target, default_blueprint=blueprint)

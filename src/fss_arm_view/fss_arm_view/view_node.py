@@ -3,18 +3,26 @@
 import sys
 from collections import deque
 from functools import partial
-from math import degrees
+from math import degrees, dist
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PolygonStamped, PoseStamped
+from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Empty
+from visualization_msgs.msg import Marker, MarkerArray
 
-from fss_arm_model.description import from_yaml, load, paper_arm
-from fss_arm_msgs.msg import BaseReaction, KinematicCalibration, LinkTelemetry
-from fss_arm_ros.convert import PoseError, planar_pose, stamp_ns
+from fss_arm_model.description import load, paper_arm
+from fss_arm_msgs.msg import (
+    BaseReaction,
+    DynamicCalibration,
+    KinematicCalibration,
+    LinkTelemetry,
+    ThrusterCommand,
+)
+from fss_arm_ros.calibrated import Calibrated
+from fss_arm_ros.convert import SECOND, PoseError, planar_pose, stamp_ns
 from fss_arm_ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
 from fss_arm_ros.qos import LATCHED, sensor
 from fss_arm_ros.run import run
@@ -23,6 +31,8 @@ from fss_arm_ros.settings import declare
 from . import scene
 from .settings import ViewSettings
 from .sink import CONNECT, FILE, NATIVE, WEB, Sink, Viewer, open_stream
+
+LEAST_PLUME = 0.2  # a shorter pulse of a thruster is drawn so long [s]
 
 LEVELS = {OK: "INFO", WARN: "WARN", ERROR: "ERROR"}
 
@@ -37,14 +47,17 @@ class ViewNode(Node):
     def __init__(self, **options: Any) -> None:
         super().__init__("view", **options)
         s = self.settings = declare(self, ViewSettings)
-        self.arm = load(s.arm) if s.arm else paper_arm()
+        self.known = Calibrated(load(s.arm) if s.arm else paper_arm())
         self.viewer = None
         if s.mode in (NATIVE, WEB):
             self.viewer = Viewer(s.mode, s.bind, s.port, s.web_port, s.memory)
         here = f"rerun+http://127.0.0.1:{s.port}/proxy"
         target = {FILE: s.file, CONNECT: s.url}.get(s.mode, here)
         self.sink = Sink(open_stream(s.mode, target, scene.blueprint()), s.rate, s.queue)
-        self.q = [0.0] * self.arm.n
+        n = self.known.arm.n
+        self.q = [0.0] * n
+        self.valves_until = [0] * 8
+        self.legend = [text for text, _ in scene.LEGEND]
         self.t = 0
         self.trails: dict[str, deque[tuple[float, float]]] = {
             what: deque(maxlen=scene.TRAIL) for what in ("tip_path", "com_path")
@@ -52,7 +65,7 @@ class ViewNode(Node):
         self.sequences: dict[int, int] = {}
         self.losses: dict[int, float] = {}
         self.said: dict[str, bytes] = {}
-        self.sink.put(None, [*scene.ground(), *scene.styles(self.arm.n)])
+        self.sink.put(None, [*scene.ground(), *scene.styles(n)])
         self._listen()
         if s.mode == WEB:
             self._say_where()
@@ -65,20 +78,21 @@ class ViewNode(Node):
             (PoseStamped, s.base_topic, self.on_base),
             (PoseStamped, s.tip_topic, self.on_tip),
             (PoseStamped, s.target_topic, self.on_target),
+            (ThrusterCommand, "thrusters/command", self.on_thrust),
             (BaseReaction, "base_reaction", self.on_reaction),
             (DiagnosticArray, "/diagnostics", self.on_diagnostics),
         ):
             self.create_subscription(kind, topic, take, quick)
-        for i in range(1, self.arm.n + 1):
+        for i in range(1, self.known.arm.n + 1):
             self.create_subscription(LinkTelemetry, f"link_{i}/telemetry", self.on_telemetry, quick)
         self.create_subscription(Empty, "arm/stop", self.on_stop, 10)
-        self.create_subscription(
-            KinematicCalibration, "calibration/kinematic", self.on_calibration, LATCHED
-        )
-        for topic in s.boundaries:
-            self.create_subscription(
-                PolygonStamped, topic, partial(self.on_boundary, topic), LATCHED
-            )
+        for of, topic in (
+            (KinematicCalibration, "calibration/kinematic"),
+            (DynamicCalibration, "calibration/dynamic"),
+        ):
+            self.create_subscription(of, topic, partial(self.on_calibration, topic), LATCHED)
+        for topic in s.outline_topics:
+            self.create_subscription(MarkerArray, topic, self.on_outlines, LATCHED)
 
     def _say_where(self) -> None:
         s, log = self.settings, self.get_logger()
@@ -93,7 +107,7 @@ class ViewNode(Node):
         drawings = []
         for name, q, effort in zip(message.name, message.position, message.effort, strict=True):
             i = int(name.rpartition("_")[2])
-            if 1 <= i <= self.arm.n:
+            if 1 <= i <= self.known.arm.n:
                 self.q[i - 1] = q
                 if self.sink.due(name):
                     drawings += [
@@ -106,27 +120,37 @@ class ViewNode(Node):
         """A pose of the base: the whole arm is drawn with it."""
         self.t = stamp_ns(message.header.stamp)
         if self.sink.due("base") and (pose := _pose(message)):
-            base = scene.base(pose, "base", scene.STEEL)
-            self.sink.put(self.t, [base, *scene.arm(self.arm, pose, self.q)])
+            valves = [self.t < until for until in self.valves_until]
+            base = [scene.base(pose, "base", scene.STEEL), scene.place(pose)]
+            arm = scene.arm(self.known.arm, pose, self.q)
+            self.sink.put(self.t, [*base, *arm, scene.plumes(pose, valves)])
 
     def on_tip(self, message: PoseStamped) -> None:
         """A pose of the end effector: its path."""
         if self.sink.due("tip") and (pose := _pose(message)):
-            self.trails["tip_path"].append(pose[:2])
-            path = scene.trail(self.trails["tip_path"], "tip_path", scene.TIP)
-            self.sink.put(stamp_ns(message.header.stamp), [path])
+            self.trace(stamp_ns(message.header.stamp), "tip_path", pose[:2], scene.TIP)
 
     def on_target(self, message: PoseStamped) -> None:
         """A pose of the target."""
         if self.sink.due("target") and (pose := _pose(message)):
-            self.sink.put(stamp_ns(message.header.stamp), [scene.base(pose, "target", scene.MARK)])
+            self.explain("target", scene.PURPLE)
+            self.sink.put(
+                stamp_ns(message.header.stamp), [scene.base(pose, "target", scene.PURPLE)]
+            )
+
+    def on_thrust(self, message: ThrusterCommand) -> None:
+        """Thrusters fire: until when their plumes are drawn."""
+        self.explain("thrusters", scene.RED)
+        for k, seconds in enumerate(message.on_time):
+            shown = max(seconds, LEAST_PLUME) if seconds > 0.0 else 0.0
+            self.valves_until[k] = self.t + int(shown * SECOND)
 
     def on_reaction(self, message: BaseReaction) -> None:
         """Prediction and measurement of the base's motion."""
         if self.sink.due("reaction"):
-            self.trails["com_path"].append(tuple(message.com))
-            path = scene.trail(self.trails["com_path"], "com_path", scene.GHOST)
-            self.sink.put(stamp_ns(message.header.stamp), [*scene.reaction(message), path])
+            t = stamp_ns(message.header.stamp)
+            self.sink.put(t, scene.reaction(message))
+            self.trace(t, "com_path", tuple(message.com), scene.GHOST)
 
     def on_telemetry(self, message: LinkTelemetry) -> None:
         """One link's current, and the share of its frames that did not come."""
@@ -151,21 +175,41 @@ class ViewNode(Node):
         """Somebody stopped the arm."""
         self.say(self.t, "arm/stop", "ERROR")
 
-    def on_calibration(self, message: KinematicCalibration) -> None:
+    def on_calibration(self, topic: str, message: Any) -> None:
         """A verdict; the arm is drawn with a calibration that passed."""
-        if message.verdict == KinematicCalibration.PASS:
-            self.arm = from_yaml(message.description)
-        level = "INFO" if message.verdict == KinematicCalibration.PASS else "WARN"
-        self.say(
-            stamp_ns(message.header.stamp), f"kinematic: {message.verdict}: {message.reason}", level
-        )
+        known = self.known.with_message(topic, message)
+        if known.arm.n == self.known.arm.n:
+            self.known = known
+        level = "INFO" if message.verdict == message.PASS else "WARN"
+        text = f"{topic.rpartition('/')[2]}: {message.verdict}: {message.reason}"
+        self.say(stamp_ns(message.header.stamp), text, level)
 
-    def on_boundary(self, topic: str, message: PolygonStamped) -> None:
-        """A boundary of the workspace."""
-        points = [(p.x, p.y) for p in message.polygon.points]
-        if points:
-            what = f"boundary/{topic.rpartition('/')[2]}"
-            self.sink.put(stamp_ns(message.header.stamp), [scene.boundary(points, what)])
+    def on_outlines(self, message: MarkerArray) -> None:
+        """Boundaries of the workspace, by their names; what is new enters the legend."""
+        lines = [marker for marker in message.markers if marker.type == Marker.LINE_STRIP]
+        for name in dict.fromkeys(marker.ns for marker in lines):
+            those = [marker for marker in lines if marker.ns == name]
+            header, c = those[0].header, those[0].color
+            colour = round(255 * c.r), round(255 * c.g), round(255 * c.b)
+            strips = [[(p.x, p.y) for p in marker.points] for marker in those]
+            in_base = header.frame_id == self.settings.base_frame
+            self.sink.put(stamp_ns(header.stamp), scene.outline(strips, name, colour, in_base))
+            self.explain(name, colour)
+
+    def trace(
+        self, t: int, what: str, point: tuple[float, float], colour: tuple[int, int, int]
+    ) -> None:
+        """Lengthen a path, if the point has moved."""
+        trail = self.trails[what]
+        if not trail or dist(trail[-1], point) > scene.TRAIL_STEP:
+            trail.append(point)
+            self.sink.put(t, [scene.trail(trail, what, colour)])
+
+    def explain(self, name: str, colour: tuple[int, int, int]) -> None:
+        """Put what is new into the legend."""
+        if name not in self.legend:
+            self.sink.put(None, [scene.legend(len(self.legend), name, colour)])
+            self.legend.append(name)
 
     def say(self, t: int, text: str, level: str) -> None:
         """A line in the view's log."""

@@ -1,0 +1,78 @@
+"""A page as headless Chromium shows it."""
+
+import base64
+import json
+import shutil
+import subprocess
+import time
+import urllib.request
+from io import BytesIO
+from pathlib import Path
+
+import matplotlib.image
+import numpy as np
+from websockets.sync.client import connect
+
+CHROMIUM = shutil.which("chromium")
+FLAGS = (
+    "--headless=new", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
+    "--disable-background-networking", "--remote-debugging-port=0",
+)  # fmt: skip
+
+
+class Page:
+    """A page that is open; `picture()` is what it shows now, as PNG."""
+
+    def __init__(self, url: str, folder: Path, size: tuple[int, int] = (1440, 900)) -> None:
+        assert CHROMIUM
+        window = f"--window-size={size[0]},{size[1]}"
+        self.process = subprocess.Popen(
+            [CHROMIUM, *FLAGS, window, f"--user-data-dir={folder}", url],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        self.told = folder / "DevToolsActivePort"
+
+    def picture(self, timeout: float = 60.0) -> bytes:
+        """Ask over the DevTools protocol, as soon as the browser answers."""
+        deadline = time.monotonic() + timeout
+        while time.monotonic() < deadline:
+            try:
+                port = self.told.read_text().split()[0]
+                with urllib.request.urlopen(f"http://127.0.0.1:{port}/json") as answer:
+                    pages = [p for p in json.load(answer) if p["type"] == "page"]
+                with connect(pages[0]["webSocketDebuggerUrl"], max_size=None) as browser:
+                    browser.send(json.dumps({"id": 1, "method": "Page.captureScreenshot"}))
+                    while (reply := json.loads(browser.recv(timeout))).get("id") != 1:
+                        pass
+                return base64.b64decode(reply["result"]["data"])
+            except (OSError, IndexError):
+                time.sleep(0.2)  # it is still starting
+        raise TimeoutError("the browser does not answer")
+
+    def close(self) -> None:
+        """End the browser."""
+        self.process.terminate()
+        self.process.wait(20.0)
+
+
+class Picture:
+    """The colours of a PNG; a part of it is left, top, right, bottom as shares of its size."""
+
+    def __init__(self, png: bytes) -> None:
+        self.pixels = matplotlib.image.imread(BytesIO(png), format="png")[..., :3]
+
+    def part(self, left: float, top: float, right: float, bottom: float) -> np.ndarray:
+        """The pixels of a part, (rows, columns, 3), 0 to 1."""
+        height, width = self.pixels.shape[:2]
+        rows = slice(int(top * height), int(bottom * height))
+        return self.pixels[rows, int(left * width) : int(right * width)]
+
+    def count(self, colour: tuple[int, int, int], *part: float) -> int:
+        """How many pixels of a part have a colour, or nearly."""
+        return int((np.abs(self.part(*part) - np.array(colour) / 255.0) < 0.06).all(-1).sum())
+
+    def colours(self, *part: float) -> int:
+        """How many different colours there are in a part, told apart by sixteenths."""
+        coarse = (self.part(*part) * 15.99).astype(int).reshape(-1, 3)
+        return len(np.unique(coarse, axis=0))
