@@ -59,13 +59,19 @@ class Series(NamedTuple):
 
 HEADING = Series(
     "heading",
-    "heading of the base [deg]: measured, predicted with band of 1 sigma",
+    "heading of the base [deg]",
     ("band_above", "band_below", "predicted", "measured"),
 )
-DIFFERENCE = Series("difference", "base, measured less predicted", ("x_mm", "y_mm", "heading_deg"))
+TURN = Series(
+    "turn",
+    "heading, measured less predicted [deg]",
+    ("band_above", "band_below", "difference"),
+)
+PLACE = Series("place", "place, measured less predicted [mm]", ("x", "y"))
 MOMENTUM = Series("momentum", "momentum of base and arm", ("x_N_s", "y_N_s", "angular_N_m_s"))
 TORQUE = Series("torque", "torque about joint 1 [N m]", ("predicted", "measured"))
-PLOTS = (HEADING, DIFFERENCE, MOMENTUM, TORQUE)
+NAMED = {"x_N_s": "x [N s]", "y_N_s": "y [N s]", "angular_N_m_s": "angular [N m s]"}
+PLOTS = (HEADING, TURN, PLACE, MOMENTUM, TORQUE)
 OF_LINKS = {
     "angle": "joint angles [deg]",
     "current": "motor currents [A]",
@@ -105,7 +111,7 @@ def base(pose: npt.ArrayLike, what: str, colour: tuple[int, int, int]) -> Drawin
     nose = [(0.0, 0.0), (a, 0.0)]
     turn = np.array([[cos(heading), -sin(heading)], [sin(heading), cos(heading)]])
     strips = [flat(np.array(part) @ turn.T + (x, y)) for part in (square, nose)]
-    return f"table/{what}", rr.LineStrips2D(strips, colors=colour, radii=0.006)
+    return f"table/{what}", rr.LineStrips2D(strips, colors=colour, radii=0.01)
 
 
 def arm(description: Arm, pose: npt.ArrayLike, q: npt.ArrayLike) -> list[Drawing]:
@@ -193,7 +199,8 @@ def reaction(message: Any) -> list[Drawing]:
             HEADING,
             [degrees(a) for a in (heading + band, heading - band, heading, message.measured[2])],
         ),
-        *numbers(DIFFERENCE, (1e3 * dx, 1e3 * dy, degrees(turn))),
+        *numbers(TURN, (degrees(band), -degrees(band), degrees(turn))),
+        *numbers(PLACE, (1e3 * dx, 1e3 * dy)),
         *numbers(MOMENTUM, message.momentum),
         *numbers(TORQUE, (message.torque, message.torque_measured)),
     ]
@@ -217,8 +224,7 @@ def styles(n: int) -> list[Drawing]:
     for series in PLOTS:
         for line, of_place in zip(series.lines, PALETTE, strict=False):
             colour, width = fixed.get(line, (of_place, 1.5))
-            name, _, unit = line.partition("_")
-            name = f"{name} [{unit.replace('_', ' ')}]" if unit and name != "band" else name
+            name = "band of 1 sigma" if line.startswith("band") else NAMED.get(line, line)
             found.append((f"plot/{series.name}/{line}", _series(name, colour, width)))
     for kind in OF_LINKS:
         for i in range(1, n + 1):
@@ -254,7 +260,7 @@ def blueprint() -> Any:
     return rrb.Blueprint(
         rrb.Horizontal(
             rrb.Vertical(table, rrb.TextLogView(origin="log", name="events"), row_shares=[4, 1]),
-            rrb.Vertical(*plots, row_shares=[3, 2, 2, 2]),
+            rrb.Vertical(*plots, row_shares=[3, 3, 2, 2, 2]),
             rrb.Vertical(*links),
             column_shares=[5, 4, 3],
         ),

@@ -1,0 +1,63 @@
+"""Drifts of the simulated base with its arm at rest, and what truly acted on it."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from fss_arm_calib.drift import Drift, DriftProblem, rigid_body
+from fss_arm_model.description import paper_arm
+from fss_arm_model.simulation import GRAVITY, Surroundings
+from fss_sim.plant import Demand, Plant, World
+
+ARM = paper_arm()
+TILT = (8e-5, -5e-5)  # [rad]
+TETHER, TWIST = 0.02, 0.003  # [N s/m], [N m s]
+SHARED = np.array([GRAVITY * TILT[0], GRAVITY * TILT[1], 0.0, TWIST, TETHER])
+SIGMA = np.array([0.001, 0.001, 0.009])  # of a VICON frame [m, m, rad]
+BIN, FRESH = 0.5, 5  # of averaged poses [s], frames in it
+
+
+class Truth(NamedTuple):
+    """What no sensor tells."""
+
+    hose_torque: float  # mean [N m]
+    momenta: np.ndarray  # (s, 3) at the first pose
+
+
+def drifts(seed, count=4, length=40.0, tilt=TILT, tether=TETHER, twist=TWIST):
+    """Drifts [Drift], and the Truth, from starts at random."""
+    rng = np.random.default_rng(seed)
+    free = (40.0, 40.0)  # a table without a border to touch
+    world = World(surroundings=Surroundings(tilt, 0.0, tether, twist, free))
+    found, momenta, gains = [], [], []
+    times = np.arange(0.0, length, BIN)
+    for k in range(count):
+        q = rng.uniform(-1.2, 1.2, ARM.n)
+        begin = [*rng.uniform(-0.3, 0.3, 2), rng.uniform(-3.0, 3.0)]
+        twist_then = [*rng.normal(0.0, 0.003, 2), rng.normal(0.0, 0.02)]
+        plant = Plant(ARM, [*begin, *q], [*twist_then, *np.zeros(ARM.n)], world)
+        for j in range(ARM.n):
+            plant.command(j, Demand(21, q[j], 0.0))
+        momenta.append(plant.momentum())
+        poses = [plant.base]
+        for _ in times[1:]:
+            plant.advance(BIN)
+            poses.append(plant.base)
+        gains.append(plant.momentum()[2] - momenta[-1][2])
+        seen = np.array(poses) + rng.standard_normal((len(times), 3)) * SIGMA / np.sqrt(FRESH)
+        found.append(
+            Drift(
+                k * 10**12, k * 10**12 + int(length * 1e9), tuple(q), tuple(times),
+                tuple(map(tuple, seen.tolist())), (50,) * len(times), (BIN,) * len(times),
+            )
+        )  # fmt: skip
+    return found, Truth(sum(gains) / (count * times[-1]), np.array(momenta))
+
+
+def problem(found, seed=0, com=0.01, **known):
+    """The problem of drifts, each with its centre of mass known to `com` alone, masses exactly."""
+    rng = np.random.default_rng(1000 + seed)
+    sigma = [np.tile(SIGMA / np.sqrt(FRESH), (len(d.times), 1)) for d in found]
+    bodies = [rigid_body(ARM, d.q) for d in found]
+    bodies = [b._replace(com=b.com + complex(*rng.normal(0.0, com, 2))) for b in bodies]
+    return DriftProblem(found, bodies, sigma, **{"com": com, "mass": 0.0, **known})

@@ -1,0 +1,81 @@
+"""What acts on the drifting base, against the simulated truth."""
+
+import numpy as np
+import pytest
+from calib_drift import ARM, SHARED, drifts, problem
+
+from fss_arm_calib.drift import rigid_body, solve
+from fss_arm_model.dynamics import kinetic_energy
+from fss_arm_model.momentum import momentum
+
+
+def test_the_rigid_body_has_the_arm_s_momentum_and_energy():
+    q, twist = (0.3, -0.8, 1.1, 0.2), np.array([0.02, -0.01, 0.3])
+    body = rigid_body(ARM, q)
+    v = complex(*twist[:2]) + 1j * twist[2] * body.com
+    state, rate = np.array([0.0, 0.0, 0.0, *q]), np.array([*twist, 0.0, 0.0, 0.0, 0.0])
+    expected = momentum(ARM.vector(), state, rate)
+    P = body.mass * v
+    np.testing.assert_allclose([P.real, P.imag, body.inertia * twist[2]], expected, rtol=1e-12)
+    energy = 0.5 * (body.mass * abs(v) ** 2 + body.inertia * twist[2] ** 2)
+    assert energy == pytest.approx(kinetic_energy(ARM.vector(), state, rate))
+
+
+def test_the_motion_is_the_simulated_one():
+    found, _ = drifts(1)
+    one = problem(found, com=0.0)
+    result = solve(one)
+    own = result.minimum.x[5:13, None]
+    poses, _ = one.motion(0, SHARED[:, None], own)
+    away = np.array(found[0].poses) - poses[..., 0]
+    assert np.abs(away.mean(axis=0)).max() < 1e-3  # noise of 0.4 mm and 0.004 rad, averaged
+
+
+def test_derivatives_are_those_of_the_motion():
+    found, _ = drifts(2, count=1)
+    one = problem(found)
+    x = one.start + np.concatenate([SHARED, np.zeros(8)])
+    linear, step = one.linearize(x), np.zeros(13)
+    step[:] = 1e-6 * np.random.default_rng(0).standard_normal(13)
+    step[2] *= 0.01  # a torque moves the base far
+    change = (one.linearize(x - step).residuals - one.linearize(x + step).residuals) / 2.0
+    np.testing.assert_allclose(change, linear.regressor @ step, rtol=1e-3, atol=1e-5)
+
+
+@pytest.mark.slow
+def test_errors_are_as_large_as_the_deviations_say():
+    """Tilt, what resists motion, mean torque and momenta, over 40 simulated floats."""
+    shared, torques, momenta, costs = [], [], [], []
+    for seed in range(40):
+        found, truth = drifts(seed)
+        result = solve(problem(found, seed))
+        assert result.minimum.converged
+        shared.append((result.values - SHARED) / np.sqrt(np.diag(result.covariance)))
+        mean, deviation = result.hose_torque
+        torques.append((mean - truth.hose_torque) / deviation)
+        values, deviations = result.momenta
+        momenta.append((values - truth.momenta) / deviations)
+        costs.append(result.minimum.linear.cost / result.problem.degrees_of_freedom)
+    # The mean of 40 squares of deviation 1 is 1 +- 0.22.
+    squares = np.mean(np.square(shared), axis=0)
+    assert ((squares > 0.5) & (squares < 1.7)).all(), squares
+    assert 0.5 < np.mean(np.square(torques)) < 1.7
+    assert 0.8 < np.mean(np.square(momenta)) < 1.2
+    assert np.mean(costs) == pytest.approx(1.0, abs=0.03)
+
+
+def test_a_hose_that_twists_is_told_from_a_level_table():
+    found, truth = drifts(3, tilt=(0.0, 0.0), tether=0.0, twist=0.01)
+    result = solve(problem(found, 3))
+    mean, deviation = result.hose_torque
+    assert abs(truth.hose_torque) > 10.0 * deviation
+    assert abs(mean - truth.hose_torque) < 4.0 * deviation
+    assert (np.abs(result.values[:2]) < 4.0 * np.sqrt(np.diag(result.covariance)[:2])).all()
+
+
+def test_an_error_of_the_masses_is_carried():
+    found, _ = drifts(4)
+    exact, loose = (solve(problem(found, 4, mass=mass)) for mass in (0.0, 0.05))
+    mean, deviation = loose.hose_torque
+    assert deviation == pytest.approx(np.hypot(exact.hose_torque[1], 0.05 * mean))
+    np.testing.assert_array_equal(loose.covariance[:2, :2], exact.covariance[:2, :2])
