@@ -17,6 +17,7 @@ setup(
             "design = fss_arm_calib.design_command:main",
             "dynamic = fss_arm_calib.dynamic_node:main",
             "experiment = fss_arm_calib.experiment_node:main",
+            "float = fss_arm_calib.float_node:main",
             "from_bag = fss_arm_calib.from_bag:main",
             "recompute = fss_arm_calib.recompute:main",
         ],

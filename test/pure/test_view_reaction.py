@@ -1,5 +1,6 @@
 """The base's reaction, against the free-floating equations of motion integrated step by step."""
 
+from copy import copy
 from math import radians
 
 import numpy as np
@@ -8,6 +9,7 @@ from view_flight import STEP, Flight
 
 from fss_arm_model.description import load, paper_arm
 from fss_arm_model.dynamics import bias, inertia_matrix
+from fss_arm_model.simulation import GRAVITY
 from fss_arm_ros.calibrated import vector_covariance
 from fss_arm_view.base_filter import BaseFilter, Estimate
 from fss_arm_view.reaction import BaseReaction
@@ -106,6 +108,24 @@ def test_the_band_grows_with_the_time_since_the_drift_was_fitted(flight):
     slope = 0.01 * np.sqrt(12 / 200) / 2.0
     since = (begun[-1].t - begun[-1].anchor) * 1e-9
     assert band[-1, 0] == pytest.approx(np.hypot(slope * (since + 1.0), 0.01 / 200**0.5), rel=0.1)
+
+
+def test_a_tilted_table_pulls_and_what_is_unknown_of_it_widens_the_band(flight):
+    """A uniform acceleration is added to any motion."""
+    tilt, tilted = (2e-4, -1e-4), copy(flight)
+    g, t = GRAVITY * np.array(tilt), flight.t[:, None]
+    fall = np.hstack([0.5 * t**2 * g, np.zeros_like(t)])
+    tilted.pose = flight.pose + fall
+    tilted.twist = flight.twist + np.hstack([t * g, np.zeros_like(t)])
+    known = BaseReaction(paper_arm(), settings=ReactionSettings(tilt=tilt))
+    last = follow(known, tilted, 2)[-1]
+    k = tilted.index(last.t)
+    np.testing.assert_allclose(last.predicted, tilted.pose[k], rtol=0, atol=5e-5)
+    unknown = BaseReaction(paper_arm(), settings=ReactionSettings(tilt_deviation=2e-4))
+    missed = follow(unknown, tilted, 2)[-1]
+    since = (missed.t - missed.anchor) * 1e-9
+    added = np.sqrt(missed.predicted_deviation**2 - last.predicted_deviation**2)
+    np.testing.assert_allclose(added[:2], 0.5 * since**2 * GRAVITY * 2e-4, rtol=0.02)
 
 
 def test_a_base_that_nobody_sees_has_no_reaction():

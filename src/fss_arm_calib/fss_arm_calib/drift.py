@@ -1,7 +1,7 @@
-"""What acts on the base from outside: the table's tilt and the hose, from drifts of the resting arm.
+"""What acts on the base from outside: the table's tilt and the hose, while base and arm drift.
 
-Base and arm are then one rigid body of mass M and inertia K about its centre of mass, which lies at
-c in the base's frame. With the base's origin at x, its heading theta, z = x + R(theta) c,
+With the arm at rest they are one rigid body of mass M and inertia K about its centre of mass, which
+lies at c in the base's frame. With the base's origin at x, its heading theta, z = x + R(theta) c,
 
     M z'' = M g - d x',        K theta'' = tau - kappa theta' + (x - z) x (-d x')
 

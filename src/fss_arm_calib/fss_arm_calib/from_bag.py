@@ -6,6 +6,7 @@ from argparse import BooleanOptionalAction
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
 from os import PathLike
+from pathlib import Path
 from typing import Any
 
 from rich.console import Console
@@ -16,7 +17,10 @@ from fss_arm_ros.bulk import pieces, poses, turn_rates
 from fss_arm_ros.command_line import USER_ERROR, Parser
 from fss_arm_ros.convert import SECOND
 
-from . import dynamic_messages, dynamic_verdict, report
+from . import drift_verdict, dynamic_messages, dynamic_verdict, report
+from .drift_settings import DriftSettings
+from .drift_verdict import FloatCalibration, float_report, parameters
+from .drifts import DriftFinder
 from .dynamic_report import dynamic_report
 from .dynamic_settings import DynamicCalibrationSettings
 from .dynamic_verdict import DynamicCalibration
@@ -85,6 +89,30 @@ def solve_dynamic_bag(
         return told, found
 
 
+def solve_float_bag(
+    paths: str | PathLike[str] | Iterable[str | PathLike[str]],
+    settings: DriftSettings | None = None,
+) -> FloatCalibration:
+    """Find the drifts in one or several bags, and what they tell, as the node `float` does.
+
+    Raises:
+        BagError: a bag cannot be read or lacks a topic.
+        ValueError: a setting is impossible, or the description is.
+        OSError: a file cannot be read.
+    """
+    s = settings or DriftSettings()
+    arm = load(s.arm) if s.arm else paper_arm()
+    finder, found = DriftFinder(arm.n, s), []
+    with open_bags(paths) as bags:
+        joints, base = topics(bags, {s.joints_topic: JOINTS, s.base_topic: POSES}, 2)
+        for piece in pieces(bags.raw({joints, base}), round(PIECE * s.horizon * SECOND)):
+            for data in piece.get(joints, ()):
+                found += feed_joints(finder, bags.deserialize(data, JOINTS))
+            found += finder.poses(*poses(piece.get(base, ())))
+        found += finder.close()
+        return drift_verdict.calibrate(found, arm, s, finder.streams(), source(bags))
+
+
 def topics(bags: Bags, wanted: Mapping[str, str], needed: int) -> list[str]:
     """The names, as in the bags, of topics wanted with their types; the first ones must be there.
 
@@ -147,7 +175,9 @@ def maneuvers(
 
 
 def parser(
-    kind: type[CalibrationSettings] | type[DynamicCalibrationSettings] = CalibrationSettings,
+    kind: type[CalibrationSettings | DynamicCalibrationSettings | DriftSettings] = (
+        CalibrationSettings
+    ),
 ) -> argparse.ArgumentParser:
     """The command line: the bags, what to write, and each setting that the node has, too."""
     p = Parser("from_bag", description=__doc__, epilog=EPILOG)
@@ -155,7 +185,14 @@ def parser(
     p.add_argument(
         "--dynamic", action="store_true", help="calibrate the dynamics; see --dynamic --help"
     )
-    p.add_argument("--output", metavar="YAML", help="write the calibrated description if it passes")
+    p.add_argument(
+        "--float", action="store_true", help="tell tilt, hose and momentum; see --float --help"
+    )
+    p.add_argument(
+        "--output",
+        metavar="YAML",
+        help="write the calibrated description if it passes; of a float, other nodes' parameters",
+    )
     p.add_argument("--report", metavar="DIR", help="write a page to read, and its drawings as PNG")
     p.add_argument(
         "--truth", metavar="YAML", help="description to compare with, in the report only"
@@ -182,13 +219,27 @@ def add_settings(p: argparse.ArgumentParser, kind: type[Any]) -> None:
         )
 
 
-def calibrated(options: argparse.Namespace, console: Console) -> Calibration | DynamicCalibration:
+def kind_of(
+    *, dynamic: bool, afloat: bool
+) -> type[CalibrationSettings | DynamicCalibrationSettings | DriftSettings]:
+    """The settings of what is asked for."""
+    if afloat:
+        return DriftSettings
+    return DynamicCalibrationSettings if dynamic else CalibrationSettings
+
+
+def calibrated(
+    options: argparse.Namespace, console: Console
+) -> Calibration | DynamicCalibration | FloatCalibration:
     """Solve, show and write what was asked for."""
-    kind = DynamicCalibrationSettings if options.dynamic else CalibrationSettings
+    kind = kind_of(dynamic=options.dynamic, afloat=options.float)
     truth: Arm | None = load(options.truth) if options.truth else None
     settings = kind(**{f.name: getattr(options, f.name) for f in fields(kind)})
-    calibration: Calibration | DynamicCalibration
-    if isinstance(settings, DynamicCalibrationSettings):
+    calibration: Calibration | DynamicCalibration | FloatCalibration
+    if isinstance(settings, DriftSettings):
+        calibration = solve_float_bag(options.bags, settings)
+        told = float_report(calibration)
+    elif isinstance(settings, DynamicCalibrationSettings):
         calibration, found = solve_dynamic_bag(options.bags, settings)
         told = dynamic_report(calibration, truth, found)
     else:
@@ -199,8 +250,13 @@ def calibrated(options: argparse.Namespace, console: Console) -> Calibration | D
         page = report.write(options.report, told)
         console.print(f"report written to {page}", soft_wrap=True)
     if options.output and calibration.verdict == PASS:
-        save(from_yaml(calibration.description), options.output)
-        console.print(f"calibrated description written to {options.output}", soft_wrap=True)
+        if isinstance(calibration, FloatCalibration):
+            what = "parameters of dynamic and base_reaction"
+            Path(options.output).write_text(parameters(calibration), encoding="utf-8")
+        else:
+            what = "calibrated description"
+            save(from_yaml(calibration.description), options.output)
+        console.print(f"{what} written to {options.output}", soft_wrap=True)
     elif options.output:
         reason = f"as the verdict is {calibration.verdict}"
         console.print(f"{options.output} not written, {reason}", soft_wrap=True)
@@ -210,7 +266,7 @@ def calibrated(options: argparse.Namespace, console: Console) -> Calibration | D
 def main(args: Sequence[str] | None = None) -> int:
     """Run as `ros2 run fss_arm_calib from_bag`."""
     given = sys.argv[1:] if args is None else args
-    kind = DynamicCalibrationSettings if "--dynamic" in given else CalibrationSettings
+    kind = kind_of(dynamic="--dynamic" in given, afloat="--float" in given)
     options = parser(kind).parse_args(given)
     try:
         return EXIT_CODES[calibrated(options, report.console()).verdict]

@@ -72,7 +72,7 @@ class _Rest(NamedTuple):
     end: int  # as far as known
 
 
-class _Joint:
+class Joint:
     """One joint's samples, those still to be merged, and its present run of still ones."""
 
     def __init__(self, name: str) -> None:
@@ -105,6 +105,7 @@ class _Joint:
         return np.array(self.t[a:b]), np.array(self.q[a:b]), np.array(self.qd[a:b])
 
     def forget(self, before: int) -> None:
+        """Drop all but the last one of what is older."""
         k = max(bisect_left(self.t, before) - 1, 0)
         del self.t[:k], self.q[:k], self.qd[:k]
 
@@ -150,7 +151,7 @@ class ManeuverFinder:
 
     def __init__(self, n: int, settings: ManeuverSettings | None = None) -> None:
         self.settings = s = settings or ManeuverSettings()
-        self.joints = [_Joint(f"joint_{i}") for i in range(1, n + 1)]
+        self.joints = [Joint(f"joint_{i}") for i in range(1, n + 1)]
         self.base = Poses(BASE, s.max_speed, s.max_turn)
         self.base.lag = round(s.time_offset * SECOND)
         self.gyro = _Gyro()
@@ -209,7 +210,7 @@ class ManeuverFinder:
 
     def streams(self) -> Streams:
         """What befell the streams so far."""
-        every: list[_Joint | Poses] = [*self.joints, self.base]
+        every: list[Joint | Poses] = [*self.joints, self.base]
         return Streams(
             silent=tuple(s.name for s in every if s.newest < 0),
             strange=tuple(f"joint_{i}" for i in sorted(self.strange)),
@@ -315,7 +316,7 @@ class ManeuverFinder:
             self.offset = mean_offset(self._offsets)
             self.base.lag = round(self.offset.value * SECOND)
 
-    def _holes(self, joint: _Joint, start: int, end: int) -> list[Hole]:
+    def _holes(self, joint: Joint, start: int, end: int) -> list[Hole]:
         """Silences of a joint that tell nothing of where it went meanwhile."""
         t, q, _ = joint.within(start, end)
         if not len(q):
@@ -326,7 +327,7 @@ class ManeuverFinder:
         return [Hole(int(t[k]), int(t[k + 1]), joint.name) for k in late]
 
     def _samples(
-        self, joint: _Joint, looks: tuple[tuple[int, int], tuple[int, int]]
+        self, joint: Joint, looks: tuple[tuple[int, int], tuple[int, int]]
     ) -> tuple[Floats, Floats, Floats]:
         """Times from the start [s], readings and rates: at rest, the averages of both looks.
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from fss_arm_msgs.msg import (
+    FloatCalibration,
     KinematicCalibration,
     KinematicObservation,
     KinematicObservations,
@@ -15,13 +16,13 @@ from fss_arm_msgs.msg import (
 )
 from fss_arm_ros.convert import PoseError, planar_pose, stamp_ns, to_time
 
-from . import judgement
+from . import drift_verdict, judgement
 from .rests import Observation, RestFinder
 from .verdict import Calibration
 
 
-def feed_joints(finder: RestFinder, message: Any) -> list[Observation]:
-    """Give a sensor_msgs/JointState to the finder; joints are told by their names, joint_<i>."""
+def feed_joints(finder: Any, message: Any) -> list[Any]:
+    """Give a sensor_msgs/JointState to a finder; joints are told by their names, joint_<i>."""
     t, found = stamp_ns(message.header.stamp), []
     for name, q in zip(message.name, message.position, strict=False):
         number = name.removeprefix("joint_")
@@ -87,6 +88,27 @@ def observations_message(
             value = getattr(observation, name)
             setattr(one, name, to_time(value) if name in ("start", "end") else _plain(value))
         message.observations.append(one)
+    return message
+
+
+def float_message(calibration: drift_verdict.FloatCalibration, frame_id: str) -> FloatCalibration:
+    """What a float concludes, as it is published, with its drifts."""
+    c, message = calibration, FloatCalibration()
+    message.header.stamp, message.header.frame_id = to_time(c.stamp), frame_id
+    message.provenance = provenance_message(c.provenance)
+    message.stages = [stage_message(stage) for stage in c.stages]
+    message.starts = [to_time(drift.start) for drift in c.drifts]
+    message.samples = [len(drift.times) for drift in c.drifts]
+    message.q = [q for drift in c.drifts for q in drift.q]
+    message.poses = [number for drift in c.drifts for pose in drift.poses for number in pose]
+    for name in ("times", "frames", "seconds"):
+        setattr(message, name, [value for drift in c.drifts for value in getattr(drift, name)])
+    for name in (
+        "verdict", "reason", "names", "units", "values", "covariance", "hose_torque",
+        "hose_torque_deviation", "momenta", "momentum_deviations", "position_residual",
+        "heading_residual", "chi_square", "degrees_of_freedom", "arm", "guess",
+    ):  # fmt: skip
+        setattr(message, name, _plain(getattr(c, name)))
     return message
 
 

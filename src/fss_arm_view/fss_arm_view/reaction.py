@@ -2,7 +2,8 @@
 
 Before each motion the base's pose and twist are fitted to its drift while the arm rested; from
 there the prediction of Eq. 6 follows the joints alone, with the momentum it began with, until the
-next motion. Its band holds the calibration's covariance and the fit's.
+next motion. A known tilt of the table pulls. The band holds the calibration's covariance, the
+fit's and the tilt's.
 """
 
 from bisect import bisect_right
@@ -17,6 +18,7 @@ from fss_arm_model.base_motion import base_pose_sensitivities, path, sampled
 from fss_arm_model.description import Arm
 from fss_arm_model.dynamics import bias, inertia_matrix, inverse_dynamics, kinetic_energy
 from fss_arm_model.momentum import momentum, system_com
+from fss_arm_model.simulation import GRAVITY
 
 from .base_filter import Estimate
 from .settings import ReactionSettings
@@ -100,6 +102,7 @@ class BaseReaction:
         self, arm: Arm, covariance: Floats | None = None, settings: ReactionSettings | None = None
     ) -> None:
         self.settings = settings or ReactionSettings()
+        self.tilt = GRAVITY * np.array(self.settings.tilt)  # acceleration down the table
         self.joints = [_Joint() for _ in range(arm.n)]
         self.past: deque[Estimate] = deque()
         self.momenta: deque[tuple[float, Floats]] = deque()
@@ -111,6 +114,7 @@ class BaseReaction:
     def describe(self, arm: Arm, covariance: Floats | None = None) -> None:
         """Predict with another description from the next rest on."""
         self.p = arm.vector()
+        self.mass = inertia_matrix(self.p, np.zeros(3 + arm.n))[0, 0]
         size = len(self.p)
         self.covariance = np.zeros((size, size)) if covariance is None else covariance
         self.anchor: Anchor | None = None
@@ -196,6 +200,7 @@ class BaseReaction:
         states = np.column_stack([poses, np.tile(q, (len(poses), 1))])
         com = system_com(p, states)
         X = np.column_stack([np.ones_like(times), times])
+        com = com - 0.5 * times[:, None] ** 2 * self.tilt
         line, slope = np.linalg.lstsq(X, np.column_stack([com, poses[:, 2]]), rcond=None)[0]
         turn = line[2] - poses[-1, 2]
         lever = complex(*(com[-1] - poses[-1, :2])) * complex(np.cos(turn), np.sin(turn))
@@ -220,23 +225,28 @@ class BaseReaction:
     def _begin(self, anchor: Anchor) -> None:
         """Predict anew from an anchor."""
         self.anchor, self.at = anchor, anchor.t
-        self.state = np.concatenate([anchor.pose, anchor.momentum, np.zeros(2)])
+        self.state = np.concatenate([anchor.pose, anchor.momentum, self.tilt])
         # Derivatives of the predicted pose by the parameters, and by the anchor's two parts.
         self.by_parameter = np.zeros((3, len(self.p)))
         self.by_pose, self.by_momentum = np.eye(3), np.zeros((3, 3))
+        self.by_tilt = np.zeros((3, 2))
 
     def _predict(self, t: int, law, edges: Floats) -> None:  # type: ignore[no-untyped-def]
         """Go on with the prediction until t."""
+        assert self.anchor
         if t <= self.at:
             return
         marks = [(self.at - self.origin) * 1e-9, (t - self.origin) * 1e-9]
         poses, J = base_pose_sensitivities(self.p, path(law, edges, marks), self.state)
         step, size = J[1], len(self.p)
-        onward = step[:, size : size + 3]
+        onward, gained = step[:, size : size + 3], self.mass * (self.at - self.anchor.t) * 1e-9
+        by_gained = gained * step[:, size + 3 : size + 5]
+        self.by_tilt = onward @ self.by_tilt + by_gained + step[:, size + 6 :]
         self.by_parameter = onward @ self.by_parameter + step[:, :size]
         self.by_momentum = onward @ self.by_momentum + step[:, size + 3 : size + 6]
         self.by_pose = onward @ self.by_pose
         self.state[:3] = poses[1]
+        self.state[3:5] += self.mass * self.tilt * (t - self.at) * 1e-9
         self.at = t
 
     def _deviation(self) -> Floats:
@@ -245,6 +255,7 @@ class BaseReaction:
         by_parameter = self.by_parameter + self.by_momentum @ self.anchor.by_parameter
         covariance = by_begin @ self.anchor.covariance @ by_begin.T
         covariance += by_parameter @ self.covariance @ by_parameter.T
+        covariance += (GRAVITY * self.settings.tilt_deviation) ** 2 * self.by_tilt @ self.by_tilt.T
         return np.sqrt(np.diag(covariance))
 
     def _reaction(self, t: int, measured: Estimate, law) -> Reaction:  # type: ignore[no-untyped-def]

@@ -32,10 +32,16 @@ class ReactionSettings(SensorErrors):
         0.1, "half the time that accelerations are differences over [s]"
     )
     drift_window: float = setting(30.0, "time that the slope of the momentum is taken over [s]")
+    tilt: tuple[float, ...] = setting((0.0, 0.0), "of the table along x and y, downhill [rad]")
+    tilt_deviation: float = setting(0.0, "of each, 1 sigma; `float` tells both [rad]")
 
     def __post_init__(self) -> None:
+        if len(self.tilt) != 2:
+            raise ValueError(f"tilt has {len(self.tilt)} numbers, expected 2")
+        if not self.tilt_deviation >= 0.0:
+            raise ValueError(f"tilt_deviation is {self.tilt_deviation}, expected 0 or more")
         for name, value in vars(self).items():
-            if isinstance(value, float) and not value > 0.0:
+            if isinstance(value, float) and name != "tilt_deviation" and not value > 0.0:
                 raise ValueError(f"{name} is {value}, expected more than 0")
 
 

@@ -1,0 +1,124 @@
+"""Drifts out of streams: while the arm rests, the base floats as it will.
+
+As with maneuvers.py, samples are merged by their stamps and nothing is decided before every stream
+has passed the moment in question: what is found is a function of the data alone.
+"""
+
+from itertools import pairwise
+from math import isfinite
+
+import numpy as np
+
+from .drift import Drift
+from .drift_settings import DriftSettings
+from .least_squares import Floats
+from .maneuvers import Joint
+from .poses import SECOND, Poses
+from .rests import BASE, Streams
+
+_FEWEST = 10  # averaged poses of a drift
+
+
+class DriftFinder:
+    """Fed samples of n joints and the base, returns the drifts that they complete."""
+
+    def __init__(self, n: int, settings: DriftSettings | None = None) -> None:
+        self.settings = s = settings or DriftSettings()
+        self.joints = [Joint(f"joint_{i}") for i in range(1, n + 1)]
+        self.base = Poses(BASE, s.max_speed, s.max_turn)
+        self.strange: set[int] = set()
+        self._since = -1  # what was before has been taken [ns]
+        self._pending: list[tuple[int, int]] = []  # rests
+
+    def joint(self, i: int, t: int, q: float) -> list[Drift]:
+        """A reading q [rad] of joint i, 1 to n, at stamp t [ns]."""
+        if not 1 <= i <= len(self.joints):
+            self.strange.add(i)
+            return []
+        joint = self.joints[i - 1]
+        if isfinite(q) and t > joint.newest:
+            joint.newest = t
+            joint.waiting.append((t, q, 0.0))
+            while all(j.waiting for j in self.joints):
+                self._take_oldest()
+        return self._collect()
+
+    def pose(self, t: int, pose: tuple[float, float, float] | None) -> list[Drift]:
+        """A pose x [m], y [m], heading [rad] of the base; None: it was not visible."""
+        self.base.append(t, pose)
+        return self._collect()
+
+    def poses(self, t: np.ndarray, poses: Floats) -> list[Drift]:
+        """Many poses of the base at once, (k,) and (k, 3); NaN: it was not visible."""
+        self.base.extend(t, poses)
+        return self._collect()
+
+    def close(self) -> list[Drift]:
+        """The drift that lasts, too, as far as it is known."""
+        while any(joint.waiting for joint in self.joints):
+            self._take_oldest()
+        self._end(*self.resting)
+        return self._collect(everything=True)
+
+    @property
+    def resting(self) -> tuple[int, int]:
+        """Begin and end of the arm's present rest, as far as all joints tell [ns]."""
+        if any(joint.start < 0 for joint in self.joints):
+            return 0, 0
+        begin = max(self._since, *(joint.start for joint in self.joints))
+        return begin, max(begin, min(joint.last for joint in self.joints))
+
+    def streams(self) -> Streams:
+        """What befell the streams so far."""
+        every: list[Joint | Poses] = [*self.joints, self.base]
+        return Streams(
+            silent=tuple(s.name for s in every if s.newest < 0),
+            strange=tuple(f"joint_{i}" for i in sorted(self.strange)),
+            refused={f"{BASE} {why}": k for why, k in sorted(self.base.refused.items()) if k},
+        )
+
+    def _take_oldest(self) -> None:
+        joint = min((j for j in self.joints if j.waiting), key=lambda j: j.waiting[0][0])
+        begin, end = self.resting
+        moves = joint.take(self.settings.still)
+        if moves or end - begin >= self.settings.longest * SECOND:
+            self._end(begin, end)
+
+    def _end(self, begin: int, end: int) -> None:
+        """A rest is over, or long enough to count as one."""
+        self._since = max(self._since, end)
+        if end - begin >= self.settings.shortest * SECOND:
+            self._pending.append((begin, end))
+        kept = self._pending[0][0] if self._pending else end
+        self.base.forget(kept)
+        for joint in self.joints:
+            joint.forget(kept)
+
+    def _collect(self, everything: bool = False) -> list[Drift]:
+        found = []
+        while self._pending and (everything or self.base.reached >= self._pending[0][1]):
+            found.append(self._drift(*self._pending.pop(0)))
+        return [drift for drift in found if len(drift.times) >= _FEWEST]
+
+    def _drift(self, begin: int, end: int) -> Drift:
+        s = self.settings
+        begin += round(s.settle * SECOND)
+        t, poses = self.base.slice(begin, end)
+        inside = (t >= begin) & (t <= end)
+        t, poses = t[inside], poses[inside]
+        poses[:, 2] = np.unwrap(poses[:, 2])
+        edges = np.linspace(begin, end, max(1, round((end - begin) / SECOND / s.bin)) + 1)
+        rows = []
+        for low, high in pairwise(edges):
+            those = (t >= low) & (t < high)
+            number = int(np.count_nonzero(those))
+            if number >= 2:
+                span = float(np.ptp(t[those])) / SECOND * number / (number - 1)
+                middle = float(np.mean(t[those] - begin)) / SECOND
+                x, y, heading = np.mean(poses[those], axis=0).tolist()
+                rows.append((middle, (x, y, heading), number, span))
+        first = rows[0][0] if rows else 0.0
+        times, means, frames, seconds = zip(*rows, strict=True) if rows else ((), (), (), ())
+        q = tuple(float(np.mean(joint.within(begin, end)[1])) for joint in self.joints)
+        start = begin + round(first * SECOND)
+        return Drift(start, end, q, tuple(at - first for at in times), means, frames, seconds)

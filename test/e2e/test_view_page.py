@@ -1,0 +1,70 @@
+"""The page that the view serves during the demo, looked at in a browser."""
+
+import os
+import re
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from browser import CHROMIUM, Page, Picture
+
+from fss_arm_view import scene
+
+ROOT = Path(__file__).resolve().parents[2]
+ADDRESS = re.compile(r"open (http://\S+)")
+#: Parts of the page, as the blueprint shares it out: left, top, right, bottom.
+TABLE, HEADING, LINKS = (0.05, 0.28, 0.38, 0.75), (0.42, 0.06, 0.75, 0.30), (0.77, 0.1, 1.0, 0.8)
+
+#: Pixels of a colour at least; an empty page has none, the legends' dots alone have 40.
+WANTED = {
+    "arm": 150, "path of the end effector": 20, "band": 60, "prediction": 100, "links": 150,
+    "colours": 300,
+}  # fmt: skip
+
+
+def free_port():
+    with socket.socket() as s:
+        s.bind(("127.0.0.1", 0))
+        return s.getsockname()[1]
+
+
+@pytest.fixture
+def demo(domain, tmp_path):
+    """The main job on the simulated test bed, in this test's domain."""
+    command = [sys.executable, ROOT / "scripts/demo.py", "--out", tmp_path / "demo"]
+    environment = {**os.environ, "ROS_DOMAIN_ID": str(domain)}
+    with (tmp_path / "demo.log").open("wb") as log:
+        process = subprocess.Popen(command, stdout=log, stderr=log, env=environment)
+    yield process
+    process.terminate()
+    process.wait(60)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(CHROMIUM is None, reason="needs chromium, Debian's package of that name")
+def test_the_page_shows_arm_prediction_and_measurement(start, spin, demo, tmp_path):
+    ports = ("-p", f"port:={free_port()}", "-p", f"web_port:={free_port()}")
+    view = start("fss_arm_view.view_node", "--ros-args", *ports)
+    start("fss_arm_view.base_reaction_node")
+    spin([], lambda: ADDRESS.search(view.output), 60.0)
+    page = Page(ADDRESS.search(view.output)[1], tmp_path / "browser")
+    seen, deadline = {}, time.monotonic() + 300.0
+    try:
+        while not all(seen.get(what, 0) >= least for what, least in WANTED.items()):
+            assert time.monotonic() < deadline, seen
+            png = page.picture()
+            (tmp_path / "view.png").write_bytes(png)
+            picture = Picture(png)
+            seen = {
+                "arm": picture.count(scene.STEEL, *TABLE),
+                "path of the end effector": picture.count(scene.TIP, *TABLE),
+                "band": picture.count(scene.BAND, *HEADING),
+                "prediction": picture.count(scene.GHOST, *HEADING),
+                "links": min(picture.count(colour, *LINKS) for colour in scene.PALETTE[:4]),
+                "colours": picture.colours(0.0, 0.0, 1.0, 1.0),
+            }
+    finally:
+        page.close()

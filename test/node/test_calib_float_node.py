@@ -1,0 +1,130 @@
+"""The node `float` and `from_bag --float` on the streams of a drifting base."""
+
+import numpy as np
+import pytest
+import yaml
+from calib_float import ARM, TYPES, Float, feed, message, postures, record
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from std_srvs.srv import Trigger
+
+from fss_arm_calib.drift_settings import DriftSettings
+from fss_arm_calib.drift_verdict import calibrate
+from fss_arm_calib.drifts import DriftFinder
+from fss_arm_calib.dynamic_node import DynamicNode
+from fss_arm_calib.float_node import FloatNode
+from fss_arm_calib.from_bag import main as from_bag
+from fss_arm_calib.from_bag import solve_float_bag
+from fss_arm_model.simulation import GRAVITY
+from fss_arm_msgs.msg import FloatCalibration
+from fss_arm_ros.qos import LATCHED, sensor
+from fss_arm_view.base_reaction_node import BaseReactionNode
+
+TILT = np.array([2e-5, -1e-5])  # [rad]
+STATE = np.array([0.1, -0.2, 0.4, 0.02, -0.01, 0.01, *GRAVITY * TILT])
+NOISE = (0.001, 0.009)
+
+
+@pytest.fixture(scope="module")
+def samples():
+    """Three rests of 40 s with a maneuver between two."""
+    flight = Float(postures(2), state=STATE, rest=40.0, noise=NOISE)
+    return [s for s in flight.samples(rate=20) if s.stream != "gyro"]
+
+
+@pytest.fixture(scope="module")
+def bag(samples, tmp_path_factory):
+    return record(tmp_path_factory.mktemp("float") / "bag", samples)
+
+
+class Finder(DriftFinder):
+    """Takes the rates that `feed` gives, too."""
+
+    def joint(self, i, t, q, _qd):
+        return super().joint(i, t, q)
+
+
+class Bed(Node):
+    """Publishes samples, and hears what comes of them."""
+
+    def __init__(self):
+        super().__init__("bed")
+        self.outputs = {
+            topic: self.create_publisher(kind, topic, sensor(keep_all=True))
+            for topic, kind in TYPES.items() if topic != "fog/imu"
+        }  # fmt: skip
+        self.results = []
+        self.create_subscription(
+            FloatCalibration, "calibration/float", self.results.append, LATCHED
+        )
+        self.solver = self.create_client(Trigger, "float/solve")
+
+    def ready(self):
+        listened = all(p.get_subscription_count() for p in self.outputs.values())
+        return listened and self.solver.service_is_ready()
+
+
+def test_each_rest_is_a_drift_and_long_ones_are_several(samples):
+    found = feed(Finder(ARM.n), samples)
+    assert [d.times[-1] > 35.0 for d in found] == [True] * 3
+    shorter = feed(Finder(ARM.n, DriftSettings(longest=22.0, shortest=10.0)), samples)
+    assert len(shorter) == 6
+    ends = [d.end for d in shorter]
+    assert all(b.start >= a for a, b in zip(ends, shorter[1:], strict=False))
+    assert not feed(Finder(ARM.n, DriftSettings(shortest=50.0)), samples)
+
+
+def test_order_of_arrival_does_not_matter(samples):
+    late = [s for s in samples if s.stream == "base"], [s for s in samples if s.stream != "base"]
+    assert feed(Finder(ARM.n), samples) == feed(Finder(ARM.n), late[1] + late[0])
+
+
+def test_the_node_says_what_the_bag_says(samples, bag, spin):
+    node, bed = FloatNode(parameter_overrides=[Parameter("com_deviation", value=0.005)]), Bed()
+    spin([node, bed], bed.ready)
+    for begin in range(0, len(samples), 500):
+        for sample in samples[begin : begin + 500]:
+            topic, content = message(sample)
+            bed.outputs[topic].publish(content)
+        last = max(s.t for s in samples[: begin + 500] if s.stream == "base")
+        spin([node, bed], lambda t=last: node.finder.base.newest >= t, 30.0)
+    answer = bed.solver.call_async(Trigger.Request())
+    spin([node, bed], lambda: answer.done() and bed.results and len(bed.results[-1].samples) == 3)
+    result = bed.results[-1]
+    assert answer.result().success, answer.result().message
+    assert (result.verdict, result.header.frame_id) == ("pass", "world")
+    offline = solve_float_bag(bag, DriftSettings(com_deviation=0.005))
+    assert offline.provenance.data_hash == result.provenance.data_hash
+    np.testing.assert_allclose(result.values, offline.values, rtol=0, atol=1e-12)
+    away = np.array(result.values[:2]) - GRAVITY * TILT
+    assert (np.abs(away) < 4.0 * offline.deviations[:2]).all()
+    assert abs(result.hose_torque) < 4.0 * result.hose_torque_deviation  # there is none
+    momenta = np.reshape(result.momenta, (3, 3))
+    expected = STATE[3:6]  # at the first drift's begin, but for what the tilt added within 0.5 s
+    deviations = np.reshape(result.momentum_deviations, (3, 3))
+    assert (np.abs(momenta[0] - expected) < 4.0 * deviations[0] + 1e-3).all()
+
+
+def test_its_file_sets_the_other_nodes(bag, tmp_path, spin, capsys):
+    output = tmp_path / "float.yaml"
+    assert from_bag(["--float", str(bag), "--output", str(output)]) == 0
+    assert "tilt along x" in capsys.readouterr().out
+    told = yaml.safe_load(output.read_text())
+    arguments = ["--ros-args", "--params-file", str(output)]
+    dynamic, reaction = DynamicNode(cli_args=arguments), BaseReactionNode(cli_args=arguments)
+    spin([dynamic, reaction], lambda: True)
+    for name, value in told["dynamic"]["ros__parameters"].items():
+        assert getattr(dynamic.settings, name) == value
+    assert dynamic.settings.tilt_deviation >= 2e-5
+    np.testing.assert_allclose(reaction.settings.tilt, TILT, atol=2e-6)
+
+
+def test_too_little_is_not_evaluated_and_a_push_fails(samples, bag, capsys):
+    assert from_bag(["--float", str(bag), "--least-time", "500"]) == 3
+    assert "at least 500 s needed" in " ".join(capsys.readouterr().out.split())
+    drifts = feed(Finder(ARM.n), samples)
+    half = len(drifts[0].poses) // 2
+    poses = [(x + 0.05 * (k > half), y, h) for k, (x, y, h) in enumerate(drifts[0].poses)]
+    pushed = calibrate([drifts[0]._replace(poses=tuple(poses)), *drifts[1:]], ARM)
+    assert pushed.verdict == "fail"
+    assert "something else moved the base" in pushed.reason
