@@ -142,7 +142,7 @@ def trail(
     points: Sequence[tuple[float, float]], what: str, colour: tuple[int, int, int]
 ) -> Drawing:
     """Where a point has been."""
-    return f"table/{what}", rr.LineStrips2D([flat(points)], colors=colour, radii=0.004)
+    return f"table/{what}", rr.LineStrips2D([flat(points)], colors=colour, radii=0.006)
 
 
 def place(pose: npt.ArrayLike) -> Drawing:
