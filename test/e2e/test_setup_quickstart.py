@@ -7,6 +7,8 @@ import subprocess
 from pathlib import Path
 
 import pytest
+import yaml
+from calib_float import Float, postures, record
 from conftest import DOMAIN
 from test_setup_fss import free_ports
 
@@ -75,3 +77,29 @@ def test_from_a_bag(tmp_path):
     assert "pass" in said
     assert load(tmp_path / "arm.yaml").n == 4
     assert list((tmp_path / "fit").glob("*.html"))
+
+
+def watched(text):
+    """The same, but that each node runs for some seconds and must not end before."""
+    node = r"^(ros2 run (?!fss_arm_calib from_bag).*)$"
+    return re.sub(node, r"timeout -s INT -k 9 9 \1 || [ $? = 124 ]", text, flags=re.M)
+
+
+@pytest.mark.slow
+def test_tilt_and_hose(tmp_path):
+    state = [0.1, -0.2, 0.4, 0.02, -0.01, 0.01, 2e-4, -1e-4]
+    flight = Float(postures(2), state=state, rest=40.0, noise=(0.001, 0.009))
+    record(tmp_path / "monday", flight.samples(rate=20))
+    text = typed("float.md").replace("bags/monday", str(tmp_path / "monday"))
+    text = text.replace("float.yaml", str(tmp_path / "float.yaml"))
+    text = re.sub(r"#.*", "", text).replace("=arm.yaml", "=config/arm.yaml")
+    said = shell(watched(text.replace(" arm.yaml", " config/arm.yaml")), 120)
+    assert "tilt along x" in said
+    told = yaml.safe_load((tmp_path / "float.yaml").read_text())
+    assert told.keys() == {"dynamic", "base_reaction"}
+
+
+@pytest.mark.slow
+def test_watching_the_base_react():
+    text = re.sub(r"^ssh.*|#.*", "", typed("view.md"), flags=re.M)
+    shell(watched(text), 60)
