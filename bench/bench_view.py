@@ -202,7 +202,8 @@ def main() -> int:
         graph = ViewGraph(Path(name))
         ear, executor = Ear(graph.relay), SingleThreadedExecutor()
         executor.add_node(ear)
-        Thread(target=executor.spin, daemon=True).start()
+        listening = Thread(target=executor.spin, daemon=True)
+        listening.start()
         try:
             deadline = time.monotonic() + 60.0
             while len(ear.latencies) < 200:
@@ -213,11 +214,14 @@ def main() -> int:
                 order = KINDS if number % 2 == 0 else KINDS[::-1]
                 for kind in order:
                     blocks[kind].append(block(kind, graph, ear, options.seconds))
+                    p50, p99 = (quantile(percent)(blocks[kind][-1]) for percent in (50, 99))
+                    print(f"{number + 1} {kind:10} {p50:6.0f} {p99:6.0f} us", flush=True)
         finally:
             graph.end_view()
             graph.stop()
             graph.relay.over.set()
             executor.shutdown()
+            listening.join()
             rclpy.try_shutdown()
     return report(blocks, options.rounds, options.seconds)
 

@@ -189,11 +189,10 @@ def numbers(series: Series, values: Sequence[float]) -> list[Drawing]:
 
 
 def reaction(message: Any) -> list[Drawing]:
-    """A BaseReaction message: the ghost of the predicted base, and the plots."""
+    """A BaseReaction message: the centre of mass, and the plots."""
     heading, band = message.predicted[2], message.predicted_deviation[2]
     dx, dy, turn = message.difference
     return [
-        base(message.predicted, "predicted", GHOST),
         ("table/centre_of_mass", rr.Points2D(flat([message.com]), colors=GHOST, radii=0.02)),
         *numbers(
             HEADING,

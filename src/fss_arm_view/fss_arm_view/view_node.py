@@ -6,6 +6,8 @@ from functools import partial
 from math import degrees, dist
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
@@ -59,6 +61,7 @@ class ViewNode(Node):
         self.valves_until = [0] * 8
         self.legend = [text for text, _ in scene.LEGEND]
         self.t = 0
+        self.difference: npt.NDArray[np.float64] | None = None  # measured less predicted base
         self.trails: dict[str, deque[tuple[float, float]]] = {
             what: deque(maxlen=scene.TRAIL) for what in ("tip_path", "com_path")
         }
@@ -122,6 +125,8 @@ class ViewNode(Node):
         if self.sink.due("base") and (pose := _pose(message)):
             valves = [self.t < until for until in self.valves_until]
             base = [scene.base(pose, "base", scene.STEEL), scene.place(pose)]
+            if self.difference is not None:
+                base.append(scene.base(pose - self.difference, "predicted", scene.GHOST))
             arm = scene.arm(self.known.arm, pose, self.q)
             self.sink.put(self.t, [*base, *arm, scene.plumes(pose, valves)])
 
@@ -148,6 +153,8 @@ class ViewNode(Node):
     def on_reaction(self, message: BaseReaction) -> None:
         """Prediction and measurement of the base's motion."""
         if self.sink.due("reaction"):
+            # Telemetry is older than the base's poses: its ghost is drawn beside it as it is now.
+            self.difference = np.array(message.difference)
             t = stamp_ns(message.header.stamp)
             self.sink.put(t, scene.reaction(message))
             self.trace(t, "com_path", tuple(message.com), scene.GHOST)
