@@ -80,9 +80,9 @@ def test_what_is_published_is_shown(spin, flight, tmp_path):
     assert node.losses[2] == pytest.approx(0.05 * 2 / 3)
     assert node.health().level == OK
     shown = written(node, file)
-    for entity in ("/table/base", "/table/arm/links", "/plot/angle/link_1", "/plot/loss/link_2"):
+    for entity in ("/table/arm", "/plot/angle/link_1", "/plot/loss/link_2"):
         assert entity in shown
-    for entity in ("/table/predicted", "/table/target", "arm/stop", "too few", "no maneuvers"):
+    for entity in ("/table/centre_of_mass", "/table/target", "arm/stop", "too few", "no maneuvers"):
         assert entity in shown
 
 

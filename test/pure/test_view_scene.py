@@ -17,25 +17,24 @@ from fss_arm_view.settings import ViewSettings
 from fss_arm_view.sink import FILE, Sink, open_stream
 
 
-def points(archetype):
-    """All points of a drawing of lines."""
-    return np.concatenate(archetype.strips.as_arrow_array().to_pylist())
+def strips(archetype):
+    """The lines of a drawing."""
+    return [np.array(strip) for strip in archetype.strips.as_arrow_array().to_pylist()]
 
 
 def test_the_arm_is_drawn_to_its_tip_with_y_upwards():
     arm, pose, q = paper_arm(), (0.3, -0.2, 0.5), (0.1, 0.2, -0.3, 0.4)
-    drawings = dict(scene.arm(arm, pose, q))
+    _, (lines, dots) = scene.together("arm", scene.arm(arm, pose, q))
     tip = tip_pose(arm.vector(), np.array([*pose, *q]))
-    drawn = points(drawings["table/arm/links"])
+    drawn, ellipse = strips(lines)
+    assert len(dots.positions.as_arrow_array()) == 5 + 5  # joints with tip; base and links
     assert drawn.shape == (5, 2)
     np.testing.assert_allclose(drawn[-1], [tip[0], -tip[1]], atol=1e-6)  # rerun keeps float32
-    ellipse = points(drawings["table/arm/ellipse"])
     np.testing.assert_allclose(ellipse[:-1].mean(axis=0), [tip[0], -tip[1]], atol=1e-6)
 
 
 def test_a_base_shows_its_heading():
-    _, drawing = scene.base((1.0, 2.0, np.pi / 2), "base", scene.STEEL)
-    nose = points(drawing)[-1]
+    nose = scene.base((1.0, 2.0, np.pi / 2), scene.STEEL).strips[-1][-1]
     np.testing.assert_allclose(nose, [1.0, -2.0 - scene.BASE / 2], atol=1e-6)
 
 
@@ -57,12 +56,11 @@ def test_a_reaction_is_plotted_in_degrees_and_what_is_unknown_is_left_out():
 
 def test_a_plume_leaves_the_corner_of_its_thruster():
     """The second of the first corner, ahead and to the left, pushes the base to the right."""
-    _, drawing = scene.plumes((1.0, 0.0, np.pi / 2), [False, True, *[False] * 6])
     a = scene.BASE / 2
-    jet = points(drawing)
+    (jet,) = scene.plumes((1.0, 0.0, np.pi / 2), [False, True, *[False] * 6]).strips
     np.testing.assert_allclose(jet[0], [1.0 - a, -a], atol=1e-6)  # y is drawn downwards
     np.testing.assert_allclose(jet[1:3].mean(axis=0), [1.0 - a - scene.PLUME, -a], atol=1e-6)
-    assert not len(scene.plumes((0.0, 0.0, 0.0), [False] * 8)[1].strips.as_arrow_array())
+    assert not scene.plumes((0.0, 0.0, 0.0), [False] * 8).strips
 
 
 def test_lines_are_drawn_in_their_frame_and_no_longer_in_another():
@@ -126,7 +124,8 @@ def test_a_recording_of_the_view_can_be_read(tmp_path):
     file = tmp_path / "view.rrd"
     sink = Sink(open_stream(FILE, str(file), scene.blueprint()), rate=1e9, size=100)
     sink.put(None, [*scene.ground(), *scene.styles(4)])
-    sink.put(1_000_000_000, scene.arm(paper_arm(), (0, 0, 0), (0, 0, 0, 0)))
+    arm = scene.arm(paper_arm(), (0, 0, 0), (0, 0, 0, 0))
+    sink.put(1_000_000_000, [scene.together("arm", arm)])
     sink.put(1_000_000_000, [scene.words("armed")])
     sink.close(20.0)
     sink.stream.disconnect()
@@ -134,7 +133,7 @@ def test_a_recording_of_the_view_can_be_read(tmp_path):
     shown = subprocess.run(
         [rerun, "rrd", "print", file], capture_output=True, text=True, timeout=60, check=True
     ).stdout
-    for entity in ("/table/edge", "/table/arm/links", "/log", "/plot/heading/predicted"):
+    for entity in ("/table/edge", "/table/arm", "/log", "/plot/heading/predicted"):
         assert entity in shown
 
 

@@ -20,7 +20,8 @@ from fss_arm_model.kinematics import com_positions, joint_positions
 from fss_arm_model.momentum import generalized_jacobian
 
 Floats = npt.NDArray[np.float64]
-Drawing = tuple[str, Any]
+Drawing = tuple[str, Any]  # an entity, and an archetype or several
+Colour = tuple[int, int, int]
 
 TIMELINE = "time"
 
@@ -95,7 +96,7 @@ def ground() -> list[Drawing]:
     ]
 
 
-def legend(k: int, text: str, colour: tuple[int, int, int]) -> Drawing:
+def legend(k: int, text: str, colour: Colour) -> Drawing:
     """The k-th entry of the legend, above the table: a word in its colour."""
     column, row = divmod(k, LEGEND_ROWS)
     place = (2.0 * column - 1.0, TABLE / 2.0 + 0.19 * (LEGEND_ROWS - row) + 0.05)
@@ -103,7 +104,41 @@ def legend(k: int, text: str, colour: tuple[int, int, int]) -> Drawing:
     return f"table/legend/{k}", word
 
 
-def base(pose: npt.ArrayLike, what: str, colour: tuple[int, int, int]) -> Drawing:
+class Lines(NamedTuple):
+    """Lines of one kind, before they are drawn."""
+
+    strips: list[Floats]  # (m, 2) each
+    colour: Colour
+    radius: float  # [m]
+
+
+class Dots(NamedTuple):
+    """Likewise."""
+
+    points: Floats  # (m, 2)
+    colour: Colour
+    radius: float  # [m]
+
+
+def together(what: str, parts: Sequence[Lines | Dots]) -> Drawing:
+    """Parts of one moment as one entity, so that a viewer that lags shows all of them or none."""
+    lines = [part for part in parts if isinstance(part, Lines)]
+    dots = [part for part in parts if isinstance(part, Dots)]
+    return f"table/{what}", [
+        rr.LineStrips2D(
+            [strip for part in lines for strip in part.strips],
+            colors=[part.colour for part in lines for _ in part.strips],
+            radii=[part.radius for part in lines for _ in part.strips],
+        ),
+        rr.Points2D(
+            [point for part in dots for point in part.points],
+            colors=[part.colour for part in dots for _ in part.points],
+            radii=[part.radius for part in dots for _ in part.points],
+        ),
+    ]
+
+
+def base(pose: npt.ArrayLike, colour: Colour) -> Lines:
     """The spacecraft simulator as a square that shows its heading."""
     x, y, heading = np.asarray(pose, dtype=float)
     a = BASE / 2.0
@@ -111,36 +146,31 @@ def base(pose: npt.ArrayLike, what: str, colour: tuple[int, int, int]) -> Drawin
     nose = [(0.0, 0.0), (a, 0.0)]
     turn = np.array([[cos(heading), -sin(heading)], [sin(heading), cos(heading)]])
     strips = [flat(np.array(part) @ turn.T + (x, y)) for part in (square, nose)]
-    return f"table/{what}", rr.LineStrips2D(strips, colors=colour, radii=0.01)
+    return Lines(strips, colour, 0.01)
 
 
-def arm(description: Arm, pose: npt.ArrayLike, q: npt.ArrayLike) -> list[Drawing]:
+def arm(description: Arm, pose: npt.ArrayLike, q: npt.ArrayLike) -> list[Lines | Dots]:
     """Links, joints and centres of mass, and how easily the end effector moves which way."""
     p = description.vector()
     state = np.concatenate([np.asarray(pose, dtype=float), np.asarray(q, dtype=float)])
     joints = joint_positions(p, state)  # and the tip
     return [
-        ("table/arm/links", rr.LineStrips2D([flat(joints)], colors=STEEL, radii=0.015)),
-        ("table/arm/joints", rr.Points2D(flat(joints), colors=STEEL, radii=0.028)),
-        (
-            "table/arm/centres",
-            rr.Points2D(flat(com_positions(p, state)), colors=GHOST, radii=0.008),
-        ),
+        Lines([flat(joints)], STEEL, 0.015),
+        Dots(flat(joints), STEEL, 0.028),
+        Dots(flat(com_positions(p, state)), GHOST, 0.008),
         ellipse(generalized_jacobian(p, state)[:2], joints[-1]),
     ]
 
 
-def ellipse(J: Floats, centre: Floats, scale: float = 0.15) -> Drawing:
+def ellipse(J: Floats, centre: Floats, scale: float = 0.15) -> Lines:
     """The floating-base manipulability ellipse {J qd : |qd| = 1}, drawn at a scale [s]."""
     U, s, _ = np.linalg.svd(J)
     angle = np.linspace(0.0, 2.0 * pi, 49)
     points = centre + scale * (np.column_stack([s[0] * np.cos(angle), s[1] * np.sin(angle)]) @ U.T)
-    return "table/arm/ellipse", rr.LineStrips2D([flat(points)], colors=TIP, radii=0.003)
+    return Lines([flat(points)], TIP, 0.003)
 
 
-def trail(
-    points: Sequence[tuple[float, float]], what: str, colour: tuple[int, int, int]
-) -> Drawing:
+def trail(points: Sequence[tuple[float, float]], what: str, colour: Colour) -> Drawing:
     """Where a point has been."""
     return f"table/{what}", rr.LineStrips2D([flat(points)], colors=colour, radii=0.006)
 
@@ -155,7 +185,7 @@ def place(pose: npt.ArrayLike) -> Drawing:
 def outline(
     strips: Sequence[npt.ArrayLike],
     what: str,
-    colour: tuple[int, int, int],
+    colour: Colour,
     in_base: bool,
 ) -> list[Drawing]:
     """Lines given in the base's frame or in the world's, and none in the other one."""
@@ -165,7 +195,7 @@ def outline(
     return [(here if in_base else there, lines), (there if in_base else here, rr.LineStrips2D([]))]
 
 
-def plumes(pose: npt.ArrayLike, valves: Sequence[bool]) -> Drawing:
+def plumes(pose: npt.ArrayLike, valves: Sequence[bool]) -> Lines:
     """The jets of open thrusters, as ThrusterCommand numbers them, away from the base."""
     x, y, heading = np.asarray(pose, dtype=float)
     turn = complex(cos(heading), sin(heading))
@@ -176,7 +206,7 @@ def plumes(pose: npt.ArrayLike, valves: Sequence[bool]) -> Drawing:
         jet = [0.0, PLUME * (out + 0.2j * out), PLUME * (out - 0.2j * out), 0.0]
         points = complex(x, y) + turn * (0.5 * BASE * corner + np.array(jet))
         strips.append(flat(np.column_stack([points.real, points.imag])))
-    return "table/plumes", rr.LineStrips2D(strips, colors=RED, radii=0.008)
+    return Lines(strips, RED, 0.008)
 
 
 def numbers(series: Series, values: Sequence[float]) -> list[Drawing]:
@@ -232,7 +262,7 @@ def styles(n: int) -> list[Drawing]:
     return found
 
 
-def _series(name: str, colour: tuple[int, int, int], width: float) -> Any:
+def _series(name: str, colour: Colour, width: float) -> Any:
     return rr.SeriesLines(names=name, colors=colour, widths=width)
 
 

@@ -67,8 +67,9 @@ class Sink:
             t, drawings = work
             if t is not None:
                 self.stream.set_time(TIMELINE, timestamp=np.datetime64(t, "ns"))
-            for entity, archetype in drawings:
-                self.stream.log(entity, archetype, static=t is None)
+            for entity, drawn in drawings:
+                parts = drawn if isinstance(drawn, list) else [drawn]
+                self.stream.log(entity, *parts, static=t is None)
             self.counts["shown"] += 1
         with suppress(RuntimeError):  # nobody is there any more to take it
             self.stream.flush()

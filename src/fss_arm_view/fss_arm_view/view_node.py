@@ -124,11 +124,11 @@ class ViewNode(Node):
         self.t = stamp_ns(message.header.stamp)
         if self.sink.due("base") and (pose := _pose(message)):
             valves = [self.t < until for until in self.valves_until]
-            base = [scene.base(pose, "base", scene.STEEL), scene.place(pose)]
+            parts = [scene.plumes(pose, valves), *scene.arm(self.known.arm, pose, self.q)]
             if self.difference is not None:
-                base.append(scene.base(pose - self.difference, "predicted", scene.GHOST))
-            arm = scene.arm(self.known.arm, pose, self.q)
-            self.sink.put(self.t, [*base, *arm, scene.plumes(pose, valves)])
+                parts.append(scene.base(pose - self.difference, scene.GHOST))
+            parts.append(scene.base(pose, scene.STEEL))
+            self.sink.put(self.t, [scene.together("arm", parts), scene.place(pose)])
 
     def on_tip(self, message: PoseStamped) -> None:
         """A pose of the end effector: its path."""
@@ -139,9 +139,8 @@ class ViewNode(Node):
         """A pose of the target."""
         if self.sink.due("target") and (pose := _pose(message)):
             self.explain("target", scene.PURPLE)
-            self.sink.put(
-                stamp_ns(message.header.stamp), [scene.base(pose, "target", scene.PURPLE)]
-            )
+            target = scene.together("target", [scene.base(pose, scene.PURPLE)])
+            self.sink.put(stamp_ns(message.header.stamp), [target])
 
     def on_thrust(self, message: ThrusterCommand) -> None:
         """Thrusters fire: until when their plumes are drawn."""
