@@ -1,5 +1,6 @@
 """The node `view`: the test bed, live or replayed, in rerun."""
 
+import os
 import sys
 from collections import deque
 from functools import partial
@@ -244,6 +245,7 @@ def _pose(message: PoseStamped) -> tuple[float, float, float] | None:
 
 def main() -> int:
     """Run as `ros2 run fss_arm_view view`."""
+    os.nice(10)  # with its viewer; drivers on the same computer go first
     return run(ViewNode, ViewSettings)
 
 
