@@ -88,8 +88,8 @@ def test_a_later_kinematic_calibration_keeps_what_is_known_of_masses():
 
 def serialized(message):
     """As a publisher does it: serialize_message leaves some bytes more at the end."""
-    message.time_offset_deviation = 0.125
-    data, last = serialize_message(message), struct.pack("<d", 0.125)
+    message.homings = [0x51525354]
+    data, last = serialize_message(message), struct.pack("<I", 0x51525354)
     return data[: data.rindex(last) + len(last)]
 
 
