@@ -216,8 +216,8 @@ def run(options: argparse.Namespace, out: Path, console: Console) -> KinematicCa
             if not all(operator.armed.values()):
                 operator.service(operator.arm, SetBool.Request(data=True), 2.0)
         bar.update(task, completed=POSTURES)
-        operator.result = None
-        while operator.result is None:
+        # Results of earlier observations may still be on their way.
+        while operator.result is None or len(operator.result.tip) < 3 * POSTURES:
             if time.monotonic() > give_up:
                 raise DemoError(f"no solution: {nodes.last_words('kinematic')}")
             nodes.restart_dead()

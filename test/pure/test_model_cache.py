@@ -56,6 +56,7 @@ def test_kernels_are_kept_until_any_source_changes(copy):
     assert kept.items() <= copy.kept().items()
 
 
+@pytest.mark.slow
 def test_processes_that_compile_at_once_leave_a_whole_cache(copy):
     with ThreadPoolExecutor(2) as pool:
         energies = list(pool.map(lambda _: copy.energy(), range(2)))
