@@ -377,7 +377,7 @@ def underway(problem: DynamicProblem) -> Floats:
     return x
 
 
-def solve(problem: DynamicProblem, bounded: bool = True, tolerance: float = 1e-9) -> DynamicResult:
+def solve(problem: DynamicProblem, bounded: bool = True, tolerance: float = 1e-7) -> DynamicResult:
     """Iterate Eq. 9 from the guess.
 
     Parameters that the data cannot tell apart stay as near to the guess as the others allow; the

@@ -37,7 +37,7 @@ class Decomposition(NamedTuple):
     @classmethod
     def of(cls, Phi: Floats, max_condition: float) -> "Decomposition":
         """Decompose a regressor (m, p); a column of zeros stands for a parameter held."""
-        norms = np.linalg.norm(Phi, axis=0)
+        norms = np.sqrt(np.einsum("ij,ij->j", Phi, Phi))
         scale = np.where(norms > 0.0, norms, 1.0)
         U, s, Vt = np.linalg.svd(Phi / scale, full_matrices=False)
         keep = s * max_condition > s[0]
@@ -112,7 +112,7 @@ def minimize(
         if converged or iteration == max_iterations:
             break
         there = x + (linear.extend(step) if linear.extend else step)
-        there[:p] = np.clip(there[:p], low, high)
+        there[:p] = np.minimum(np.maximum(there[:p], low), high)
         following = linearize(there)
         # A step so short changes the sum of squares by its square: less than rounding does.
         if update < SHORT or following.cost <= linear.cost:
