@@ -238,6 +238,9 @@ colcon_build() (
     export AMENT_PREFIX_PATH=$venv CMAKE_PREFIX_PATH=$venv
   fi
   mkdir -p log
+  # Else colcon has make start nothing more while the load is high, as it is by the kernels.
+  MAKEFLAGS=-j$(nproc)
+  export MAKEFLAGS
   colcon build --symlink-install --base-paths src "$@" >"$log" 2>&1 ||
     { tail -n 25 "$log" >&2; die "the build failed; its log is in $root/log"; }
 )
