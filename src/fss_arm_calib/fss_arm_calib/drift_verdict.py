@@ -21,6 +21,7 @@ from .judgement import (
     by_chance,
     conclude,
     count,
+    joints_known,
     provenance,
 )
 from .least_squares import Floats
@@ -91,16 +92,13 @@ def calibrate(
         streams: what befell the streams that the drifts are from.
         source: of the drifts.
     """
-    s, strange = settings or DriftSettings(), (streams or Streams()).strange
+    s, known = settings or DriftSettings(), joints_known(streams or Streams(), arm)
     total = sum(drift.times[-1] for drift in drifts)
     facts = f"{total:.0f} s of drift, at least {s.least_time:g} s needed"
-    judged = [
-        Stage("time", PASS if total >= s.least_time else NOT_EVALUATED, total, s.least_time, facts)
-    ]
-    if strange:
-        words = f"{', '.join(strange)} heard, but {arm.name!r} has {count(arm.n, 'joint')}"
-        judged.insert(0, Stage("joints", NOT_EVALUATED, arm.n + len(strange), arm.n, words))
-    result = solve(problem_of(drifts, arm, s)) if drifts and not strange else None
+    enough = PASS if total >= s.least_time else NOT_EVALUATED
+    judged = [known, Stage("time", enough, total, s.least_time, facts)]
+    solvable = drifts and known.verdict == PASS
+    result = solve(problem_of(drifts, arm, s)) if solvable else None
     if result:
         judged += _judged(result, s)
     verdict, reason = conclude(judged)
