@@ -9,6 +9,7 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Imu, JointState
 
 from fss_arm_model import base_motion
+from fss_arm_model.kinematics import tip_in_base
 from fss_arm_ros.convert import SECOND, pose_stamped, to_time
 from fss_arm_ros.qos import SENSOR
 from fss_arm_ros.recording import Recording
@@ -19,7 +20,7 @@ COUNT = 2 * np.pi / 240_000
 
 class Sample(NamedTuple):
     t: int  # [ns]
-    stream: int | str  # joint number, "base" or "gyro"
+    stream: int | str  # joint number, "base", "tip" or "gyro"
     value: object  # (q, qd), pose or rate
 
 
@@ -72,8 +73,16 @@ class Float:
         path = base_motion.path(self.law, edges, [0.0, *t])
         return base_motion.base_poses(self.vector, path, self.state)[1:]
 
-    def samples(self, rate=100):
-        """All streams in order of time: joints each in its own phase, base and gyro at `rate`."""
+    def tip(self, t, base):
+        """Poses of the end effector (m, 3), the base's given."""
+        x, y, heading = base.T
+        seen = tip_in_base(self.vector, self.law(t)[0])
+        away = (seen[:, 0] + 1j * seen[:, 1]) * np.exp(1j * heading)
+        turned = np.angle(np.exp(1j * (heading + seen[:, 2])))
+        return np.column_stack([x + away.real, y + away.imag, turned])
+
+    def samples(self, rate=100, tip=False):
+        """All streams in order of time: joints each in its own phase, all else at `rate`."""
         found = []
         for i in range(1, self.ways[0].shape[1] + 1):
             t = np.arange(0.03 * i, self.length, 0.2)
@@ -90,12 +99,16 @@ class Float:
         poses = poses + np.repeat(fresh, rate // 10, axis=0)[: len(t)]
         poses[:, 2] = np.angle(np.exp(1j * poses[:, 2]))
         found += [Sample(at(a), "base", tuple(p)) for a, p in zip(t, poses.tolist(), strict=True)]
+        if tip:
+            seen = self.tip(t, poses).tolist()
+            found += [Sample(at(a), "tip", tuple(p)) for a, p in zip(t, seen, strict=True)]
         found += [Sample(at(a), "gyro", r) for a, r in zip(t, rates.tolist(), strict=True)]
         return sorted(found, key=lambda sample: sample.t)
 
 
 TYPES = {
     "joint_states": JointState, "vicon/fss/fss": PoseStamped, "fog/imu": Imu,
+    "vicon/end_effector/end_effector": PoseStamped,
 }  # fmt: skip
 
 
@@ -112,7 +125,8 @@ def message(sample):
         imu.header.stamp = to_time(t)
         imu.angular_velocity.z = value
         return "fog/imu", imu
-    return "vicon/fss/fss", pose_stamped(t, "world", value)
+    subject = {"base": "fss", "tip": "end_effector"}[stream]
+    return f"vicon/{subject}/{subject}", pose_stamped(t, "world", value)
 
 
 def record(folder, samples, topics=TYPES, late=lambda sample: SECOND // 100):
@@ -137,6 +151,8 @@ def feed(finder, samples, close=True):
     for t, stream, value in samples:
         if stream == "base":
             found += finder.pose(t, value)
+        elif stream == "tip":
+            found += finder.tip_pose(t, value)
         elif stream == "gyro":
             found += finder.rate(t, value)
         else:

@@ -13,7 +13,6 @@ from fss_arm_calib.from_bag import main as from_bag
 from fss_arm_calib.from_bag import solve_dynamic_bag
 from fss_arm_calib.verdict import FAIL, NOT_EVALUATED, PASS
 from fss_arm_model.description import save
-from fss_arm_model.kinematics import tip_in_base
 from fss_arm_ros.bags import BagError
 from fss_arm_ros.convert import SECOND
 
@@ -116,6 +115,20 @@ def test_another_arm_of_as_many_joints_is_named(tmp_path, other):
     assert re.search(r"at the bound of .*: b_1.*; of another arm, or its", calibration.reason)
 
 
+def test_another_arm_of_nearly_the_same_lengths_is_named_by_its_end_effector(tmp_path):
+    """Motion alone fits: half an inch more of each link hides in the centres of mass."""
+    angles = (link.theta_0 for link in ARM.links[1:])
+    lengths = [link.a + 0.0127 for link in ARM.links]
+    arm = ARM.with_kinematics([*lengths, *angles, *ARM.base.mount])
+    samples = rig(arm.vector()).samples(rate=20, tip=True)
+    unseen = record(tmp_path / "unseen", [s for s in samples if s.stream != "tip"], list(TYPES)[:3])
+    assert solved(unseen).verdict == PASS
+    calibration = solved(record(tmp_path / "seen", samples))
+    assert calibration.verdict == FAIL
+    assert re.search(r"^another arm's data, .*end effector 0\.0\d+ m from", calibration.reason)
+    assert solved(record(tmp_path / "own", samples), arm).verdict == PASS
+
+
 @pytest.mark.parametrize("stream", [3, "base", "gyro"])
 def test_numbers_that_are_none_are_refused(samples, tmp_path, stream):
     """One in ten does no harm; all leave nothing to calibrate from."""
@@ -156,11 +169,8 @@ def of_the_tip(samples, rig, begin=0.0, end=np.inf):
         t = (sample.t - at(0.0)) / SECOND
         if sample.stream != "base" or not begin < t < end:
             return sample
-        x, y, heading = sample.value
-        tip = tip_in_base(ARM.vector(), rig.law([t])[0][0])
-        away = (tip[0] + 1j * tip[1]) * np.exp(1j * heading)
-        turned = np.angle(np.exp(1j * (heading + tip[2])))
-        return sample._replace(value=(x + away.real, y + away.imag, float(turned)))
+        (tip,) = rig.tip([t], np.array([sample.value])).tolist()
+        return sample._replace(value=tuple(tip))
 
     return [seen(sample) for sample in samples]
 

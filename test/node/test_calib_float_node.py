@@ -51,8 +51,8 @@ class Bed(Node):
         super().__init__("bed")
         self.outputs = {
             topic: self.create_publisher(kind, topic, sensor(keep_all=True))
-            for topic, kind in TYPES.items() if topic != "fog/imu"
-        }  # fmt: skip
+            for topic, kind in list(TYPES.items())[:2]
+        }
         self.results = []
         self.create_subscription(
             FloatCalibration, "calibration/float", self.results.append, LATCHED

@@ -134,7 +134,7 @@ def test_what_is_asked_of_precision_is_told(maneuvers):
     result = calibrate(maneuvers, ARM, replace(SETTINGS, max_place=0.001))
     assert result.verdict == FAIL
     assert "too uncertain: b_" in result.reason
-    assert "(at most 100 % of a mass or inertia, 0.001 m)" in result.reason
+    assert "(at most 100 % of a described mass or inertia, 0.001 m)" in result.reason
 
 
 def test_a_solution_at_a_bound_fails():

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from fss_arm_msgs import msg
-from fss_arm_ros.convert import PoseError, planar_pose, stamp_ns, to_time
+from fss_arm_ros.convert import stamp_ns, to_time
 
 from .dynamic_verdict import DynamicCalibration
 from .maneuvers import Maneuver, ManeuverFinder
-from .messages import provenance_message, stage_message
+from .messages import provenance_message, seen_pose, stage_message
 
 _ROWS = ("times", "q", "qd")  # of a Maneuver: one for each joint
 
@@ -31,11 +31,12 @@ def feed_joints(finder: ManeuverFinder, message: Any) -> list[Maneuver]:
 
 def feed_pose(finder: ManeuverFinder, message: Any) -> list[Maneuver]:
     """Give a geometry_msgs/PoseStamped of the base to the finder."""
-    try:
-        pose = planar_pose(message.pose)
-    except PoseError:
-        pose = None
-    return finder.pose(stamp_ns(message.header.stamp), pose)
+    return finder.pose(*seen_pose(message))
+
+
+def feed_tip(finder: ManeuverFinder, message: Any) -> list[Maneuver]:
+    """Give a geometry_msgs/PoseStamped of the end effector to the finder."""
+    return finder.tip_pose(*seen_pose(message))
 
 
 def feed_gyro(finder: ManeuverFinder, message: Any) -> list[Maneuver]:
@@ -90,11 +91,11 @@ def _maneuver(one: Any) -> Maneuver:
             return tuple(tuple(map(float, given[a:b])) for a, b in rows)
         if name == "poses":
             return tuple(map(tuple, np.reshape(given, (-1, 3)).tolist()))
-        if name in ("marks", "seconds"):
+        if name in ("marks", "seconds", "tip"):
             return tuple(map(float, given))
         return tuple(map(int, given)) if name == "frames" else given
 
-    # Bags recorded before have no time_offset.
+    # Older bags have no time_offset, or no tip.
     return Maneuver(**{f.name: value(f.name) for f in fields(Maneuver) if hasattr(one, f.name)})
 
 

@@ -18,7 +18,14 @@ from fss_arm_ros.qos import LATCHED, subscribe_sensor
 from fss_arm_ros.run import run
 from fss_arm_ros.settings import declare
 
-from .dynamic_messages import feed_gyro, feed_joints, feed_pose, maneuvers_message, to_message
+from .dynamic_messages import (
+    feed_gyro,
+    feed_joints,
+    feed_pose,
+    feed_tip,
+    maneuvers_message,
+    to_message,
+)
 from .dynamic_report import dynamic_report
 from .dynamic_settings import DynamicCalibrationSettings
 from .dynamic_verdict import calibrate
@@ -40,7 +47,7 @@ class DynamicSettings(DynamicCalibrationSettings):
 class DynamicNode(Node):
     """Publishes each maneuver of the arm, and the dynamic calibration from all of them.
 
-    Subscribes joint_states, the base's VICON topic and its gyro; nobody needs to say when the arm
+    Subscribes joint_states, the two VICON topics and the gyro; nobody needs to say when the arm
     moves. `~/solve` closes the present rest and solves.
     """
 
@@ -56,6 +63,7 @@ class DynamicNode(Node):
         for kind, topic, feed in (
             (JointState, s.joints_topic, feed_joints),
             (PoseStamped, s.base_topic, feed_pose),
+            (PoseStamped, s.tip_topic, feed_tip),
             (Imu, s.gyro_topic, feed_gyro),
         ):
             subscribe_sensor(self, kind, topic, partial(self.on_sample, feed), keep_all=True)

@@ -62,11 +62,16 @@ class DynamicCriteria:
         3.0, "largest error of a maneuver predicted from the others, in its deviations"
     )
     max_outliers: int = setting(0, "most outliers to reject; with more, the calibration fails")
-    max_relative: float = setting(1.0, "largest deviation of a mass or an inertia, of its value")
+    max_tip_error: float = setting(
+        0.03, "end effector's greatest distance from where the description puts it, mean square [m]"
+    )
+    max_relative: float = setting(
+        1.0, "largest deviation of a mass or an inertia, of its value in the description"
+    )
     max_place: float = setting(0.02, "largest deviation of a length or a centre of mass [m]")
 
     def __post_init__(self) -> None:
-        for name in ("min_maneuvers", "outlier", "max_relative", "max_place"):
+        for name in ("min_maneuvers", "outlier", "max_tip_error", "max_relative", "max_place"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name} is {getattr(self, name)}, must be positive")
         if self.max_outliers < 0:
@@ -111,6 +116,7 @@ class DynamicCalibrationSettings(ManeuverSettings, DynamicCriteria, Knowledge):
     )
     joints_topic: str = setting("joint_states", "readings of joint_1 .. joint_n")
     base_topic: str = setting("vicon/fss/fss", "poses of the base")
+    tip_topic: str = setting("vicon/end_effector/end_effector", "poses of the end effector")
     gyro_topic: str = setting("fog/imu", "turn rates of the base")
 
     def __post_init__(self) -> None:

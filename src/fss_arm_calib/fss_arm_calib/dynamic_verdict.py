@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from math import inf, nan
+from math import hypot, inf, nan
 from typing import Any
 
 import numpy as np
@@ -209,7 +209,8 @@ def calibrate(
     used = [one for one in maneuvers if one.used]
     stages = [joints_known(streams, arm), clocks_kept(streams, s.joint_gap)]
     stages.append(_enough(used, maneuvers, streams, s))
-    problem = problem_of(used, arm, s) if stages[-1].verdict == PASS else None
+    stages += _tips_described(used, arm, s)
+    problem = problem_of(used, arm, s) if len(used) >= s.min_maneuvers else None
     solution = solution_of(problem, s) if problem else None
     if solution:
         stages += _judged(solution, s)
@@ -249,7 +250,7 @@ def calibrate(
 
 def _data(one: Maneuver) -> list[Any]:
     flat = [np.concatenate(part) for part in (one.times, one.q, one.qd)]
-    return [*flat, one.marks, one.poses, one.frames, one.seconds]
+    return [*flat, one.marks, one.poses, one.frames, one.seconds, one.tip]
 
 
 def _residuals(solution: Solution, used: Sequence[Maneuver]) -> Floats:
@@ -277,6 +278,30 @@ def _enough(
         told = (f"{number} {kind}" for kind, number in streams.refused.items())
         reason += f"; samples refused: {', '.join(told)}"
     return Stage("maneuvers", NOT_EVALUATED, len(used), s.min_maneuvers, reason)
+
+
+def _tips_described(
+    used: Sequence[Maneuver], arm: Arm, s: DynamicCalibrationSettings
+) -> list[Stage]:
+    """Whether the end effector is where the description puts it; nothing if it was not seen.
+
+    The base's motion does not tell: lengths of another arm hide in centres of mass.
+    """
+    known = [one for one in used if one.tip]
+    if not known:
+        return []
+    seen = np.array([one.tip for one in known])
+    q = np.array([[readings[0] for readings in one.q] for one in known])
+    away = seen[:, :2] - tip_in_base(arm.vector(), q)[:, :2]
+    distance = float(np.sqrt(np.mean(np.sum(away**2, axis=1))))
+    # Poses of base and end effector err by so much themselves.
+    reach = float(np.sqrt(np.mean(np.sum(seen[:, :2] ** 2, axis=1))))
+    errors = hypot(2.0 * s.position_deviation, reach * s.heading_deviation)
+    limit = hypot(s.max_tip_error, errors)
+    words = f"end effector {distance:.3f} m from where it is described (at most {limit:.3f} m)"
+    failing = "another arm's data, or its kinematics are to be calibrated first"
+    stage = at_most("end_effector", distance, limit, words, failing)
+    return [stage if stage.verdict == FAIL else replace(stage, reason="")]
 
 
 def _judged(solution: Solution, s: DynamicCalibrationSettings) -> list[Stage]:
@@ -350,10 +375,13 @@ def _determined(r: DynamicResult, s: DynamicCalibrationSettings) -> Stage:
 
 
 def _precise(r: DynamicResult, s: DynamicCalibrationSettings) -> Stage:
-    """The parameter known worst against what is asked."""
-    names, found = r.problem.names, r.values
+    """The parameter known worst against what is asked.
+
+    Of masses and inertias as described: a share of what was found would be asked by chance.
+    """
+    names, described = r.problem.names, r.problem.guess
     worst, at = 0.0, ""
-    for name, value, deviation in zip(names, found, r.deviations, strict=True):
+    for name, value, deviation in zip(names, described, r.deviations, strict=True):
         if name[0] in "mI":
             limit, words = s.max_relative * abs(value), f"{100 * deviation / abs(value):.0f} %"
         elif name[0] in "abxy":
@@ -362,7 +390,8 @@ def _precise(r: DynamicResult, s: DynamicCalibrationSettings) -> Stage:
             continue
         if deviation / limit > worst:
             worst, at = float(deviation / limit), f"{name} has a deviation of {words}"
-    asked = f"(at most {100 * s.max_relative:g} % of a mass or inertia, {s.max_place:g} m)"
+    share = f"{100 * s.max_relative:g} % of a described mass or inertia"
+    asked = f"(at most {share}, {s.max_place:g} m)"
     return at_most("precision", worst, 1.0, f"{at} {asked}" if at else "", "too uncertain")
 
 

@@ -11,7 +11,7 @@ from std_srvs.srv import Trigger
 
 from fss_arm_model.description import load, paper_arm
 from fss_arm_msgs.msg import FloatCalibration
-from fss_arm_ros.convert import SECOND, PoseError, planar_pose, stamp_ns
+from fss_arm_ros.convert import SECOND
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.qos import LATCHED, subscribe_sensor
 from fss_arm_ros.run import run
@@ -22,7 +22,7 @@ from .drift_settings import DriftSettings
 from .drift_verdict import calibrate, parameters
 from .drifts import DriftFinder
 from .judgement import PASS
-from .messages import feed_joints, float_message
+from .messages import feed_joints, float_message, seen_pose
 from .settings import setting
 
 KEPT = 30  # drifts that the result is from; older ones go
@@ -62,11 +62,7 @@ class FloatNode(Node):
 
     def on_pose(self, message: PoseStamped) -> None:
         """A pose of the base."""
-        try:
-            pose = planar_pose(message.pose)
-        except PoseError:
-            pose = None
-        self.take(self.finder.pose(stamp_ns(message.header.stamp), pose))
+        self.take(self.finder.pose(*seen_pose(message)))
 
     def on_solve(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Close the present drift and solve; succeeds if the result passes."""

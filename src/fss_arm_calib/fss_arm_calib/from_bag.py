@@ -156,20 +156,22 @@ def observations(
 def maneuvers(
     bags: Bags, finder: ManeuverFinder, settings: DynamicCalibrationSettings
 ) -> list[Maneuver]:
-    """What the finder makes of the bags' messages; the gyro may be missing.
+    """What the finder makes of the bags' messages; gyro and end effector may be missing.
 
     Raises:
         BagError: a topic is missing or of another type.
     """
     s = settings
-    wanted = {s.joints_topic: JOINTS, s.base_topic: POSES, s.gyro_topic: "sensor_msgs/msg/Imu"}
-    joints, base, gyro = topics(bags, wanted, 2)
+    wanted = {s.joints_topic: JOINTS, s.base_topic: POSES}
+    wanted |= {s.gyro_topic: "sensor_msgs/msg/Imu", s.tip_topic: POSES}
+    joints, base, gyro, tip = topics(bags, wanted, 2)
     found: list[Maneuver] = []
     span = round(PIECE * s.horizon * SECOND)
-    for piece in pieces(bags.raw({joints, base, gyro}), span):
+    for piece in pieces(bags.raw({joints, base, gyro, tip}), span):
         for data in piece.get(joints, ()):
             found += dynamic_messages.feed_joints(finder, bags.deserialize(data, JOINTS))
         found += finder.rates(*turn_rates(piece.get(gyro, ())))
+        found += finder.tip_poses(*poses(piece.get(tip, ())))
         found += finder.poses(*poses(piece.get(base, ())))
     return found + finder.close()
 

@@ -9,7 +9,8 @@ How the base turns, by its gyro and by motion capture, tells the offset between 
 gyro's stamps are of the joints' clock. What was learned by then shifts the looks that follow.
 
 As with rests.py, samples are merged by their stamps and nothing is decided before every stream has
-passed the moment in question: what is found is a function of the data alone.
+passed the moment in question: what is found is a function of the data alone. Gyro and end effector
+may be absent; if they fall silent, they are waited for up to half of `horizon`.
 """
 
 from array import array
@@ -28,10 +29,11 @@ from .alignment import Offset, mean_offset, offset_of_move
 from .dynamic_settings import ManeuverSettings
 from .kinematic import wrap
 from .least_squares import Floats
-from .poses import OUT_OF_ORDER, REPEATED, SECOND, Hole, Poses
-from .rests import BASE, Streams
+from .poses import OUT_OF_ORDER, REPEATED, SECOND, Hole, Poses, mean_pose, seen_from
+from .rests import BASE, TIP, Streams
 
 SEARCH = 0.5  # for an offset, about the one allowed for [s]
+PATIENCE = 0.5  # of the horizon, for what may be absent
 WORST = 0.05  # an offset known no better tells nothing [s]
 
 _CLEANING = 1000  # samples between two looks at what may be forgotten
@@ -50,6 +52,9 @@ class Maneuver:
     poses: tuple[tuple[float, ...], ...] = ()  # (m) x, y [m], heading [rad], counting turns
     frames: tuple[int, ...] = ()  # (m) averaged
     seconds: tuple[float, ...] = ()  # (m) over which [s]
+    tip: tuple[
+        float, ...
+    ] = ()  # end effector in the base's frame, before [m, m, rad]; (): not seen
     time_offset: float = 0.0  # of the joints' stamps against motion capture's, as allowed for [s]
     used: bool = True
     reason: str = ""  # why it is not used
@@ -146,14 +151,16 @@ class ManeuverFinder:
     """Fed samples of n joints, the base and its gyro, returns the maneuvers that they complete.
 
     Each feeding method returns the maneuvers found by it, in order of time. Stamps are integer
-    nanoseconds. The gyro may be absent: it is needed only where the base was not seen for long.
+    nanoseconds. The gyro may be absent: it is needed only where the base was not seen for long. So
+    may the end effector, which only tells whose arm it is.
     """
 
     def __init__(self, n: int, settings: ManeuverSettings | None = None) -> None:
         self.settings = s = settings or ManeuverSettings()
         self.joints = [Joint(f"joint_{i}") for i in range(1, n + 1)]
         self.base = Poses(BASE, s.max_speed, s.max_turn)
-        self.base.lag = round(s.time_offset * SECOND)
+        self.tip = Poses(TIP, s.max_speed, s.max_turn)
+        self._lag(round(s.time_offset * SECOND))
         self.gyro = _Gyro()
         self.offset = Offset()  # between the clocks
         self._offsets: list[Offset] = []  # by each maneuver
@@ -190,6 +197,16 @@ class ManeuverFinder:
         self.base.extend(t, poses)
         return self._collect()
 
+    def tip_pose(self, t: int, pose: tuple[float, float, float] | None) -> list[Maneuver]:
+        """A pose of the end effector, likewise."""
+        self.tip.append(t, pose)
+        return self._collect()
+
+    def tip_poses(self, t: np.ndarray, poses: Floats) -> list[Maneuver]:
+        """Many poses of the end effector at once, likewise."""
+        self.tip.extend(t, poses)
+        return self._collect()
+
     def rate(self, t: int, rate: float) -> list[Maneuver]:
         """A turn rate of the base [rad/s]."""
         self.gyro.append(t, rate)
@@ -210,9 +227,10 @@ class ManeuverFinder:
 
     def streams(self) -> Streams:
         """What befell the streams so far."""
-        every: list[Joint | Poses] = [*self.joints, self.base]
+        needed: list[Joint | Poses] = [*self.joints, self.base]
+        every = [*needed, self.tip]
         return Streams(
-            silent=tuple(s.name for s in every if s.newest < 0),
+            silent=tuple(s.name for s in needed if s.newest < 0),
             strange=tuple(f"joint_{i}" for i in sorted(self.strange)),
             refused={
                 f"{s.name} {why}": number
@@ -276,7 +294,10 @@ class ManeuverFinder:
 
     def _passed(self, before: _Rest, after: _Rest) -> bool:
         end = self._looks(before, after)[1][1]
-        return self.base.reached >= end and (self.gyro.newest < 0 or self.gyro.newest >= end)
+        late = end + round(PATIENCE * self.settings.horizon * SECOND)
+        optional = ((self.gyro.newest, 0), (self.tip.newest, self.tip.lag))
+        heard = all(newest < 0 or newest + lag >= end for newest, lag in optional)
+        return self.base.reached >= (end if heard else late)
 
     def _maneuver(self, before: _Rest, after: _Rest) -> Maneuver | None:
         """What happened between two rests; None if no joint moved far enough to be called so."""
@@ -296,6 +317,9 @@ class ManeuverFinder:
         maneuver = Maneuver(start, end, times, q, qd)
         if holes:
             return replace(maneuver, used=False, reason=str(holes[0]))
+        tip = seen_from(self.base, self.tip, *looks[0])[1]
+        if len(tip) > 1:
+            maneuver = replace(maneuver, tip=tuple(mean_pose(tip).tolist()))
         maneuver = replace(self._seen(maneuver, looks), time_offset=self.base.lag / SECOND)
         self._align(start, end)
         return maneuver
@@ -314,7 +338,11 @@ class ManeuverFinder:
         if found.deviation <= WORST:
             self._offsets.append(replace(found, value=found.value + self.base.lag / SECOND))
             self.offset = mean_offset(self._offsets)
-            self.base.lag = round(self.offset.value * SECOND)
+            self._lag(round(self.offset.value * SECOND))
+
+    def _lag(self, lag: int) -> None:
+        """Joints' stamps are so much more [ns] than motion capture's."""
+        self.base.lag = self.tip.lag = lag
 
     def _holes(self, joint: Joint, start: int, end: int) -> list[Hole]:
         """Silences of a joint that tell nothing of where it went meanwhile."""
@@ -404,7 +432,8 @@ class ManeuverFinder:
         for joint in self.joints:
             joint.forget(kept - look)
         horizon = round(self.settings.horizon * SECOND)
-        self.base.forget(max(kept - look, self.base.newest - horizon))
+        for subject in (self.base, self.tip):
+            subject.forget(max(kept - look, subject.newest - horizon))
         self.gyro.forget(max(kept - look, self.gyro.newest - horizon))
 
 

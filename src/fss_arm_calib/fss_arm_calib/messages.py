@@ -39,11 +39,16 @@ def feed_telemetry(finder: RestFinder, message: Any) -> None:
 
 def feed_pose(finder: RestFinder, subject: str, message: Any) -> list[Observation]:
     """Give a geometry_msgs/PoseStamped of a subject to the finder."""
+    return finder.pose(subject, *seen_pose(message))
+
+
+def seen_pose(message: Any) -> tuple[int, tuple[float, float, float] | None]:
+    """Stamp [ns] and planar pose of a geometry_msgs/PoseStamped; None: it was not visible."""
     try:
         pose = planar_pose(message.pose)
     except PoseError:
         pose = None
-    return finder.pose(subject, stamp_ns(message.header.stamp), pose)
+    return stamp_ns(message.header.stamp), pose
 
 
 def to_message(calibration: Calibration, frame_id: str) -> KinematicCalibration:

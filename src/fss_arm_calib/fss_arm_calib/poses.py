@@ -161,3 +161,33 @@ class Poses:
         """Drop all but the last one of what is older."""
         k = max(bisect_right(self.t, before - self.lag) - 1, 0)
         del self.t[:k], self.since[:k], self.xyh[: 3 * k]
+
+
+def seen_from(
+    base: Poses, other: Poses, begin: int, end: int, moved: int = -1
+) -> tuple[Stamps, Floats]:
+    """Stamps and poses (k, 3) of one subject in the frame of another, within an interval.
+
+    Without those frozen since before `moved`, a moment at which the subjects were moving.
+    """
+    t, seen = other.slice(begin, end, moved)
+    t_base, poses = base.slice(begin, end, moved)
+    if not len(t_base):
+        return t[:0], seen[:0]
+    paired = (t >= max(begin, t_base[0])) & (t <= min(end, t_base[-1]))
+    t, seen = t[paired], seen[paired]
+    x, y, heading = _interpolated(t - begin, t_base - begin, poses).T
+    away = ((seen[:, 0] - x) + 1j * (seen[:, 1] - y)) * np.exp(-1j * heading)
+    return t, np.column_stack([away.real, away.imag, wrap(seen[:, 2] - heading)])
+
+
+def mean_pose(poses: Floats) -> Floats:
+    """Of poses (k, 3) that differ by noise; headings are averaged on the circle."""
+    heading = np.angle(np.mean(np.exp(1j * poses[:, 2])))
+    return np.array([*poses[:, :2].mean(axis=0), heading])
+
+
+def _interpolated(t: Stamps, stamps: Stamps, poses: Floats) -> Floats:
+    """Poses at other times, exactly those given where the stamps are equal."""
+    columns = [poses[:, 0], poses[:, 1], np.unwrap(poses[:, 2])]
+    return np.column_stack([np.interp(t, stamps, column) for column in columns])

@@ -24,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .alignment import LONGEST_MOVE, Alignment, Offset
-from .kinematic import wrap
+from .kinematic import Floats, wrap
 from .poses import (
     FROZEN,
     HEADING_NOISE,
@@ -35,6 +35,9 @@ from .poses import (
     SECOND,
     Hole,
     Poses,
+    Stamps,
+    mean_pose,
+    seen_from,
 )
 from .settings import RestSettings
 
@@ -422,7 +425,7 @@ class RestFinder:
         if np.mean(together) < 1.0 - MOST_CONTRADICTING:
             return _unused(rest, "poses contradict each other")
         seen = seen[together]
-        mean = np.array([*seen[:, :2].mean(axis=0), np.angle(np.mean(np.exp(1j * seen[:, 2])))])
+        mean = mean_pose(seen)
         away = seen - mean
         away[:, 2] = wrap(away[:, 2])
         return Observation(
@@ -438,17 +441,9 @@ class RestFinder:
             homings=rest.homings,
         )
 
-    def _from_base(
-        self, begin: int, end: int, moved: int = -1
-    ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
+    def _from_base(self, begin: int, end: int, moved: int = -1) -> tuple[Stamps, Floats]:
         """Stamps and poses of the end effector seen from the base within an interval."""
-        t, tip = self.subjects[TIP].slice(begin, end, moved)
-        t_base, base = self.subjects[BASE].slice(begin, end, moved)
-        if not len(t_base):
-            return t[:0], tip[:0]
-        paired = (t >= max(begin, t_base[0])) & (t <= min(end, t_base[-1]))
-        seen = _in_base(_interpolated(t[paired] - begin, t_base - begin, base), tip[paired])
-        return t[paired], seen
+        return seen_from(self.subjects[BASE], self.subjects[TIP], begin, end, moved)
 
     def _forget(self) -> None:
         """Drop what no observation will ask for: the past, and what lies beyond the horizon."""
@@ -491,20 +486,3 @@ def _together(seen: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
     mean = np.angle(np.median(np.cos(seen[:, 2])) + 1j * np.median(np.sin(seen[:, 2])))
     away = np.abs(wrap(seen[:, 2] - mean))
     return np.asarray((np.hypot(x, y) <= POSITION_NOISE) & (away <= HEADING_NOISE))
-
-
-def _interpolated(
-    t: npt.NDArray[np.int64], stamps: npt.NDArray[np.int64], poses: npt.NDArray[np.float64]
-) -> npt.NDArray[np.float64]:
-    """Poses at other times, exactly those given where the stamps are equal."""
-    columns = [poses[:, 0], poses[:, 1], np.unwrap(poses[:, 2])]
-    return np.column_stack([np.interp(t, stamps, column) for column in columns])
-
-
-def _in_base(
-    base: npt.NDArray[np.float64], tip: npt.NDArray[np.float64]
-) -> npt.NDArray[np.float64]:
-    """Poses seen from the base's frame, (k, 3)."""
-    away = (tip[:, 0] - base[:, 0]) + 1j * (tip[:, 1] - base[:, 1])
-    away *= np.exp(-1j * base[:, 2])
-    return np.column_stack([away.real, away.imag, wrap(tip[:, 2] - base[:, 2])])
