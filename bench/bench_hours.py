@@ -11,11 +11,13 @@ import sys
 import time
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from threading import Event, Thread
 
 import numpy as np
 import rclpy
 from bench_graph import LINKS, MODULES, Graph
 from rclpy.action import ActionClient
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from std_srvs.srv import SetBool
@@ -39,6 +41,10 @@ class Operator(Node):
         self.arm = self.create_client(SetBool, "arm/arm")
         self.mover = ActionClient(self, MoveArm, "arm/move")
         self.moves = 0
+        self.spinner = SingleThreadedExecutor()
+        self.spinner.add_node(self)
+        self.thread = Thread(target=self.spinner.spin, daemon=True)
+        self.thread.start()
 
     def hours(self) -> float:
         """Simulated time."""
@@ -46,8 +52,15 @@ class Operator(Node):
 
     def wait(self, future, seconds: float):  # type: ignore[no-untyped-def]
         """The answer; None: not in time."""
-        rclpy.spin_until_future_complete(self, future, timeout_sec=seconds)
-        return future.result() if future.done() else None
+        over = Event()
+        future.add_done_callback(lambda _: over.set())
+        return future.result() if over.wait(seconds) else None
+
+    def close(self) -> None:
+        """End the thread."""
+        self.spinner.shutdown()
+        self.thread.join()
+        self.destroy_node()
 
     def move(self) -> None:
         """One move; if it fails, arm again."""
@@ -83,13 +96,13 @@ def operate(graph: Graph, hours: float) -> tuple[dict[str, float], dict[str, flo
         if now >= told:
             held, told = memory(graph), told + 0.25
             took = (time.monotonic() - begin) / 3600
-            print(f"{now:6.2f} {took:6.2f} " + " ".join(f"{mb:9.1f}" for mb in held.values()),
-                  flush=True)  # fmt: skip
+            print(f"{now:6.2f} {took:6.2f} " + " ".join(f"{mb:9.1f}" for mb in held.values())
+                  + f"  {operator.moves} moves", flush=True)  # fmt: skip
             if now >= 1.0 and not first:
                 first = held
     last = memory(graph)
     operator.wait(operator.pause.call_async(SetBool.Request(data=True)), 10.0)
-    operator.destroy_node()
+    operator.close()
     return first or last, last, operator.moves
 
 

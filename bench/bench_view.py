@@ -2,7 +2,8 @@
 
 The test bed, one driver for four links and base_reaction run throughout. All datagrams of the links
 pass a relay in this process, which notes when each telemetry frame goes on to the driver; the
-latency is from there to the driver's message about that frame. Blocks follow one another in turn:
+latency is from there to the driver's message about that frame. In each round a block of each kind
+comes, in an order drawn anew:
 
     without   no view, and once more, for how much two equal blocks differ
     attached  the view serves its page
@@ -25,6 +26,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from random import Random
 from tempfile import TemporaryDirectory
 from threading import Event, Thread
 
@@ -211,9 +213,9 @@ def main() -> int:
                 if time.monotonic() > deadline:
                     raise RuntimeError(f"the graph does not come up, see {graph.folder}")
                 time.sleep(0.2)
+            random = Random(1)
             for number in range(options.rounds):
-                order = KINDS if number % 2 == 0 else KINDS[::-1]
-                for kind in order:
+                for kind in random.sample(KINDS, len(KINDS)):
                     blocks[kind].append(block(kind, graph, ear, options.seconds))
                     p50, p99 = (quantile(percent)(blocks[kind][-1]) for percent in (50, 99))
                     print(f"{number + 1} {kind:10} {p50:6.0f} {p99:6.0f} us", flush=True)

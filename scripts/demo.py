@@ -28,6 +28,7 @@ from std_srvs.srv import SetBool, Trigger
 from fss_arm_calib import report
 from fss_arm_calib.from_bag import solve_bag
 from fss_arm_calib.kinematic_report import kinematic_report
+from fss_arm_calib.postures import DEFAULT
 from fss_arm_calib.settings import CalibrationSettings
 from fss_arm_model import description
 from fss_arm_msgs.msg import KinematicCalibration, LinkTelemetry
@@ -35,7 +36,6 @@ from fss_arm_ros.qos import LATCHED, SENSOR
 
 CONFIG = Path(__file__).resolve().parent.parent / "config"
 LINKS = 4
-POSTURES = 13
 LISTENED = (
     "/joint_states",
     *(f"/link_{i}/telemetry" for i in range(1, LINKS + 1)),
@@ -216,8 +216,9 @@ def start_all(nodes: Nodes, options: argparse.Namespace, out: Path) -> None:
         state_file=out / "observations.json", **clock,
     )  # fmt: skip
     nodes.start(
-        "experiment", "fss_arm_calib", "experiment", state_file=out / "experiment.json", **clock
-    )
+        "experiment", "fss_arm_calib", "experiment", state_file=out / "experiment.json",
+        postures=DEFAULT[: options.postures].ravel().tolist(), **clock,
+    )  # fmt: skip
 
 
 def run(options: argparse.Namespace, out: Path, console: Console) -> KinematicCalibration:
@@ -230,7 +231,7 @@ def run(options: argparse.Namespace, out: Path, console: Console) -> KinematicCa
     with Nodes(out / "logs", console.print) as nodes, progress(console) as bar:
         start_all(nodes, options, out)
         operator = Operator()
-        task = bar.add_task("postures observed", total=POSTURES)
+        task = bar.add_task("postures observed", total=options.postures)
         while not nodes.ended("experiment"):
             if time.monotonic() > give_up:
                 raise DemoError(f"not done after {options.deadline:.0f} s, see {nodes.logs}")
@@ -240,9 +241,9 @@ def run(options: argparse.Namespace, out: Path, console: Console) -> KinematicCa
             operator.let_time_go()
             if not all(operator.armed.values()):
                 operator.service(operator.arm, SetBool.Request(data=True), 2.0)
-        bar.update(task, completed=POSTURES)
+        bar.update(task, completed=options.postures)
         # Results of earlier observations may still be on their way.
-        while operator.result is None or len(operator.result.tip) < 3 * POSTURES:
+        while operator.result is None or len(operator.result.tip) < 3 * options.postures:
             if time.monotonic() > give_up:
                 raise DemoError(f"no solution: {nodes.last_words('kinematic')}")
             nodes.restart_dead()
@@ -309,7 +310,10 @@ def arguments() -> argparse.ArgumentParser:
         "--speed",
         type=float,
         default=1.0,
-        help="multiple of real time; two cores keep up with 3, four with 5",
+        help="multiple of real time; two cores keep up with 2, four with 5",
+    )
+    parser.add_argument(
+        "--postures", type=int, default=len(DEFAULT), help="to observe: the first so many"
     )
     parser.add_argument("--seed", type=int, default=1, help="of the simulated errors")
     parser.add_argument("--out", type=Path, help="folder for the results; None: out/demo-TIME")

@@ -22,14 +22,14 @@ tests() {
   python -m pytest "$@" || { local code=$?; [[ $code == 5 && $chosen ]] || return "$code"; }
 }
 
-# A process a core, each with its own ROS domain, and one thread of linear algebra in each. The end
-# to end tests run whole node graphs, so one at a time.
+# A process a core and one more, as some wait, each with its own ROS domain, and one thread of linear
+# algebra in each. Whole graphs that keep time run one after the other.
 export OPENBLAS_NUM_THREADS=1
 cd "$root"
 step ruff ruff check .
 step mypy mypy src/*/fss_*/
-step parts tests test/pure test/node -n "$(nproc)" "$@"
-step whole tests test/e2e "$@"
+step parts tests test -m 'not alone' -n "$(($(nproc) + 1))" "$@"
+step alone tests test/e2e -m alone "$@"
 
 printf '\n== summary\n'
 printf '%s\n' "${summary[@]}"

@@ -1,9 +1,11 @@
 """An arm that moves as its drives would, and the base that floats under it."""
 
+from functools import cache
 from math import radians
 
 import numpy as np
 
+from fss_arm_model.description import paper_arm
 from fss_arm_model.momentum import momentum
 
 STEP = 0.001  # [s]
@@ -37,8 +39,13 @@ class Flight:
         p, n = arm.vector(), arm.n
         self.t = np.arange(0.0, end, STEP)
         angles = [radians(60), -radians(45), radians(30), -radians(20)]
-        laws = [trapezoid(self.t, 2.0 + 0.1 * k, angles[k % 4]) for k in range(n)]
-        self.q, self.qd, self.qdd = (np.array(part).T for part in zip(*laws, strict=True))
+
+        def laws(t):
+            joints = [trapezoid(t, 2.0 + 0.1 * k, angles[k % 4]) for k in range(n)]
+            return (np.array(part).T for part in zip(*joints, strict=True))
+
+        self.q, self.qd, self.qdd = laws(self.t)
+        half_q, half_qd, _ = laws(self.t + STEP / 2)
         state = np.concatenate([np.zeros(3), self.q[0]])
         rate = np.concatenate([twist, self.qd[0]])
         kept = momentum(p, state, rate)
@@ -48,25 +55,26 @@ class Flight:
         def twist_at(pose, q, qd):
             # The twist with which the momentum is what it was.
             x = np.concatenate([pose, q])
-            none = momentum(p, x, np.concatenate([np.zeros(3), qd]))
-            by_twist = np.column_stack([momentum(p, x, np.eye(3 + n)[k]) for k in range(3)])
-            return np.linalg.solve(by_twist, kept - none)
+            rates = np.concatenate([np.eye(3, 3 + n), [[0.0, 0.0, 0.0, *qd]]])
+            *by_twist, none = momentum(p, x, rates)
+            return np.linalg.solve(np.transpose(by_twist), kept - none)
 
         for k in range(len(self.t)):
             self.pose[k] = pose
             self.twist[k] = twist_at(pose, self.q[k], self.qd[k])
             if k + 1 < len(self.t):
-                half_q, half_qd, _ = (
-                    np.array(part) for part in zip(
-                        *(trapezoid(self.t[k] + STEP / 2, 2.0 + 0.1 * j, angles[j % 4])
-                          for j in range(n)), strict=True)
-                )  # fmt: skip
                 a = self.twist[k]
-                b = twist_at(pose + STEP / 2 * a, half_q, half_qd)
-                c = twist_at(pose + STEP / 2 * b, half_q, half_qd)
+                b = twist_at(pose + STEP / 2 * a, half_q[k], half_qd[k])
+                c = twist_at(pose + STEP / 2 * b, half_q[k], half_qd[k])
                 d = twist_at(pose + STEP * c, self.q[k + 1], self.qd[k + 1])
                 pose = pose + STEP / 6 * (a + 2 * b + 2 * c + d)
         self.momentum = kept
 
     def index(self, t):
         return round(t * 1e-9 / STEP)
+
+
+@cache
+def paper_flight():
+    """The paper's arm, its base adrift; made once for all tests of a process."""
+    return Flight(paper_arm(), (0.01, -0.02, radians(0.5)))

@@ -14,10 +14,11 @@ from fss_arm_ros.qos import SENSOR
 SCRIPT = Path(__file__).resolve().parents[2] / "scripts/fss_arm.py"
 
 
-def tell(what):
+def tell(what, *options):
     return subprocess.run(
-        [sys.executable, SCRIPT, what], capture_output=True, text=True, timeout=60, check=False
-    )
+        [sys.executable, SCRIPT, what, *options],
+        capture_output=True, text=True, timeout=60, check=False,
+    )  # fmt: skip
 
 
 def test_links_arm_stop_and_disarm_as_told(start, spin, tmp_path):
@@ -52,6 +53,6 @@ def test_links_arm_stop_and_disarm_as_told(start, spin, tmp_path):
 
 
 def test_nobody_there_is_said_in_one_line(domain):
-    told = tell("solve")
+    told = tell("solve", "--wait", "1")
     assert told.returncode == 1
     assert told.stderr == "nobody offers kinematic/solve\n"

@@ -9,6 +9,8 @@ import pytest
 
 from fss_arm_ros.bags import open_bags
 
+pytestmark = pytest.mark.alone
+
 ROOT = Path(__file__).resolve().parents[2]
 
 

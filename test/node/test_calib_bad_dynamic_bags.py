@@ -129,7 +129,10 @@ def test_another_arm_of_nearly_the_same_lengths_is_named_by_its_end_effector(tmp
     assert solved(record(tmp_path / "own", samples), arm).verdict == PASS
 
 
-@pytest.mark.parametrize("stream", [3, "base", "gyro"])
+@pytest.mark.parametrize(
+    "stream",
+    [pytest.param(3, marks=pytest.mark.slow), "base", pytest.param("gyro", marks=pytest.mark.slow)],
+)
 def test_numbers_that_are_none_are_refused(samples, tmp_path, stream):
     """One in ten does no harm; all leave nothing to calibrate from."""
     value = {3: (nan, nan), "base": (nan, 0.0, 0.0), "gyro": nan}[stream]

@@ -359,7 +359,7 @@ def test_node_and_command_have_the_same_settings(ros):
     node.destroy_node()
 
 
-@pytest.mark.parametrize("rate", [0.0, 15.0])
+@pytest.mark.parametrize("rate", [0.0, pytest.param(15.0, marks=pytest.mark.slow)])
 def test_replayed_at_any_rate_the_result_is_that_of_the_bag(spin, samples, tmp_path, rate):
     bag = record(tmp_path / "bags", samples)
     offline = to_message(solve_bag(bag), "fss")

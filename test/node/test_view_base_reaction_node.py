@@ -1,15 +1,13 @@
 """The node base_reaction, fed with the messages of a flight."""
 
-from math import radians
-
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped
 from rclpy.parameter import Parameter
 from view_bench import BEGIN, Bench
-from view_flight import Flight
+from view_flight import paper_flight
 
-from fss_arm_model.description import load, paper_arm, to_yaml
+from fss_arm_model.description import load, to_yaml
 from fss_arm_msgs.msg import KinematicCalibration
 from fss_arm_ros.convert import stamp_ns
 from fss_arm_view.base_reaction_node import BaseReactionNode
@@ -17,7 +15,7 @@ from fss_arm_view.base_reaction_node import BaseReactionNode
 
 @pytest.fixture(scope="module")
 def flight():
-    return Flight(paper_arm(), (0.01, -0.02, radians(0.5)))
+    return paper_flight()
 
 
 @pytest.fixture

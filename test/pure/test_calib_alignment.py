@@ -51,6 +51,7 @@ def test_the_offset_of_a_move_is_found_within_its_deviation(delta, noise):
     assert np.median(deviations) < 0.0015 + noise
 
 
+@pytest.mark.slow
 def test_the_deviation_of_the_mean_of_many_moves_is_true():
     rng = np.random.default_rng(4)
     squares = []

@@ -386,7 +386,7 @@ def test_it_takes_arms_and_trips_as_the_simulated_link_does(core, seed, key):
     assert seen >= {0, State.ARMED, State.STOPPED, State.WATCHDOG}
 
 
-@pytest.mark.parametrize("inputs", [20_000, pytest.param(10_000_000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("inputs", [5_000, pytest.param(10_000_000, marks=pytest.mark.slow)])
 def test_random_and_damaged_inputs(inputs):
     fuzz = subprocess.run([build("fuzz"), str(inputs)], capture_output=True, text=True)
     assert fuzz.returncode == 0, fuzz.stdout + fuzz.stderr
@@ -592,6 +592,7 @@ def test_it_fits_the_due_and_never_asks_for_memory():
 
 @needs_arm
 @needs_emulator
+@pytest.mark.slow
 def test_a_cortex_m3_agrees_with_the_vectors_and_with_this_computer(core):
     emulated = Core(cortex_m3=True)
     for line in VECTORS.read_text().splitlines():

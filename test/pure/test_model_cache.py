@@ -63,6 +63,7 @@ def test_processes_that_compile_at_once_leave_a_whole_cache(copy):
     assert energies == 2 * [copy.energy()]
 
 
+@pytest.mark.slow
 def test_folder_that_cannot_be_written_to_is_done_without(copy):
     copy.cache.write_text("a file")
     assert copy.energy() > 0.0

@@ -327,6 +327,7 @@ def test_root_installs_and_says_so(machine: Machine) -> None:
     )
 
 
+@pytest.mark.slow
 def test_no_network_is_named_without_addresses(machine: Machine) -> None:
     line = machine.setup(
         PIP_INDEX_URL="http://127.0.0.1:9/simple", PIP_RETRIES="1", PIP_FIND_LINKS=""
@@ -336,6 +337,7 @@ def test_no_network_is_named_without_addresses(machine: Machine) -> None:
     assert not (machine.root / ".venv/.stamp").exists()
 
 
+@pytest.mark.slow
 def test_a_missing_wheel_is_named(machine: Machine) -> None:
     line = machine.setup(PIP_NO_INDEX="1", PIP_FIND_LINKS="")
     assert line.startswith("setup: there is no wheel of setuptools==")

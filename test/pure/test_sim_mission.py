@@ -45,7 +45,9 @@ def fly(heading, seed):
     return bed, phases
 
 
-@pytest.mark.parametrize(("heading", "seed"), [(-0.3, 1), (1.5, 2)])
+@pytest.mark.parametrize(
+    ("heading", "seed"), [(-0.3, 1), pytest.param(1.5, 2, marks=pytest.mark.slow)]
+)
 def test_it_captures_a_tumbling_target_and_stops_it(heading, seed):
     bed, phases = fly(heading, seed)
     assert phases == ["approach", "reach", "detumble", "done"]

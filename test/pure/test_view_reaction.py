@@ -1,11 +1,10 @@
 """The base's reaction, against the free-floating equations of motion integrated step by step."""
 
 from copy import copy
-from math import radians
 
 import numpy as np
 import pytest
-from view_flight import STEP, Flight
+from view_flight import STEP, Flight, paper_flight
 
 from fss_arm_model.description import load, paper_arm
 from fss_arm_model.dynamics import bias, inertia_matrix
@@ -37,7 +36,7 @@ def follow(reaction, flight, every, spread_out=True):
 
 @pytest.fixture(scope="module")
 def flight():
-    return Flight(paper_arm(), (0.01, -0.02, radians(0.5)))
+    return paper_flight()
 
 
 @pytest.mark.parametrize(("every", "bound"), [(200, 2e-3), (2, 5e-6)])

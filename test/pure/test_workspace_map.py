@@ -18,6 +18,7 @@ from fss_arm_workspace.map import calibrated, main
 TOPIC = "/calibration/kinematic"
 
 
+@pytest.mark.slow
 def test_it_draws_three_figures_and_keeps_their_numbers(tmp_path, capsys):
     save(paper_arm(), tmp_path / "arm.yaml")
     folder = tmp_path / "out"

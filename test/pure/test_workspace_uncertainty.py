@@ -35,6 +35,7 @@ def drawn(arm, C, rng, count):
         yield arm.with_kinematics(values + x[[0, 0, 0, 1, 2, 3, 4, 5, 6, 7]])
 
 
+@pytest.mark.slow
 def test_deviations_of_boundary_and_measure_are_those_of_a_monte_carlo():
     """200 draws: a standard deviation is found to 5 %, which the bounds hold 4 times over."""
     arm, rng = paper_arm(), np.random.default_rng(0)
