@@ -91,7 +91,7 @@ def operate(graph: Graph, hours: float) -> tuple[dict[str, float], dict[str, flo
     first: dict[str, float] = {}
     begin, told = time.monotonic(), 0.0
     print(" hours   took " + " ".join(f"{name:>9}" for name in graph.processes) + "  [MB]")
-    while (now := operator.hours()) < hours:
+    while rclpy.ok() and (now := operator.hours()) < hours:
         operator.move()
         if now >= told:
             held, told = memory(graph), told + 0.25
@@ -100,6 +100,8 @@ def operate(graph: Graph, hours: float) -> tuple[dict[str, float], dict[str, flo
                   + f"  {operator.moves} moves", flush=True)  # fmt: skip
             if now >= 1.0 and not first:
                 first = held
+    if not rclpy.ok():
+        raise SystemExit(f"interrupted after {operator.hours():.2f} hours")
     last = memory(graph)
     operator.wait(operator.pause.call_async(SetBool.Request(data=True)), 10.0)
     operator.close()

@@ -12,17 +12,26 @@ die() { say "$*"; exit 1; }
 digest() { sha256sum -- "$@" | sha256sum | cut -c -16; }
 current() { [[ -f $1 && $(<"$1") == "$2" ]]; }   # current STAMP KEY
 
-# Runs a command beside what comes next. `join` waits for it, tells its words and ends as it did.
+# Runs a command beside what comes next. `join` waits for all of them, and ends as one that failed,
+# with its words.
 beside() {
   set -m   # a process group of its own, which can be ended as one
-  log=$log.beside "$@" >"$log.said" 2>&1 &
-  job=$!
+  log=$log.${#jobs[@]} "$@" >"$log.said.${#jobs[@]}" 2>&1 &
+  jobs+=($!)
   set +m
 }
 join() {
-  [[ $job ]] || return 0
-  wait "$job" || { job=; cat "$log.said" >&2; exit 1; }
-  job=
+  local k
+  for k in "${!jobs[@]}"; do
+    wait "${jobs[k]}" || { unset "jobs[k]"; cat "$log.said.$k" >&2; exit 1; }
+    unset "jobs[k]"
+  done
+}
+
+end() {
+  local job
+  for job in "${jobs[@]}"; do kill -- "-$job" 2>/dev/null; done
+  rm -f "$log"*
 }
 
 dev=
@@ -221,9 +230,7 @@ add_packages() {
   [[ -z $dev ]] || beside pip -r "$requirements-dev.txt"
   pip -r "$requirements.txt"
   [[ $ros == jazzy ]] || { repair_wheels; add_tf2_msgs; }
-  join
   echo "$pins" >"$venv/.stamp-packages"
-  [[ -z $dev ]] || echo "$dev_pins" >"$venv/.stamp-dev"
 }
 
 # --- the build -----------------------------------------------------------------------------------
@@ -266,8 +273,8 @@ compile_kernels() {
 
 # --- in order ------------------------------------------------------------------------------------
 
-log=$(mktemp) job=
-trap '[[ -z $job ]] || kill -- "-$job"; rm -f "$log"*' EXIT
+log=$(mktemp) jobs=()
+trap end EXIT
 
 choose_ros
 requirements=$root/scripts/requirements
@@ -303,5 +310,6 @@ then
   build
 fi
 
-[[ -z $job ]] || { say "waiting for the kernels"; join; }
+[[ ${#jobs[@]} == 0 ]] || { say "waiting for what runs beside"; join; }
 [[ -e $warm ]] || compile_kernels
+[[ -z $dev ]] || echo "$dev_pins" >"$venv/.stamp-dev"

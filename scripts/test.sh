@@ -23,13 +23,24 @@ tests() {
 }
 
 # A process a core and one more, as some wait, each with its own ROS domain, and one thread of linear
-# algebra in each. Whole graphs that keep time run one after the other.
+# algebra in each; the type checker beside them. The end to end tests run whole node graphs, so one at
+# a time.
 export OPENBLAS_NUM_THREADS=1
 cd "$root"
+said=$(mktemp)
+trap 'rm -f "$said"' EXIT
+mypy src/*/fss_*/ >"$said" 2>&1 &
+checker=$!
+types() {
+  local code=0
+  wait "$checker" || code=$?
+  cat "$said"
+  return "$code"
+}
 step ruff ruff check .
-step mypy mypy src/*/fss_*/
-step parts tests test -m 'not alone' -n "$(($(nproc) + 1))" "$@"
-step alone tests test/e2e -m alone "$@"
+step parts tests test/pure test/node -n "$(($(nproc) + 1))" "$@"
+step mypy types
+step whole tests test/e2e "$@"
 
 printf '\n== summary\n'
 printf '%s\n' "${summary[@]}"

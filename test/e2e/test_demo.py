@@ -23,8 +23,6 @@ from fss_arm_msgs.msg import KinematicCalibration
 from fss_arm_ros.bags import open_bags
 from fss_arm_ros.qos import LATCHED
 
-pytestmark = pytest.mark.alone
-
 ROOT = Path(__file__).resolve().parents[2]
 SENSORS = "['/joint_states','/vicon/fss/fss','/vicon/end_effector/end_effector']"
 NODES = {  # name in the demo: a word of its process's command line

@@ -3,7 +3,6 @@
 import signal
 import time
 
-import pytest
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from std_srvs.srv import SetBool
@@ -11,8 +10,6 @@ from std_srvs.srv import SetBool
 from fss_arm_driver.protocol import State
 from fss_arm_msgs.msg import LinkCommand, LinkTelemetry
 from fss_sim import testbed_node
-
-pytestmark = pytest.mark.alone
 
 WATCHDOG = 2.0
 KEYS = "".join(f"{i} {i:02x}{'5a' * 19}\n" for i in (1, 2, 3, 4))

@@ -22,8 +22,6 @@ from fss_arm_driver.protocol import Order
 from fss_arm_msgs.msg import LinkCommand, LinkTelemetry
 from fss_arm_ros.convert import stamp_ns
 
-pytestmark = pytest.mark.alone
-
 HOST, LINK, PORT = "10.213.45.1", "10.213.45.2", 5001
 CABLE = f"fss{os.getpid() % 10_000}"
 LINK_PROCESS = Path(__file__).parents[1] / "link_process.py"

@@ -17,8 +17,6 @@ from fss_arm_driver.transport import open_transport
 from fss_arm_msgs.msg import LinkCommand
 from fss_arm_ros.qos import COMMAND, subscribe_sensor
 
-pytestmark = pytest.mark.alone
-
 KEY = bytes(range(16))
 SECOND = 1_000_000
 

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 from rclpy.node import Node
 
 from fss_arm_msgs.msg import LinkTelemetry
@@ -21,6 +22,7 @@ def tell(what, *options):
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_links_arm_stop_and_disarm_as_told(start, spin, tmp_path):
     sockets = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(4)]
     for s in sockets:

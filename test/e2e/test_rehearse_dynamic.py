@@ -13,8 +13,6 @@ from fss_arm_calib.from_bag import solve_dynamic_bag
 from fss_arm_calib.recompute import main as recompute
 from fss_arm_model.description import load
 
-pytestmark = pytest.mark.alone
-
 ROOT = Path(__file__).resolve().parents[2]
 
 

@@ -76,6 +76,7 @@ def free_ports(count):
     return ports
 
 
+@pytest.mark.slow
 def test_nodes_outlive_the_line_are_started_again_and_stop_in_order(laboratory, tmp_path):
     save(replace(paper_arm(), links=paper_arm().links[:2]), tmp_path / "arm.yaml")
     arm = tmp_path / "arm.yaml"

@@ -17,7 +17,6 @@ HOSTS = {"fss": "10.77.0.1", "ground": "10.77.0.2", "stranger": "10.77.0.3"}
 PAUSE = partial(Event().wait, 0.2)
 
 pytestmark = [
-    pytest.mark.alone,
     pytest.mark.slow,
     pytest.mark.skipif(
         os.geteuid() != 0 or not shutil.which("ip"), reason="needs root and the command ip"

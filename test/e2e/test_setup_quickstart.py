@@ -15,8 +15,6 @@ from test_setup_fss import free_ports
 from fss_arm_model.description import load
 from fss_arm_ros.bags import open_bags
 
-pytestmark = pytest.mark.alone
-
 ROOT = Path(__file__).resolve().parents[2]
 
 

@@ -9,8 +9,6 @@ import pytest
 
 from fss_arm_ros.bags import open_bags
 
-pytestmark = pytest.mark.alone
-
 ROOT = Path(__file__).resolve().parents[2]
 
 

@@ -15,8 +15,6 @@ from fss_arm_ros.bags import open_bags
 from fss_arm_ros.convert import stamp_ns
 from fss_arm_ros.qos import LATCHED, SENSOR
 
-pytestmark = pytest.mark.alone
-
 ROOT = Path(__file__).parents[2]
 SCRIPT = """
 - {at: 1.0, part: link_1, fault: loss, value: 0.2}

@@ -13,8 +13,6 @@ from browser import CHROMIUM, Page, Picture
 
 from fss_arm_view import scene
 
-pytestmark = pytest.mark.alone
-
 ROOT = Path(__file__).resolve().parents[2]
 ADDRESS = re.compile(r"open (http://\S+)")
 #: Parts of the page, as the blueprint shares it out: left, top, right, bottom.

@@ -141,6 +141,7 @@ def maneuvers():
     )
 
 
+@pytest.mark.slow
 def test_a_dynamic_calibration_is_told_as_well(maneuvers, tmp_path):
     settings = DynamicCalibrationSettings(position_deviation=5e-4, heading_deviation=2e-3)
     c = dynamic_message(calibrate_dynamics(maneuvers, ARM, settings), "fss")

@@ -43,6 +43,7 @@ def copy(tmp_path):
     return Copy(tmp_path)
 
 
+@pytest.mark.slow
 def test_kernels_are_kept_until_any_source_changes(copy):
     first, kept = copy.energy(), copy.kept()
     assert kept

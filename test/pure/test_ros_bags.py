@@ -110,7 +110,7 @@ def test_a_file_cut_anywhere_gives_all_its_whole_chunks(tmp_path):
     data = (whole / "bag_0.mcap").read_bytes()
     ends, chunks = chunk_ends(whole / "bag_0.mcap")
     assert len(chunks) == 2
-    around = {end + d for end in ends for d in (-1, 0, 5) if 0 <= end + d < len(data)}
+    around = {end + d for end in ends[::5] for d in (-1, 0, 5) if 0 <= end + d < len(data)}
     for cut in sorted({0, 1, 7, *around, *range(8, len(data), 29_989)}):
         bag = tmp_path / f"cut_{cut}"
         bag.mkdir()
