@@ -229,8 +229,7 @@ add_packages() {
   rm -f "$venv/.stamp-packages" "$venv/.stamp-dev"
   [[ -z $dev ]] || beside pip -r "$requirements-dev.txt"
   pip -r "$requirements.txt"
-  [[ $ros == jazzy ]] || { repair_wheels; add_tf2_msgs; }
-  echo "$pins" >"$venv/.stamp-packages"
+  [[ $ros == jazzy ]] || { repair_wheels; beside add_tf2_msgs; }
 }
 
 # --- the build -----------------------------------------------------------------------------------
@@ -312,4 +311,5 @@ fi
 
 [[ ${#jobs[@]} == 0 ]] || { say "waiting for what runs beside"; join; }
 [[ -e $warm ]] || compile_kernels
+echo "$pins" >"$venv/.stamp-packages"
 [[ -z $dev ]] || echo "$dev_pins" >"$venv/.stamp-dev"

@@ -22,10 +22,11 @@ tests() {
   python -m pytest "$@" || { local code=$?; [[ $code == 5 && $chosen ]] || return "$code"; }
 }
 
-# A process a core and one more, as some wait, each with its own ROS domain, and one thread of linear
-# algebra in each; the type checker beside them. The end to end tests run whole node graphs, so one at
-# a time.
+# A process a core, each with its own ROS domain, and one thread of linear algebra in each; the type
+# checker beside them. End to end tests run node graphs that mostly wait, so two at once; but the demo
+# keeps two cores busy, and slow ones keep time.
 export OPENBLAS_NUM_THREADS=1
+at_once=$([[ " $* " == *" --slow "* ]] && echo 0 || echo 2)
 cd "$root"
 said=$(mktemp)
 trap 'rm -f "$said"' EXIT
@@ -38,9 +39,10 @@ types() {
   return "$code"
 }
 step ruff ruff check .
-step parts tests test/pure test/node -n "$(($(nproc) + 1))" "$@"
+step parts tests test/pure test/node -n "$(nproc)" "$@"
 step mypy types
-step whole tests test/e2e "$@"
+step graphs tests test/e2e --ignore test/e2e/test_demo.py -n "$at_once" "$@"
+step demo tests test/e2e/test_demo.py "$@"
 
 printf '\n== summary\n'
 printf '%s\n' "${summary[@]}"

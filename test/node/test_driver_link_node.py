@@ -20,7 +20,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Empty
 from std_srvs.srv import SetBool, Trigger
 
-from fss_arm_driver.link_node import LinkNode, main
+from fss_arm_driver.link_node import LinkNode
 from fss_arm_driver.protocol import Mode, Order, Slow, State
 from fss_arm_msgs.msg import CommandStatus, LinkCommand, LinkTelemetry
 from fss_arm_ros.convert import stamp_ns, to_time
@@ -336,12 +336,11 @@ def test_a_wrong_baud_rate_is_said_in_one_line(start, tmp_path):
         (("-p", "urls:=['udp://127.0.0.1:9', 'nonsense']"), "url is 'nonsense'"),
     ],
 )
-def test_what_cannot_run_says_so_in_one_line(monkeypatch, capsys, arguments, words):
-    monkeypatch.setattr(sys, "argv", ["link", "--ros-args", *arguments])
-    assert main() == 1
-    error = capsys.readouterr().err
-    assert words in error
-    assert error.count("\n") == 1
+def test_what_cannot_run_says_so_in_one_line(start, arguments, words):
+    program = start("fss_arm_driver.link_node", "--ros-args", *arguments)
+    assert program.wait() == 1
+    assert words in program.output
+    assert program.output.count("\n") == 1
 
 
 def test_a_link_without_a_key_among_keys_is_refused(start, tmp_path):

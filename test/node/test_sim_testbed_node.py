@@ -233,8 +233,8 @@ def test_it_goes_on_from_its_state_file(spin, ears, tmp_path):
     path = str(tmp_path / "state.json")
     first = testbed(state_file=path, keep_clock=True, q=[0.1, 0.2, 0.3, 0.4])
     spin([first, ears], lambda: len(ears.heard["clock"]) >= 30)
-    first.save()
     last = stamp_ns(ears.heard["clock"][-1].clock)
+    first.close()
     second = testbed(state_file=path, keep_clock=True)
     assert second.testbed.links[0].electronics.gate.boot == 2
     np.testing.assert_allclose(second.testbed.plant.q[3:], [0.1, 0.2, 0.3, 0.4], atol=1e-6)

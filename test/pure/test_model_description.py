@@ -78,7 +78,7 @@ arms = st.builds(
 )
 
 
-@settings(deadline=None, max_examples=30)
+@settings(deadline=None, max_examples=10)
 @given(arms)
 def test_yaml_gives_the_same_arm_back(arm):
     assert from_yaml(to_yaml(arm)) == arm
