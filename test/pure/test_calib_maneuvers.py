@@ -7,8 +7,10 @@ import pytest
 from calib_float import ARM, SECOND, Float, at, feed, postures
 
 from fss_arm_calib.dynamic_settings import DynamicCalibrationSettings, ManeuverSettings
+from fss_arm_calib.kinematic import wrap
 from fss_arm_calib.maneuvers import ManeuverFinder
 from fss_arm_model import base_motion
+from fss_arm_model.kinematics import tip_in_base
 
 STATE = np.array([0.1, 0.2, 3.0, 0.2, -0.1, 0.03, 0.001, -0.0005])
 
@@ -263,3 +265,22 @@ def test_a_gyro_that_turns_the_other_way_tells_no_offset(samples):
     finder = ManeuverFinder(4)
     feed(finder, [s._replace(value=-s.value) if s.stream == "gyro" else s for s in samples])
     assert abs(np.nan_to_num(finder.streams().offset.value)) < 0.05
+
+
+def test_the_end_effector_is_seen_before_each_maneuver(rig, found):
+    seen = feed(ManeuverFinder(4), rig.samples(tip=True))
+    for one in seen:
+        posture = [readings[0] for readings in one.q]
+        # Readings err by half a count each, 1.5 m from the end effector at most.
+        x, y, heading = tip_in_base(ARM.vector(), posture)
+        assert one.tip == pytest.approx((x, y, wrap(heading)), abs=8e-5)
+    assert [dataclasses.replace(one, tip=()) for one in seen] == found
+
+
+def test_an_end_effector_that_falls_silent_is_not_waited_for_long(rig):
+    """Half the horizon: nothing is held up until the end."""
+    samples = [s for s in rig.samples(tip=True) if s.stream != "tip" or s.t < at(2.0)]
+    finder = ManeuverFinder(4, ManeuverSettings(horizon=20.0))
+    first, *_ = feed(finder, samples, close=False)
+    assert first.used
+    assert not first.tip

@@ -207,10 +207,10 @@ def calibrate(
     """
     s, streams = settings or DynamicCalibrationSettings(), streams or Streams()
     used = [one for one in maneuvers if one.used]
-    stages = [joints_known(streams, arm), clocks_kept(streams, s.joint_gap)]
-    stages.append(_enough(used, maneuvers, streams, s))
+    enough = _enough(used, maneuvers, streams, s)
+    stages = [joints_known(streams, arm), clocks_kept(streams, s.joint_gap), enough]
     stages += _tips_described(used, arm, s)
-    problem = problem_of(used, arm, s) if len(used) >= s.min_maneuvers else None
+    problem = problem_of(used, arm, s) if enough.verdict == PASS else None
     solution = solution_of(problem, s) if problem else None
     if solution:
         stages += _judged(solution, s)

@@ -52,9 +52,7 @@ class Maneuver:
     poses: tuple[tuple[float, ...], ...] = ()  # (m) x, y [m], heading [rad], counting turns
     frames: tuple[int, ...] = ()  # (m) averaged
     seconds: tuple[float, ...] = ()  # (m) over which [s]
-    tip: tuple[
-        float, ...
-    ] = ()  # end effector in the base's frame, before [m, m, rad]; (): not seen
+    tip: tuple[float, ...] = ()  # end effector in the base's frame, before [m, m, rad]
     time_offset: float = 0.0  # of the joints' stamps against motion capture's, as allowed for [s]
     used: bool = True
     reason: str = ""  # why it is not used
