@@ -227,6 +227,10 @@ make_venv() {
 add_packages() {
   say "installing the pinned packages for $ros${dev:+ and those of the tests} (a minute or two)"
   rm -f "$venv/.stamp-packages" "$venv/.stamp-dev"
+  # The kernels take one core about as long as all the rest, and need little.
+  mapfile -t few < <(grep -E '^(numpy|scipy|numba|llvmlite|pyyaml)==' "$requirements.txt")
+  pip "${few[@]}"
+  [[ -e $warm ]] || beside compile_kernels
   [[ -z $dev ]] || beside pip -r "$requirements-dev.txt"
   pip -r "$requirements.txt"
   [[ $ros == jazzy ]] || { repair_wheels; beside add_tf2_msgs; }
@@ -247,25 +251,24 @@ colcon_build() (
   # Else colcon has make start nothing more while the load is high, as it is by the kernels.
   MAKEFLAGS=-j$(nproc)
   export MAKEFLAGS
-  colcon build --symlink-install --base-paths src "$@" >"$log" 2>&1 ||
+  colcon build --symlink-install --base-paths src >"$log" 2>&1 ||
     { tail -n 25 "$log" >&2; die "the build failed; its log is in $root/log"; }
 )
 
 build() {
   supply_needs
   say "building with colcon (a minute)"
-  if [[ ! -e $warm ]]; then   # they take one core about as long as the rest of the build
-    colcon_build --packages-select fss_arm_model
-    beside compile_kernels
-  fi
   colcon_build
   echo "$build_key $(readlink "$root/log/latest_build")" >"$root/install/.stamp"
 }
 
+# A kernel is kept under the path of its source, which is colcon's link to it.
 compile_kernels() {
+  local built=$root/build/fss_arm_model
   say "compiling the kernels"
-  # shellcheck source=scripts/env.sh
-  ( . "$root/scripts/env.sh" && python -m fss_arm_model.warm ) >"$log" 2>&1 ||
+  mkdir -p "$built"
+  [[ -e $built/fss_arm_model ]] || ln -s "$root/src/fss_arm_model/fss_arm_model" "$built"
+  PYTHONPATH=$built "$venv/bin/python" -m fss_arm_model.warm >"$log" 2>&1 ||
     { tail -n 25 "$log" >&2; die "the kernels did not compile"; }
   touch "$warm"
 }
@@ -285,11 +288,6 @@ dev_pins=$(digest "$requirements-dev.txt")
 if ! current "$venv/.stamp" "$kind" || ! "$venv/bin/python" -c '' 2>/dev/null; then
   make_venv
 fi
-if ! current "$venv/.stamp-packages" "$pins" ||
-  { [[ $dev ]] && ! current "$venv/.stamp-dev" "$dev_pins"; }
-then
-  add_packages
-fi
 
 kernels=$({ cat "$root"/src/fss_arm_model/fss_arm_model/*.py && echo "$pins $kind"; } |
   sha256sum | cut -c -16)
@@ -297,6 +295,12 @@ home=~
 caches=${NUMBA_CACHE_DIR:-${XDG_CACHE_HOME:-$home/.cache}/fss_arm}
 warm=$caches/warm-$kernels
 mkdir -p "$caches"
+
+if ! current "$venv/.stamp-packages" "$pins" ||
+  { [[ $dev ]] && ! current "$venv/.stamp-dev" "$dev_pins"; }
+then
+  add_packages
+fi
 
 # Python files are linked to, so only what shapes the packages asks for a build. A build by hand may
 # have copied them: then the build's log is not the one that the stamp names.
