@@ -43,7 +43,9 @@ def test_nothing_is_wrong_with_this_one(samples, tmp_path):
     assert calibration.refused == ()
 
 
-@pytest.mark.parametrize(("share", "verdict"), [(0.9, PASS), (0.4, NOT_EVALUATED)])
+@pytest.mark.parametrize(
+    ("share", "verdict"), [(0.9, PASS), pytest.param(0.4, NOT_EVALUATED, marks=pytest.mark.slow)]
+)
 def test_of_a_truncated_bag_whole_chunks_are_used(samples, tmp_path, share, verdict):
     bag = record(tmp_path / "bags", samples)
     (bag / "metadata.yaml").unlink()
@@ -75,6 +77,7 @@ def test_a_missing_topic_is_named(samples, tmp_path, missing):
         solved(bag)
 
 
+@pytest.mark.slow
 def test_no_gyro_is_needed(samples, tmp_path):
     calibration = solved(record(tmp_path / "bags", samples, list(TYPES)[:2]))
     assert calibration.verdict == PASS, calibration.reason
@@ -101,6 +104,7 @@ def test_an_arm_of_other_joints_is_named(samples, tmp_path, links, words):
     assert words in calibration.reason
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("other", ["lengths", "base"])
 def test_another_arm_of_as_many_joints_is_named(tmp_path, other):
     """Longer links hide in centres of mass, until these would lie beyond their links."""
@@ -150,7 +154,7 @@ def test_numbers_that_are_none_are_refused(samples, tmp_path, stream):
     assert f"samples refused: {sum(s.value is value for s in every)} {why}" in calibration.reason
 
 
-@pytest.mark.parametrize("stream", [2, "base"])
+@pytest.mark.parametrize("stream", [pytest.param(2, marks=pytest.mark.slow), "base"])
 def test_a_clock_that_runs_back_is_named(samples, tmp_path, stream):
     """By 12 s, at 25 s: what comes after may hide a maneuver."""
 
@@ -178,6 +182,7 @@ def of_the_tip(samples, rig, begin=0.0, end=np.inf):
     return [seen(sample) for sample in samples]
 
 
+@pytest.mark.slow
 def test_a_swapped_subject_is_named(samples, tmp_path):
     calibration = solved(record(tmp_path / "all", of_the_tip(samples, rig())))
     assert calibration.verdict == FAIL

@@ -120,6 +120,7 @@ def test_time_grows_with_what_torque_asks():
     assert weak > timed(ARM, a, b)
 
 
+@pytest.mark.slow
 def test_a_design_tells_more_than_chance_and_is_the_same_for_a_seed():
     plan = design(ARM, 6, SETTINGS, **SMALL)
     again = design(ARM, 6, SETTINGS, **SMALL)
@@ -180,6 +181,7 @@ def test_floating_time_ends_a_design():
     assert 25.0 < sum(p.length + 5.0 for p in plan) + 5.0 <= 40.0
 
 
+@pytest.mark.slow
 def test_loops_tell_least_on_a_table_that_may_be_tilted():
     """In 100 s of floating."""
     worst = {}

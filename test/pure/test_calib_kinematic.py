@@ -72,7 +72,7 @@ def test_the_truth_comes_back_from_a_wrong_guess(n):
             assert (found.a, found.theta_0) == pytest.approx((link.a, link.theta_0), abs=1e-9)
 
 
-@pytest.mark.parametrize("parametrization", [FULL, EQUAL])
+@pytest.mark.parametrize("parametrization", [pytest.param(FULL, marks=pytest.mark.slow), EQUAL])
 def test_the_iteration_alone_converges_where_the_closed_form_has_too_few_postures(parametrization):
     """Four postures: 12 equations for 10 parameters, but the positions alone do not suffice."""
     truth, rng = paper_arm(), np.random.default_rng(3)
@@ -192,7 +192,7 @@ def test_a_robust_loss_bears_outliers(loss):
     assert np.median(ratios) > 3.0
 
 
-@pytest.mark.parametrize("loss", [HUBER, CAUCHY])
+@pytest.mark.parametrize("loss", [HUBER, pytest.param(CAUCHY, marks=pytest.mark.slow)])
 def test_a_robust_loss_costs_little_where_there_are_no_outliers(loss):
     rng = np.random.default_rng(12)
     exact = problem(paper_arm(), DEFAULT, EQUAL)
@@ -314,7 +314,7 @@ def test_what_cannot_be_told_apart_is_named(q, named, not_named, jitter):
     assert named[0] in str(caught.value)
 
 
-@pytest.mark.parametrize("parametrization", [FULL, EQUAL])
+@pytest.mark.parametrize("parametrization", [pytest.param(FULL, marks=pytest.mark.slow), EQUAL])
 def test_counted_readings_stay_within_the_bound(parametrization):
     """Readings rounded to encoder counts; poses exact. The worst signs reach the bound."""
     exact = problem(paper_arm(), DEFAULT, parametrization)
