@@ -22,9 +22,9 @@ tests() {
   python -m pytest "$@" || { local code=$?; [[ $code == 5 && $chosen ]] || return "$code"; }
 }
 
-# A process a core, each with its own ROS domain, and one thread of linear algebra in each; the type
-# checker beside them. End to end tests run node graphs that mostly wait, so two at once; but the demo
-# keeps two cores busy, and slow ones keep time.
+# A process a core, two where tests mostly wait, each with its own ROS domain, and one thread of linear
+# algebra in each; the type checker beside them. End to end tests run whole graphs, two at once; but
+# the demo keeps two cores busy, and slow ones keep time.
 export OPENBLAS_NUM_THREADS=1
 at_once=$([[ " $* " == *" --slow "* ]] && echo 0 || echo 2)
 cd "$root"
@@ -39,7 +39,8 @@ types() {
   return "$code"
 }
 step ruff ruff check .
-step parts tests test/pure test/node -n "$(nproc)" "$@"
+step pure tests test/pure -n "$(nproc)" "$@"
+step node tests test/node -n "$((2 * $(nproc)))" "$@"
 step mypy types
 step graphs tests test/e2e --ignore test/e2e/test_demo.py -n "$at_once" "$@"
 step demo tests test/e2e/test_demo.py "$@"
