@@ -145,6 +145,7 @@ def test_too_little_is_not_evaluated(spin, play, samples):
     assert np.isnan(bed.results[-1].values).all()
 
 
+@pytest.mark.slow
 def test_the_command_for_bags(samples, tmp_path, capsys):
     bag = str(record(tmp_path / "bags", samples))
     output, truth, page = (tmp_path / name for name in ("found.yaml", "truth.yaml", "report"))

@@ -65,6 +65,7 @@ def make_node(**settings):
     return WorkspaceNode(parameter_overrides=[Parameter(k, value=v) for k, v in settings.items()])
 
 
+@pytest.mark.slow
 def test_a_calibration_and_a_posture_become_maps_and_paths(spin):
     viewer, node = Viewer(), make_node()
     nodes, arm, q = [viewer, node], paper_arm(), arch(paper_arm())[3:]
