@@ -39,8 +39,8 @@ types() {
   return "$code"
 }
 step ruff ruff check .
-step pure tests test/pure -n "$(nproc)" "$@"
-step node tests test/node -n "$((2 * $(nproc)))" "$@"
+step pure tests test/pure -n "$(nproc)" --dist loadfile "$@"
+step node tests test/node -n "$((2 * $(nproc)))" --dist loadfile "$@"
 step mypy types
 step graphs tests test/e2e --ignore test/e2e/test_demo.py -n "$at_once" "$@"
 step demo tests test/e2e/test_demo.py "$@"
