@@ -40,14 +40,14 @@ def test_all_that_is_published_is_in_the_bag(spin, tmp_path):
     spin(record, lambda: record.counts["/robot_description"])
     assert hidden.get_subscription_count() == 0
     graph = {
-        topic: str(record.get_publishers_info_by_topic(topic)[0].topic_type_hash)
-        for topic in record.recording.topics
+        out.topic_name: str(record.get_publishers_info_by_topic(out.topic_name)[0].topic_type_hash)
+        for out in outs
     }
     record.close()
     with open_bags(tmp_path) as bags:
         assert bags.paths == [tmp_path / "bag_0"]
         assert not bags.recovered
-        assert {name: topic.hash for name, topic in bags.topics.items()} == graph
+        assert {name: bags.topics[name].hash for name in graph} == graph
         assert states(bags.messages()) == list(range(200))
         assert bags.topics["/robot_description"].messages == 1
         assert bags.topics["/robot_description"].qos[0].durability == QosDurability.TRANSIENT_LOCAL
