@@ -313,7 +313,11 @@ def arguments() -> argparse.ArgumentParser:
         help="multiple of real time; two cores keep up with 2, four with 5",
     )
     parser.add_argument(
-        "--postures", type=int, default=len(DEFAULT), help="to observe: the first so many"
+        "--postures",
+        type=int,
+        choices=range(6, len(DEFAULT) + 1),  # fewer are no calibration
+        default=len(DEFAULT),
+        help="to observe: the first so many",
     )
     parser.add_argument("--seed", type=int, default=1, help="of the simulated errors")
     parser.add_argument("--out", type=Path, help="folder for the results; None: out/demo-TIME")

@@ -30,7 +30,7 @@ join() {
 
 end() {
   local job
-  for job in "${jobs[@]}"; do kill -- "-$job" 2>/dev/null; done
+  for job in "${jobs[@]}"; do kill -- "-$job" 2>/dev/null || true; done
   rm -f "$log"*
 }
 

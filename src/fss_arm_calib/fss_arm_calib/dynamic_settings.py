@@ -63,7 +63,9 @@ class DynamicCriteria:
     )
     max_outliers: int = setting(0, "most outliers to reject; with more, the calibration fails")
     max_tip_error: float = setting(
-        0.03, "end effector's greatest distance from where the description puts it, mean square [m]"
+        0.03,
+        "largest distance of the end effector from where the description puts it, root mean square "
+        "[m]",
     )
     max_relative: float = setting(
         1.0, "largest deviation of a mass or an inertia, of its value in the description"
