@@ -4,6 +4,7 @@ Every test process has a ROS domain of its own, so that runs side by side do not
 and field checks on: without them rclpy publishes nonsense for a value of the wrong type.
 """
 
+import gc
 import os
 import signal
 import socket
@@ -60,6 +61,11 @@ def ros_log_dir(tmp_path_factory: pytest.TempPathFactory) -> None:
     os.environ["ROS_LOG_DIR"] = str(tmp_path_factory.mktemp("ros_log"))
 
 
+@pytest.fixture(scope="session", autouse=True)
+def imported() -> None:
+    gc.freeze()  # what imports made is not looked at again, so that collecting takes little
+
+
 @pytest.fixture(scope="session")
 def domain() -> int:
     """The ROS domain of this process and of those it starts."""
@@ -75,6 +81,7 @@ def ros() -> Iterator[None]:
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     yield
     rclpy.try_shutdown()
+    gc.collect()  # a node whose making failed: it lives in the traceback, and others see it
 
 
 def wait_until(until: Callable[[], Any], timeout: float, step: Callable[[], Any]) -> Any:
