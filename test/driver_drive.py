@@ -133,13 +133,12 @@ class DriveOnPty(threading.Thread):
                     continue
                 data = os.read(line.fileno(), 100)
                 speed = termios.tcgetattr(line.fileno())[5]
+                for byte in data:
+                    baud = 9600 if speed == termios.B9600 else 115200
+                    if answer := self.drive.feed(bytes([byte]), baud):
+                        os.write(line.fileno(), answer)
             except (OSError, ValueError):  # unplugged, or nobody has it open
                 time.sleep(0.01)
-                continue
-            for byte in data:
-                baud = 9600 if speed == termios.B9600 else 115200
-                if answer := self.drive.feed(bytes([byte]), baud):
-                    os.write(line.fileno(), answer)
 
     def close(self):
         self.closing = True
