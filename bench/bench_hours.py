@@ -1,8 +1,8 @@
 """Whether a process grows, and whether bags are whole, over hours of operation in fast time.
 
-Test bed, four drivers, arm, calibration, base reaction and recorder at a multiple of real time, the
-arm moving all the while. Memory is what a process holds itself (RSS less what it shares with
-files), compared from the end of its first simulated hour on.
+Test bed, four drivers, arm, both calibrations, base reaction, view and recorder at a multiple of
+real time, the arm moving all the while. Memory is what a process holds itself (RSS less what it
+shares with files), compared from the end of its first simulated hour on.
 """
 
 import argparse
@@ -15,7 +15,7 @@ from threading import Event, Thread
 
 import numpy as np
 import rclpy
-from bench_graph import LINKS, MODULES, Graph
+from bench_graph import LINKS, MODULES, Graph, free_ports
 from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -26,8 +26,14 @@ from fss_arm_msgs.action import MoveArm
 from fss_arm_ros.bags import find, is_sound, open_bags
 from fss_arm_ros.health import findings, streams
 
-MODULES |= {"arm": "fss_arm_driver.arm_node", "reaction": "fss_arm_view.base_reaction_node"}
+MODULES |= {
+    "dynamic": "fss_arm_calib.dynamic_node",
+    "arm": "fss_arm_driver.arm_node",
+    "reaction": "fss_arm_view.base_reaction_node",
+    "view": "fss_arm_view.view_node",
+}
 PAGE = os.sysconf("SC_PAGE_SIZE")
+VIEWED = "100MB"  # that the viewer keeps: full within the first hour
 MOST = 0.05  # growth after the first hour
 
 
@@ -74,10 +80,13 @@ class Operator(Node):
 
 
 def memory(graph: Graph) -> dict[str, float]:
-    """What each process holds [MB]."""
+    """What each process holds, the viewer that the view starts among them [MB]."""
+    pids = {name: process.pid for name, process in graph.processes.items()}
+    children = Path(f"/proc/{pids['view']}/task/{pids['view']}/children").read_text()
+    pids["viewer"] = int(children.split()[0])
     held = {}
-    for name, process in graph.processes.items():
-        _, resident, shared, *_ = Path(f"/proc/{process.pid}/statm").read_text().split()
+    for name, pid in pids.items():
+        _, resident, shared, *_ = Path(f"/proc/{pid}/statm").read_text().split()
         held[name] = (int(resident) - int(shared)) * PAGE / 1e6
     return held
 
@@ -87,10 +96,15 @@ def operate(graph: Graph, hours: float) -> tuple[dict[str, float], dict[str, flo
     operator = Operator()
     operator.pause.wait_for_service(60.0)
     operator.mover.wait_for_server(60.0)
+    deadline = time.monotonic() + 60.0
+    while "view" not in operator.get_node_names():
+        if time.monotonic() > deadline:
+            raise RuntimeError(f"the view does not come up, see {graph.folder}")
+        time.sleep(0.1)
     operator.wait(operator.pause.call_async(SetBool.Request(data=False)), 10.0)
     first: dict[str, float] = {}
     begin, told = time.monotonic(), 0.0
-    print(" hours   took " + " ".join(f"{name:>9}" for name in graph.processes) + "  [MB]")
+    print(" hours   took " + " ".join(f"{name:>9}" for name in memory(graph)) + "  [MB]")
     while rclpy.ok() and (now := operator.hours()) < hours:
         operator.move()
         if now >= told:
@@ -117,8 +131,11 @@ def main() -> int:
     with TemporaryDirectory(prefix="bench_hours_") as name:
         folder = Path(name)
         graph = Graph(options.speed, folder, LINKS, 5.0)
+        graph.start("dynamic", use_sim_time=True)
         graph.start("arm", use_sim_time=True, time_to_live=options.speed)
         graph.start("reaction", use_sim_time=True)
+        port, web_port = free_ports(2)
+        graph.start("view", port=port, web_port=web_port, memory=VIEWED, use_sim_time=True)
         rclpy.init()
         try:
             first, last, moves = operate(graph, options.hours)

@@ -138,6 +138,18 @@ def test_a_failure_is_published_and_never_written_over_a_good_description(
     assert load(good) == ARM
 
 
+def test_older_maneuvers_go(ros, samples, tmp_path):
+    bag = record(tmp_path, samples)
+    _, every = solve_dynamic_bag(bag, DynamicCalibrationSettings(**PRECISE))
+    some, newest = solve_dynamic_bag(bag, DynamicCalibrationSettings(kept=7, **PRECISE))
+    node = make_node(kept=7, **PRECISE)
+    node.take(every[:4])
+    node.take(every[4:])
+    assert node.maneuvers == newest == every[-7:]
+    assert node.calibration.provenance.data_hash == some.provenance.data_hash
+    node.destroy_node()
+
+
 def test_too_little_is_not_evaluated(spin, play, samples):
     bed, node = Bed(), make_node()
     answer = play(bed, node, [s for s in samples if s.t < at(20.0)])

@@ -205,6 +205,16 @@ def test_a_node_that_was_killed_goes_on(spin, play, samples, tmp_path):
     assert len(json.loads((tmp_path / "state.json").read_text())) == 8
 
 
+def test_older_rests_go(spin, play, samples, tmp_path):
+    bed, node = Bed(), make_node(kept=6)
+    play(bed, node, samples)
+    assert ask_to_solve(spin, bed, node).success
+    spin([bed, node], lambda: bed.observed() == 6 and len(node.observations) == 6)
+    offline = solve_bag(record(tmp_path, samples), CalibrationSettings(kept=6))
+    assert offline.observations_hash == bed.results[-1].observations_hash
+    assert np.abs(offline.q - DEFAULT[2:8]).max() < 1e-4
+
+
 def reference(i, seconds, homings):
     message = LinkTelemetry(link=i, boot=3, homings=homings)
     message.header.stamp = to_time(at(seconds))

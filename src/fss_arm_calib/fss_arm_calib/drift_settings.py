@@ -17,6 +17,7 @@ class DriftSettings(RestSettings):
     arm: str = setting("", "description YAML of masses and inertias; empty: the paper's arm")
     shortest: float = setting(20.0, "a shorter rest of the arm is no drift [s]")
     longest: float = setting(120.0, "a longer one is taken as several [s]")
+    kept: int = setting(30, "most drifts that a result is from, the newest; older ones go")
     bin: float = setting(0.5, "poses are averaged over so long each [s]")
     position_deviation: float = setting(0.001, "of a pose of the base, each axis, 1 sigma [m]")
     heading_deviation: float = setting(radians(0.5), "likewise its heading [rad]")

@@ -96,7 +96,7 @@ class DynamicNode(Node):
         """Keep and publish new maneuvers and solve again; False if there are none."""
         if not found:
             return False
-        self.maneuvers += found
+        self.maneuvers = (self.maneuvers + found)[-self.settings.kept :]
         self.solve()
         self.publish()
         for m in found:

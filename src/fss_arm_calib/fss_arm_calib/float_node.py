@@ -25,8 +25,6 @@ from .judgement import PASS
 from .messages import feed_joints, float_message, seen_pose
 from .settings import setting
 
-KEPT = 30  # drifts that the result is from; older ones go
-
 
 @dataclass(frozen=True)
 class FloatSettings(DriftSettings):
@@ -76,7 +74,7 @@ class FloatNode(Node):
         """Keep new drifts and solve again; False if there are none."""
         if not found:
             return False
-        self.drifts = (self.drifts + found)[-KEPT:]
+        self.drifts = (self.drifts + found)[-self.settings.kept :]
         self.solve()
         self.get_logger().info(f"{self.calibration.verdict}: {self.calibration.reason}")
         return True

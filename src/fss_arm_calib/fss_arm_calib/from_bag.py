@@ -57,7 +57,7 @@ def solve_bag(
     arm = load(settings.arm) if settings.arm else paper_arm()
     finder = RestFinder(arm.n, settings)
     with open_bags(paths) as bags:
-        found = observations(bags, finder, settings)
+        found = observations(bags, finder, settings)[-settings.kept :]
         return calibrate(found, arm, settings, finder.streams(), source(bags))
 
 
@@ -84,7 +84,7 @@ def solve_dynamic_bag(
     arm = load(settings.arm) if settings.arm else paper_arm()
     finder = ManeuverFinder(arm.n, settings)
     with open_bags(paths) as bags:
-        found = maneuvers(bags, finder, settings)
+        found = maneuvers(bags, finder, settings)[-settings.kept :]
         told = dynamic_verdict.calibrate(found, arm, settings, finder.streams(), source(bags))
         return told, found
 
@@ -109,7 +109,7 @@ def solve_float_bag(
             for data in piece.get(joints, ()):
                 found += feed_joints(finder, bags.deserialize(data, JOINTS))
             found += finder.poses(*poses(piece.get(base, ())))
-        found += finder.close()
+        found = (found + finder.close())[-s.kept :]
         return drift_verdict.calibrate(found, arm, s, finder.streams(), source(bags))
 
 

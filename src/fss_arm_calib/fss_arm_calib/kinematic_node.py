@@ -54,7 +54,7 @@ class KinematicNode(Node):
         s = self.settings = declare(self, KinematicSettings)
         self.arm = load(s.arm) if s.arm else paper_arm()
         kept = read_observations(s.state_file, self.arm.n) if s.state_file else []
-        self.observations: list[Observation] = kept
+        self.observations: list[Observation] = kept[-s.kept :]
         resting_at = kept[-1].q if kept and kept[-1].used else None
         self.finder = RestFinder(self.arm.n, s, resting_at)
         self.solve()
@@ -101,7 +101,7 @@ class KinematicNode(Node):
         """Keep, save and publish new observations and solve again; False if there are none."""
         if not found:
             return False
-        self.observations += found
+        self.observations = (self.observations + found)[-self.settings.kept :]
         if self.settings.state_file:
             write_observations(self.settings.state_file, self.observations)
         self.solve()

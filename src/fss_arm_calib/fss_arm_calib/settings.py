@@ -40,6 +40,7 @@ class RestSettings:
     )
     max_turn: float = setting(10.0, "likewise [rad/s]")
     horizon: float = setting(60.0, "how far streams may lag each other [s]")
+    kept: int = setting(200, "most rests that a result is from, the newest; older ones go")
 
     def __post_init__(self) -> None:
         for name in (
@@ -48,6 +49,8 @@ class RestSettings:
         ):  # fmt: skip
             if not 0.0 < getattr(self, name) < inf:
                 raise ValueError(f"{name} is {getattr(self, name)}, must be positive")
+        if self.kept < 1:
+            raise ValueError(f"kept is {self.kept}, must be at least 1")
         if not 0.0 <= self.settle < inf:
             raise ValueError(f"settle is {self.settle} s, must not be negative")
         if self.longest < self.shortest:
