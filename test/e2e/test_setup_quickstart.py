@@ -6,12 +6,14 @@ import shutil
 import subprocess
 from pathlib import Path
 
+import calib_rig
 import pytest
 import yaml
 from calib_float import Float, postures, record
 from conftest import DOMAIN
 from test_setup_fss import free_ports
 
+from fss_arm_calib.postures import DEFAULT
 from fss_arm_model.description import load
 from fss_arm_ros.bags import open_bags
 
@@ -54,7 +56,8 @@ def test_without_hardware(tmp_path):
     text = typed("simulation.md").replace("config/fss_sim.sh", str(tmp_path / "lab.sh"))
     text = text.replace("out/fss_sim", str(tmp_path / "out"))
     try:
-        said = shell(text.replace("scripts/setup.sh\n", ""), 600)
+        again = typed("calibration.md").replace("bags/monday", str(tmp_path / "out/bags"))
+        said = shell(text.replace("scripts/setup.sh\n", "") + again, 600)
     finally:
         subprocess.run([ROOT / "scripts/fss_down.sh", tmp_path / "lab.sh"], check=False)
     assert re.search(r"/calibration/kinematic +pass", said)
@@ -80,8 +83,10 @@ def test_from_a_bag(tmp_path):
 
 
 def watched(text):
-    """The same, but that each node runs for some seconds and must not end before."""
-    node = r"^(ros2 run (?!fss_arm_calib from_bag).*)$"
+    """The same without comments; each node runs for some seconds and must not end before."""
+    command = r"from_bag|recompute|design|doctor|replay"
+    node = rf"^(ros2 run (?!\w+ (?:{command})).*)$"
+    text = re.sub(r" *#.*", "", text)
     return re.sub(node, r"timeout -s INT -k 9 9 \1 || [ $? = 124 ]", text, flags=re.M)
 
 
@@ -92,7 +97,7 @@ def test_tilt_and_hose(tmp_path):
     record(tmp_path / "monday", flight.samples(rate=20))
     text = typed("float.md").replace("bags/monday", str(tmp_path / "monday"))
     text = text.replace("float.yaml", str(tmp_path / "float.yaml"))
-    text = re.sub(r"#.*", "", text).replace("=arm.yaml", "=config/arm.yaml")
+    text = text.replace("=arm.yaml", "=config/arm.yaml")
     said = shell(watched(text.replace(" arm.yaml", " config/arm.yaml")), 120)
     assert "tilt along x" in said
     told = yaml.safe_load((tmp_path / "float.yaml").read_text())
@@ -101,5 +106,44 @@ def test_tilt_and_hose(tmp_path):
 
 @pytest.mark.slow
 def test_watching_the_base_react():
-    text = re.sub(r"^ssh.*|#.*", "", typed("view.md"), flags=re.M)
-    shell(watched(text), 60)
+    shell(watched(re.sub(r"^ssh.*", "", typed("view.md"), flags=re.M)), 60)
+
+
+@pytest.mark.slow
+def test_by_hand(tmp_path):
+    """The README from the real links to the bag; the arm's commands find nobody who obeys."""
+    calib_rig.record(tmp_path / "monday", calib_rig.Rig(DEFAULT[:8], rate=50.0).samples())
+    readme = typed("../README.md")
+    text = readme[readme.index("ros2 run fss_arm_driver link") : readme.index(". /opt/ros")]
+    for old, new in (
+        ("output:=bags/monday", f"output:={tmp_path / 'new'}"),
+        ("bags/monday", str(tmp_path / "monday")),
+        ("arm.yaml", str(tmp_path / "arm.yaml")),
+        ("--report fit", f"--report {tmp_path / 'fit'}"),
+    ):
+        assert old in text
+        text = text.replace(old, new)
+    said = shell(re.sub(r"^(scripts/.*)", r"! \1", watched(text), flags=re.M), 200)
+    assert "pass" in said
+    assert load(tmp_path / "arm.yaml").n == 4
+    assert list((tmp_path / "new").iterdir())
+
+
+@pytest.mark.slow
+def test_dynamics(tmp_path):
+    record(tmp_path / "monday", Float(postures(8)).samples(rate=20))
+    text = typed("dynamic.md").replace("scripts/rehearse_dynamic.sh", ":")  # has a test of its own
+    for old, new in (
+        ("--report report", f"--report {tmp_path / 'report'} || [ $? = 2 ]"),
+        ("bags/monday", str(tmp_path / "monday")),
+        ("calibrated.yaml", str(tmp_path / "calibrated.yaml")),
+        ("plan.yaml", str(tmp_path / "plan.yaml")),
+        ("=arm.yaml", "=config/arm.yaml"),
+        (" arm.yaml", " config/arm.yaml"),
+    ):
+        assert old in text
+        text = text.replace(old, new)
+    said = shell(watched(text), 400)
+    assert "b_4" in said
+    assert list((tmp_path / "report").glob("*.html"))
+    assert len(yaml.safe_load((tmp_path / "plan.yaml").read_text())) > 0
