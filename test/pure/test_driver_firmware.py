@@ -242,6 +242,15 @@ def test_stop_brakes_at_once_and_latches(link, command, braking, holding):
     assert link.frame().flags & LATCHES == State.ARMED
 
 
+def test_a_stop_switches_nothing_on(link):
+    link.run(1.0)
+    assert link.send(QUIET)
+    assert link.send(replace(QUIET, sequence=2, flags=Order.STOP))
+    frame = link.run(1.0)[-1]
+    assert (frame.mode, frame.flags & LATCHES) == (Mode.OFF, State.STOPPED)
+    assert link.joint().mode == Mode.OFF
+
+
 @pytest.mark.parametrize("command", [MOVE, TURN, PUSH])
 def test_stop_is_obeyed_whatever_exchange_is_under_way(core, command):
     for moment in range(60):

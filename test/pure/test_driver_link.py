@@ -373,14 +373,35 @@ def test_a_stop_latches_until_armed_anew(armed):
     assert armed.told().flags == Order.STOP
     armed.step()
     assert armed.link.flags == State.STOPPED
-    armed.session.disarm()
-    assert armed.told().flags == Order.STOP
     with pytest.raises(CommandError, match="link 1 is stopped, not armed"):
         armed.set(Mode.POSITION, 0.2)
     armed.session.arm(armed.now)
     while not armed.session.armed:
         armed.step()
     assert armed.told().flags == Order.ARM | Order.HOLD
+
+
+def test_a_stop_outlives_the_loss_of_the_link(armed):
+    armed.session.stop()
+    while not armed.session.lost:
+        armed.step(up=False)
+    assert armed.told().flags == Order.STOP
+
+
+def test_disarming_releases_what_was_stopped(armed):
+    armed.session.stop()
+    armed.step()
+    armed.session.disarm()
+    assert armed.told().flags == 0
+    armed.step()
+    assert armed.link.flags == 0
+
+
+def test_faults_are_cleared_after_a_stop(armed):
+    armed.session.stop()
+    armed.step()
+    armed.session.clear_faults(armed.now)
+    assert armed.told().flags == Order.CLEAR_FAULTS
 
 
 def test_a_link_that_disarmed_itself_is_not_armed_again(armed):

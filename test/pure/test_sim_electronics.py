@@ -149,6 +149,15 @@ def test_stop_latches_until_disarmed_and_armed_anew():
     assert electronics.armed
 
 
+def test_a_stop_switches_nothing_on():
+    stop = replace(QUIET, sequence=3, flags=Order.STOP)
+    assert link(QUIET, GO, stop).demand(SECOND, REST).mode == Mode.POSITION
+    for before in ([], [QUIET], [QUIET, GO, replace(QUIET, sequence=3)]):
+        electronics = link(*before, stop)
+        assert electronics.stopped
+        assert electronics.demand(SECOND, REST).mode == Mode.OFF
+
+
 def test_stop_is_obeyed_whatever_its_boot_and_sequence():
     electronics = link(QUIET, GO)
     stop = replace(QUIET, sequence=0, boot=BOOT + 5, flags=Order.STOP)

@@ -196,14 +196,19 @@ class LinkSession:
         self.disarm()
         self._clear_asked = now
 
-    def disarm(self, why: str = "disarmed") -> None:
-        """Let the joint come to rest and switch the drive off. A stop stays latched."""
+    def disarm(self) -> None:
+        """Let the joint come to rest and switch the drive off, also after a stop."""
+        self._drop_order(Status.ABORTED, "disarmed")
+        self.arming = Arming.DISARMED
+
+    def _disarm(self, why: str) -> None:
+        """Disarm without having been told to: a stop stays."""
         self._drop_order(Status.ABORTED, why)
         if self.arming is not Arming.STOPPED:
             self.arming = Arming.DISARMED
 
     def stop(self) -> None:
-        """Stop now and stay so until armed anew."""
+        """Stop now and hold that place until armed anew or disarmed; what is off stays off."""
         self._drop_order(Status.ABORTED, "stopped")
         self.arming = Arming.STOPPED
 
@@ -251,10 +256,10 @@ class LinkSession:
             self._reception.forget(now)
             self._sent.clear()
             self._stamp = 0
-            self.disarm("the clock was set back")
+            self._disarm("the clock was set back")
         self._now = now
         if self._reception.tick(now):
-            self.disarm("the link is lost")
+            self._disarm("the link is lost")
         if self._order and now > self._expiry:
             self._drop_order(Status.TIMED_OUT, "its time to live ended")
         if self.arming is Arming.ARMING and now - self._arm_asked > PATIENCE:
@@ -322,7 +327,7 @@ class LinkSession:
         if not self._reception.take(frame, echoed, now):
             return None
         if lost:  # nothing is wanted of a link that was not followed until now
-            self.disarm("the link was lost")
+            self._disarm("the link was lost")
         return self._sample(frame, echoed, now)
 
     def follow(self, sample: Sample) -> None:
@@ -358,9 +363,9 @@ class LinkSession:
             taken = echoed is not None and echoed >= self.progress.given
             self.progress.follow(frame, taken, self._now)
         if self.arming is Arming.ARMED and not armed:
-            self.disarm("the link has disarmed itself")
+            self._disarm("the link has disarmed itself")
         elif self.arming is not Arming.DISARMED and (faults := self.faults):
-            self.disarm(", ".join(faults))
+            self._disarm(", ".join(faults))
         elif self.arming is Arming.ARMING and armed and echoed and echoed >= self._arm_asked:
             self.arming = Arming.ARMED
 

@@ -69,12 +69,12 @@ void Link::obey(const Command& command) {
   if (command.flags & kStop) {
     armed_ = false;
     stopped_ = true;
-    hold();
+    if (on_) hold();
   } else if (!(command.flags & kArm)) {
-    armed_ = stopped_ = watchdog_ = dropped_ = false;
+    armed_ = stopped_ = watchdog_ = dropped_ = on_ = false;
     drive_.demand(Demand{});
   } else if (!stopped_ && !watchdog_ && !dropped_) {
-    armed_ = true;
+    armed_ = on_ = true;
     if (command.flags & kHold) {
       hold();
     } else {
@@ -87,7 +87,7 @@ void Link::obey(const Command& command) {
 void Link::watch(uint64_t now) {
   if (!armed_) return;
   if (!drive_.answers() || drive_.blocked()) {
-    armed_ = false;
+    armed_ = on_ = false;
     dropped_ = true;
     drive_.demand(Demand{});
   } else if (gate_.silent(now)) {

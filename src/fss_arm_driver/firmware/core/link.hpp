@@ -44,6 +44,7 @@ class Link {
   Torque torque_;
   bool armed_ = false;
   bool stopped_ = false, watchdog_ = false, dropped_ = false;  // why not, until told to disarm
+  bool on_ = false;  // the drive, from arming on: no stop switches it on
 
   // When the position was read, and what there was to echo then.
   uint64_t read_at_ = 0;

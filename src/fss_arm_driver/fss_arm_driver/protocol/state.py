@@ -25,6 +25,7 @@ class LinkState:
         self.gate = gate
         self.armed = self.stopped = self.watchdog_tripped = False
         self._dropped = False  # by a fault; not told in telemetry
+        self._on = False  # the drive, from arming on: no stop switches it on
 
     def receive(self, data: bytes, clock: int) -> bool:
         """Take or refuse bytes that have come; whether they were taken."""
@@ -34,26 +35,29 @@ class LinkState:
         if command.flags & Order.STOP:
             self.armed, self.stopped = False, True
         elif not command.flags & Order.ARM:
-            self.armed = self.stopped = self.watchdog_tripped = self._dropped = False
-        else:
-            self.armed = not (self.stopped or self.watchdog_tripped or self._dropped)
+            self.disarm()
+        elif not (self.stopped or self.watchdog_tripped or self._dropped):
+            self.armed = self._on = True
         return True
+
+    def disarm(self) -> None:
+        """Brake, then off; latches are forgotten."""
+        self.armed = self.stopped = self.watchdog_tripped = self._dropped = self._on = False
 
     def drop(self) -> None:
         """The drive has a fault or does not answer: disarm, until told to disarm."""
-        self._dropped, self.armed = self._dropped or self.armed, False
+        if self.armed:
+            self._dropped, self.armed, self._on = True, False, False
 
     def goal(self, clock: int) -> Goal:
         """What to do now; lets the watchdog trip."""
         gate, command = self.gate, self.gate.command
         if self.armed and clock - gate.arrival > gate.watchdog:
             self.armed, self.watchdog_tripped = False, True
-        if self.stopped or self.watchdog_tripped:
-            return Goal.HOLD
-        if not (self.armed and command):
+        if not (self._on and command):
             return Goal.RELEASE
-        expired = command.expiry < clock
-        return Goal.HOLD if expired or command.flags & Order.HOLD else Goal.OBEY
+        obeys = self.armed and command.expiry >= clock and not command.flags & Order.HOLD
+        return Goal.OBEY if obeys else Goal.HOLD
 
     def flags(self, referenced: bool) -> int:
         """As telemetry has them."""

@@ -92,7 +92,7 @@ class CopleyTransport:
                 reading = self._link.drive.reading
                 if reading is None or reading.mode == Mode.OFF:
                     break
-                self._link.state.armed = False
+                self._link.state.disarm()
                 self._turn(self._port)
 
     def _turn(self, port: Serial) -> None:
