@@ -1,7 +1,21 @@
 #!/bin/sh
-# What a person tells the arm: scripts/fss_arm.sh arm | disarm | stop | solve
+# What a person tells the arm; by the ROS domain and the network of this shell, or of a configuration.
+# usage: fss_arm.sh arm | disarm | stop | home | clear | solve [CONFIG] [OPTION...]
 set -eu
-cd -- "$(dirname -- "$0")/.."
-# shellcheck source=scripts/env.sh
-. scripts/env.sh
-exec python3 scripts/fss_arm.py "$@"
+fss_scripts=$(CDPATH='' cd -- "$(dirname -- "$0")" && pwd -P)
+case ${2:-} in
+  '' | -*)
+    cd -- "$fss_scripts/.."
+    # shellcheck source=scripts/env.sh
+    . scripts/env.sh
+    ;;
+  *)
+    # shellcheck source=scripts/fss/config.sh
+    . "$fss_scripts/fss/config.sh"
+    what=$1 config=$2
+    shift 2
+    read_config "$config"
+    set -- "$what" "$@"
+    ;;
+esac
+exec python3 "$fss_scripts/fss_arm.py" "$@"
