@@ -55,15 +55,22 @@ def _leading_comment(lines: list[str]) -> list[str]:
 
 
 def _rows(lines: list[str]) -> Iterator[str]:
-    """A row for each field or constant, with its comment and those on lines of their own below."""
+    """A row for each field or constant, with its comment and those on lines of their own below.
+
+    After an empty line, such a comment is about what follows: a row of its own.
+    """
     rows: list[list[str]] = []
+    apart = False
     for line in lines:
         code, _, comment = (part.strip() for part in line.partition("#"))
         if code:
             kind, name = code.split(maxsplit=1)
             rows.append([f"`{kind}`", f"`{name}`", comment])
-        elif comment and rows:
+        elif comment and rows and not apart:
             rows[-1][2] += f" {comment}"
+        elif comment:
+            rows.append(["", "", comment])
+        apart = not code and not comment
     for row in rows:
         yield _row(*row)
 
