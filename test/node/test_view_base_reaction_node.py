@@ -1,15 +1,20 @@
 """The node base_reaction, fed with the messages of a flight."""
 
+import signal
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped
 from rclpy.parameter import Parameter
+from sensor_msgs.msg import JointState
 from view_bench import BEGIN, Bench
 from view_flight import paper_flight
 
-from fss_arm_model.description import load, to_yaml
+from fss_arm_model.description import load, paper_arm, to_yaml
 from fss_arm_msgs.msg import KinematicCalibration
-from fss_arm_ros.convert import stamp_ns
+from fss_arm_ros.convert import SECOND, pose_stamped, stamp_ns, to_time
+from fss_arm_ros.diagnostics import OK
 from fss_arm_view.base_reaction_node import BaseReactionNode
 
 
@@ -91,6 +96,67 @@ def test_a_calibration_that_passed_is_used_and_one_that_failed_is_not(run, spin)
     bench.calibration.publish(message)
     spin([node, bench], lambda: node.known.arm == truth)
     assert node.reaction.covariance.any()
+
+
+def seen(t):
+    """The base at rest."""
+    return pose_stamped(BEGIN + int(t * SECOND), "world", (0.1, 0.2, 0.3))
+
+
+def read(t, names=("joint_1", "joint_2", "joint_3", "joint_4"), **values):
+    """The arm at rest."""
+    message = JointState(name=list(names), position=[0.1] * len(names), **values)
+    message.header.stamp = to_time(BEGIN + int(t * SECOND))
+    return message
+
+
+@pytest.fixture
+def in_time():
+    """The test fails if it hangs."""
+    signal.signal(signal.SIGALRM, lambda *_: pytest.fail("it hangs"))
+    signal.alarm(60)
+    yield
+    signal.alarm(0)
+
+
+@pytest.mark.parametrize("unseen", [(0.0, 2.0), (3.0, 9.0)])
+def test_a_base_that_was_not_seen_holds_nothing_up(ros, in_time, unseen):
+    """Joints lag behind the poses, which begin late or pause for longer than any is kept."""
+    node = BaseReactionNode()
+    for k in range(1200):
+        t = 0.01 * k
+        if not unseen[0] <= t < unseen[1]:
+            node.on_pose(seen(t))
+        if k % 20 == 7:
+            node.on_joints(read(t, velocity=[0.0] * 4))
+    assert node.reaction.t > BEGIN + 11 * SECOND
+    assert node.health().level == OK
+    node.destroy_node()
+
+
+def test_readings_do_not_pile_up_without_a_base(ros):
+    node = BaseReactionNode()
+    for k in range(2000):
+        node.on_joints(read(0.2 * k, velocity=[0.0] * 4))
+    assert len(node.reaction.joints[0].t) < 200
+    assert node.health().message == "waiting for joints and base at rest"
+    node.destroy_node()
+
+
+def test_joints_of_others_and_readings_without_rate_are_left_out(ros):
+    node = BaseReactionNode()
+    node.on_joints(read(0.0))
+    node.on_joints(read(0.1, names=("gripper", "joint_5", "joint_x"), velocity=[0.0] * 3))
+    assert not any(joint.t for joint in node.reaction.joints)
+    node.destroy_node()
+
+
+def test_a_calibration_of_another_arm_is_left_out(run, spin, capfd):
+    node, bench = run()
+    three = replace(paper_arm(), links=paper_arm().links[:3])
+    bench.calibration.publish(KinematicCalibration(verdict="pass", description=to_yaml(three)))
+    spin([node, bench], lambda: "it is of 3 links, expected 4" in capfd.readouterr().err)
+    assert node.known.arm == paper_arm()
 
 
 def test_an_occluded_base_is_counted(run, spin):

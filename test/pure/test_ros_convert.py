@@ -2,19 +2,39 @@
 
 from math import nan, pi
 
+import numpy as np
 import pytest
 from geometry_msgs.msg import Pose
 from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.serialization import serialize_message
 from rosbags.typesys import Stores, get_typestore
+from sensor_msgs.msg import JointState
 
-from fss_arm_ros.convert import PoseError, planar_pose, pose_stamped, seconds, stamp_ns, to_time
+from fss_arm_ros.convert import (
+    PoseError,
+    joint_readings,
+    planar_pose,
+    pose_stamped,
+    seconds,
+    stamp_ns,
+    to_time,
+)
 
 
 @given(st.integers(0, 2**31 * 10**9 - 1))
 def test_times_survive_to_the_nanosecond(ns):
     assert stamp_ns(to_time(ns)) == ns
+
+
+def test_readings_are_told_by_their_joints_names():
+    message = JointState(name=["joint_2", "gripper", "joint_10"], position=[0.1, 9.0, 0.2])
+    message.velocity = [1.0]
+    first, second = joint_readings(message)
+    assert first[:3] == (2, 0.1, 1.0)
+    assert second[:2] == (10, 0.2)
+    assert np.isnan([first[3], *second[2:]]).all()
+    assert list(joint_readings(JointState(position=[1.0]))) == []
 
 
 def test_seconds():

@@ -2,6 +2,7 @@
 
 import subprocess
 import time
+from dataclasses import replace
 from pathlib import Path
 from threading import Event
 
@@ -31,6 +32,12 @@ def test_the_arm_is_drawn_to_its_tip_with_y_upwards():
     assert drawn.shape == (5, 2)
     np.testing.assert_allclose(drawn[-1], [tip[0], -tip[1]], atol=1e-6)  # rerun keeps float32
     np.testing.assert_allclose(ellipse[:-1].mean(axis=0), [tip[0], -tip[1]], atol=1e-6)
+
+
+def test_the_ellipse_of_a_single_link_is_a_line():
+    arm = replace(paper_arm(), links=paper_arm().links[:1])
+    ellipse = scene.arm(arm, (0.0, 0.0, 0.0), (0.3,))[-1]
+    assert np.linalg.matrix_rank(np.diff(ellipse.strips[0], axis=0), tol=1e-6) == 1
 
 
 def test_a_base_shows_its_heading():

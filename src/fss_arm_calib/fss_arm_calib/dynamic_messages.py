@@ -2,14 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import fields
-from itertools import pairwise, zip_longest
-from math import nan
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from fss_arm_msgs import msg
-from fss_arm_ros.convert import stamp_ns, to_time
+from fss_arm_ros.convert import joint_readings, stamp_ns, to_time
 
 from .dynamic_verdict import DynamicCalibration
 from .maneuvers import Maneuver, ManeuverFinder
@@ -21,11 +20,8 @@ _ROWS = ("times", "q", "qd")  # of a Maneuver: one for each joint
 def feed_joints(finder: ManeuverFinder, message: Any) -> list[Maneuver]:
     """Give a sensor_msgs/JointState to the finder; joints are told by their names, joint_<i>."""
     t, found = stamp_ns(message.header.stamp), []
-    rates = message.velocity[: len(message.name)]
-    for name, q, qd in zip_longest(message.name, message.position, rates, fillvalue=nan):
-        number = str(name).removeprefix("joint_")
-        if number.isdecimal():
-            found += finder.joint(int(number), t, float(q), float(qd))
+    for i, q, qd, _ in joint_readings(message):
+        found += finder.joint(i, t, q, qd)
     return found
 
 

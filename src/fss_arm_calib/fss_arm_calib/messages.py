@@ -14,7 +14,7 @@ from fss_arm_msgs.msg import (
     Provenance,
     Stage,
 )
-from fss_arm_ros.convert import PoseError, planar_pose, stamp_ns, to_time
+from fss_arm_ros.convert import PoseError, joint_readings, planar_pose, stamp_ns, to_time
 
 from . import drift_verdict, judgement
 from .rests import Observation, RestFinder
@@ -24,10 +24,8 @@ from .verdict import Calibration
 def feed_joints(finder: Any, message: Any) -> list[Any]:
     """Give a sensor_msgs/JointState to a finder; joints are told by their names, joint_<i>."""
     t, found = stamp_ns(message.header.stamp), []
-    for name, q in zip(message.name, message.position, strict=False):
-        number = name.removeprefix("joint_")
-        if number.isdecimal():
-            found += finder.joint(int(number), t, float(q))
+    for i, q, *_ in joint_readings(message):
+        found += finder.joint(i, t, q)
     return found
 
 

@@ -3,7 +3,9 @@
 Times are integer nanoseconds: a float of seconds since the epoch resolves only 240 ns.
 """
 
-from math import atan2, cos, isfinite, sin
+from collections.abc import Iterator
+from itertools import zip_longest
+from math import atan2, cos, isfinite, nan, sin
 from typing import Any
 
 from builtin_interfaces.msg import Time
@@ -30,6 +32,19 @@ def to_time(ns: int) -> Time:
 def seconds(ns: int) -> float:
     """A difference of nanoseconds in seconds."""
     return ns / SECOND
+
+
+def joint_readings(message: Any) -> Iterator[tuple[int, float, float, float]]:
+    """Number i, q [rad], qd [rad/s] and effort [N m] of each joint_<i> of a JointState.
+
+    Other joints are left out; what the message does not tell is NaN.
+    """
+    values = message.position, message.velocity, message.effort
+    for name, *told in zip_longest(message.name, *values, fillvalue=nan):
+        number = str(name).removeprefix("joint_")
+        if number.isdecimal():
+            q, qd, effort = map(float, told)
+            yield int(number), q, qd, effort
 
 
 def planar_pose(pose: Any) -> tuple[float, float, float]:

@@ -2,7 +2,8 @@
 
 import sys
 from functools import partial
-from math import cos, sin
+from math import cos, isfinite, sin
+from time import monotonic
 from typing import Any
 
 from geometry_msgs.msg import PoseStamped, TransformStamped
@@ -15,7 +16,14 @@ from fss_arm_model.description import load, paper_arm
 from fss_arm_msgs.msg import BaseReaction as BaseReactionMessage
 from fss_arm_msgs.msg import DynamicCalibration, KinematicCalibration
 from fss_arm_ros.calibrated import Calibrated
-from fss_arm_ros.convert import SECOND, PoseError, planar_pose, seconds, stamp_ns, to_time
+from fss_arm_ros.convert import (
+    SECOND,
+    PoseError,
+    joint_readings,
+    planar_pose,
+    stamp_ns,
+    to_time,
+)
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.qos import LATCHED, SENSOR, subscribe_sensor
 from fss_arm_ros.run import run
@@ -36,6 +44,7 @@ class BaseReactionNode(Node):
         self.filter = BaseFilter(s)
         self.reaction = BaseReaction(self.known.arm, settings=s)
         self.occluded = 0
+        self.told = monotonic()  # when the last reaction was
         self.state = self.create_publisher(Odometry, "base/state", SENSOR)
         self.transform = self.create_publisher(TFMessage, "/tf", SENSOR)
         self.reacted = self.create_publisher(BaseReactionMessage, "base_reaction", SENSOR)
@@ -52,12 +61,9 @@ class BaseReactionNode(Node):
     def on_joints(self, message: JointState) -> None:
         """Readings of one link or more; the reaction at all moments that are known now."""
         t = stamp_ns(message.header.stamp)
-        for name, *values in zip(
-            message.name, message.position, message.velocity, message.effort, strict=True
-        ):
-            i = int(name.rpartition("_")[2]) - 1
-            if 0 <= i < self.known.arm.n:
-                self.reaction.joint(i, t, *values)
+        for i, q, qd, effort in joint_readings(message):
+            if 1 <= i <= self.known.arm.n and isfinite(q) and isfinite(qd):
+                self.reaction.joint(i - 1, t, q, qd, effort)
         self.advance()
 
     def on_pose(self, message: PoseStamped) -> None:
@@ -77,7 +83,10 @@ class BaseReactionNode(Node):
     def on_calibration(self, topic: str, message: Any) -> None:
         """Predict with it from the next rest on, if it passed."""
         known = self.known.with_message(topic, message)
-        if known is not self.known:
+        if known.arm.n != self.known.arm.n:
+            links = f"{known.arm.n} links, expected {self.known.arm.n}"
+            self.get_logger().warning(f"{topic} is left out: it is of {links}")
+        elif known is not self.known:
             self.known = known
             self.reaction.describe(known.arm, known.covariance)
             self.get_logger().info(f"predicts with {topic} of {known.arm.name}")
@@ -101,21 +110,21 @@ class BaseReactionNode(Node):
         """Publish the reaction at t."""
         found = self.reaction.advance(t)
         if found:
+            self.told = monotonic()
             self.reacted.publish(to_message(found, self.known.arm.name, self.settings.world_frame))
 
     def health(self) -> Health:
         """For diagnostics."""
-        now = self.get_clock().now().nanoseconds
         values: dict[str, float] = {
             "poses occluded": self.occluded,
             **{f"{what} refused": count for what, count in self.filter.refused.items()},
         }
         if self.reaction.anchor is None:
             return Health(WARN, "waiting for joints and base at rest", values)
-        behind = seconds(now - self.reaction.t)
-        values["behind"] = behind
-        if behind > 2.0:
-            return Health(WARN, f"nothing to compute from for {behind:.1f} s", values)
+        silence = monotonic() - self.told
+        values["silent for"] = silence
+        if silence > 2.0:
+            return Health(WARN, f"nothing to compute from for {silence:.1f} s", values)
         return Health(OK, f"predicts with {self.known.arm.name}", values)
 
 

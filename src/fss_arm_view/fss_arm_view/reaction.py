@@ -27,6 +27,7 @@ Floats = npt.NDArray[np.float64]
 
 _SECOND = 1_000_000_000  # [ns]
 _KEPT = 5 * _SECOND  # of the past
+_LOST = 60 * _SECOND  # without a moment of which all is known: a prediction ends
 
 
 class Anchor(NamedTuple):
@@ -122,6 +123,9 @@ class BaseReaction:
 
     def joint(self, i: int, t: int, q: float, qd: float, effort: float) -> bool:
         """Take a reading of joint i (0 to n - 1) at t [ns]; False if it is not newer."""
+        if t - self.t > _LOST:
+            self.anchor, self.candidate, self.resting_since = None, None, -1
+            self.joints[i].forget(t - _KEPT)
         return self.joints[i].add(t, q, qd, effort)
 
     def base(self, estimate: Estimate) -> None:
@@ -139,10 +143,12 @@ class BaseReaction:
 
     def advance(self, t: int) -> Reaction | None:
         """The reaction at t [ns], later than before and not after known_until()."""
-        measured = self._measured(t)
-        if measured is None or t <= self.t:
+        if t <= self.t:
             return None
         self.t = t
+        measured = self._measured(t)
+        if measured is None:  # the base was not seen then
+            return None
         still = self._still(t)
         if still:
             self.resting_since = t if self.resting_since < 0 else self.resting_since

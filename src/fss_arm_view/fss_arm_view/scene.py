@@ -165,6 +165,7 @@ def arm(description: Arm, pose: npt.ArrayLike, q: npt.ArrayLike) -> list[Lines |
 def ellipse(J: Floats, centre: Floats, scale: float = 0.15) -> Lines:
     """The floating-base manipulability ellipse {J qd : |qd| = 1}, drawn at a scale [s]."""
     U, s, _ = np.linalg.svd(J)
+    s = np.append(s, 0.0)  # of a single link
     angle = np.linspace(0.0, 2.0 * pi, 49)
     points = centre + scale * (np.column_stack([s[0] * np.cos(angle), s[1] * np.sin(angle)]) @ U.T)
     return Lines([flat(points)], TIP, 0.003)

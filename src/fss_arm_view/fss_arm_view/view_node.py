@@ -4,7 +4,7 @@ import os
 import sys
 from collections import deque
 from functools import partial
-from math import degrees, dist
+from math import degrees, dist, isfinite
 from typing import Any
 
 import numpy as np
@@ -25,7 +25,7 @@ from fss_arm_msgs.msg import (
     ThrusterCommand,
 )
 from fss_arm_ros.calibrated import Calibrated
-from fss_arm_ros.convert import SECOND, PoseError, planar_pose, stamp_ns
+from fss_arm_ros.convert import SECOND, PoseError, joint_readings, planar_pose, stamp_ns
 from fss_arm_ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
 from fss_arm_ros.qos import LATCHED, sensor
 from fss_arm_ros.run import run
@@ -36,6 +36,8 @@ from .settings import ViewSettings
 from .sink import CONNECT, FILE, NATIVE, WEB, Sink, Viewer, open_stream
 
 LEAST_PLUME = 0.2  # a shorter pulse of a thruster is drawn so long [s]
+
+OLD = 3 * SECOND  # of a prediction: the ghost goes
 
 LEVELS = {OK: "INFO", WARN: "WARN", ERROR: "ERROR"}
 
@@ -63,6 +65,7 @@ class ViewNode(Node):
         self.legend = [text for text, _ in scene.LEGEND]
         self.t = 0
         self.difference: npt.NDArray[np.float64] | None = None  # measured less predicted base
+        self.differs_until = 0  # when it is too old to be drawn
         self.trails: dict[str, deque[tuple[float, float]]] = {
             what: deque(maxlen=scene.TRAIL) for what in ("tip_path", "com_path")
         }
@@ -109,11 +112,10 @@ class ViewNode(Node):
         """Readings of one link or more."""
         t = stamp_ns(message.header.stamp)
         drawings = []
-        for name, q, effort in zip(message.name, message.position, message.effort, strict=True):
-            i = int(name.rpartition("_")[2])
-            if 1 <= i <= self.known.arm.n:
+        for i, q, _, effort in joint_readings(message):
+            if 1 <= i <= self.known.arm.n and isfinite(q):
                 self.q[i - 1] = q
-                if self.sink.due(name):
+                if self.sink.due(f"joint {i}"):
                     drawings += [
                         scene.link("angle", i, degrees(q)), scene.link("effort", i, effort),
                     ]  # fmt: skip
@@ -126,7 +128,7 @@ class ViewNode(Node):
         if self.sink.due("base") and (pose := _pose(message)):
             valves = [self.t < until for until in self.valves_until]
             parts = [scene.plumes(pose, valves), *scene.arm(self.known.arm, pose, self.q)]
-            if self.difference is not None:
+            if self.difference is not None and self.t < self.differs_until:
                 parts.append(scene.base(pose - self.difference, scene.GHOST))
             parts.append(scene.base(pose, scene.STEEL))
             self.sink.put(self.t, [scene.together("arm", parts), scene.place(pose)])
@@ -156,6 +158,7 @@ class ViewNode(Node):
             # Telemetry is older than the base's poses: its ghost is drawn beside it as it is now.
             self.difference = np.array(message.difference)
             t = stamp_ns(message.header.stamp)
+            self.differs_until = t + OLD
             self.sink.put(t, scene.reaction(message))
             self.trace(t, "com_path", tuple(message.com), scene.GHOST)
 
