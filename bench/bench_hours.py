@@ -1,8 +1,8 @@
 """Whether a process grows, and whether bags are whole, over hours of operation in fast time.
 
 Test bed, four links' driver, arm, both calibrations, base reaction, view and recorder at a multiple
-of real time, the arm moving all the while. Memory is what a process holds itself (RSS less what it
-shares with files), compared from the end of its first simulated hour on.
+of real time, the arm moving nearly all the while. Memory is what a process holds itself (RSS less
+what it shares with files), compared from the end of its first simulated hour on.
 """
 
 import argparse
@@ -17,6 +17,7 @@ import numpy as np
 import rclpy
 from bench_graph import LINKS, MODULES, Graph, free_ports
 from rclpy.action import ActionClient
+from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -33,12 +34,13 @@ MODULES |= {
     "view": "fss_arm_view.view_node",
 }
 PAGE = os.sysconf("SC_PAGE_SIZE")
+REST = Duration(seconds=6)
 VIEWED = "50MB"  # that the viewer keeps: full within the first hour
 MOST = 0.05  # growth after the first hour
 
 
 class Operator(Node):
-    """Arms the links and moves the arm from one posture to the next without a rest."""
+    """Arms the links and moves the arm from posture to posture, with a rest after each fourth."""
 
     def __init__(self) -> None:
         super().__init__("operator", parameter_overrides=[Parameter("use_sim_time", value=True)])
@@ -69,12 +71,14 @@ class Operator(Node):
         self.destroy_node()
 
     def move(self) -> None:
-        """One move; if it fails, arm again."""
+        """One move, perhaps a rest; if it fails, arm again."""
         goal = MoveArm.Goal(q=self.random.uniform(-1.4, 1.4, LINKS).tolist())
         handle = self.wait(self.mover.send_goal_async(goal), 10.0)
         answer = handle and handle.accepted and self.wait(handle.get_result_async(), 60.0)
         if answer and answer.result.reached:
             self.moves += 1
+            if self.moves % 4 == 0:
+                self.get_clock().sleep_for(REST)
         else:
             self.wait(self.arm.call_async(SetBool.Request(data=True)), 10.0)
 

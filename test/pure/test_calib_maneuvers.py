@@ -205,6 +205,30 @@ def test_memory_is_bounded():
     assert len(finder.joints[0].t) < 100
 
 
+def test_a_motion_without_end_is_followed_no_longer_than_the_horizon():
+    """Ten moves on end, and all the while no more is kept than twice that."""
+    way = np.random.default_rng(0).uniform(-1.0, 1.0, (11, 4))
+    rig = Float([way])
+    finder = ManeuverFinder(4, ManeuverSettings(horizon=8.0))
+    assert rig.ends[0] - rig.begins[0] > 16.0
+    found = []
+    for sample in rig.samples(tip=True):
+        found += feed(finder, [sample], close=False)
+        assert len(finder.base.t) < 1700 + 1000  # a look at what may go comes every 1000 samples
+        assert len(finder.joints[0].t) < 250
+    (long,) = found + finder.close()
+    assert not long.used
+    assert long.reason.endswith("at most 8 s are followed")
+    assert "it lasts" in long.reason
+    assert long.q == ((),) * 4
+
+
+def test_a_silent_joint_lets_no_others_pile_up(samples, found):
+    finder = ManeuverFinder(4, ManeuverSettings(horizon=5.0))
+    feed(finder, [s for s in samples if s.stream != 2], close=False)
+    assert max(len(joint.waiting) for joint in finder.joints) <= 26
+
+
 def test_joints_of_another_arm_are_named(samples):
     finder = ManeuverFinder(3)
     feed(finder, samples[:500], close=False)

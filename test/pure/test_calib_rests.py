@@ -258,6 +258,7 @@ def test_a_live_finder_forgets():
     dead = RestFinder(4)
     find(without(samples, {2}, 1.0, 700.0), close=False, finder=dead)
     assert all(len(poses.t) < 8000 for poses in dead.subjects.values())
+    assert all(len(joint.waiting) <= 301 for joint in dead.joints)  # the horizon's 60 s at 5 Hz
 
 
 def test_observations_come_in_order_of_time():

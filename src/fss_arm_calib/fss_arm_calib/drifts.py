@@ -14,9 +14,10 @@ from .drift_settings import DriftSettings
 from .least_squares import Floats
 from .maneuvers import Joint
 from .poses import SECOND, Poses
-from .rests import BASE, Streams
+from .rests import BASE, Streams, mergeable
 
 _FEWEST = 10  # averaged poses of a drift
+_CLEANING = 1000  # poses between two looks at what may be forgotten
 
 
 class DriftFinder:
@@ -29,6 +30,7 @@ class DriftFinder:
         self.strange: set[int] = set()
         self._since = -1  # what was before has been taken [ns]
         self._pending: list[tuple[int, int]] = []  # rests
+        self._until_cleaning = _CLEANING
 
     def joint(self, i: int, t: int, q: float) -> list[Drift]:
         """A reading q [rad] of joint i, 1 to n, at stamp t [ns]."""
@@ -39,13 +41,18 @@ class DriftFinder:
         if isfinite(q) and t > joint.newest:
             joint.newest = t
             joint.waiting.append((t, q, 0.0))
-            while all(j.waiting for j in self.joints):
+            while mergeable(self.joints, self.settings.horizon):
                 self._take_oldest()
         return self._collect()
 
     def pose(self, t: int, pose: tuple[float, float, float] | None) -> list[Drift]:
         """A pose x [m], y [m], heading [rad] of the base; None: it was not visible."""
         self.base.append(t, pose)
+        self._until_cleaning -= 1
+        if self._until_cleaning <= 0:  # the arm may say nothing
+            self._until_cleaning = _CLEANING
+            span = self.settings.longest + self.settings.settle + self.settings.horizon
+            self.base.forget(self.base.newest - round(span * SECOND))
         return self._collect()
 
     def poses(self, t: np.ndarray, poses: Floats) -> list[Drift]:

@@ -24,6 +24,9 @@ class ManeuverSettings(RestSettings):
         2.0, "longest look at the base before a maneuver, and after it; half a rest at most [s]"
     )
     joint_gap: float = setting(0.5, "silence of a joint that spoils a maneuver [s]")
+    horizon: float = setting(
+        60.0, "how far streams may lag each other, and how long a maneuver may last [s]"
+    )
     kept: int = setting(100, "most maneuvers that a result is from, the newest; older ones go")
     bin: float = setting(0.5, "poses of a look are averaged over so long each [s]")
     least_travel: float = setting(0.05, "a smaller motion is no maneuver [rad]")

@@ -30,7 +30,7 @@ from .dynamic_settings import ManeuverSettings
 from .kinematic import wrap
 from .least_squares import Floats
 from .poses import OUT_OF_ORDER, REPEATED, SECOND, Hole, Poses, mean_pose, seen_from
-from .rests import BASE, TIP, Streams
+from .rests import BASE, TIP, Streams, mergeable
 
 SEARCH = 0.5  # for an offset, about the one allowed for [s]
 PATIENCE = 0.5  # of the horizon, for what may be absent
@@ -181,7 +181,7 @@ class ManeuverFinder:
         else:
             joint.newest = t
             joint.waiting.append((t, q, qd))
-            while all(j.waiting for j in self.joints):
+            while mergeable(self.joints, self.settings.horizon):
                 self._take_oldest()
         return self._collect()
 
@@ -301,6 +301,10 @@ class ManeuverFinder:
         """What happened between two rests; None if no joint moved far enough to be called so."""
         looks = self._looks(before, after)
         start, end = looks[0][0], looks[1][1]
+        if (lasts := (end - start) / SECOND) > self.settings.horizon:  # its begin is forgotten
+            nothing = ((),) * len(self.joints)
+            reason = f"it lasts {lasts:.0f} s, at most {self.settings.horizon:g} s are followed"
+            return Maneuver(start, end, nothing, nothing, nothing, used=False, reason=reason)
         series = []
         holes: list[Hole] = []
         for joint in self.joints:
@@ -427,12 +431,11 @@ class ManeuverFinder:
         look = round((2.0 * self.settings.longest + 1.0) * SECOND)
         rests = [pair[0] for pair in self._pending] + ([self._before] if self._before else [])
         kept = rests[0].end if rests else min(joint.last for joint in self.joints)
-        for joint in self.joints:
-            joint.forget(kept - look)
-        horizon = round(self.settings.horizon * SECOND)
-        for subject in (self.base, self.tip):
-            subject.forget(max(kept - look, subject.newest - horizon))
-        self.gyro.forget(max(kept - look, self.gyro.newest - horizon))
+        streams = [*self.joints, self.base, self.tip, self.gyro]
+        # The longest maneuver, and as much again for streams that lag.
+        oldest = max(s.newest for s in streams) - round(2.0 * self.settings.horizon * SECOND)
+        for stream in streams:
+            stream.forget(max(kept - look, oldest))
 
 
 class _LostTurn(Exception):  # noqa: N818

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from math import inf, isfinite, nan
 from operator import itemgetter
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -170,6 +170,18 @@ class _Joint:
         del self.t[:k], self.q[:k]
 
 
+def mergeable(joints: Sequence[Any], horizon: float) -> bool:
+    """Whether the oldest reading that waits may be taken: all joints have one, or lag too far [s].
+
+    Those of the others would pile up while one link is silent.
+    """
+    waiting = [joint.waiting[0][0] for joint in joints if joint.waiting]
+    if len(waiting) == len(joints):
+        return True
+    newest = max(joint.newest for joint in joints)
+    return bool(waiting) and newest - min(waiting) > horizon * SECOND
+
+
 class RestFinder:
     """Fed samples of n joints and two subjects, returns the observations that they complete.
 
@@ -285,7 +297,7 @@ class RestFinder:
         return [*self.joints, *self.subjects.values()]
 
     def _merge(self) -> None:
-        while all(joint.waiting for joint in self.joints):
+        while mergeable(self.joints, self.settings.horizon):
             self._take_oldest()
 
     def _take_oldest(self) -> None:
