@@ -12,7 +12,8 @@ become() {
   shift
   hold "$wanted.node"
   echo $$ >"$FSS_LOGS/$wanted.node"
-  exec ros2 run "$@"
+  # Not the real ros2: it would stay as the node's parent, with the lock and the number.
+  exec "$fss_scripts/bin/ros2" run "$@"
 }
 each_node become
 fail "$fss_config: has no node $wanted, but $fss_nodes"

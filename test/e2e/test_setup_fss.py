@@ -177,3 +177,30 @@ def test_a_node_that_lost_its_keeper_is_stopped_all_the_same(laboratory, tmp_pat
     )
     assert lab.run("down").returncode == 0
     assert lab.pid("record") is None
+
+
+def test_a_ros2_that_stays_as_the_parent_of_what_it_runs_is_not_stopped_in_its_place(
+    laboratory, tmp_path
+):
+    """As the real one does, which passes no signal on and keeps open files to itself."""
+    prefix = tmp_path / "prefix"
+    marker = prefix / "share/ament_index/resource_index/packages/pkg"
+    marker.parent.mkdir(parents=True)
+    marker.touch()
+    for file, text in {
+        "bin/ros2": f'PATH=/usr/bin:/bin {SCRIPTS}/bin/ros2 "$@" 9>&-; exit $?',
+        "lib/pkg/sleep": "exec sleep 60",
+    }.items():
+        program = prefix / file
+        program.parent.mkdir(parents=True)
+        program.write_text(f"#!/bin/sh\n{text}\n")
+        program.chmod(0o755)
+    lab = laboratory(
+        f"export AMENT_PREFIX_PATH={prefix} PATH={prefix}/bin:$PATH", "node a pkg sleep"
+    )
+    lab.run("up")
+    pid = wait_until(lambda: lab.pid("a"), 20, PAUSE)
+    assert Path(f"/proc/{pid}/comm").read_text() == "sleep\n"
+    down = lab.run("down")
+    assert (down.returncode, down.stdout) == (0, "a has stopped\n")
+    assert not Path(f"/proc/{pid}").exists()

@@ -225,6 +225,16 @@ def test_it_steps_aside_for_the_real_one(tmp_path: Path) -> None:
     assert run(STAND_IN, "topic", "list", env=env).stdout == "real topic list\n"
 
 
+def test_what_it_runs_it_becomes_whatever_the_real_one_does(tmp_path: Path, prefix: Path) -> None:
+    real = script(tmp_path / "real/ros2", 'echo "real $*"')
+    env = {"PATH": f"{real.parent}:{BARE['PATH']}", "AMENT_PREFIX_PATH": str(prefix)}
+    script(prefix / "lib/pkg/hello", "echo $$")
+    with subprocess.Popen([STAND_IN, "run", "pkg", "hello"], env=env, stdout=subprocess.PIPE) as it:
+        assert it.stdout is not None
+        assert it.stdout.read() == f"{it.pid}\n".encode()
+    assert run(STAND_IN, "run", "--prefix", "x", "pkg", "hello", env=env).stdout.startswith("real ")
+
+
 def test_two_workspaces_stand_ins_do_not_call_each_other(tmp_path: Path) -> None:
     other = script(tmp_path / "other/ros2", STAND_IN.read_text())
     env = BARE | {"PATH": f"{STAND_IN.parent}:{BARE['PATH']}:{other.parent}"}
