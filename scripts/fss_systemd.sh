@@ -10,9 +10,14 @@ mkdir -p -- "$1" || exit 1
 folder=$(readlink -f -- "$1")
 read_config "${2:-}"
 
+# The nodes read the configuration again; what disarms the links does not.
+reach='DOMAIN_ID|AUTOMATIC_DISCOVERY_RANGE|STATIC_PEERS|DISCOVERY_SERVER|SUPER_CLIENT'
+environment=$(env | sed -nE "s/^ROS_($reach)=.*/Environment=\"&\"/p")
+
 # Services start one after the other and stop the other way round, as `After` has it.
 after=network-online.target
 unit() {
+  : >>"$FSS_LOGS/$1.log"   # systemd would make it as root, and fss_up.sh could not write to it
   {
     cat <<END
 [Unit]
@@ -26,8 +31,7 @@ StartLimitBurst=$((FSS_RESTARTS + 1))
 [Service]
 Type=exec
 User=$(id -un)
-Environment=ROS_DOMAIN_ID=${ROS_DOMAIN_ID:-0}
-Environment=ROS_AUTOMATIC_DISCOVERY_RANGE=$ROS_AUTOMATIC_DISCOVERY_RANGE
+$environment
 WorkingDirectory=$fss_root
 ExecStart=$fss_scripts/fss/node.sh $fss_config $1
 END

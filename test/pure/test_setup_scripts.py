@@ -132,6 +132,27 @@ def test_systemd_takes_the_units_of_each_configuration(
         assert (verified.returncode, verified.stderr) == (0, "")
 
 
+def test_units_reach_the_nodes_and_leave_the_logs_to_their_user(tmp_path: Path) -> None:
+    reach = {
+        "ROS_DOMAIN_ID": "7",
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET",
+        "ROS_STATIC_PEERS": "192.168.1.10;192.168.1.20",
+        "ROS_DISCOVERY_SERVER": "192.168.1.10:11811;192.168.1.20:11811",
+        "ROS_SUPER_CLIENT": "TRUE",
+    }
+    config = tmp_path / "lab.sh"
+    settings = [f"FSS_LOGS={tmp_path}/logs", *(f'export {k}="{v}"' for k, v in reach.items())]
+    config.write_text("\n".join([*settings, "node arm p x", "node b p y"]) + "\n")
+    written = run("scripts/fss_systemd.sh", tmp_path / "units", config, cwd=ROOT)
+    assert (written.returncode, written.stderr) == (0, "")
+    for node in ("arm", "b"):
+        unit = (tmp_path / f"units/lab-{node}.service").read_text()
+        given = re.findall(r'^Environment="(.*?)=(.*)"$', unit, re.M)
+        assert sorted(given) == sorted(reach.items())
+        assert f"StandardOutput=append:{tmp_path}/logs/{node}.log\n" in unit
+        assert (tmp_path / f"logs/{node}.log").is_file()  # else systemd would make it as root
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
