@@ -138,3 +138,13 @@ def test_an_output_that_cannot_be_is_refused(ros, tmp_path, output):
     (tmp_path / "file").touch()
     with pytest.raises((ValueError, OSError)):
         recorder(output and tmp_path / output)
+
+
+def test_a_split_that_another_recorder_forestalls_is_told(ros, tmp_path, monkeypatch):
+    record = recorder(tmp_path)
+    monkeypatch.setattr("fss_arm_ros.recording.next_bag", lambda folder: folder / "bag_0")
+    record.close()
+    with pytest.raises(SystemExit, match=r"cannot write .*bag_0: File exists; what it has is kept"):
+        record.attempt(record.recording._open)
+    record.close()
+    record.destroy_node()

@@ -3,6 +3,8 @@
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass
+from errno import EEXIST
+from os import strerror
 from pathlib import Path
 from typing import Any, cast
 
@@ -58,11 +60,11 @@ class Recording:
     def _open(self) -> None:
         """Begin the next bag, with all topics there are."""
         self.path = next_bag(self.folder)
-        self.writer = Writer(self.path, version=9, storage_plugin=StoragePlugin.MCAP)
         try:
+            self.writer = Writer(self.path, version=9, storage_plugin=StoragePlugin.MCAP)
             self.writer.open()
-        except WriterError as error:  # another recorder was quicker
-            raise FileExistsError(str(error)) from None
+        except WriterError:  # another recorder was quicker
+            raise FileExistsError(EEXIST, strerror(EEXIST), str(self.path)) from None
         self._storage.bio.flush()
         self.connections = {topic: begin() for topic, begin in self.topics.items()}
 
