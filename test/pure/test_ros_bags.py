@@ -1,6 +1,9 @@
 """Bags: written, read by others, cut anywhere, and read again."""
 
 import shutil
+from errno import EPERM
+from os import strerror
+from pathlib import Path
 
 import pytest
 import yaml
@@ -12,7 +15,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability
 from rosbags.rosbag2 import Reader
 
-from fss_arm_ros.bags import BagError, find, is_sound, open_bags, repair
+from fss_arm_ros.bags import BagError, digest, find, is_sound, open_bags, repair
 from fss_arm_ros.definitions import definition
 from fss_arm_ros.doctor import main as doctor
 from fss_arm_ros.qos import SENSOR
@@ -157,6 +160,78 @@ def test_repair_of_a_single_file(tmp_path):
     repair(file)
     with Reader(file) as reader:
         assert reader.message_count == 101
+
+
+def no_link(*_):
+    raise PermissionError(EPERM, strerror(EPERM))
+
+
+@pytest.mark.parametrize("place", ["here", "exFAT"])
+def test_repair_of_a_bag_whose_files_have_other_names(tmp_path, monkeypatch, place):
+    """As `ros2 bag record` names and splits them; also where a file has but one name."""
+    bag = tmp_path / "monday"
+    bag.mkdir()
+    for part in range(2):
+        made = make_killed_bag(tmp_path / "made", 50, first=50 * part)
+        (made / f"{made.name}.mcap").rename(bag / f"bag_{part}.mcap")
+    before = [(bag / f"bag_{part}.mcap").read_bytes() for part in range(2)]
+    if place == "exFAT":
+        monkeypatch.setattr("fss_arm_ros.bags.link", no_link)
+    assert repair(bag).messages == 102
+    assert [(bag / f"bag_{part}.mcap.damaged").read_bytes() for part in range(2)] == before
+    assert {p.name for p in bag.glob("[!m]*")} == {
+        "bag_0.mcap",
+        "bag_0.mcap.damaged",
+        "bag_1.mcap.damaged",
+    }
+    assert is_sound(bag)
+    assert digest(bag) == digest(bag / "bag_0.mcap")
+    with open_bags(bag) as bags:
+        assert states(bags.messages()) == list(range(100))
+
+
+@pytest.mark.parametrize("step", ["metadata.yaml", "bag_0.mcap"])
+def test_an_interrupted_repair_can_be_repeated(tmp_path, monkeypatch, step):
+    bag = make_killed_bag(tmp_path)
+    before = (bag / "bag_0.mcap").read_bytes()
+    replace = Path.replace
+
+    def interrupted(file, target):
+        if target == bag / step:
+            raise KeyboardInterrupt
+        return replace(file, target)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "replace", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            repair(bag)
+    assert (bag / "bag_0.mcap.damaged").exists()
+    assert not is_sound(bag)
+    assert repair(bag).messages == 101
+    assert is_sound(bag)
+    assert (bag / "bag_0.mcap.damaged").read_bytes() == before
+
+
+def test_repair_puts_nothing_in_the_place_of_what_an_earlier_one_kept(tmp_path):
+    bag = make_killed_bag(tmp_path)
+    kept = bag / "bag_0.mcap.damaged"
+    kept.write_text("of an earlier repair")
+    with pytest.raises(FileExistsError):
+        repair(bag)
+    assert kept.read_text() == "of an earlier repair"
+    assert not is_sound(bag)
+
+
+def test_a_bag_still_being_recorded_is_not_repaired(tmp_path, capsys):
+    recording = Recording(tmp_path)
+    fill(recording, 45)
+    assert doctor([str(tmp_path), "--repair"]) == 1
+    said = capsys.readouterr().err
+    assert said == f"doctor: {recording.path}: is being recorded; stop the recorder first\n"
+    assert doctor([str(tmp_path)]) == 2  # it may be looked at
+    recording.close()
+    assert is_sound(recording.path)
+    assert not list(recording.path.glob("*.damaged"))
 
 
 def test_what_is_no_bag_is_named(tmp_path):

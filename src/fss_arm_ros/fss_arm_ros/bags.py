@@ -8,6 +8,7 @@ metadata.yaml: its whole chunks are first copied into a sound bag in a temporary
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
+from fcntl import LOCK_NB, LOCK_SH, flock
 from hashlib import sha256
 from os import PathLike, link
 from pathlib import Path
@@ -260,25 +261,49 @@ def repair(path: Path) -> Recovered | None:
     The damaged files stay beside it with `.damaged` appended to their names.
 
     Raises:
-        BagError: nothing can be recovered.
+        BagError: nothing can be recovered, or the bag is being recorded.
         OSError: the result cannot be written.
     """
     if is_sound(path):
         return None
-    bag = path.parent if path.is_file() else path
-    with TemporaryDirectory(dir=bag, prefix=".repair_") as folder:
-        copy = Path(folder, path.stem if path.is_file() else path.resolve().name)
+    first, *others = files = _storage_files(path)
+    if any(map(_locked, files)):
+        raise BagError(f"{path}: is being recorded; stop the recorder first")
+    with TemporaryDirectory(dir=first.parent, prefix=".repair_") as folder:
+        copy = Path(folder, first.stem)  # its file has the name of the first, and takes its place
         recovered = recover(path, copy)
-        for file in _storage_files(path):
-            link(file, file.with_name(f"{file.name}.damaged"))
-        for file in _storage_files(path)[1:]:
-            file.unlink()
-        if path.is_file():
-            (copy / f"{copy.name}.mcap").replace(path)
-            return recovered
-        for file in copy.iterdir():
-            file.replace(bag / file.name)
+        for file in files:
+            _keep(file)
+        if path.is_dir():  # metadata.yaml first: until the file follows, the bag shows its damage
+            (copy / "metadata.yaml").replace(path / "metadata.yaml")
+        (copy / first.name).replace(first)
+        for file in others:
+            file.unlink(missing_ok=True)
     return recovered
+
+
+def _locked(file: Path) -> bool:
+    """Whether a recorder has it open."""
+    with file.open("rb") as stream:
+        try:
+            flock(stream, LOCK_SH | LOCK_NB)
+        except BlockingIOError:
+            return True
+        except OSError:  # a file system without locks
+            pass
+    return False
+
+
+def _keep(file: Path) -> None:
+    """Let a damaged file be found beside what takes its place."""
+    kept = file.with_name(f"{file.name}.damaged")
+    try:
+        link(file, kept)
+    except FileExistsError:
+        if not kept.samefile(file):  # else of a repair that was interrupted
+            raise
+    except OSError:  # a file system without second names, as exFAT
+        file.rename(kept)
 
 
 class _Records:

@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from errno import EEXIST
+from fcntl import LOCK_EX, LOCK_NB, flock
 from os import strerror
 from pathlib import Path
 from typing import Any, cast
@@ -42,7 +43,8 @@ class Recording:
     """The next numbered bags of a folder, the last one open for writing.
 
     Between two calls of `flush` messages are in memory only. A killed process leaves a bag
-    without index and metadata.yaml; `fss_arm_ros.bags` reads it all the same.
+    without index and metadata.yaml; `fss_arm_ros.bags` reads it all the same. The lock (flock) on
+    an open bag's file keeps a repair away.
     """
 
     def __init__(self, folder: Path, limits: Limits = Limits()) -> None:
@@ -65,6 +67,8 @@ class Recording:
             self.writer.open()
         except WriterError:  # another recorder was quicker
             raise FileExistsError(EEXIST, strerror(EEXIST), str(self.path)) from None
+        with suppress(OSError):  # of a file system without locks
+            flock(self._storage.bio, LOCK_EX | LOCK_NB)  # for as long as the file is open
         self._storage.bio.flush()
         self.connections = {topic: begin() for topic, begin in self.topics.items()}
 
