@@ -5,7 +5,8 @@
 
 export ROS_DOMAIN_ID=0
 # export ROS_STATIC_PEERS="192.168.1.10;192.168.1.20"    # the ground's computer too: docs/network.md
-arm=config/arm.yaml
+arm=config/arm.yaml    # your own; not out/arm.yaml, which the calibration writes anew
+mkdir -p out
 
 node record fss_arm_ros record --ros-args -p output:=bags
 for i in 1 2 3 4; do
@@ -14,7 +15,7 @@ for i in 1 2 3 4; do
 done
 node arm fss_arm_driver arm --ros-args -p arm:=$arm
 # node vicon PACKAGE EXECUTABLE ...              # your VICON receiver
-node kinematic fss_arm_calib kinematic --ros-args -p arm:=config/cad.yaml \
+node kinematic fss_arm_calib kinematic --ros-args -p arm:=$arm \
   -p output:=out/arm.yaml -p state_file:=out/observations.json
 node dynamic fss_arm_calib dynamic --ros-args -p arm:=$arm -p output:=out/arm_dynamic.yaml
 node base_reaction fss_arm_view base_reaction --ros-args -p arm:=$arm
