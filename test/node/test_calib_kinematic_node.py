@@ -26,6 +26,7 @@ from fss_arm_model.kinematics import tip_in_base
 from fss_arm_msgs.msg import KinematicCalibration, KinematicObservations, LinkTelemetry
 from fss_arm_ros.bags import BagError
 from fss_arm_ros.convert import to_time
+from fss_arm_ros.diagnostics import ERROR
 from fss_arm_ros.qos import LATCHED, SENSOR, sensor
 from fss_arm_ros.recording import Recording
 from fss_arm_ros.replay_node import ReplayNode
@@ -213,6 +214,18 @@ def test_older_rests_go(spin, play, samples, tmp_path):
     offline = solve_bag(record(tmp_path, samples), CalibrationSettings(kept=6))
     assert offline.observations_hash == bed.results[-1].observations_hash
     assert np.abs(offline.q - DEFAULT[2:8]).max() < 1e-4
+
+
+def test_what_cannot_be_written_is_told_and_nothing_else_is_lost(spin, play, samples, tmp_path):
+    out, state = tmp_path / "new" / "arm.yaml", tmp_path / "state.json"
+    (tmp_path / ".state.json.part").mkdir()  # in the way
+    bed, node = Bed(), make_node(output=str(out), state_file=str(state))
+    play(bed, node, samples)
+    assert ask_to_solve(spin, bed, node).success
+    spin([bed, node], lambda: bed.observed() == 8)
+    assert load(out).links[0].a > 0.0  # its folder was made
+    assert node.health().level == ERROR
+    assert node.health().message.startswith(f"cannot write {tmp_path}")
 
 
 def reference(i, seconds, homings):

@@ -13,7 +13,7 @@ from std_srvs.srv import Trigger
 
 from fss_arm_model.description import from_yaml, load, paper_arm, save
 from fss_arm_msgs.msg import DynamicCalibration, Maneuvers
-from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
+from fss_arm_ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
 from fss_arm_ros.qos import LATCHED, subscribe_sensor
 from fss_arm_ros.run import run
 from fss_arm_ros.settings import declare
@@ -33,6 +33,7 @@ from .judgement import PASS
 from .maneuvers import Maneuver, ManeuverFinder
 from .report import write
 from .settings import setting
+from .state import attempt
 
 
 @dataclass(frozen=True)
@@ -57,6 +58,7 @@ class DynamicNode(Node):
         self.arm = load(s.arm) if s.arm else paper_arm()
         self.maneuvers: list[Maneuver] = []
         self.finder = ManeuverFinder(self.arm.n, s)
+        self.trouble = ""
         self.solve()
         self.seen = self.create_publisher(Maneuvers, "calibration/maneuvers", LATCHED)
         self.calibrated = self.create_publisher(DynamicCalibration, "calibration/dynamic", LATCHED)
@@ -115,7 +117,8 @@ class DynamicNode(Node):
         self.seen.publish(maneuvers_message(self.maneuvers, s.base_frame))
         self.calibrated.publish(to_message(self.calibration, s.base_frame))
         if s.output and self.calibration.verdict == PASS:
-            save(from_yaml(self.calibration.description), s.output)
+            calibrated = from_yaml(self.calibration.description)
+            self.trouble = attempt(self.get_logger(), lambda: save(calibrated, s.output))
 
     def health(self) -> Health:
         """For diagnostics."""
@@ -125,6 +128,8 @@ class DynamicNode(Node):
             "verdict": self.calibration.verdict,
             **{f"refused: {kind}": number for kind, number in streams.refused.items()},
         }
+        if self.trouble:
+            return Health(ERROR, self.trouble, values)
         if streams.silent:
             return Health(WARN, f"waiting for {', '.join(streams.silent)}", values)
         if streams.strange:

@@ -2,7 +2,6 @@
 
 import sys
 from dataclasses import dataclass
-from pathlib import Path
 
 from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
@@ -12,7 +11,7 @@ from std_srvs.srv import Trigger
 from fss_arm_model.description import load, paper_arm
 from fss_arm_msgs.msg import FloatCalibration
 from fss_arm_ros.convert import SECOND
-from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
+from fss_arm_ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
 from fss_arm_ros.qos import LATCHED, subscribe_sensor
 from fss_arm_ros.run import run
 from fss_arm_ros.settings import declare
@@ -24,6 +23,7 @@ from .drifts import DriftFinder
 from .judgement import PASS
 from .messages import feed_joints, float_message, seen_pose
 from .settings import setting
+from .state import attempt, write_text
 
 
 @dataclass(frozen=True)
@@ -47,6 +47,7 @@ class FloatNode(Node):
         self.arm = load(s.arm) if s.arm else paper_arm()
         self.finder = DriftFinder(self.arm.n, s)
         self.drifts: list[Drift] = []
+        self.trouble = ""
         self.calibration = calibrate([], self.arm, s)
         self.publisher = self.create_publisher(FloatCalibration, "calibration/float", LATCHED)
         subscribe_sensor(self, JointState, s.joints_topic, self.on_joints, keep_all=True)
@@ -85,7 +86,8 @@ class FloatNode(Node):
         self.calibration = calibrate(self.drifts, self.arm, s, streams)
         self.publisher.publish(float_message(self.calibration, s.world_frame))
         if s.output and self.calibration.verdict == PASS:
-            Path(s.output).write_text(parameters(self.calibration), encoding="utf-8")
+            told = parameters(self.calibration)
+            self.trouble = attempt(self.get_logger(), lambda: write_text(s.output, told))
 
     def health(self) -> Health:
         """For diagnostics."""
@@ -95,8 +97,9 @@ class FloatNode(Node):
             "arm rests for [s]": (end - begin) / SECOND,
             "verdict": self.calibration.verdict,
         }
-        silent = self.finder.streams().silent
-        if silent:
+        if self.trouble:
+            return Health(ERROR, self.trouble, values)
+        if silent := self.finder.streams().silent:
             return Health(WARN, f"waiting for {', '.join(silent)}", values)
         return Health(OK, f"{len(self.drifts)} drifts", values)
 

@@ -6,7 +6,6 @@ from argparse import BooleanOptionalAction
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
 from os import PathLike
-from pathlib import Path
 from typing import Any
 
 from rich.console import Console
@@ -29,6 +28,7 @@ from .maneuvers import Maneuver, ManeuverFinder
 from .messages import feed_joints, feed_telemetry
 from .rests import BASE, TIP, Observation, RestFinder
 from .settings import CalibrationSettings
+from .state import write_text
 from .verdict import FAIL, NOT_EVALUATED, PASS, Calibration, calibrate
 
 EXIT_CODES = {PASS: 0, FAIL: 2, NOT_EVALUATED: 3}
@@ -254,7 +254,7 @@ def calibrated(
     if options.output and calibration.verdict == PASS:
         if isinstance(calibration, FloatCalibration):
             what = "parameters of dynamic and base_reaction"
-            Path(options.output).write_text(parameters(calibration), encoding="utf-8")
+            write_text(options.output, parameters(calibration))
         else:
             what = "calibrated description"
             save(from_yaml(calibration.description), options.output)

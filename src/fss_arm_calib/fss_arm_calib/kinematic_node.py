@@ -12,7 +12,7 @@ from std_srvs.srv import Trigger
 
 from fss_arm_model.description import from_yaml, load, paper_arm, save
 from fss_arm_msgs.msg import KinematicCalibration, KinematicObservations, LinkTelemetry
-from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
+from fss_arm_ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
 from fss_arm_ros.qos import LATCHED, subscribe_sensor
 from fss_arm_ros.run import run
 from fss_arm_ros.settings import declare
@@ -28,7 +28,7 @@ from .messages import (
 from .report import write
 from .rests import BASE, TIP, Observation, RestFinder, homed
 from .settings import CalibrationSettings, setting
-from .state import read_observations, write_observations
+from .state import attempt, read_observations, write_observations
 from .verdict import PASS, calibrate
 
 
@@ -57,6 +57,7 @@ class KinematicNode(Node):
         self.observations: list[Observation] = kept[-s.kept :]
         resting_at = kept[-1].q if kept and kept[-1].used else None
         self.finder = RestFinder(self.arm.n, s, resting_at)
+        self.trouble = ""
         self.solve()
         self.observed = self.create_publisher(
             KinematicObservations, "calibration/observations", LATCHED
@@ -102,8 +103,10 @@ class KinematicNode(Node):
         if not found:
             return False
         self.observations = (self.observations + found)[-self.settings.kept :]
-        if self.settings.state_file:
-            write_observations(self.settings.state_file, self.observations)
+        if path := self.settings.state_file:
+            self.trouble = attempt(
+                self.get_logger(), lambda: write_observations(path, self.observations)
+            )
         self.solve()
         self.publish()
         for o in found:
@@ -127,7 +130,10 @@ class KinematicNode(Node):
         self.observed.publish(observations_message(self.observations, s.base_frame, TIP))
         self.calibrated.publish(self.message())
         if s.output and self.calibration.verdict == PASS:
-            save(from_yaml(self.calibration.description), s.output)
+            calibrated = from_yaml(self.calibration.description)
+            self.trouble = (
+                attempt(self.get_logger(), lambda: save(calibrated, s.output)) or self.trouble
+            )
 
     def health(self) -> Health:
         """For diagnostics."""
@@ -138,6 +144,8 @@ class KinematicNode(Node):
             "time offset [s]": streams.offset.value,
             **{f"refused: {kind}": number for kind, number in streams.refused.items()},
         }
+        if self.trouble:
+            return Health(ERROR, self.trouble, values)
         if streams.silent:
             return Health(WARN, f"waiting for {', '.join(streams.silent)}", values)
         if streams.strange:

@@ -1,7 +1,7 @@
 """What a node must not forget when it is killed: JSON files, replaced whole."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from math import isfinite
 from pathlib import Path
@@ -14,16 +14,37 @@ class StateError(ValueError):
     """A state file cannot be understood; the message names it."""
 
 
-def write(path: str | Path, state: Any) -> None:
-    """Replace the file: a reader, or the next start, finds the old state or the new one.
+def write_text(path: str | Path, text: str) -> None:
+    """Replace the file: a reader, or the next start, finds the old text or the new one.
 
     Raises:
         OSError: it cannot be written.
     """
     path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f".{path.name}.part")
-    part.write_text(json.dumps(state, indent=1), encoding="utf-8")
+    part.write_text(text, encoding="utf-8")
     part.replace(path)
+
+
+def write(path: str | Path, state: Any) -> None:
+    """Replace the file by a state, likewise.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    write_text(path, json.dumps(state, indent=1))
+
+
+def attempt(log: Any, write: Callable[[], None]) -> str:
+    """Write; return, and log, why it cannot be done: a full disk ends no calibration."""
+    try:
+        write()
+    except OSError as error:
+        trouble = f"cannot write {error.filename}: {error.strerror}"
+        log.error(trouble)
+        return trouble
+    return ""
 
 
 def read(path: str | Path, default: Any) -> Any:

@@ -426,12 +426,13 @@ def to_yaml(arm: Arm) -> str:
 
 
 def save(arm: Arm, path: str | os.PathLike[str]) -> None:
-    """Write the description; a reader sees the old file or the new one, never a part.
+    """Write the description, and make its folder; a reader sees the old file or the new one.
 
     Raises:
         OSError: the file cannot be written.
     """
     path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         part.write_text(to_yaml(arm), encoding="utf-8")
