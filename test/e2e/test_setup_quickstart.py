@@ -118,7 +118,8 @@ def test_by_hand(tmp_path):
     for old, new in (
         ("output:=bags/monday", f"output:={tmp_path / 'new'}"),
         ("bags/monday", str(tmp_path / "monday")),
-        ("arm.yaml", str(tmp_path / "arm.yaml")),
+        ("calibrated.yaml", str(tmp_path / "arm.yaml")),
+        ("my_arm.yaml", "config/cad.yaml"),
         ("--report fit", f"--report {tmp_path / 'fit'}"),
     ):
         assert old in text
