@@ -12,7 +12,7 @@ from fss_arm_ros.convert import joint_readings, stamp_ns, to_time
 
 from .dynamic_verdict import DynamicCalibration
 from .maneuvers import Maneuver, ManeuverFinder
-from .messages import provenance_message, seen_pose, stage_message
+from .messages import plain, provenance_message, seen_pose, stage_message
 
 _ROWS = ("times", "q", "qd")  # of a Maneuver: one for each joint
 
@@ -48,7 +48,7 @@ def to_message(calibration: DynamicCalibration, frame_id: str) -> msg.DynamicCal
     message.provenance = provenance_message(calibration.provenance)
     message.stages = [stage_message(stage) for stage in calibration.stages]
     for name in set(message.get_fields_and_field_types()) - {"header", "provenance", "stages"}:
-        setattr(message, name, _plain(getattr(calibration, name)))
+        setattr(message, name, plain(getattr(calibration, name)))
     return message
 
 
@@ -65,7 +65,7 @@ def maneuvers_message(maneuvers: Sequence[Maneuver], frame_id: str) -> msg.Maneu
                 value = to_time(value)
             elif name in (*_ROWS, "poses"):
                 value = [number for row in value for number in row]
-            setattr(one, name, _plain(value))
+            setattr(one, name, plain(value))
         message.maneuvers.append(one)
     return message
 
@@ -93,9 +93,3 @@ def _maneuver(one: Any) -> Maneuver:
 
     # Older bags have no time_offset, or no tip.
     return Maneuver(**{f.name: value(f.name) for f in fields(Maneuver) if hasattr(one, f.name)})
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, np.ndarray):
-        return value.ravel().tolist()
-    return list(value) if isinstance(value, tuple) else value

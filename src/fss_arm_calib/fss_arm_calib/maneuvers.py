@@ -431,7 +431,7 @@ class ManeuverFinder:
         look = round((2.0 * self.settings.longest + 1.0) * SECOND)
         rests = [pair[0] for pair in self._pending] + ([self._before] if self._before else [])
         kept = rests[0].end if rests else min(joint.last for joint in self.joints)
-        streams = [*self.joints, self.base, self.tip, self.gyro]
+        streams: list[Joint | Poses | _Gyro] = [*self.joints, self.base, self.tip, self.gyro]
         # The longest maneuver, and as much again for streams that lag.
         oldest = max(s.newest for s in streams) - round(2.0 * self.settings.horizon * SECOND)
         for stream in streams:

@@ -57,7 +57,7 @@ def to_message(calibration: Calibration, frame_id: str) -> KinematicCalibration:
     message.provenance = provenance_message(calibration.provenance)
     message.stages = [stage_message(stage) for stage in calibration.stages]
     for name in set(message.get_fields_and_field_types()) - {"header", "provenance", "stages"}:
-        setattr(message, name, _plain(getattr(calibration, name)))
+        setattr(message, name, plain(getattr(calibration, name)))
     return message
 
 
@@ -89,7 +89,7 @@ def observations_message(
         one = KinematicObservation()
         for name in one.get_fields_and_field_types():
             value = getattr(observation, name)
-            setattr(one, name, to_time(value) if name in ("start", "end") else _plain(value))
+            setattr(one, name, to_time(value) if name in ("start", "end") else plain(value))
         message.observations.append(one)
     return message
 
@@ -111,7 +111,7 @@ def float_message(calibration: drift_verdict.FloatCalibration, frame_id: str) ->
         "hose_torque_deviation", "momenta", "momentum_deviations", "position_residual",
         "heading_residual", "chi_square", "degrees_of_freedom", "arm", "guess",
     ):  # fmt: skip
-        setattr(message, name, _plain(getattr(c, name)))
+        setattr(message, name, plain(getattr(c, name)))
     return message
 
 
@@ -130,7 +130,8 @@ def observations_of(message: Any) -> list[Observation]:
     return [Observation(**{n: value(one, n) for n in names}) for one in message.observations]
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """An array or a tuple as the list that a message takes."""
     if isinstance(value, np.ndarray):
         return value.ravel().tolist()
     return list(value) if isinstance(value, tuple) else value

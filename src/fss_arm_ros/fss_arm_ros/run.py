@@ -10,7 +10,7 @@ from textwrap import indent
 from typing import Any
 
 import rclpy
-from rclpy.exceptions import ParameterException
+from rclpy.exceptions import NotInitializedException, ParameterException
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
@@ -66,8 +66,10 @@ def run(
         ctypes.CDLL(None).mallopt(M_MMAP_THRESHOLD, LARGE)
         ctypes.CDLL(None).mallopt(M_ARENA_MAX, HEAPS)
     nodes: Sequence[Node] = ()
+    begun = False
     try:
         rclpy.init(args=argv)
+        begun = True
         made = make_node(*plain)
         nodes = made if isinstance(made, Sequence) else [made]
         spinner = executor()
@@ -80,12 +82,13 @@ def run(
         if isinstance(end.code, str):
             return _failed(name, end.code, 1)
         return end.code or 0
-    except RCLError as error:
-        # A context shut down by a signal shows as this error in whatever call it meets.
-        if not nodes:
-            return _failed(name, error, 2)
-        if rclpy.ok():
+    except (RCLError, NotInitializedException) as error:
+        # A context shut down by a signal shows as one of these in whatever call it meets.
+        if begun and not rclpy.ok():
+            return 0
+        if nodes:
             raise
+        return _failed(name, error, 2)
     except (ValueError, OSError, ParameterException) as error:
         if nodes:
             raise

@@ -17,7 +17,6 @@ import rerun as rr
 from .scene import TIMELINE, Drawing
 
 NATIVE, WEB, FILE, CONNECT = "native", "web", "file", "connect"
-MODES = (NATIVE, WEB, FILE, CONNECT)
 
 
 class Sink:
