@@ -25,6 +25,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from random import Random
 from tempfile import TemporaryDirectory
@@ -116,7 +117,8 @@ class ViewGraph(Graph):
             self.processes["view"].kill()
             self.processes.pop("view").wait()
             for pid in children:
-                os.kill(pid, signal.SIGKILL)
+                with suppress(ProcessLookupError):  # it goes with its owner
+                    os.kill(pid, signal.SIGKILL)
 
 
 def _socket() -> socket.socket:

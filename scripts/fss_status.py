@@ -270,7 +270,7 @@ def arguments() -> argparse.ArgumentParser:
     parser.add_argument(
         "--mute", action="append", default=[], metavar="NODE", help="one that reports nothing"
     )
-    parser.add_argument("names", nargs="+", metavar="NODE", help="as in the configuration")
+    parser.add_argument("names", nargs="*", metavar="NODE", help="as in the configuration")
     return parser
 
 

@@ -2,10 +2,13 @@
 
 import socket
 import subprocess
+import sys
+import time
 from pathlib import Path
 
 import pytest
 import rerun_cli
+from conftest import wait_until
 from geometry_msgs.msg import PoseStamped
 from rclpy.parameter import Parameter
 from std_msgs.msg import Empty
@@ -111,6 +114,24 @@ def test_a_viewer_that_ended_is_an_error_and_not_the_end(spin):
     node.viewer.process.kill()
     spin(node, lambda: node.health().level == ERROR)
     assert node.health().message == "the viewer has ended"
+
+
+OWNER = """
+import sys, time
+from fss_arm_view.sink import Viewer
+viewer = Viewer("web", "127.0.0.1", sys.argv[1], sys.argv[2], "100MB")
+print(viewer.process.pid, flush=True)
+time.sleep(60)
+"""
+
+
+def test_a_viewer_goes_with_its_owner_however_that_ends():
+    command = [sys.executable, "-c", OWNER, str(free_port()), str(free_port())]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as owner:
+        viewer = Path(f"/proc/{owner.stdout.readline().strip()}/cmdline")
+        wait_until(lambda: "rerun" in viewer.read_text(), 10.0, lambda: time.sleep(0.05))
+        owner.kill()
+    wait_until(lambda: not viewer.exists(), 10.0, lambda: time.sleep(0.05))
 
 
 def test_an_open_address_is_warned_of(spin, capfd):

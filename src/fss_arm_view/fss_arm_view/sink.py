@@ -1,6 +1,8 @@
 """Drawings on their way to rerun: bounded, limited in rate, counted, and off the node's thread."""
 
+import ctypes
 import os
+import signal
 import subprocess
 import time
 from collections import Counter
@@ -15,6 +17,8 @@ import numpy as np
 import rerun as rr
 
 from .scene import TIMELINE, Drawing
+
+PR_SET_PDEATHSIG = 1  # of prctl(2)
 
 NATIVE, WEB, FILE, CONNECT = "native", "web", "file", "connect"
 
@@ -91,6 +95,7 @@ class Viewer:
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
             start_new_session=True,
+            preexec_fn=_end_with_owner,
         )
 
     def alive(self) -> bool:
@@ -104,6 +109,11 @@ class Viewer:
             self.process.wait(5.0)
         except subprocess.TimeoutExpired:
             self.process.kill()
+
+
+def _end_with_owner() -> None:
+    """Have Linux end this process, too, when the one that started it is killed."""
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
 def open_stream(mode: str, target: str, blueprint: Any) -> rr.RecordingStream:
