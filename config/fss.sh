@@ -6,7 +6,6 @@
 export ROS_DOMAIN_ID=0
 # export ROS_STATIC_PEERS="192.168.1.10;192.168.1.20"    # the ground's computer too: docs/network.md
 arm=config/arm.yaml    # your own; not out/arm.yaml, which the calibration writes anew
-mkdir -p out
 
 node record fss_arm_ros record --ros-args -p output:=bags
 for i in 1 2 3 4; do
