@@ -11,7 +11,7 @@ from fss_arm_calib.dynamic_settings import HEADING, DynamicCalibrationSettings
 from fss_arm_calib.dynamic_verdict import calibrate
 from fss_arm_calib.judgement import FAIL, NOT_EVALUATED, PASS, settings_of
 from fss_arm_calib.maneuvers import ManeuverFinder
-from fss_arm_calib.rests import Streams
+from fss_arm_calib.streams import Streams
 from fss_arm_model.description import from_yaml
 
 STATE = np.array([0.1, 0.2, 3.0, 0.2, -0.1, 0.03, 0.0002, -0.0001])

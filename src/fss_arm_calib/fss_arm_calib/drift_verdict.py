@@ -27,7 +27,7 @@ from .judgement import (
 from .least_squares import Floats
 from .report import Report, Table
 from .report_parts import origin, stages
-from .rests import Streams
+from .streams import Streams
 
 LIVE = "live"
 

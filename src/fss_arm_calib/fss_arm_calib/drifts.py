@@ -5,16 +5,16 @@ has passed the moment in question: what is found is a function of the data alone
 """
 
 from itertools import pairwise
-from math import isfinite
 
 import numpy as np
 
 from .drift import Drift
 from .drift_settings import DriftSettings
 from .least_squares import Floats
-from .maneuvers import Joint
+from .maneuvers import Samples
 from .poses import SECOND, Poses
-from .rests import BASE, Streams, mergeable
+from .rests import BASE
+from .streams import Merge, Streams
 
 _FEWEST = 10  # averaged poses of a drift
 _CLEANING = 1000  # poses between two looks at what may be forgotten
@@ -25,24 +25,17 @@ class DriftFinder:
 
     def __init__(self, n: int, settings: DriftSettings | None = None) -> None:
         self.settings = s = settings or DriftSettings()
-        self.joints = [Joint(f"joint_{i}") for i in range(1, n + 1)]
+        self.joints = [Samples(f"joint_{i}") for i in range(1, n + 1)]
         self.base = Poses(BASE, s.max_speed, s.max_turn)
-        self.strange: set[int] = set()
+        self._merge = Merge(self.joints, s.horizon)
         self._since = -1  # what was before has been taken [ns]
         self._pending: list[tuple[int, int]] = []  # rests
         self._until_cleaning = _CLEANING
 
     def joint(self, i: int, t: int, q: float) -> list[Drift]:
         """A reading q [rad] of joint i, 1 to n, at stamp t [ns]."""
-        if not 1 <= i <= len(self.joints):
-            self.strange.add(i)
-            return []
-        joint = self.joints[i - 1]
-        if isfinite(q) and t > joint.newest:
-            joint.newest = t
-            joint.waiting.append((t, q, 0.0))
-            while mergeable(self.joints, self.settings.horizon):
-                self._take_oldest()
+        for joint in self._merge.add(i, t, q):
+            self._take(joint)
         return self._collect()
 
     def pose(self, t: int, pose: tuple[float, float, float] | None) -> list[Drift]:
@@ -62,8 +55,8 @@ class DriftFinder:
 
     def close(self) -> list[Drift]:
         """The drift that lasts, too, as far as it is known."""
-        while any(joint.waiting for joint in self.joints):
-            self._take_oldest()
+        for joint in self._merge.rest():
+            self._take(joint)
         self._end(*self.resting)
         return self._collect(everything=True)
 
@@ -77,15 +70,10 @@ class DriftFinder:
 
     def streams(self) -> Streams:
         """What befell the streams so far."""
-        every: list[Joint | Poses] = [*self.joints, self.base]
-        return Streams(
-            silent=tuple(s.name for s in every if s.newest < 0),
-            strange=tuple(f"joint_{i}" for i in sorted(self.strange)),
-            refused={f"{BASE} {why}": k for why, k in sorted(self.base.refused.items()) if k},
-        )
+        return Streams.of([*self.joints, self.base], self._merge.strange)
 
-    def _take_oldest(self) -> None:
-        joint = min((j for j in self.joints if j.waiting), key=lambda j: j.waiting[0][0])
+    def _take(self, joint: Samples) -> None:
+        """The next sample is a joint's."""
         begin, end = self.resting
         moves = joint.take(self.settings.still)
         if moves or end - begin >= self.settings.longest * SECOND:

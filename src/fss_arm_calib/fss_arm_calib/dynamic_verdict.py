@@ -33,7 +33,7 @@ from .judgement import (
 from .kinematic import LOSSES, SQUARE, root_mean_square, wrap
 from .least_squares import Floats
 from .maneuvers import Maneuver
-from .rests import Streams
+from .streams import Streams
 
 LIVE = "live"  # source of data that came by topics
 TOLERANCE = 1e-9  # of the last update [deviations]

@@ -12,7 +12,7 @@ from scipy.special import gammaincc
 from fss_arm_model.description import Arm
 
 from . import __version__
-from .rests import Streams
+from .streams import Streams
 
 PASS, FAIL, NOT_EVALUATED = "pass", "fail", "not_evaluated"
 

@@ -15,7 +15,6 @@ may be absent; if they fall silent, they are waited for up to half of `horizon`.
 
 from array import array
 from bisect import bisect_left, bisect_right
-from collections import Counter, deque
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import isfinite, pi
@@ -29,8 +28,9 @@ from .alignment import Offset, mean_offset, offset_of_move
 from .dynamic_settings import ManeuverSettings
 from .kinematic import wrap
 from .least_squares import Floats
-from .poses import OUT_OF_ORDER, REPEATED, SECOND, Hole, Poses, mean_pose, seen_from
-from .rests import BASE, TIP, Streams, mergeable
+from .poses import SECOND, Hole, Poses, mean_pose, seen_from
+from .rests import BASE, TIP
+from .streams import Joint, Merge, Stream, Streams
 
 SEARCH = 0.5  # for an offset, about the one allowed for [s]
 PATIENCE = 0.5  # of the horizon, for what may be absent
@@ -75,15 +75,11 @@ class _Rest(NamedTuple):
     end: int  # as far as known
 
 
-class Joint:
-    """One joint's samples, those still to be merged, and its present run of still ones."""
+class Samples(Joint):
+    """One joint's samples, and its present run of still ones."""
 
     def __init__(self, name: str) -> None:
-        self.name = name
-        self.newest = -1
-        self.refused: Counter[str] = Counter()
-        self.set_back = 0  # longest step back of the stamps [ns]
-        self.waiting: deque[tuple[int, float, float]] = deque()
+        super().__init__(name)
         self.t, self.q, self.qd = array("q"), array("d"), array("d")
         self.start = self.last = -1  # of the run
         self.low = self.high = 0.0
@@ -155,34 +151,22 @@ class ManeuverFinder:
 
     def __init__(self, n: int, settings: ManeuverSettings | None = None) -> None:
         self.settings = s = settings or ManeuverSettings()
-        self.joints = [Joint(f"joint_{i}") for i in range(1, n + 1)]
+        self.joints = [Samples(f"joint_{i}") for i in range(1, n + 1)]
         self.base = Poses(BASE, s.max_speed, s.max_turn)
         self.tip = Poses(TIP, s.max_speed, s.max_turn)
         self._lag(round(s.time_offset * SECOND))
         self.gyro = _Gyro()
         self.offset = Offset()  # between the clocks
         self._offsets: list[Offset] = []  # by each maneuver
-        self.strange: set[int] = set()  # joints heard that the arm does not have
+        self._merge = Merge(self.joints, s.horizon)
         self._before: _Rest | None = None  # the rest that the next maneuver begins with
         self._pending: list[tuple[_Rest, _Rest]] = []
         self._until_cleaning = _CLEANING
 
     def joint(self, i: int, t: int, q: float, qd: float) -> list[Maneuver]:
         """A reading q [rad] and rate qd [rad/s] of joint i, 1 to n; NaN: no rate is known."""
-        if not 1 <= i <= len(self.joints):
-            self.strange.add(i)
-            return []
-        joint = self.joints[i - 1]
-        if not isfinite(q):
-            joint.refused["not finite"] += 1
-        elif t <= joint.newest:
-            joint.refused[REPEATED if t == joint.newest else OUT_OF_ORDER] += 1
-            joint.set_back = max(joint.set_back, joint.newest - t)
-        else:
-            joint.newest = t
-            joint.waiting.append((t, q, qd))
-            while mergeable(self.joints, self.settings.horizon):
-                self._take_oldest()
+        for joint in self._merge.add(i, t, q, qd):
+            self._take(joint)
         return self._collect()
 
     def pose(self, t: int, pose: tuple[float, float, float] | None) -> list[Maneuver]:
@@ -218,30 +202,18 @@ class ManeuverFinder:
 
     def close(self) -> list[Maneuver]:
         """What can be said with no more samples to come: the maneuver before the last rest."""
-        while any(joint.waiting for joint in self.joints):
-            self._take_oldest()
+        for joint in self._merge.rest():
+            self._take(joint)
         self._end(self._rest())
         return self._collect(everything=True)
 
     def streams(self) -> Streams:
         """What befell the streams so far."""
-        needed: list[Joint | Poses] = [*self.joints, self.base]
-        every = [*needed, self.tip]
-        return Streams(
-            silent=tuple(s.name for s in needed if s.newest < 0),
-            strange=tuple(f"joint_{i}" for i in sorted(self.strange)),
-            refused={
-                f"{s.name} {why}": number
-                for s in every
-                for why, number in sorted(s.refused.items())
-                if number
-            },
-            set_back={s.name: s.set_back / SECOND for s in every},
-            offset=self.offset,
-        )
+        needed: list[Stream] = [*self.joints, self.base]
+        return Streams.of(needed, self._merge.strange, self.tip, offset=self.offset)
 
-    def _take_oldest(self) -> None:
-        joint = min((j for j in self.joints if j.waiting), key=lambda j: j.waiting[0][0])
+    def _take(self, joint: Samples) -> None:
+        """The next sample is a joint's."""
         rest = self._rest()
         if joint.take(self.settings.still):
             self._end(rest)
@@ -346,7 +318,7 @@ class ManeuverFinder:
         """Joints' stamps are so much more [ns] than motion capture's."""
         self.base.lag = self.tip.lag = lag
 
-    def _holes(self, joint: Joint, start: int, end: int) -> list[Hole]:
+    def _holes(self, joint: Samples, start: int, end: int) -> list[Hole]:
         """Silences of a joint that tell nothing of where it went meanwhile."""
         t, q, _ = joint.within(start, end)
         if not len(q):
@@ -357,7 +329,7 @@ class ManeuverFinder:
         return [Hole(int(t[k]), int(t[k + 1]), joint.name) for k in late]
 
     def _samples(
-        self, joint: Joint, looks: tuple[tuple[int, int], tuple[int, int]]
+        self, joint: Samples, looks: tuple[tuple[int, int], tuple[int, int]]
     ) -> tuple[Floats, Floats, Floats]:
         """Times from the start [s], readings and rates: at rest, the averages of both looks.
 
@@ -431,7 +403,7 @@ class ManeuverFinder:
         look = round((2.0 * self.settings.longest + 1.0) * SECOND)
         rests = [pair[0] for pair in self._pending] + ([self._before] if self._before else [])
         kept = rests[0].end if rests else min(joint.last for joint in self.joints)
-        streams: list[Joint | Poses | _Gyro] = [*self.joints, self.base, self.tip, self.gyro]
+        streams: list[Samples | Poses | _Gyro] = [*self.joints, self.base, self.tip, self.gyro]
         # The longest maneuver, and as much again for streams that lag.
         oldest = max(s.newest for s in streams) - round(2.0 * self.settings.horizon * SECOND)
         for stream in streams:

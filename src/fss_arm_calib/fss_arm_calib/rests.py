@@ -12,26 +12,23 @@ no stream lags another by more than `horizon`.
 """
 
 from bisect import bisect_left, bisect_right
-from collections import Counter, deque
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import pairwise
-from math import inf, isfinite, nan
+from math import inf, nan
 from operator import itemgetter
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from .alignment import LONGEST_MOVE, Alignment, Offset
+from .alignment import LONGEST_MOVE, Alignment
 from .kinematic import Floats, wrap
 from .poses import (
     FROZEN,
     HEADING_NOISE,
     JUMP,
-    OUT_OF_ORDER,
     POSITION_NOISE,
-    REPEATED,
     SECOND,
     Hole,
     Poses,
@@ -40,6 +37,7 @@ from .poses import (
     seen_from,
 )
 from .settings import RestSettings
+from .streams import Joint, Merge, Streams
 
 BASE, TIP = "fss", "end_effector"  # the two subjects, as the motion capture system names them
 
@@ -102,19 +100,6 @@ def since_homed(observations: Sequence[Observation]) -> list[Observation]:
     return [o for o in observations if not homed(o, observations[-1])]
 
 
-@dataclass(frozen=True)
-class Streams:
-    """What befell the streams that observations are from."""
-
-    silent: tuple[str, ...] = ()  # not heard yet
-    strange: tuple[str, ...] = ()  # joints heard that the arm does not have
-    refused: Mapping[str, int] = field(default_factory=dict)  # samples, by stream and reason
-    set_back: Mapping[str, float] = field(default_factory=dict)  # longest step back of stamps [s]
-    offset: Offset = field(default_factory=Offset)  # between the clocks
-    boots: tuple[int, ...] = ()  # as an Observation's, at last
-    homings: tuple[int, ...] = ()
-
-
 class _Rest(NamedTuple):
     """All joints still, the settling time left out; samples of each joint; gaps in them."""
 
@@ -127,15 +112,11 @@ class _Rest(NamedTuple):
     homings: tuple[int, ...]
 
 
-class _Joint:
-    """One joint's readings: those that wait for the others, and its current run of still ones."""
+class _Joint(Joint):
+    """One joint's current run of still readings."""
 
     def __init__(self, name: str) -> None:
-        self.name = name
-        self.newest = -1
-        self.refused: Counter[str] = Counter()
-        self.set_back = 0  # longest step back of the stamps [ns]
-        self.waiting: deque[tuple[int, float]] = deque()
+        super().__init__(name)
         self.t: list[int] = []
         self.q: list[float] = []
         self.holes: list[Hole] = []
@@ -170,18 +151,6 @@ class _Joint:
         del self.t[:k], self.q[:k]
 
 
-def mergeable(joints: Sequence[Any], horizon: float) -> bool:
-    """Whether the oldest reading that waits may be taken: all joints have one, or lag too far [s].
-
-    Those of the others would pile up while one link is silent.
-    """
-    waiting = [joint.waiting[0][0] for joint in joints if joint.waiting]
-    if len(waiting) == len(joints):
-        return True
-    newest = max(joint.newest for joint in joints)
-    return bool(waiting) and newest - min(waiting) > horizon * SECOND
-
-
 class RestFinder:
     """Fed samples of n joints and two subjects, returns the observations that they complete.
 
@@ -206,7 +175,7 @@ class RestFinder:
         s = self.settings
         self.subjects = {name: Poses(name, s.max_speed, s.max_turn) for name in (BASE, TIP)}
         self.alignment = Alignment(n, s.still, s.settle + s.shortest)
-        self._strange: set[int] = set()
+        self._merge = Merge(self.joints, s.horizon)
         self._pending: list[_Rest] = []
         self._settled = 0  # when the present rest began to count
         self._confirmed = -1  # up to when all joints are known to rest
@@ -217,19 +186,8 @@ class RestFinder:
 
     def joint(self, i: int, t: int, q: float) -> list[Observation]:
         """A reading q [rad] of joint i; beyond n it is another arm's, and counted as such."""
-        if not 1 <= i <= len(self.joints):
-            self._strange.add(i)
-            return []
-        joint = self.joints[i - 1]
-        if not isfinite(q):
-            joint.refused["not finite"] += 1
-        elif t <= joint.newest:
-            joint.refused[REPEATED if t == joint.newest else OUT_OF_ORDER] += 1
-            joint.set_back = max(joint.set_back, joint.newest - t)
-        else:
-            joint.newest = t
-            joint.waiting.append((t, q))
-            self._merge()
+        for joint in self._merge.add(i, t, q):
+            self._take(joint)
         return self._collect()
 
     def reference(self, i: int, t: int, boot: int, homings: int) -> None:
@@ -258,8 +216,8 @@ class RestFinder:
 
     def close(self) -> list[Observation]:
         """What can be said with no more samples to come: the last rest, if long enough."""
-        while any(joint.waiting for joint in self.joints):
-            self._take_oldest()
+        for joint in self._merge.rest():
+            self._take(joint)
         newest = max(joint.newest for joint in self.joints)
         rests, self._pending = self._pending, []
         found = [self._observe_ended(rest) for rest in rests]
@@ -270,18 +228,10 @@ class RestFinder:
 
     def streams(self) -> Streams:
         """What befell the streams so far."""
-        every = self._streams
         boots, homings = self._references(inf)
-        return Streams(
-            silent=tuple(stream.name for stream in every if stream.newest < 0),
-            strange=tuple(f"joint_{i}" for i in sorted(self._strange)),
-            refused={
-                f"{stream.name} {why}": number
-                for stream in every
-                for why, number in sorted(stream.refused.items())
-                if number
-            },
-            set_back={stream.name: stream.set_back / SECOND for stream in every},
+        return Streams.of(
+            self._streams,
+            self._merge.strange,
             offset=self.alignment.offset,
             boots=boots,
             homings=homings,
@@ -296,13 +246,9 @@ class RestFinder:
     def _streams(self) -> list[_Joint | Poses]:
         return [*self.joints, *self.subjects.values()]
 
-    def _merge(self) -> None:
-        while mergeable(self.joints, self.settings.horizon):
-            self._take_oldest()
-
-    def _take_oldest(self) -> None:
-        joint = min((j for j in self.joints if j.waiting), key=lambda j: j.waiting[0][0])
-        t, q = joint.waiting.popleft()
+    def _take(self, joint: _Joint) -> None:
+        """The next sample is a joint's."""
+        t, q, _ = joint.waiting.popleft()
         self.alignment.reading(self.joints.index(joint) + 1, t, q)
         if joint.last >= 0 and joint.still_with(q, self.settings.still):
             joint.extend(t, q, self.settings.joint_gap * SECOND)

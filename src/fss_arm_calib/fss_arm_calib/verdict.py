@@ -36,8 +36,9 @@ from .kinematic import (
     root_mean_square,
     solve,
 )
-from .rests import Observation, Streams, homed, since_homed, spoiled
+from .rests import Observation, homed, since_homed, spoiled
 from .settings import CalibrationSettings
+from .streams import Streams
 
 __all__ = ["FAIL", "NOT_EVALUATED", "PASS", "Calibration", "calibrate"]
 
