@@ -159,6 +159,16 @@ def test_a_calibration_of_another_arm_is_left_out(run, spin, capfd):
     assert node.known.arm == paper_arm()
 
 
+def test_a_parameter_that_nobody_knows_ends_nothing(run, spin, capfd):
+    node, bench = run()
+    odd = KinematicCalibration(
+        verdict="pass", description=to_yaml(paper_arm()), names=["zeta"], covariance=[1.0]
+    )
+    bench.calibration.publish(odd)
+    spin([node, bench], lambda: "'zeta' is no parameter" in capfd.readouterr().err)
+    assert not node.reaction.covariance.any()
+
+
 def test_an_occluded_base_is_counted(run, spin):
     node, bench = run()
     nothing = PoseStamped()

@@ -12,7 +12,8 @@ from fss_arm_calib.dynamic_verdict import calibrate
 from fss_arm_calib.judgement import FAIL, NOT_EVALUATED, PASS, settings_of
 from fss_arm_calib.maneuvers import ManeuverFinder
 from fss_arm_calib.streams import Streams
-from fss_arm_model.description import from_yaml
+from fss_arm_model.description import BASE_SIZE, LINK_SIZE, from_yaml
+from fss_arm_ros.calibrated import Calibrated
 
 STATE = np.array([0.1, 0.2, 3.0, 0.2, -0.1, 0.03, 0.0002, -0.0001])
 SETTINGS = DynamicCalibrationSettings(position_deviation=0.0005, heading_deviation=0.0017)
@@ -45,6 +46,15 @@ def test_a_good_calibration_passes_and_gives_the_next_description(good):
     assert 0.5 < good.chi_square / good.degrees_of_freedom < 1.5
     assert good.heading_residual == pytest.approx(SETTINGS.heading_deviation / 5**0.5, rel=0.2)
     assert good.position_residual == pytest.approx(SETTINGS.position_deviation / 5**0.5, rel=0.2)
+
+
+def test_others_take_what_passed(good):
+    """The description with its covariance, without the table's tilt."""
+    known = Calibrated(ARM).with_message("calibration/dynamic", to_message(good, "fss"))
+    assert known.arm == from_yaml(good.description)
+    deviations = np.sqrt(np.diag(known.covariance))
+    i = BASE_SIZE + LINK_SIZE + 3  # I_2
+    assert deviations[i] == pytest.approx(good.deviations[good.names.index("I_2")])
 
 
 def test_what_can_be_told_is_told(good):

@@ -82,11 +82,14 @@ class BaseReactionNode(Node):
 
     def on_calibration(self, topic: str, message: Any) -> None:
         """Predict with it from the next rest on, if it passed."""
-        known = self.known.with_message(topic, message)
-        if known.arm.n != self.known.arm.n:
-            links = f"{known.arm.n} links, expected {self.known.arm.n}"
-            self.get_logger().warning(f"{topic} is left out: it is of {links}")
-        elif known is not self.known:
+        try:
+            known = self.known.with_message(topic, message)
+            if known.arm.n != self.known.arm.n:
+                raise ValueError(f"it is of {known.arm.n} links, expected {self.known.arm.n}")
+        except ValueError as error:
+            self.get_logger().warning(f"{topic} is left out: {error}")
+            return
+        if known is not self.known:
             self.known = known
             self.reaction.describe(known.arm, known.covariance)
             self.get_logger().info(f"predicts with {topic} of {known.arm.name}")

@@ -3,6 +3,7 @@
 import os
 import sys
 from collections import deque
+from contextlib import suppress
 from functools import partial
 from math import degrees, dist, isfinite
 from typing import Any
@@ -187,9 +188,9 @@ class ViewNode(Node):
 
     def on_calibration(self, topic: str, message: Any) -> None:
         """A verdict; the arm is drawn with a calibration that passed."""
-        known = self.known.with_message(topic, message)
-        if known.arm.n == self.known.arm.n:
-            self.known = known
+        with suppress(ValueError):  # base_reaction tells of it
+            known = self.known.with_message(topic, message)
+            self.known = known if known.arm.n == self.known.arm.n else self.known
         level = "INFO" if message.verdict == message.PASS else "WARN"
         text = f"{topic.rpartition('/')[2]}: {message.verdict}: {message.reason}"
         self.say(stamp_ns(message.header.stamp), text, level)
