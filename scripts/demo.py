@@ -19,6 +19,7 @@ from types import TracebackType
 import rclpy
 from ament_index_python.packages import get_package_prefix
 from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rich.console import Console
@@ -348,7 +349,7 @@ def main() -> int:
     except (DemoError, ValueError, OSError) as error:
         print(f"demo: {error}", file=sys.stderr)
         return 1
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, ExternalShutdownException):
         print("demo: interrupted", file=sys.stderr)
         return 130
     finally:

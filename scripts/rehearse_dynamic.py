@@ -18,6 +18,7 @@ import numpy as np
 import rclpy
 from demo import LINKS, DemoError, Nodes, free_ports, use_free_domain
 from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rich.console import Console
 from std_srvs.srv import SetBool
@@ -263,7 +264,7 @@ def main() -> int:
     except (DemoError, ValueError, OSError) as error:
         print(f"rehearse_dynamic: {error}", file=sys.stderr)
         return 1
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, ExternalShutdownException):
         print("rehearse_dynamic: interrupted", file=sys.stderr)
         return 130
     finally:

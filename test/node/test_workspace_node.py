@@ -1,5 +1,6 @@
 """The node `workspace` on real topics."""
 
+from dataclasses import replace
 from functools import partial
 from threading import Event
 
@@ -14,7 +15,7 @@ from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from visualization_msgs.msg import MarkerArray
 
-from fss_arm_model.description import from_yaml, paper_arm, to_yaml
+from fss_arm_model.description import from_yaml, paper_arm, save, to_yaml
 from fss_arm_msgs.msg import KinematicCalibration, ManipulabilityMap, StraightPaths, Workspace
 from fss_arm_ros.convert import pose_stamped, stamp_ns
 from fss_arm_ros.qos import LATCHED, SENSOR
@@ -107,6 +108,18 @@ def test_a_calibration_and_a_posture_become_maps_and_paths(spin):
     spin(nodes, lambda: viewer.last("result").area > 1.05 * found.area, 60.0)
     assert max(viewer.last("result").deviation) == pytest.approx(1e-3, rel=0.01)
     spin(nodes, lambda: any("up to date" in s.message for m in viewer.told for s in m.status), 60.0)
+
+
+def test_a_single_link_is_drawn_and_what_is_no_reading_is_left_out(ros, tmp_path):
+    single = replace(paper_arm(), links=paper_arm().links[:1])
+    save(single, tmp_path / "arm.yaml")
+    node = make_node(arm=str(tmp_path / "arm.yaml"))
+    node.on_joints(JointState(name=["joint_1"], position=[float("nan")]))
+    assert node.posture() is None
+    node.on_joints(JointState(name=["joint_1"], position=[0.3]))
+    node.on_timer()
+    node.close()
+    node.destroy_node()
 
 
 def test_a_result_waits_for_who_comes_late(spin):

@@ -87,6 +87,24 @@ def test_a_later_kinematic_calibration_keeps_what_is_known_of_masses():
     assert np.sqrt(np.diag(known.covariance)[[8, 11]]) == pytest.approx([1e-3, 2e-3])
 
 
+def test_neither_order_of_two_latched_results_loses_anything():
+    """A dynamic calibration assumes the kinematics, unless it estimates them."""
+    arm = paper_arm()
+    kinematics = arm.vector()[[8, 14, 20, 26, 15, 21, 27, 4, 5, 6]]
+    heavy = from_yaml(to_yaml(arm).replace("inertia: 0.034", "inertia: 0.05"))
+    longer = arm.with_kinematics(kinematics * 1.01)
+    dynamic = "calibration/dynamic", passed(DynamicCalibration, heavy, ["I"], 2e-3)
+    kinematic = "calibration/kinematic", passed(KinematicCalibration, longer, ["a_1"], 1e-3)
+    one = Calibrated(arm).with_message(*dynamic).with_message(*kinematic)
+    other = Calibrated(arm).with_message(*kinematic).with_message(*dynamic)
+    assert one.arm == other.arm
+    assert np.array_equal(one.covariance, other.covariance)
+    both = passed(DynamicCalibration, heavy, ["a_1"], 5e-3)
+    newest = other.with_message("calibration/dynamic", both)
+    assert newest.arm == heavy
+    assert np.sqrt(newest.covariance[8, 8]) == pytest.approx(5e-3)
+
+
 def serialized(message):
     """As a publisher does it: serialize_message leaves some bytes more at the end."""
     message.homings = [0x51525354]

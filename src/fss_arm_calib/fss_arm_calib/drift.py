@@ -136,10 +136,13 @@ class DriftProblem:
         residuals, rows = [], []
         for k, (poses, by, _, _) in enumerate(self.derivatives(unknowns)):
             weight = 1.0 / self.sigma[k].ravel()
-            residuals.append((np.array(self.drifts[k].poses) - poses).ravel() * weight)
-            J = np.zeros((len(weight), len(unknowns)))
-            J[:, :5] = by.reshape(-1, 13)[:, :5] * weight[:, None]
-            J[:, 5 + OWN * k : 5 + OWN * (k + 1)] = by.reshape(-1, 13)[:, 5:] * weight[:, None]
+            off = (np.array(self.drifts[k].poses) - poses).ravel() * weight
+            every = np.column_stack([by.reshape(-1, 13) * weight[:, None], off])
+            few: Floats = np.linalg.qr(every)[1]  # as many rows as columns tell the same
+            residuals.append(few[:, -1])
+            J = np.zeros((len(few), len(unknowns)))
+            J[:, :5] = few[:, :5]
+            J[:, 5 + OWN * k : 5 + OWN * (k + 1)] = few[:, 5:13]
             rows.append(J)
         J, r = np.concatenate(rows), np.concatenate(residuals)
         known = self._known

@@ -119,8 +119,8 @@ class ExperimentNode(Node):
 
     def save(self) -> None:
         """Keep the progress for a run after this one."""
-        if self.settings.state_file:
-            state.write(self.settings.state_file, asdict(self.progress))
+        if path := self.settings.state_file:
+            state.attempt(self.get_logger(), lambda: state.write(path, asdict(self.progress)))
 
     def on_observations(self, message: KinematicObservations) -> None:
         """What has been observed so far."""

@@ -41,7 +41,8 @@ def attempt(log: Any, write: Callable[[], None]) -> str:
     try:
         write()
     except OSError as error:
-        trouble = f"cannot write {error.filename}: {error.strerror}"
+        where = f" {error.filename}" if error.filename else ""  # not of a write to an open file
+        trouble = f"cannot write{where}: {error.strerror}"
         log.error(trouble)
         return trouble
     return ""

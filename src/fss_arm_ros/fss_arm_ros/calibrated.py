@@ -42,9 +42,10 @@ class Calibrated:
         return np.sum([np.zeros((size, size)), *known], axis=0)
 
     def with_message(self, topic: str, message: Any) -> "Calibrated":
-        """What is known after a calibration: all that one tells if it passed, else the same.
+        """What is known after a calibration: all that it found if it passed, else the same.
 
-        A kinematic calibration knows nothing of masses, and those known before are kept.
+        A kinematic calibration knows nothing of masses, and a dynamic one assumes the kinematics
+        that it does not estimate: what the other found before is kept.
 
         Raises:
             DescriptionError: the calibrated description cannot be right.
@@ -54,13 +55,26 @@ class Calibrated:
             return self
         arm = from_yaml(message.description)
         C = vector_covariance(arm, message.names, message.covariance) if message.names else None
+        of_another = arm.n != self.arm.n
         if topic.endswith("dynamic"):
-            return Calibrated(arm, self.kinematic, C)
-        if self.dynamic is not None and arm.n == self.arm.n:
-            kinematics = arm.vector()[kinematic_index(arm.n)]
-            arm = replace(self.arm.with_kinematics(kinematics), theta_E=arm.theta_E)
-            return Calibrated(arm, C, self.dynamic)
-        return Calibrated(arm, C)
+            tells = C is not None and _tells_kinematics(arm.n, C)
+            if of_another or self.kinematic is None or tells:
+                return Calibrated(arm, None, C)
+            return Calibrated(_with_kinematics_of(self.arm, arm), self.kinematic, C)
+        if of_another or self.dynamic is None:
+            return Calibrated(arm, C)
+        return Calibrated(_with_kinematics_of(arm, self.arm), C, self.dynamic)
+
+
+def _with_kinematics_of(known: Arm, arm: Arm) -> Arm:
+    """An arm with what a kinematic calibration found of another."""
+    kinematics = known.vector()[kinematic_index(arm.n)]
+    return replace(arm.with_kinematics(kinematics), theta_E=known.theta_E)
+
+
+def _tells_kinematics(n: int, covariance: Floats) -> bool:
+    """Whether lengths or angles are among what was estimated."""
+    return bool(np.diag(covariance)[kinematic_index(n)].any())
 
 
 def vector_covariance(arm: Arm, names: Sequence[str], covariance: npt.ArrayLike) -> Floats:

@@ -41,8 +41,8 @@ def joint_readings(message: Any) -> Iterator[tuple[int, float, float, float]]:
     """
     values = message.position, message.velocity, message.effort
     for name, *told in zip_longest(message.name, *values, fillvalue=nan):
-        number = str(name).removeprefix("joint_")
-        if number.isdecimal():
+        kind, _, number = str(name).partition("_")
+        if kind == "joint" and number.isdecimal():
             q, qd, effort = map(float, told)
             yield int(number), q, qd, effort
 

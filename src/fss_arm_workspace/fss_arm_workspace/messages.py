@@ -150,6 +150,7 @@ def ellipsoid_markers(arm: Arm, q: Floats, scale: float, header: Header) -> Mark
     markers = []
     for number, (kind, base) in enumerate(((FIXED, "fixed"), (FLOATING, "floating"))):
         radii, axes = ellipsoid(jacobian(arm, q, kind))
+        radii = np.append(radii, 0.0)[:2]  # of a single link
         turn = 0.5 * np.arctan2(axes[0, 1], axes[0, 0])
         marker = _marker(header, f"manipulability, {base} base", base, 0, Marker.SPHERE)
         marker.pose.position.x, marker.pose.position.y = float(x), float(y)

@@ -55,8 +55,9 @@ class Worker:
                 self.doing, self.failure = "done", ""
             except Superseded:
                 pass
-            except ValueError as error:
-                self.doing, self.failure = "failed", str(error)
+            except Exception as error:
+                told = str(error) if isinstance(error, ValueError) else repr(error)
+                self.doing, self.failure = "failed", told
 
     def _progress(self, what: str, share: float) -> None:
         self.doing = f"{what}: {100.0 * share:.0f} %"

@@ -2,6 +2,7 @@
 
 import sys
 from functools import partial
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ from fss_arm_msgs.msg import (
     Workspace,
 )
 from fss_arm_ros.calibrated import Calibrated
-from fss_arm_ros.convert import PoseError, planar_pose
+from fss_arm_ros.convert import PoseError, joint_readings, planar_pose
 from fss_arm_ros.diagnostics import ERROR, OK, Diagnostics, Health
 from fss_arm_ros.qos import LATCHED, subscribe_sensor
 from fss_arm_ros.run import run
@@ -52,7 +53,7 @@ class WorkspaceNode(Node):
         self.described = self.known = Calibrated(load(s.arm) if s.arm else paper_arm())
         self.calibrations: dict[str, Any] = {}  # the last of each kind that passed, the newest last
         load_kernels(self.known.arm)
-        self.readings: dict[str, float] = {}
+        self.readings: dict[int, float] = {}  # of joints, by number
         self.pose: tuple[float, float, float] | None = None
         self.shown: tuple[Calibrated, Floats] | None = None  # what straight paths were begun from
         kinds: dict[str, type] = {"result": Workspace, "boundary": PolygonStamped}
@@ -88,7 +89,7 @@ class WorkspaceNode(Node):
 
     def on_joints(self, message: JointState) -> None:
         """Readings of one link or more."""
-        self.readings.update(zip(message.name, message.position, strict=False))
+        self.readings |= {i: q for i, q, *_ in joint_readings(message) if isfinite(q)}
 
     def on_pose(self, message: PoseStamped) -> None:
         """A pose of the base."""
@@ -113,10 +114,10 @@ class WorkspaceNode(Node):
 
     def posture(self) -> Floats | None:
         """The joint readings (n,) [rad]; None until all have come."""
-        names = [f"joint_{i}" for i in range(1, self.known.arm.n + 1)]
-        if not all(name in self.readings for name in names):
+        joints = range(1, self.known.arm.n + 1)
+        if not all(i in self.readings for i in joints):
             return None
-        return np.array([self.readings[name] for name in names])
+        return np.array([self.readings[i] for i in joints])
 
     def is_shown(self, known: Calibrated, state: Floats) -> bool:
         """Whether straight paths were begun from about there."""
@@ -129,6 +130,9 @@ class WorkspaceNode(Node):
         known, settings = self.described, self.settings.analysis
         for topic, message in calibrations.items():
             known = known.with_message(topic, message)
+            if known.arm.n != self.described.arm.n:
+                links = f"{known.arm.n} links, expected {self.described.arm.n}"
+                raise ValueError(f"{topic} is of {links}")
         self.known = known
         found = analyse(known, settings, progress)
         header = self.header(self.settings.base_frame)
