@@ -87,10 +87,15 @@ def memory(graph: Graph) -> dict[str, float]:
     """What each process holds, the viewer that the view starts among them [MB]."""
     pids = {name: process.pid for name, process in graph.processes.items()}
     children = Path(f"/proc/{pids['view']}/task/{pids['view']}/children").read_text()
+    if not children:
+        raise RuntimeError("the viewer has ended")
     pids["viewer"] = int(children.split()[0])
     held = {}
     for name, pid in pids.items():
         _, resident, shared, *_ = Path(f"/proc/{pid}/statm").read_text().split()
+        if resident == "0":
+            log = (graph.folder / f"{name}.log").read_text()
+            raise RuntimeError(f"{name} has ended:\n{log[-2000:]}")
         held[name] = (int(resident) - int(shared)) * PAGE / 1e6
     return held
 
@@ -107,20 +112,21 @@ def operate(graph: Graph, hours: float) -> tuple[dict[str, float], dict[str, flo
         time.sleep(0.1)
     operator.wait(operator.pause.call_async(SetBool.Request(data=False)), 10.0)
     first: dict[str, float] = {}
+    held: dict[str, float] = {}  # the least of a quarter of an hour: without what work takes
     begin, told = time.monotonic(), 0.0
     print(" hours   took " + " ".join(f"{name:>9}" for name in memory(graph)) + "  [MB]")
     while rclpy.ok() and (now := operator.hours()) < hours:
         operator.move()
+        held = {name: min(mb, held.get(name, mb)) for name, mb in memory(graph).items()}
         if now >= told:
-            held, told = memory(graph), told + 0.25
             took = (time.monotonic() - begin) / 3600
             print(f"{now:6.2f} {took:6.2f} " + " ".join(f"{mb:9.1f}" for mb in held.values())
                   + f"  {operator.moves} moves", flush=True)  # fmt: skip
             if now >= 1.0 and not first:
                 first = held
+            last, held, told = held, {}, told + 0.25
     if not rclpy.ok():
         raise SystemExit(f"interrupted after {operator.hours():.2f} hours")
-    last = memory(graph)
     operator.wait(operator.pause.call_async(SetBool.Request(data=True)), 10.0)
     operator.close()
     return first or last, last, operator.moves

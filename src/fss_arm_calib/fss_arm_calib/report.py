@@ -15,6 +15,8 @@ from rich.console import Console, Group
 from rich.table import Table as PrintedTable
 from rich.text import Text
 
+from .state import write_text
+
 STYLE = {"pass": "bold green", "fail": "bold red", "not_evaluated": "bold yellow"}
 
 
@@ -101,7 +103,7 @@ def write(folder: str | Path, *reports: Report) -> Path:
         parts.append(_section(report, pictures))
     page = folder / "index.html"
     title = ", ".join(report.title for report in reports)
-    page.write_text(PAGE.format(title=escape(title), body="\n".join(parts)), encoding="utf-8")
+    write_text(page, PAGE.format(title=escape(title), body="\n".join(parts)))
     return page
 
 
