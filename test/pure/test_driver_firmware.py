@@ -276,6 +276,17 @@ def test_disarming_brakes_and_switches_off_at_rest(link, command):
     assert (link.joint().mode, link.joint().velocity) == (Mode.OFF, 0)
 
 
+@pytest.mark.parametrize("command", [MOVE, TURN, PUSH])
+def test_a_joint_that_does_not_come_to_rest_is_switched_off_in_bounded_time(link, command):
+    moving(link, command)
+    link.tell("shake 1")
+    assert link.send(replace(QUIET, sequence=3))
+    link.run(2.9)
+    assert link.joint().mode != Mode.OFF
+    link.run(0.2)
+    assert link.joint().mode == Mode.OFF
+
+
 @pytest.mark.parametrize(
     "command",
     [
@@ -445,6 +456,23 @@ def test_a_drive_that_cannot_hold_is_switched_off(link):
     assert link.joint().mode == Mode.OFF
 
 
+SLOW = {Slow.FAULTS: 0xA4, Slow.SUPPLY: 0x1E, Slow.TEMPERATURE: 0x20, "deceleration": 0xCF}
+
+
+@pytest.mark.parametrize("lacking", SLOW)
+def test_what_a_drive_lacks_is_not_taken_from_another_variable(core, lacking):
+    link = FirmwareLink(core)
+    link.tell(f"lack {SLOW[lacking]}")
+    slow = {frame.slow_id: frame.slow_value for frame in link.run(3.0)}
+    expected = {Slow.FAULTS: 0, Slow.SUPPLY: 240, Slow.TEMPERATURE: 31} | {lacking: 0}
+    assert {name: slow.get(name, 0) for name in expected} == expected
+    moving(link, TURN)
+    assert link.send(replace(QUIET, sequence=3))
+    link.run(0.02)
+    limit = [] if lacking == "deceleration" else ["s r0x37 300"]
+    assert link.orders() == [*limit, "s r0x2f 0"]
+
+
 def test_a_pulled_cable_disarms_and_says_nothing_stale(link):
     moving(link)
     link.tell("plug 0")
@@ -529,6 +557,52 @@ def test_a_drive_that_held_is_off_after_a_power_cycle(link, flags):
     for _ in range(8):
         link.run(0.2)
         assert link.joint().mode == Mode.OFF
+
+
+def stopped_again_and_again(link, seconds):
+    """The modes that the drive is in meanwhile."""
+    modes = []
+    for _ in range(round(seconds / 0.2)):
+        link.send(replace(QUIET, sequence=3, boot=0, flags=Order.STOP))
+        link.run(0.2)
+        modes.append(link.joint().mode)
+    return modes
+
+
+@pytest.mark.parametrize("stop", [True, False])
+def test_no_stop_switches_on_a_drive_whose_power_came_back(link, stop):
+    moving(link)
+    if stop:
+        assert set(stopped_again_and_again(link, 1.0)) == {Mode.POSITION}
+    else:
+        link.run(2.0)  # the watchdog trips
+    link.tell("power")
+    assert set(stopped_again_and_again(link, 4.0)) == {Mode.OFF}
+    assert link.frame().flags & State.STOPPED
+    assert not link.send(MOVE)
+    assert link.send(replace(QUIET, sequence=10))
+    assert link.send(replace(TURN, sequence=11))
+    link.run(0.5)
+    assert link.joint().mode == Mode.VELOCITY
+
+
+def test_no_stop_switches_on_a_drive_that_was_blocked(link):
+    moving(link)
+    stopped_again_and_again(link, 1.0)
+    link.tell(f"status {1 << 11}")  # the enable input
+    stopped_again_and_again(link, 1.0)
+    link.tell("status 0")
+    assert set(stopped_again_and_again(link, 3.0)) == {Mode.OFF}
+    assert link.frame().flags & LATCHES == State.STOPPED
+
+
+@pytest.mark.parametrize("command", [MOVE, replace(QUIET, sequence=3, flags=Order.STOP)])
+def test_a_reset_that_is_over_at_once_is_noticed_by_its_status_bit(link, command):
+    moving(link)
+    link.send(command)
+    link.tell(f"status {1 << 20}")
+    link.run(0.2)
+    assert set(stopped_again_and_again(link, 3.0)) == {Mode.OFF}
 
 
 @pytest.mark.parametrize("command", [MOVE, TURN, PUSH])

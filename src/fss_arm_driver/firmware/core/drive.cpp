@@ -25,9 +25,12 @@ constexpr uint8_t kSlowReadings[] = {kFaults, kSupply, kTemperature, kAbortDecel
 // enable input, tracking, latched faults.
 constexpr uint32_t kBlocking = 0x7F | 1u << 11 | 1u << 18 | 1u << 22;
 
+constexpr uint32_t kReset = 1u << 20;  // of the status: since some time, but just now when it rises
+
 constexpr int32_t kReferencedBit = 1 << 12, kHomingBit = 1 << 13;  // of the trajectory status
 
 constexpr int32_t kStill = 1000;  // slower is at rest [0.1 counts/s]; 2.6 mrad/s
+constexpr uint64_t kPatience = 3000000;  // with a joint that does not come to rest [us]
 constexpr int32_t kAbort = 0, kStart = 1, kFindHome = 2;
 
 constexpr uint32_t kFirstBaud = 9600, kBaud = 115200;
@@ -168,7 +171,7 @@ void Drive::reply(uint64_t now) {
   } else if (waiting == Waiting::Value && value) {
     take_value(number, now);
   } else if (waiting == Waiting::Value && error && optional) {  // not every drive has it
-    ++turn_;
+    round_[turn_++] = 0;
   } else {
     fail(now);
   }
@@ -241,15 +244,18 @@ void Drive::take_value(int32_t value, uint64_t now) {
 }
 
 void Drive::end_round(uint64_t now) {
+  const auto status = static_cast<uint32_t>(round_[3]);
+  const bool reset = measured_.clock != 0 && (status & ~measured_.status & kReset);
   measured_.clock = position_clock_;
   measured_.position = round_[0];
   measured_.velocity = round_[1];
   measured_.current = round_[2];
-  measured_.status = static_cast<uint32_t>(round_[3]);
+  measured_.status = status;
   const bool referenced = (round_[4] & (kReferencedBit | kHomingBit)) == kReferencedBit;
   homings_ = static_cast<uint16_t>(homings_ + (referenced && !referenced_));
   referenced_ = referenced;
   take_mode(round_[5]);
+  if (reset) phase_ = Phase::Begin;  // met anew: nothing goes on by itself
   switch (kSlowReadings[slow_turn_++ % sizeof kSlowReadings]) {
     case kFaults: faults_ = static_cast<uint32_t>(round_[kSlowTurn]); break;
     case kSupply: supply_ = round_[kSlowTurn]; break;
@@ -290,7 +296,8 @@ bool Drive::order_next(uint64_t now) {
       braked_at_ = mode_ == Mode::Off ? 0 : now;
       step_ = 0;
     }
-    if (!at_rest()) return false;
+    const bool too_long = goal == Demand::Release && now - braked_at_ > kPatience;
+    if (!at_rest() && !too_long) return false;
   }
   done_ = !follow(program(), now);
   return !done_;

@@ -18,7 +18,7 @@ namespace fss {
 struct Demand {
   enum Goal : uint8_t {
     Off,      // at once
-    Release,  // decelerate, then off
+    Release,  // decelerate, then off; off, too, if it does not come to rest
     Hold,     // decelerate, then hold that place
     Home,     // find the reference
     Current,

@@ -85,12 +85,13 @@ void Link::obey(const Command& command) {
 
 // What happens without a command: faults, silence, the end of a set-point's time.
 void Link::watch(uint64_t now) {
-  if (!armed_) return;
-  if (!drive_.answers() || drive_.blocked()) {
+  if (on_ && (!drive_.answers() || drive_.blocked())) {  // one that only holds as well
     armed_ = on_ = false;
     dropped_ = true;
     drive_.demand(Demand{});
-  } else if (gate_.silent(now)) {
+  }
+  if (!armed_) return;
+  if (gate_.silent(now)) {
     armed_ = false;
     watchdog_ = true;
     hold();

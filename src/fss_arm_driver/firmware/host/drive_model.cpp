@@ -155,9 +155,10 @@ std::string DriveModel::answer(const std::string& line) {
 }
 
 std::string DriveModel::get(uint8_t variable) {
+  if (lacks_ && variable == lacks_) return error(kUnknown);
   switch (variable) {
     case 0x32: return value(position_);
-    case 0x18: return value(10.0 * velocity_);
+    case 0x18: return value(10.0 * velocity_ + (shakes_ ? 5000.0 : 0.0));
     case 0x0c: return value(current_);
     case 0x1e: return value(240);
     case 0x20: return value(31);

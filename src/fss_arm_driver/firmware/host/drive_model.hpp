@@ -29,6 +29,8 @@ class DriveModel {
   void latch_faults(uint32_t bits);
   void push(double velocity) { velocity_ = velocity; }          // by hand [counts/s]
   void reference(bool is) { referenced_ = is; }
+  void lack(uint8_t variable) { lacks_ = variable; }            // has none such
+  void shake(bool on) { shakes_ = on; }                         // never measured at rest
   void report(uint32_t status) { reported_ = status; }          // these status bits, too
 
   double position() const { return position_; }  // [counts]
@@ -65,7 +67,9 @@ class DriveModel {
   uint64_t now_ = 0;                  // of the motion
   uint64_t homed_ = 0;                // when the homing under way will have ended
   uint32_t reported_ = 0;
-  bool plugged_ = true, referenced_ = true, was_reset_ = false, moving_ = false, aborting_ = false;
+  uint8_t lacks_ = 0;
+  bool plugged_ = true, referenced_ = true, was_reset_ = false, moving_ = false, aborting_ = false,
+       shakes_ = false;
   int error_ = 0;
   double position_ = 0.0, velocity_ = 0.0, target_ = 0.0, current_ = 0.0;
 };
