@@ -21,9 +21,10 @@ STEP = 0.005  # [s]
 class Bench:
     """A link on a bench and its person, in time of their own; stands for the module `time`, too."""
 
-    def __init__(self, description, friction=0.0, deaf=False, hand=pi / 2, load=0.5):
+    def __init__(self, description, friction=0.0, deaf=False, hand=pi / 2, load=0.5, number=1):
         self.counts, self.trouble = {}, ""
-        self.link = LinkElectronics(1, description, boot=3)
+        self.link = LinkElectronics(number, description, boot=3)
+        self.modes = [Mode.OFF]  # that the drive was in, without repetition
         self.seconds, self.q, self.qd, self.torque, self.current = 0.0, -0.6, 0.0, 0.0, 0.0
         self.friction, self.deaf, self.hand, self.load = friction, deaf, hand, load
         self.frames, self.asked = [], []
@@ -51,12 +52,14 @@ class Bench:
         demand = self.link.demand(self.clock(), motion)
         self.current = demand.set_point if demand.mode == Mode.CURRENT else 0.0
         push = 0.8 * self.current
+        if demand.mode != self.modes[-1]:
+            self.modes.append(demand.mode)
         if demand.mode == Mode.CURRENT:
             self.torque = push
             free = max(0.0, abs(push) - self.friction)
             self.qd += STEP * free / INERTIA * (1 if push > 0 else -1)
         elif demand.mode == Mode.VELOCITY:
-            self.qd = demand.set_point
+            self.qd = demand.set_point if self.friction < 1.0 else 0.0
         else:
             self.qd, self.torque = 0.0, self.torque if demand.mode == Mode.OFF else 0.0
         self.q += STEP * self.qd
@@ -86,6 +89,18 @@ class Bench:
         return "yes"
 
 
+def at_each_step(bench, act):
+    """Have `act()` done before each step of a bench; return what a step was before."""
+    step = bench.step
+
+    def both():
+        act()
+        step()
+
+    bench.step = both
+    return step
+
+
 @pytest.fixture
 def tried(monkeypatch):
     """tried(bench): the findings on a bench by name, with the paper's link as description."""
@@ -111,6 +126,7 @@ def test_a_link_that_is_as_described_passes(tried):
     assert found["direction and counts per turn"].found.startswith("240000 counts a turn")
     assert "watchdog 1.0 s" in found["watchdog"].found
     assert not bench.link.armed
+    assert bench.modes[-1] == Mode.OFF
 
 
 @pytest.mark.parametrize(
@@ -130,12 +146,14 @@ def test_what_is_not_as_described_fails_with_what_was_found(tried, changes, name
 
 
 def test_a_joint_that_sticks_is_said(tried):
-    found = tried(Bench(LINK, friction=10.0))
+    bench = Bench(LINK, friction=10.0)
+    found = tried(bench)
     assert found["current sign"].verdict == FAIL
     assert found["current sign"].found == "does not turn with up to -0.50 A"
+    assert bench.modes[-1] == Mode.OFF
 
 
-def test_a_motor_that_turns_the_other_way_is_found(tried):
+def test_a_motor_that_turns_the_other_way_is_found_and_gets_no_velocity(tried):
     bench = Bench(LINK)
     step = bench.step
 
@@ -149,6 +167,83 @@ def test_a_motor_that_turns_the_other_way_is_found(tried):
     found = tried(bench)
     assert found["current sign"].verdict == FAIL
     assert "-0.10 A turned it by +" in found["current sign"].found
+    assert {found[name].verdict for name in ("stop", "watchdog")} == {NOT_TRIED}
+    assert found["stop"].found == "the current sign has not passed"
+    assert Mode.VELOCITY not in bench.modes
+
+
+def test_a_joint_that_comes_to_stick_is_released(tried):
+    bench = Bench(LINK)
+
+    def stick():
+        if bench.modes[-1] == Mode.VELOCITY:
+            bench.friction = 10.0
+
+    at_each_step(bench, stick)
+    found = tried(bench)
+    assert found["complete"].verdict == FAIL
+    assert found["complete"].found == "does not turn at a slow velocity"
+    assert bench.modes[-2:] == [Mode.VELOCITY, Mode.OFF]
+
+
+@pytest.mark.parametrize("mode", [Mode.CURRENT, Mode.VELOCITY])
+def test_an_interrupted_trial_releases_the_joint(tried, mode):
+    bench = Bench(LINK)
+
+    def interrupt():
+        if bench.modes[-1] == mode and abs(bench.qd) > 0.01:
+            bench.step = step
+            raise KeyboardInterrupt
+
+    step = at_each_step(bench, interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        tried(bench)
+    assert bench.modes[-1] == Mode.OFF
+
+
+def test_a_drive_that_is_not_seen_to_switch_off_fails(tried):
+    bench = Bench(LINK)
+
+    def fall_deaf():
+        bench.deaf = bench.deaf or bench.link.watchdog_tripped
+
+    at_each_step(bench, fall_deaf)
+    found = tried(bench)
+    assert found["complete"].verdict == FAIL
+    assert found["complete"].found == "link 1 is not seen to switch off: cut its power"
+
+
+def test_a_torque_sensor_that_is_not_there_does_not_pass(tried):
+    bench = Bench(LINK)
+    bench.link.instruments.torque.age = lambda _: 255_000
+    found = tried(bench)
+    assert {f.name: f.verdict for f in found.values() if "torque" in f.name} == {
+        "torque zero": FAIL, "torque gain": NOT_TRIED, "torque sign": NOT_TRIED,
+    }  # fmt: skip
+    assert found["torque zero"].found == "no samples of the torque sensor come"
+    assert not any("known torque" in question for question in bench.asked)
+
+
+def test_a_torque_sensor_that_fails_under_load_does_not_pass(tried):
+    bench = Bench(LINK)
+
+    def ask(question):
+        if "known torque" in question:
+            bench.link.instruments.torque.age = lambda _: 255_000
+        return bench.ask(question)
+
+    assert tried(bench, ask)["torque gain"].verdict == FAIL
+
+
+def test_a_person_may_take_their_time(tried):
+    bench = Bench(LINK)
+
+    def ask(question):
+        for _ in range(round(90.0 / STEP)):
+            bench.step()
+        return bench.ask(question)
+
+    assert {f.verdict for f in tried(bench, ask).values()} == {PASS}
 
 
 def test_nothing_moves_unless_a_person_agrees(tried):

@@ -6,19 +6,21 @@ and only after a person has agreed: the signs of current and torque, the stop an
 
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
-from math import copysign, degrees, pi, radians
+from math import copysign, degrees, isnan, pi, radians
 from statistics import mean, pstdev
 
 from fss_arm_driver.faults import present
 from fss_arm_driver.link import Arming, LinkSession, Sample
-from fss_arm_driver.protocol import CURRENT_UNIT, Mode, Slow, State
+from fss_arm_driver.protocol import CURRENT_UNIT, Mode, Slow, State, newer
 from fss_arm_driver.scale import CommandError
 from fss_arm_driver.transport import Transport
 from fss_arm_model.description import Link
 
 SECOND = 1_000_000_000  # [ns]
 PASS, FAIL, NOT_TRIED = "pass", "fail", "not tried"
+COMPLETE = "complete"  # what is found last, of trials that ended early
 
 PERIOD = SECOND // 10  # of commands
 ENOUGH = 0.03  # of a turn to see which way it goes [rad]
@@ -27,6 +29,7 @@ SLOW_TURN = 0.1  # velocity of the tests of stop and watchdog [rad/s]
 STEPS = 5  # of current, until the joint turns
 STILL = 0.01  # [rad/s]
 WATCHDOG = 1.0  # tried with [s]
+NO_TORQUE = "no samples of the torque sensor come"
 
 Ask = Callable[[str], str]
 
@@ -62,20 +65,27 @@ class Rig:
 
     def turn(self) -> None:
         """Send a command when one is due; take what comes."""
-        now = time.time_ns()
-        if self.talking and now - self._sent > PERIOD:
-            self.transport.send(self.session.command(now))
-            self._sent = now
+        if self.talking and time.time_ns() - self._sent > PERIOD:
+            self.send()
         if self.transport.wait(0.02):
             for data in self.transport.receive():
                 self.sample = self.session.feed(data, time.time_ns()) or self.sample
+
+    def send(self) -> None:
+        """Send a command now."""
+        self._sent = time.time_ns()
+        self.transport.send(self.session.command(self._sent))
 
     def listen(self, timeout: float) -> bool:
         """Whether the link is heard within a time [s]."""
         return self.until(lambda: self.sample, timeout)
 
     def samples(self, seconds: float) -> list[Sample]:
-        """The samples that come within some time."""
+        """The samples that come within some time.
+
+        Raises:
+            CommandError: the link is lost.
+        """
         got = [self.now()]
 
         def keep() -> None:
@@ -83,7 +93,12 @@ class Rig:
                 got.append(self.sample)
 
         self.until(keep, seconds)
+        self.now()
         return got[1:]
+
+    def torques(self, seconds: float) -> list[int]:
+        """What the torque sensor says within some time [counts]; nothing if it is not there."""
+        return [s.frame.torque for s in self.samples(seconds) if not isnan(s.torque)]
 
     def now(self) -> Sample:
         """The last sample.
@@ -95,16 +110,23 @@ class Rig:
             raise CommandError(f"link {self.number} is lost")
         return self.sample
 
-    def arm(self) -> None:
-        """Arm the link.
+    @contextmanager
+    def armed(self) -> Iterator[None]:
+        """Arm the link, and release the joint however the block ends.
 
         Raises:
-            CommandError: it does not arm.
+            CommandError: it cannot be armed, or is not seen to be released.
         """
+        self.turn()  # a link that was not listened to while a person answered counts as lost
+        self.until(lambda: not self.session.lost, 3.0)
         self.session.arm(time.time_ns())
-        self.until(lambda: self.session.arming is not Arming.ARMING, 3.0)
-        if not self.session.armed:
-            raise CommandError(f"link {self.number} does not arm")
+        try:
+            self.until(lambda: self.session.arming is not Arming.ARMING, 3.0)
+            if not self.session.armed:
+                raise CommandError(f"link {self.number} does not arm")
+            yield
+        finally:
+            self.rest()
 
     def set(self, mode: Mode, value: float, seconds: float) -> None:
         """Give a command that lasts so long."""
@@ -112,10 +134,24 @@ class Rig:
         self.session.set(mode, value, 0.0, 0.0, now + round(seconds * SECOND), now)
 
     def rest(self) -> None:
-        """Disarm, and wait until the joint rests."""
+        """Disarm, and wait until the link says that its drive is off and the joint rests.
+
+        Raises:
+            CommandError: it does not say so.
+        """
         self.talking = True
         self.session.disarm()
-        self.until(lambda: self.sample and abs(self.sample.velocity) < STILL, 3.0)
+        before = time.time_ns() // 1000 - 1  # [us], as commands are stamped
+        self.send()  # even if the joint rests already: it may be held there under power
+
+        def released() -> bool:
+            if (sample := self.sample) is None or not newer(sample.frame.echo, before):
+                return False  # measured before the link was told
+            off = sample.frame.mode == Mode.OFF and not sample.frame.flags & State.ARMED
+            return off and abs(sample.velocity) < STILL
+
+        if not self.until(released, 3.0):
+            raise CommandError(f"link {self.number} is not seen to switch off: cut its power")
 
 
 def answers(rig: Rig) -> Finding:
@@ -159,7 +195,10 @@ def torque_by_hand(rig: Rig, ask: Ask) -> Iterator[Finding]:
     """Zero and gain of the torque sensor, from a known torque."""
     sensor = rig.link.torque_sensor
     ask("Let the joint hang free of any torque, and press Enter: ")
-    rest = [sample.frame.torque for sample in rig.samples(2.0)]
+    if not (rest := rig.torques(2.0)):
+        yield Finding(rig.number, "torque zero", FAIL, NO_TORQUE)
+        yield Finding(rig.number, "torque gain", NOT_TRIED, NO_TORQUE)
+        return
     zero, noise = mean(rest), pstdev(rest)
     off = sensor.gain * (zero - sensor.zero)
     told = f"{zero:.0f} +- {noise:.0f} counts, off by {off:+.4f} N m from the description's"
@@ -171,7 +210,10 @@ def torque_by_hand(rig: Rig, ask: Ask) -> Iterator[Finding]:
     if not (torque := _number(text)):
         yield Finding(rig.number, "torque gain", NOT_TRIED, "left out")
         return
-    loaded = mean(sample.frame.torque for sample in rig.samples(2.0))
+    if not (held := rig.torques(2.0)):
+        yield Finding(rig.number, "torque gain", FAIL, NO_TORQUE)
+        return
+    loaded = mean(held)
     if loaded == zero:
         yield Finding(rig.number, "torque gain", FAIL, "the sensor does not answer to the torque")
         return
@@ -183,19 +225,18 @@ def torque_by_hand(rig: Rig, ask: Ask) -> Iterator[Finding]:
 
 def signs(rig: Rig, current: float) -> Iterator[Finding]:
     """Whether a current turns the joint the way of its sign, and what the sensors say meanwhile."""
-    rig.arm()
-    start, seen = rig.now().position, []
-    inwards = copysign(current, 0.5 * (rig.link.q_min + rig.link.q_max) - start)
-    applied = 0.0
-    for step in range(1, STEPS + 1):
-        applied = step * inwards
-        rig.set(Mode.CURRENT, applied, 1.0)
-        rig.until(lambda: abs(rig.now().position - start) > ENOUGH, 1.0)
-        seen.append(rig.now())
-        if abs(rig.now().position - start) > ENOUGH:
-            break
-    turned = rig.now().position - start
-    rig.rest()
+    with rig.armed():
+        start, seen = rig.now().position, []
+        inwards = copysign(current, 0.5 * (rig.link.q_min + rig.link.q_max) - start)
+        applied = 0.0
+        for step in range(1, STEPS + 1):
+            applied = step * inwards
+            rig.set(Mode.CURRENT, applied, 1.0)
+            rig.until(lambda: abs(rig.now().position - start) > ENOUGH, 1.0)
+            seen.append(rig.now())
+            if abs(rig.now().position - start) > ENOUGH:
+                break
+        turned = rig.now().position - start
     if abs(turned) < ENOUGH:
         told = f"does not turn with up to {applied:+.2f} A"
         yield Finding(rig.number, "current sign", FAIL, told)
@@ -207,7 +248,10 @@ def signs(rig: Rig, current: float) -> Iterator[Finding]:
     good = copysign(1.0, measured) == copysign(1.0, turned) and measured != 0.0
     told = f"the drive measures {measured:+.2f} A"
     yield Finding(rig.number, "measured current", PASS if good else FAIL, told)
-    torque = max((s.torque for s in seen), key=abs)
+    if not (torques := [s.torque for s in seen if not isnan(s.torque)]):
+        yield Finding(rig.number, "torque sign", NOT_TRIED, NO_TORQUE)
+        return
+    torque = max(torques, key=abs)
     if abs(torque) < 0.01:
         yield Finding(rig.number, "torque sign", NOT_TRIED, f"only {torque:+.4f} N m were measured")
         return
@@ -218,34 +262,34 @@ def signs(rig: Rig, current: float) -> Iterator[Finding]:
 
 def stop(rig: Rig) -> Finding:
     """How soon a stop is obeyed."""
-    _turn_slowly(rig)
-    begun = time.monotonic()
-    rig.session.stop()
-    rig.transport.send(rig.session.command(time.time_ns()))
-    stopped = rig.until(
-        lambda: rig.now().frame.flags & State.STOPPED and abs(rig.now().velocity) < STILL, 3.0
-    )
-    told = f"at rest {time.monotonic() - begun:.2f} s after it" if stopped else "goes on"
-    rig.session.arming = Arming.DISARMED  # so that it may be armed anew
-    rig.rest()
+    with rig.armed():
+        _turn_slowly(rig)
+        begun = time.monotonic()
+        rig.session.stop()
+        rig.send()
+        stopped = rig.until(
+            lambda: rig.now().frame.flags & State.STOPPED and abs(rig.now().velocity) < STILL, 3.0
+        )
+        took = time.monotonic() - begun
+    told = f"at rest {took:.2f} s after it" if stopped else "goes on"
     return Finding(rig.number, "stop", PASS if stopped else FAIL, told)
 
 
 def watchdog(rig: Rig) -> Finding:
     """How soon the joint is at rest when the computer falls silent."""
-    _turn_slowly(rig)
-    rig.talking, begun = False, time.monotonic()
-    stopped = rig.until(
-        lambda: (
-            rig.sample
-            and rig.sample.frame.flags & State.WATCHDOG
-            and abs(rig.sample.velocity) < STILL
-        ),
-        WATCHDOG + 2.0,
-    )
-    took = time.monotonic() - begun
+    with rig.armed():
+        _turn_slowly(rig)
+        rig.talking, begun = False, time.monotonic()
+        stopped = rig.until(
+            lambda: (
+                rig.sample
+                and rig.sample.frame.flags & State.WATCHDOG
+                and abs(rig.sample.velocity) < STILL
+            ),
+            WATCHDOG + 2.0,
+        )
+        took = time.monotonic() - begun
     told = f"at rest {took:.2f} s after the last command, watchdog {WATCHDOG} s" if stopped else ""
-    rig.rest()
     return Finding(rig.number, "watchdog", PASS if stopped else FAIL, told or "goes on")
 
 
@@ -255,35 +299,38 @@ def _turn_slowly(rig: Rig) -> None:
     Raises:
         CommandError: it does not.
     """
-    rig.arm()
     way = 0.5 * (rig.link.q_min + rig.link.q_max) - rig.now().position
     rig.set(Mode.VELOCITY, copysign(SLOW_TURN, way), FAR / SLOW_TURN)
     if not rig.until(lambda: abs(rig.now().velocity) > 0.5 * SLOW_TURN, 2.0):
-        rig.rest()
         raise CommandError("does not turn at a slow velocity")
 
 
 def trials(rig: Rig, ask: Ask, current: float) -> Iterator[Finding]:
-    """Try one link."""
-    yield answers(rig)
-    yield turn_by_hand(rig, ask)
-    yield from torque_by_hand(rig, ask)
-    active = ("current sign", "stop", "watchdog")
-    question = (
-        f"Link {rig.number} will turn by up to {degrees(FAR):.0f} deg with up to "
-        f"{STEPS * current:.2f} A. Hold the base, stand clear, and type yes: "
-    )
-    if ask(question).strip().lower() != "yes":
-        yield from (Finding(rig.number, name, NOT_TRIED, "left out") for name in active)
-        return
+    """Try one link; a failure that leaves nothing more to try is the last finding."""
     try:
-        yield from signs(rig, current)
+        yield answers(rig)
+        yield turn_by_hand(rig, ask)
+        yield from torque_by_hand(rig, ask)
+        question = (
+            f"Link {rig.number} will turn by up to {degrees(FAR):.0f} deg with up to "
+            f"{STEPS * current:.2f} A. Hold the base, stand clear, and type yes: "
+        )
+        if ask(question).strip().lower() != "yes":
+            yield from _left_out(rig, "left out", "current sign", "stop", "watchdog")
+            return
+        sign, *others = signs(rig, current)
+        yield from (sign, *others)
+        if sign.verdict != PASS:  # the drive's velocity loop may run away
+            yield from _left_out(rig, "the current sign has not passed", "stop", "watchdog")
+            return
         yield stop(rig)
         yield watchdog(rig)
     except CommandError as error:
-        yield Finding(rig.number, "motion", FAIL, str(error))
-    finally:
-        rig.rest()
+        yield Finding(rig.number, COMPLETE, FAIL, str(error))
+
+
+def _left_out(rig: Rig, why: str, *names: str) -> Iterator[Finding]:
+    return (Finding(rig.number, name, NOT_TRIED, why) for name in names)
 
 
 def _number(text: str) -> float:
