@@ -255,29 +255,85 @@ def test_nothing_moves_unless_a_person_agrees(tried):
     assert bench.q == -0.6
 
 
-def test_the_result_is_written_and_the_exit_code_tells(monkeypatch, tmp_path, capsys):
-    bench = Bench(LINK)
-    monkeypatch.setattr(trials, "time", bench)
-    monkeypatch.setattr(check, "open_transport", lambda url, link, key: bench)
-    monkeypatch.setattr("builtins.input", bench.ask)
-    output = tmp_path / "check.yaml"
-    monkeypatch.setattr("sys.argv", ["check", "udp://link:5001", "--output", str(output)])
-    assert check.main() == 0
-    text = output.read_text()
-    assert '    url: "udp://link:5001"\n' in text
+@pytest.fixture
+def checked(monkeypatch, tmp_path):
+    """checked(benches by URL, ask(bench, question)): the exit code, and what was written."""
+
+    def run(benches, ask=Bench.ask):
+        def open_transport(url, *_):
+            bench = benches[url]
+            if isinstance(bench, Exception):
+                raise bench
+            monkeypatch.setattr(trials, "time", bench)
+            monkeypatch.setattr("builtins.input", lambda question: ask(bench, question))
+            return bench
+
+        output = tmp_path / "check.yaml"
+        monkeypatch.setattr(check, "open_transport", open_transport)
+        monkeypatch.setattr("sys.argv", ["check", *benches, "--output", str(output)])
+        code = check.main()
+        return code, output.read_text()
+
+    return run
+
+
+FIRST, SECOND = "udp://first:5001", "udp://second:5001"
+
+
+def test_the_result_is_written_and_the_exit_code_tells(checked, capsys):
+    code, text = checked({FIRST: Bench(LINK)})
+    assert code == 0
+    assert '    url: "udp://first:5001"\n' in text
     assert text.count('verdict: "pass"') == 9
     assert "link 1: watchdog: pass: at rest" in capsys.readouterr().out
 
 
-def test_a_place_where_nothing_answers_is_a_failure(monkeypatch, tmp_path, capsys):
+def test_a_place_where_nothing_answers_is_a_failure(checked, capsys):
     bench = Bench(LINK, deaf=True)
     bench.receive = list
-    monkeypatch.setattr(trials, "time", bench)
-    monkeypatch.setattr(check, "open_transport", lambda url, link, key: bench)
-    output = tmp_path / "check.yaml"
-    monkeypatch.setattr("sys.argv", ["check", "udp://nobody:5001", "--output", str(output)])
-    assert check.main() == 2
-    assert "udp://nobody:5001: no link answers" in capsys.readouterr().out
+    assert checked({FIRST: bench})[0] == 2
+    assert "udp://first:5001: no link answers" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("when", ["by hand", "free of any torque", "known torque", "type yes"])
+def test_a_link_that_is_lost_fails_and_the_next_is_tried(checked, when):
+    def ask(bench, question):
+        if bench.link.gate.number == 1 and when in question:
+            bench.receive = list
+        bench.seconds += 2.0
+        return bench.ask(question)
+
+    code, text = checked({FIRST: Bench(LINK), SECOND: Bench(LINK, number=2)}, ask)
+    first, second = text.split("  - link: 2")
+    assert code == 2
+    assert 'verdict: "fail"\n        found: "link 1 is lost' in first
+    assert second.count('verdict: "pass"') == 9
+
+
+@pytest.mark.parametrize(
+    ("hand", "code"), [(pi / 2, 3), (pi / 4, 2)], ids=["all well until then", "a failure before"]
+)
+@pytest.mark.parametrize(
+    ("end", "words"), [(EOFError, "no more input"), (KeyboardInterrupt, "interrupted")]
+)
+def test_what_was_found_before_an_end_is_written(checked, capsys, end, words, hand, code):
+    def ask(bench, question):
+        if "known torque" in question:
+            raise end
+        return bench.ask(question)
+
+    got, text = checked({FIRST: Bench(LINK, hand=hand), SECOND: Bench(LINK, number=2)}, ask)
+    assert got == code
+    assert text.count("verdict") == 4
+    assert f'name: "complete"\n        verdict: "not tried"\n        found: "{words}"' in text
+    assert capsys.readouterr().err == f"check: {words}\n"
+
+
+def test_what_was_found_before_a_wrong_url_is_written(checked, capsys):
+    code, text = checked({FIRST: Bench(LINK), SECOND: ValueError("no such URL")})
+    assert code == 1
+    assert text.count('verdict: "pass"') == 9
+    assert capsys.readouterr().err == "check: no such URL\n"
 
 
 @pytest.mark.parametrize(

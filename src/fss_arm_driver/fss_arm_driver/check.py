@@ -5,12 +5,13 @@ import json
 import sys
 import time
 from collections.abc import Mapping
+from contextlib import closing
 from dataclasses import asdict
 from pathlib import Path
 
 from fss_arm_driver.protocol import load_keys
 from fss_arm_driver.transport import open_transport
-from fss_arm_driver.trials import FAIL, NOT_TRIED, PASS, Finding, Rig, trials
+from fss_arm_driver.trials import COMPLETE, FAIL, NOT_TRIED, PASS, Finding, Rig, trials
 from fss_arm_model.description import Arm, load, paper_arm
 from fss_arm_ros.command_line import Parser
 
@@ -81,25 +82,35 @@ def run(given: argparse.Namespace) -> int:
     keys = load_keys(given.keys) if given.keys else {}
     findings: list[Finding] = []
     places: dict[int, str] = {}
-    for url in given.urls:
-        rig = find(url, arm, keys)
-        if rig is None:
-            findings.append(Finding(0, "answers", FAIL, f"nothing at {url}"))
-            places.setdefault(0, url)
-            print(f"{url}: no link answers")
-            continue
-        places[rig.number] = url
-        try:
-            for finding in trials(rig, input, given.current):
-                findings.append(finding)
-                print(f"link {finding.link}: {finding.name}: {finding.verdict}: {finding.found}")
-        finally:
-            rig.transport.close()
-    when = time.strftime("%Y-%m-%dT%H:%M:%S%z")
-    Path(given.output).write_text(as_yaml(findings, places, when), encoding="utf-8")
+    number, url = 0, ""
+    try:
+        for url in given.urls:
+            number = 0
+            rig = find(url, arm, keys)
+            if rig is None:
+                findings.append(Finding(0, "answers", FAIL, f"nothing at {url}"))
+                places.setdefault(0, url)
+                print(f"{url}: no link answers")
+                continue
+            number = rig.number
+            places[number] = url
+            with closing(rig.transport):
+                for finding in trials(rig, input, given.current):
+                    findings.append(finding)
+                    told = f"{finding.name}: {finding.verdict}: {finding.found}"
+                    print(f"link {finding.link}: {told}")
+    except (EOFError, KeyboardInterrupt) as end:
+        why = "no more input" if isinstance(end, EOFError) else "interrupted"
+        findings.append(Finding(number, COMPLETE, NOT_TRIED, why))
+        places.setdefault(number, url)
+        print(f"check: {why}", file=sys.stderr)
+    finally:  # whatever ended it, what was found cost a person's time
+        if findings:
+            when = time.strftime("%Y-%m-%dT%H:%M:%S%z")
+            Path(given.output).write_text(as_yaml(findings, places, when), encoding="utf-8")
+            print(f"written to {given.output}")
     verdict = max((EXIT_CODES[finding.verdict] for finding in findings), default=0)
     failed = any(finding.verdict == FAIL for finding in findings)
-    print(f"written to {given.output}")
     return EXIT_CODES[FAIL] if failed else verdict
 
 
