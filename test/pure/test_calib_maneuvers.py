@@ -92,6 +92,17 @@ def test_a_maneuver_is_told_as_soon_as_its_looks_are_over(rig, samples, found):
     assert feed(finder, [s for s in samples if s.t >= at(rig.begins[1])]) == found[1:]
 
 
+def test_solving_amid_a_long_rest_ends_it_once(rig, samples, found):
+    """In the rest before the second maneuver, once a full look at it has been told already."""
+    for seconds in (3.0, 4.9):
+        finder = ManeuverFinder(4)
+        amid = at(rig.ends[0] + seconds)
+        early = feed(finder, [s for s in samples if s.t < amid])
+        late = feed(finder, [s for s in samples if s.t >= amid])
+        assert [m.used for m in early + late] == [True] * 3
+        assert [m.q for m in late[1:]] == [m.q for m in found[2:]]
+
+
 def test_many_poses_at_once_are_poses_one_by_one(samples, found):
     finder = ManeuverFinder(4)
     base = [s for s in samples if s.stream == "base"]
@@ -203,6 +214,32 @@ def test_memory_is_bounded():
     assert len(finder.base.t) < 3000
     assert len(finder.gyro.t) < 3000
     assert len(finder.joints[0].t) < 100
+
+
+def ahead(samples, stream, seconds, begin=0.0, end=np.inf):
+    """The samples with the stamps of a stream too late, those of an interval [s]."""
+    return [
+        s._replace(t=s.t + round(seconds * SECOND))
+        if s.stream == stream and begin <= (s.t - at(0.0)) / SECOND < end
+        else s
+        for s in samples
+    ]
+
+
+@pytest.mark.parametrize("stream", ["gyro", "tip"])
+def test_a_wrong_clock_of_what_may_be_absent_spoils_nothing(rig, stream):
+    """One stamp five minutes ahead, or all of them: as if the stream had ended then."""
+    samples = rig.samples(tip=True)
+    for wrong, end in (
+        (ahead(samples, stream, 300.0, 3.0, 3.01), 3.0),
+        (ahead(samples, stream, 300.0), 0.0),
+    ):
+        finder = ManeuverFinder(4, ManeuverSettings(horizon=20.0))
+        found = feed(finder, wrong)
+        ended = [s for s in samples if s.stream != stream or s.t < at(end)]
+        assert [m.used for m in found] == [True] * 3
+        assert found == feed(ManeuverFinder(4, ManeuverSettings(horizon=20.0)), ended)
+        assert max(len(finder.gyro.t), len(finder.tip.t)) < 4000 + 1000
 
 
 def test_a_motion_without_end_is_followed_no_longer_than_the_horizon():

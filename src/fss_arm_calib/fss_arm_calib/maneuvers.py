@@ -242,7 +242,8 @@ class ManeuverFinder:
         """The arm moves on: a rest that counts ends a maneuver and begins the next."""
         if rest is None:
             return
-        if self._before:
+        # What was solved amid a rest has ended it before.
+        if self._before and rest.begin > self._before.end:
             self._pending.append((self._before, rest))
         self._before = rest
 
@@ -403,11 +404,15 @@ class ManeuverFinder:
         look = round((2.0 * self.settings.longest + 1.0) * SECOND)
         rests = [pair[0] for pair in self._pending] + ([self._before] if self._before else [])
         kept = rests[0].end if rests else min(joint.last for joint in self.joints)
-        streams: list[Samples | Poses | _Gyro] = [*self.joints, self.base, self.tip, self.gyro]
         # The longest maneuver, and as much again for streams that lag.
-        oldest = max(s.newest for s in streams) - round(2.0 * self.settings.horizon * SECOND)
-        for stream in streams:
-            stream.forget(max(kept - look, oldest))
+        span = round(2.0 * self.settings.horizon * SECOND)
+        needed: list[Samples | Poses] = [*self.joints, self.base]
+        oldest = max(kept - look, max(stream.newest for stream in needed) - span)
+        for stream in needed:
+            stream.forget(oldest)
+        # What may be absent has a say in its own samples only: its clock may be wrong.
+        self.tip.forget(max(oldest, self.tip.newest - span))
+        self.gyro.forget(max(oldest, self.gyro.newest - span))
 
 
 class _LostTurn(Exception):  # noqa: N818
