@@ -15,6 +15,7 @@ class FakeDrive:
 
     def __init__(self):
         self.lines, self.error, self.mute = [], 0, False
+        self.reported, self.shakes = 0, False  # more status bits; never measured at rest
         self.switch_on()
         self.referenced = True
 
@@ -64,7 +65,7 @@ class FakeDrive:
     def get(self, variable):
         computed = {
             0x0C: self.current,
-            0x18: self.velocity,
+            0x18: self.velocity + 5000 * self.shakes,
             0x1E: 240,
             0x20: 31,
             0x32: self.position,
@@ -77,7 +78,9 @@ class FakeDrive:
     def status(self):
         faulty = bool(self.held[0xA4])
         off = self.held[0x24] == 0
-        return off << 12 | self.reset << 20 | faulty << 22 | bool(self.velocity) << 27
+        return (
+            off << 12 | self.reset << 20 | faulty << 22 | bool(self.velocity) << 27 | self.reported
+        )
 
     def set(self, variable, number):
         if variable in READ_ONLY:

@@ -181,6 +181,43 @@ def test_whatever_is_refused_is_held_and_said(bench, code):
     assert bench.there.held[0x24] == 0
 
 
+def test_a_refused_order_ends_the_move_before(bench):
+    bench.demand(Goal.POSITION, 40000, 70000)
+    bench.there.moving, bench.there.error = 1000, 15  # a long move
+    assert bench.demand(Goal.POSITION, 80000, 70000) == ["s r0xc8 0", "t 0"]
+    assert (bench.there.held[0x24], bench.there.velocity) == (21, 0)
+    assert "error 15" in bench.here.refusal
+
+
+def test_what_the_drive_will_not_do_at_all_is_switched_off(bench):
+    bench.demand(Goal.VELOCITY, 9000)
+    bench.there.error = 15
+    told = bench.demand(Goal.HOLD)
+    assert told == ["s r0x37 300", "s r0x24 0"]
+
+
+def test_a_demand_made_again_while_braking_is_followed(bench):
+    bench.there.shakes = True
+    bench.demand(Goal.POSITION, 40000, 70000)
+    before = len(bench.there.lines)
+    bench.here.demand = Demand(Goal.HOLD)
+    bench.run(0.4)
+    bench.here.demand = Demand(Goal.POSITION, 40000, 70000)
+    bench.run(0.4)
+    assert bench.told(before)[-1] == "t 1"
+
+
+@pytest.mark.parametrize("goal", [(Goal.POSITION, 40000, 70000), (Goal.CURRENT, 50)])
+def test_a_joint_that_does_not_come_to_rest_is_switched_off_in_bounded_time(bench, goal):
+    bench.demand(*goal)
+    bench.there.shakes = True
+    bench.here.demand = Demand()
+    bench.run(2.9)
+    assert bench.there.held[0x24] != 0
+    bench.run(0.5)
+    assert bench.there.held[0x24] == 0
+
+
 def test_what_cannot_be_switched_on_stays_off(bench):
     bench.there.held[0xA4] = 1 << 9
     bench.run()
@@ -331,6 +368,56 @@ def test_once_disarmed_by_a_fault_it_must_be_told_to_disarm():
     bench.arm(mode=Mode.POSITION, set_point=40000, velocity=10)
     bench.run(0.5)
     assert bench.frames[-1].flags & State.ARMED
+
+
+def reset(drive, baud):
+    drive.switch_on()
+    drive.baud = drive.held[0x90] = baud
+
+
+def end_of_power(drive):
+    reset(drive, 9600)
+
+
+def quick_reset(drive):
+    reset(drive, drive.baud)
+
+
+def blocked(drive):
+    drive.reported = 1 << 11  # the enable input
+
+
+def reset_bit(drive):
+    drive.reset = True
+
+
+@pytest.mark.parametrize("goes_on", ["stop", "hold", "watchdog"])
+@pytest.mark.parametrize("happening", [end_of_power, quick_reset, blocked, reset_bit])
+def test_nothing_switches_a_dropped_drive_on_again(happening, goes_on):
+    flags = {"stop": Order.STOP, "hold": Order.ARM | Order.HOLD, "watchdog": Order.STOP}[goes_on]
+    bench = LinkBench()
+    bench.there.reset = False
+    bench.run(1.0)
+    bench.arm(mode=Mode.VELOCITY, set_point=5000)
+    bench.run(3.0 if goes_on == "watchdog" else 0.5)
+
+    def again(seconds):
+        modes = []
+        for _ in range(round(seconds / 0.2)):
+            command(bench.link, bench.now, flags=flags)
+            bench.run(0.2)
+            modes.append(bench.there.held[0x24])
+        return modes
+
+    if goes_on != "watchdog":
+        assert again(1.0)[-1] == Mode.POSITION
+    happening(bench.there)
+    again(1.0)
+    bench.there.reported = 0
+    assert set(again(3.0)) == {Mode.OFF}
+    bench.arm(mode=Mode.VELOCITY, set_point=5000)
+    bench.run(0.5)
+    assert bench.there.held[0x24] == Mode.VELOCITY
 
 
 # --- on a port ---

@@ -14,6 +14,7 @@ from fss_arm_driver.copley.language import (
     FIRST_BAUD,
     LONGEST,
     REFERENCED,
+    RESET,
     Error,
     LineError,
     Ok,
@@ -32,7 +33,9 @@ MILLISECOND = 1000  # [us]
 REPLY_TIME = 200 * MILLISECOND  # at most
 LINE_TIME = 50 * MILLISECOND  # for what is still under way after a failure
 SWITCH_TIME = 150 * MILLISECOND  # for the order to leave at the old rate, and the drive's own
+PATIENCE = 3000 * MILLISECOND  # with a joint that does not come to rest and shall be released
 STILL = 1000  # slower is at rest [0.1 counts/s]
+STATE = put(Variable.DESIRED_STATE, 0).removesuffix(b"0\r")  # what orders a mode begin with
 SLOW = (Variable.FAULTS, Variable.SUPPLY, Variable.TEMPERATURE, Variable.ABORT_DECELERATION)
 
 
@@ -97,6 +100,10 @@ class _NoAnswerError(Exception):
     """Nothing came in time, or nothing that a drive would say."""
 
 
+class _ResetError(Exception):
+    """It was reset or switched off by others: it is met anew, so that nothing goes on by itself."""
+
+
 Script = Generator[_Ask | _Tell, Reply | None, None]
 
 
@@ -115,6 +122,7 @@ class Drive:
         self.homings = 0
         self.refusal = ""  # of the present demand, in the drive's words
         self._done: Demand | None = None  # the demand that the drive was told last, in full
+        self._mode = int(Mode.OFF)  # that the drive is in, as read or acknowledged
         self.baud = FIRST_BAUD  # that the line must be set to now
         self._fast = baud
         self._now = self._until = 0
@@ -172,13 +180,14 @@ class Drive:
                 for turn in count():
                     yield from self._read(SLOW[turn % len(SLOW)])
                     yield from self._act()
-            except _NoAnswerError:
+            except (_NoAnswerError, _ResetError):
                 self.reading = None
 
     def _connect(self, baud: int) -> Script:
         """Find the drive at this rate, and set it to the one to work at."""
         self.baud = baud
         self._done = None  # what a drive does that was out of reach is not known
+        self._mode = Mode.OFF
         yield _Tell(b"\r", LINE_TIME)  # ends whatever is left in the drive's buffer
         yield _Ask(get(Variable.STATUS))
         if baud != self._fast:
@@ -201,7 +210,7 @@ class Drive:
 
     def _read(self, slow: Variable) -> Generator[_Ask | _Tell, Reply | None, Reading]:
         """A round of readings."""
-        before = self.referenced
+        before, last = self.referenced, self.reading
         position = yield from self._value(Variable.POSITION)
         reading = Reading(
             clock=self._now,
@@ -213,6 +222,10 @@ class Drive:
             mode=(yield from self._value(Variable.DESIRED_STATE)),
         )
         self.slow[slow] = yield from self._value(slow)
+        rose = reading.status & ~last.status if last else 0
+        if rose & RESET or self._mode != Mode.OFF == reading.mode:
+            raise _ResetError
+        self._mode = reading.mode
         self.reading = reading
         self.homings += self.referenced and not before
         return reading
@@ -226,31 +239,47 @@ class Drive:
             self.clear_faults = False
         if demand == self._done and (reading.mode == demand.mode or self.refusal):
             return
-        self.refusal = ""
-        if demand.goal <= Goal.HOLD or reading.mode != demand.mode:
-            yield from self._say(_brake(reading.mode, self.slow[Variable.ABORT_DECELERATION]))
+        self._done, self.refusal = None, ""
+        done = yield from self._pursue(demand, demand)
+        if not done and demand.goal > Goal.HOLD:  # what cannot be done is held,
+            yield from self._read(Variable.FAULTS)
+            done = yield from self._pursue(Demand(Goal.HOLD), demand)
+        while not done:  # and what cannot be held is switched off
+            yield from self._read(Variable.FAULTS)
+            done = yield from self._say([put(Variable.DESIRED_STATE, Mode.OFF)])
+        if demand == self.demand:
+            self._done = demand
+
+    def _pursue(self, goal: Demand, demand: Demand) -> Generator[_Ask | _Tell, Reply | None, bool]:
+        """Bring the drive to a goal while `demand` is what is asked; False: it refuses."""
+        reading = self.reading
+        assert reading
+        if goal.goal <= Goal.HOLD or reading.mode != goal.mode:
+            brake = _brake(reading.mode, self.slow[Variable.ABORT_DECELERATION])
+            if not (yield from self._say(brake)):
+                return False
+            end = self._now + PATIENCE
             while reading.mode != Mode.OFF:
                 reading = yield from self._read(Variable.FAULTS)
                 if demand != self.demand:
-                    return
-                if abs(reading.velocity) <= STILL:
+                    return True
+                too_long = goal.goal == Goal.RELEASE and self._now > end
+                if too_long or abs(reading.velocity) <= STILL:
                     break
-        yield from self._say(_program(demand, reading.mode))
-        self._done = demand
-        if self.refusal:  # what cannot be done is held, and what cannot be held is switched off
-            refusal, hold = self.refusal, Demand(Goal.HOLD)
-            yield from self._say(_program(hold if demand.goal > Goal.HOLD else Demand(), None))
-            self.refusal = refusal
+        return (yield from self._say(_program(goal, reading.mode)))
 
-    def _say(self, lines: list[bytes]) -> Script:
-        """Give orders until one is refused."""
+    def _say(self, lines: list[bytes]) -> Generator[_Ask | _Tell, Reply | None, bool]:
+        """Give orders until one is refused; whether none was."""
         for line in lines:
             reply = yield _Ask(line)
             if isinstance(reply, Error):
-                self.refusal = f"{line.decode().strip()}: {reply}"
-                return
+                self.refusal = self.refusal or f"{line.decode().strip()}: {reply}"
+                return False
             if not isinstance(reply, Ok):
                 raise _NoAnswerError
+            if line.startswith(STATE):
+                self._mode = int(line.removeprefix(STATE))
+        return True
 
 
 def _limit(acceleration: int) -> int:

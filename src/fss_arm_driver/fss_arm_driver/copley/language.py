@@ -45,6 +45,7 @@ class Trajectory(IntEnum):
 
 
 REFERENCED = 1 << 12  # of the trajectory status
+RESET = 1 << 20  # of the status
 
 ERRORS = {
     1: "too much data",

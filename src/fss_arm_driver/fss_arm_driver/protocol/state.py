@@ -45,8 +45,8 @@ class LinkState:
         self.armed = self.stopped = self.watchdog_tripped = self._dropped = self._on = False
 
     def drop(self) -> None:
-        """The drive has a fault or does not answer: disarm, until told to disarm."""
-        if self.armed:
+        """The drive has a fault or does not answer: off, also if it only holds, until disarmed."""
+        if self._on:
             self._dropped, self.armed, self._on = True, False, False
 
     def goal(self, clock: int) -> Goal:

@@ -19,7 +19,7 @@ from fss_arm_driver.transport.stream import open_port
 
 TICK = 0.005  # at which time passes for the drive [s]
 AGAIN = 0.5  # from one try to open the port to the next [s]
-RELEASE = 3.0  # at most, for the joint to come to rest when the process ends [s]
+RELEASE = 4.0  # at most, for the drive to be switched off when the process ends [s]
 DEAF = 3.0  # a drive that has not answered for so long is one to be told of [s]
 
 
