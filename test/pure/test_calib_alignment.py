@@ -91,6 +91,19 @@ def test_without_moves_there_is_nothing_to_learn():
     assert alignment.offset.deviation == np.inf
 
 
+def test_only_the_newest_moves_count():
+    """A clock that is set anew is followed, and a day of moves is not kept."""
+    alignment, t = Alignment(1, 1e-3, 1.0), np.arange(-2.0, 4.0, 0.2)
+    for q, stamp in zip(path(t, 1.0), t, strict=True):
+        alignment.reading(1, round(stamp * SECOND), q)
+    seen = np.arange(-2.0, 4.0, 0.01)
+    for late in [0.3] * 150 + [0.1] * 100:
+        stamps = np.round((seen - late) * SECOND).astype(np.int64)
+        alignment.learn(0, 5 * SECOND // 2, 4 * SECOND, stamps, path(seen, 1.0))
+    assert len(alignment.moves) == 100
+    assert alignment.offset.value == pytest.approx(0.1, abs=0.003)
+
+
 @pytest.mark.parametrize("late", [-0.9, -0.03, 0.04, 0.9])
 def test_the_finder_allows_for_the_offset(late):
     """All joints' stamps are late: the windows of poses would reach into the next move."""

@@ -11,7 +11,7 @@ count as one: a move's deviation is rather too large. Several moves tell theirs 
 """
 
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from math import inf, nan, sqrt
 
@@ -26,6 +26,7 @@ LEAST_TURN = 0.1  # a move that turns the end effector less tells nothing [rad]
 GRID = 0.02  # step of the search [s]
 FRAME = 0.01  # at which a move is looked at [s]
 ENOUGH = 5  # moves to tell their scatter from
+NEWEST = 100  # moves that the mean is of: clocks drift, and a day has thousands
 
 
 @dataclass(frozen=True)
@@ -81,7 +82,7 @@ class Alignment:
     def __init__(self, n: int, still: float, search: float) -> None:
         self.still, self.search = still, search
         self.offset = Offset()
-        self.moves: list[Offset] = []
+        self.moves: deque[Offset] = deque(maxlen=NEWEST)
         self._readings: list[deque[tuple[int, float]]] = [deque() for _ in range(n)]
 
     def reading(self, i: int, t: int, q: float) -> None:
@@ -131,7 +132,7 @@ def _between(readings: Iterable[tuple[int, float]], first: int, last: int) -> tu
     return np.array([t for t, _ in kept], np.int64), np.array([q for _, q in kept])
 
 
-def mean_offset(moves: list[Offset]) -> Offset:
+def mean_offset(moves: Collection[Offset]) -> Offset:
     """The mean weighted by deviations; the scatter of ENOUGH moves tells how sure it is."""
     values = np.array([move.value for move in moves])
     weights = np.array([move.deviation for move in moves]) ** -2.0

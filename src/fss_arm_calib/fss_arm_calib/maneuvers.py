@@ -15,6 +15,7 @@ may be absent; if they fall silent, they are waited for up to half of `horizon`.
 
 from array import array
 from bisect import bisect_left, bisect_right
+from collections import deque
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import isfinite, pi
@@ -24,7 +25,7 @@ import numpy as np
 
 from fss_arm_model.base_motion import Path, path, sampled
 
-from .alignment import Offset, mean_offset, offset_of_move
+from .alignment import NEWEST, Offset, mean_offset, offset_of_move
 from .dynamic_settings import ManeuverSettings
 from .kinematic import wrap
 from .least_squares import Floats
@@ -157,7 +158,7 @@ class ManeuverFinder:
         self._lag(round(s.time_offset * SECOND))
         self.gyro = _Gyro()
         self.offset = Offset()  # between the clocks
-        self._offsets: list[Offset] = []  # by each maneuver
+        self._offsets: deque[Offset] = deque(maxlen=NEWEST)  # by each maneuver
         self._merge = Merge(self.joints, s.horizon)
         self._before: _Rest | None = None  # the rest that the next maneuver begins with
         self._pending: list[tuple[_Rest, _Rest]] = []
