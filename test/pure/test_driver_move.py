@@ -54,6 +54,8 @@ def test_no_way_takes_no_time():
         ((0.0, nan, 0.0, 0.0), 0.0, "q of joint 2 is nan"),
         ((0.0,) * 4, -1.0, "duration is -1.0 s"),
         ((0.0,) * 4, inf, "duration is inf s"),
+        ((0.0,) * 4, nan, "duration is nan s"),
+        ((0.1,) * 4, 1e200, r"duration is 1e\+200 s, expected 0 to 3600"),
     ],
 )
 def test_moves_that_must_not_be_begun_are_refused(goal, duration, words):

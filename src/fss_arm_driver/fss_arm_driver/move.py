@@ -6,11 +6,12 @@ joint's limits forbid. The drives run the profiles by themselves.
 """
 
 from dataclasses import dataclass
-from math import isfinite, sqrt
+from math import sqrt
 
 from fss_arm_model.description import Arm
 
 STILL = 1e-9  # [rad], a way not worth a profile
+LONGEST = 3600.0  # [s]
 
 
 class MoveError(ValueError):
@@ -45,12 +46,13 @@ def plan(arm: Arm, q: tuple[float, ...], goal: tuple[float, ...], duration: floa
             fast as they do.
 
     Raises:
-        MoveError: wrong number of joints, a number that is not finite, or a goal beyond a limit.
+        MoveError: wrong number of joints, a goal beyond a limit, or a duration that is negative
+            or more than an hour.
     """
     if len(goal) != arm.n:
         raise MoveError(f"q has {len(goal)} joints, expected {arm.n}")
-    if not (isfinite(duration) and duration >= 0.0):
-        raise MoveError(f"duration is {duration} s, expected 0 or more")
+    if not 0.0 <= duration <= LONGEST:
+        raise MoveError(f"duration is {duration} s, expected 0 to {LONGEST:.0f}")
     for i, (link, angle) in enumerate(zip(arm.links, goal, strict=True), 1):
         if not link.q_min <= angle <= link.q_max:
             raise MoveError(
