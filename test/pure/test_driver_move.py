@@ -8,6 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fss_arm_driver.move import MoveError, plan
+from fss_arm_driver.protocol import Mode
+from fss_arm_driver.scale import Scale
 from fss_arm_model.description import Drive, paper_arm
 
 ARM = paper_arm()
@@ -21,24 +23,45 @@ def time_of(way, velocity, acceleration):
     return 2.0 * (way / acceleration) ** 0.5
 
 
-@given(st.tuples(*[ANGLE] * 4), st.tuples(*[ANGLE] * 4), st.floats(0.0, 60.0))
+def arrivals(q, move):
+    """When each joint that moves arrives by what a frame tells its drive, and its velocity."""
+    for a, link, part in zip(q, ARM.links, move.profiles, strict=True):
+        if part.velocity:
+            scale = Scale(link)
+            order = scale.set_point(Mode.POSITION, part.target, part.velocity, part.acceleration)
+            assert not order.clamped
+            velocity = order.velocity * scale.velocity_step
+            acceleration = order.acceleration * scale.acceleration_step
+            yield time_of(abs(part.target - a), velocity, acceleration), velocity
+
+
+@given(st.tuples(*[ANGLE] * 4), st.tuples(*[ANGLE] * 4), st.floats(0.0, 3600.0))
 def test_all_joints_take_the_same_time_within_their_limits(q, goal, duration):
     move = plan(ARM, q, goal, duration)
     if any(abs(a - b) > 1e-9 for a, b in zip(q, goal, strict=True)):
         assert move.duration >= duration
-    for a, part in zip(q, move.profiles, strict=True):
-        assert part.velocity <= 1.0 + 1e-12
-        assert part.acceleration <= 2.0 + 1e-12
-        if part.velocity:
-            way = abs(part.target - a)
-            assert time_of(way, part.velocity, part.acceleration) == pytest.approx(move.duration)
+    for part in move.profiles:
+        assert part.velocity <= 1.0
+        assert part.acceleration <= 2.0
+    step = Scale(ARM.links[0]).velocity_step
+    for time, velocity in arrivals(q, move):
+        assert move.duration * (0.99 - step / velocity) <= time <= move.duration * 1.01
+
+
+@pytest.mark.parametrize("duration", [0.0, 10.0, 60.0])
+def test_long_and_short_ways_arrive_together(duration):
+    q = (0.0,) * 4
+    move = plan(ARM, q, (1.5, 0.1, -0.02, 0.0), duration)
+    times = [time for time, _ in arrivals(q, move)]
+    assert times == pytest.approx([move.duration] * 3, rel=0.01)
 
 
 def test_the_slowest_joint_sets_the_pace():
     links = (replace(ARM.links[0], drive=Drive(max_velocity=0.1)), *ARM.links[1:])
     move = plan(replace(ARM, links=links), (0.0,) * 4, (0.5, 1.0, -1.5, 0.0))
     assert [part.target for part in move.profiles] == [0.5, 1.0, -1.5, 0.0]
-    assert [part.velocity for part in move.profiles] == pytest.approx([0.1, 0.2, 0.3, 0.0])
+    velocities = [part.velocity for part in move.profiles]
+    assert velocities == pytest.approx([0.1, 0.2, 0.3, 0.0], abs=3e-6)
     assert move.duration == pytest.approx(5.0 + 0.3 / 2.0)
 
 

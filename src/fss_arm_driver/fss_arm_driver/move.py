@@ -3,15 +3,20 @@
 With s from 0 to 1 as the common path, joint i turns by d_i s(t): its profile velocity is
 |d_i| V and its acceleration |d_i| A for the rate V and acceleration A of s, the largest that no
 joint's limits forbid. The drives run the profiles by themselves.
+
+A frame tells an acceleration in steps that are coarse for a slow joint. Such a joint accelerates
+faster than its part, to a velocity with which it still arrives with the others.
 """
 
 from dataclasses import dataclass
-from math import sqrt
+from math import ceil, sqrt
 
-from fss_arm_model.description import Arm
+from fss_arm_driver.scale import Scale
+from fss_arm_model.description import Arm, Link
 
 STILL = 1e-9  # [rad], a way not worth a profile
 LONGEST = 3600.0  # [s]
+STEPS = 50  # of a frame, that an acceleration has at least: so it is rounded by 1% at most
 
 
 class MoveError(ValueError):
@@ -66,9 +71,23 @@ def plan(arm: Arm, q: tuple[float, ...], goal: tuple[float, ...], duration: floa
     rate = min(k.max_velocity / d for k, d in zip(drives, way, strict=True) if d)
     rate = min(rate, sqrt(gain))  # a short way ends before its limit is reached
     fastest = 1.0 / rate + rate / gain
-    slower = max(1.0, duration / fastest)
+    lasts = max(fastest, duration)
+    gain *= (fastest / lasts) ** 2
     profiles = tuple(
-        Profile(angle, d * rate / slower, d * gain / slower**2)
-        for angle, d in zip(goal, way, strict=True)
+        _profile(link, angle, d, d * gain, lasts)
+        for link, angle, d in zip(arm.links, goal, way, strict=True)
     )
-    return Move(profiles, max(fastest, duration))
+    return Move(profiles, lasts)
+
+
+def _profile(link: Link, target: float, way: float, acceleration: float, lasts: float) -> Profile:
+    """One joint's part, for an acceleration that may be raised to what a frame can tell."""
+    if not way:
+        return Profile(target, 0.0, 0.0)
+    scale, drive = Scale(link), link.drive
+    acceleration = min(max(acceleration, STEPS * scale.acceleration_step), drive.max_acceleration)
+    # lasts = way / velocity + velocity / acceleration
+    root = sqrt(max(0.0, 1.0 - 4.0 * way / (acceleration * lasts**2)))
+    velocity = 2.0 * way / lasts / (1.0 + root)
+    steps = ceil(velocity / scale.velocity_step)  # rather early than too late
+    return Profile(target, min(steps * scale.velocity_step, drive.max_velocity), acceleration)

@@ -50,6 +50,8 @@ class Scale:
         drive = link.drive
         self.radians_per_count = 2.0 * pi / (drive.direction * drive.counts_per_turn)
         counts_per_radian = abs(1.0 / self.radians_per_count)
+        self.velocity_step = VELOCITY_UNIT / counts_per_radian  # of a frame [rad/s]
+        self.acceleration_step = ACCELERATION_UNIT / counts_per_radian  # of a frame [rad/s^2]
         self._fastest = SPEED_MARGIN * drive.max_velocity * counts_per_radian  # [counts/s]
         self._reach_margin = REACH_MARGIN * counts_per_radian
         self._largest_velocity = self._fastest / VELOCITY_UNIT
@@ -122,15 +124,15 @@ class Scale:
         for name, number in numbers.items():
             if not isfinite(number):
                 raise CommandError(f"{name} is {number}, expected a finite number")
-        drive, count = self.link.drive, abs(self.radians_per_count)
+        drive = self.link.drive
         speed = _profile("max_velocity", velocity, drive.max_velocity)
         gain = _profile("max_acceleration", acceleration, drive.max_acceleration)
         target, clamped = self._target(Mode(mode), value)
         return SetPoint(
             Mode(mode),
             target,
-            max(1, round(speed / count / VELOCITY_UNIT)),
-            max(1, round(gain / count / ACCELERATION_UNIT)),
+            max(1, round(speed / self.velocity_step)),
+            max(1, round(gain / self.acceleration_step)),
             clamped or velocity > speed or acceleration > gain,
         )
 
