@@ -59,7 +59,7 @@ class FakeLink:
         if command.flags & Order.STOP:
             self.flags = State.STOPPED
         elif not command.flags & Order.ARM:
-            self.flags = 0
+            self.flags, self.speed = 0, 0.0
         elif not latches:
             self.flags = State.ARMED
             self.referenced |= bool(command.flags & Order.HOME)

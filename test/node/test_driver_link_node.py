@@ -241,6 +241,38 @@ def test_stop_goes_out_at_once_and_latches(bench):
     until(lambda: transport.link.flags == State.ARMED)
 
 
+def test_disarming_succeeds_when_the_link_says_that_it_is_off(bench):
+    _, user, transport, until = bench
+    arm(user, until)
+    order(user, set_point=0.5, max_velocity=0.1, time_to_live=60.0)
+    until(lambda: transport.link.position)
+    answer = arm(user, until, data=False)
+    assert (answer.success, answer.message) == (True, "link_1 is disarmed")
+    assert not transport.link.flags
+
+
+def test_disarming_a_link_that_does_not_hear_fails_in_words(bench):
+    _, user, transport, until = bench
+    arm(user, until)
+    transport.hears = False
+    answer = arm(user, until, data=False)
+    assert not answer.success
+    words = "link_1 does not say that it is off: told to disarm, not confirmed"
+    assert answer.message == words
+
+
+@pytest.mark.parametrize("bench", [{"timeout": 1.0}], indirect=True)
+def test_disarming_a_lost_link_fails_in_words(bench):
+    node, user, transport, until = bench
+    arm(user, until)
+    transport.talks = False
+    for lost in (False, True):  # on the way, and before
+        assert node.session.lost == lost
+        answer = arm(user, until, data=False)
+        assert not answer.success
+        assert answer.message == "link_1 is lost: told to disarm, not confirmed"
+
+
 def test_arming_a_link_that_does_not_hear_fails_in_words(bench):
     _, user, transport, until = bench
     transport.hears = False

@@ -228,6 +228,15 @@ def test_a_battery_tells_how_long_it_lasts():
     assert battery.time_left() == pytest.approx((volts - 12.0) / 0.0005, rel=0.1)
 
 
+def test_a_battery_is_read_on_when_the_clock_was_set_back():
+    battery = Battery(empty=12.0)
+    for second in range(9000, 9100):
+        battery.take(13.0, second * SECOND)
+    for second in range(900):
+        battery.take(16.0 - 0.001 * second, second * SECOND)
+    assert battery.time_left() == pytest.approx((15.1 - 12.0) / 0.001, rel=0.01)
+
+
 def test_a_battery_that_does_not_fall_lasts():
     battery = Battery(empty=12.0)
     for second in range(0, 600, 10):

@@ -397,6 +397,48 @@ def test_disarming_releases_what_was_stopped(armed):
     assert armed.link.flags == 0
 
 
+def test_disarming_is_done_when_the_link_says_that_it_is_off(armed):
+    armed.session.disarm()
+    armed.step(down=False)  # it does not know yet
+    assert not armed.session.settled
+    armed.step(mode=Mode.VELOCITY)  # it brakes
+    assert not armed.session.settled
+    armed.step()
+    assert armed.session.settled
+    assert armed.session.released
+    armed.session.arm(armed.now)
+    assert not armed.session.released
+
+
+def test_that_a_link_was_off_before_does_not_confirm_that_it_was_disarmed(armed):
+    armed.session.disarm()
+    armed.step(down=False, flags=State.REFERENCED, mode=Mode.OFF)
+    assert not armed.session.released
+
+
+@pytest.mark.parametrize("way", [{"down": False}, {"up": False}, {"mode": Mode.POSITION}])
+def test_disarming_that_comes_to_nothing_ends(armed, way):
+    armed.session.disarm()
+    for _ in range(21):
+        armed.step(**way)
+    assert armed.session.settled
+    assert not armed.session.released
+
+
+def test_a_lost_link_does_not_confirm_that_it_was_disarmed(armed):
+    while not armed.session.lost:
+        armed.step(up=False)
+    armed.session.disarm()
+    assert armed.session.settled
+    assert not armed.session.released
+
+
+def test_faults_are_not_cleared_again_when_the_clock_was_set_back(heard):
+    heard.session.clear_faults(heard.now)
+    heard.now -= 3600 * SECOND
+    assert heard.told().flags == 0
+
+
 def test_faults_are_cleared_after_a_stop(armed):
     armed.session.stop()
     armed.step()

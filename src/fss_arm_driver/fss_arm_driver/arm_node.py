@@ -27,7 +27,7 @@ from fss_arm_ros.qos import LATCHED, command, subscribe_sensor
 from fss_arm_ros.run import run
 from fss_arm_ros.settings import declare
 
-ANSWER = 4.0  # a link's driver has answered by then [s]
+ANSWER = 6.0  # a link's driver has answered by then [s]
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,9 @@ class Battery:
     def take(self, voltage: float, now: int) -> None:
         """Learn a reading [V]."""
         self.voltage = voltage
+        if now < self._next - INTERVAL:  # the clock was set back
+            self._readings.clear()
+            self._next = now
         if now >= self._next:
             self._readings.append((1e-9 * now, voltage))
             self._next = now + INTERVAL

@@ -30,6 +30,7 @@ from fss_arm_model.description import Link
 
 CORRECTION = SECOND // 10  # a clock that is set back by less is being corrected
 PATIENCE = 2 * SECOND  # a link that has not armed by then is left disarmed
+RELEASE = 4 * SECOND  # a link that is disarmed has switched off by then, its joint at rest or not
 NO_TORQUE = 255  # as the age of a torque sample: old, or there is none [ms]
 STAMPS_KEPT = 1024  # of commands sent, which an echo may name
 
@@ -112,6 +113,9 @@ class LinkSession:
         self.progress: Progress | None = None  # of the last order
         self._clear_asked = -PATIENCE  # when
         self._arm_asked = 0  # when
+        self._disarm_asked = 0  # when
+        self.released = False  # the link has said that it is off, as it was told to be
+        self._releasing = False  # it has yet to
         self._sequence = 0
         self._clock = 0  # stamp of the last frame sent [us]
         self._sent: dict[int, int] = {}  # low 32 bits of a command's stamp: when it was sent
@@ -120,6 +124,11 @@ class LinkSession:
     def armed(self) -> bool:
         """Whether the link may move: this driver armed it, and it says so itself."""
         return self.arming is Arming.ARMED
+
+    @property
+    def settled(self) -> bool:
+        """Whether what was asked last, to arm or to disarm, is done or has come to nothing."""
+        return self.arming is not Arming.ARMING and not self._releasing
 
     @property
     def lost(self) -> bool:
@@ -184,6 +193,7 @@ class LinkSession:
             past = "not heard yet" if silence == inf else f"silent for {silence:.1f} s"
             raise CommandError(f"link {self.number} is lost: {past}")
         self._check_faults()
+        self.released = self._releasing = False
         if self.arming is not Arming.ARMED:
             self.arming, self._arm_asked = Arming.ARMING, now
 
@@ -197,9 +207,13 @@ class LinkSession:
         self._clear_asked = now
 
     def disarm(self) -> None:
-        """Let the joint come to rest and switch the drive off, also after a stop."""
+        """Let the joint come to rest and switch the drive off, also after a stop.
+
+        `released` tells whether the link has, once all is `settled`; a lost one cannot tell.
+        """
         self._drop_order(Status.ABORTED, "disarmed")
-        self.arming = Arming.DISARMED
+        self.arming, self._disarm_asked = Arming.DISARMED, self._now
+        self.released, self._releasing = False, not self.lost
 
     def _disarm(self, why: str) -> None:
         """Disarm without having been told to: a stop stays."""
@@ -256,6 +270,7 @@ class LinkSession:
             self._reception.forget(now)
             self._sent.clear()
             self._stamp = 0
+            self._clear_asked = now - PATIENCE
             self._disarm("the clock was set back")
         self._now = now
         if self._reception.tick(now):
@@ -264,6 +279,8 @@ class LinkSession:
             self._drop_order(Status.TIMED_OUT, "its time to live ended")
         if self.arming is Arming.ARMING and now - self._arm_asked > PATIENCE:
             self.arming = Arming.DISARMED
+        if self.lost or now - self._disarm_asked > RELEASE:
+            self._releasing = False
 
     def command(self, now: int) -> bytes:
         """The frame to send now."""
@@ -357,7 +374,7 @@ class LinkSession:
         return frame
 
     def _follow_arming(self, frame: Telemetry, echoed: int | None) -> None:
-        """Arming is done when the link says so in answer to what was sent since it was asked."""
+        """Arming and disarming are done when the link says so in answer to what was sent since."""
         armed = bool(frame.flags & State.ARMED)
         if self._order and self.progress:
             taken = echoed is not None and echoed >= self.progress.given
@@ -368,6 +385,9 @@ class LinkSession:
             self._disarm(", ".join(faults))
         elif self.arming is Arming.ARMING and armed and echoed and echoed >= self._arm_asked:
             self.arming = Arming.ARMED
+        off = not armed and frame.mode == Mode.OFF
+        if self._releasing and off and echoed and echoed > self._disarm_asked:
+            self._releasing, self.released = False, True
 
     def _sample(self, frame: Telemetry, echoed: int | None, now: int) -> Sample:
         assert self._reception.track

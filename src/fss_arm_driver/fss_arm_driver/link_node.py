@@ -160,22 +160,28 @@ class LinkNode(Node):
 
     async def on_arm(self, request: SetBool.Request, response: SetBool.Response) -> Any:
         """Arm or disarm; answer when the link has."""
-        if not request.data:
-            with self.lock:
-                self.session.disarm()
-            self.send()
-            response.success, response.message = True, state_words(self.session)
-            return response
         try:
             with self.lock:
-                self.session.arm(self.now())
+                if request.data:
+                    self.session.arm(self.now())
+                else:
+                    self.session.disarm()
             self.waiting.append(settled := Future())
             self.send()
             await settled
-            response.success, response.message = self.session.armed, state_words(self.session)
+            response.success, response.message = self.outcome(request.data)
         except CommandError as error:
             response.success, response.message = False, str(error)
         return response
+
+    def outcome(self, arm: bool) -> tuple[bool, str]:
+        """Whether the link has armed or disarmed, and how it is in words."""
+        session = self.session
+        done = session.armed if arm else session.released
+        if done or arm or session.arming is not Arming.DISARMED:
+            return done, state_words(session)
+        how = "is lost" if session.lost else "does not say that it is off"
+        return False, f"{self.name} {how}: told to disarm, not confirmed"
 
     def on_clear_faults(self, _: Trigger.Request, response: Trigger.Response) -> Any:
         """Disarm and clear what the drive has latched; telemetry tells what remains."""
@@ -201,7 +207,7 @@ class LinkNode(Node):
                 self.told = progress.given, progress.status
         if progress and told:
             self.status.publish(command_status(progress, self.now()))
-        while self.waiting and self.session.arming is not Arming.ARMING:
+        while self.waiting and self.session.settled:
             self.waiting.pop().set_result(None)
 
     def health(self) -> Health:
