@@ -160,9 +160,8 @@ def test_a_delayed_burst_is_taken_in_order_with_its_true_stamps(heard):
 
 def test_a_frame_older_than_the_timeout_is_stale(heard):
     old = heard.link.telemetry(heard.now + 60 * MILLISECOND)
-    for _ in range(3):
-        heard.step(up=False)
-    heard.now += SECOND
+    for _ in range(6):
+        heard.step()
     assert heard.feed(old) is None
     assert heard.session.counts["stale"] == 1
 
@@ -262,6 +261,31 @@ def test_a_link_that_reuses_its_boot_number_comes_back(heard):
         if heard.step(down=False):
             break
     assert heard.session.frame == heard.link.frame
+
+
+@pytest.mark.parametrize("leap", [2 * SECOND, 15 * SECOND, 59 * SECOND])
+def test_a_host_clock_that_leaps_forward_costs_one_frame(armed, leap):
+    armed.now += leap
+    armed.link.born += leap  # it does not leap itself
+    armed.link.arrived += leap
+    samples = [armed.step() for _ in range(10)]
+    assert [bool(sample) for sample in samples] == [False] + [True] * 9
+    assert abs(armed.now - samples[-1].stamp - DELAY) < DELAY
+
+
+def test_a_homing_that_sets_the_count_does_not_interrupt(armed):
+    armed.link.referenced = False
+    armed.link.position = 100_000
+    while not armed.step():
+        pass
+    armed.session.arm(armed.now)
+    while not armed.session.armed:
+        armed.step()
+    armed.link.referenced, armed.link.position = True, 0
+    assert armed.step().referenced
+    assert armed.session.armed
+    armed.link.position = 100_000
+    assert armed.step() is None  # once is enough
 
 
 @pytest.mark.parametrize("leap", [-30 * SECOND, 3600 * SECOND])

@@ -5,7 +5,7 @@ from enum import Enum
 from typing import NamedTuple
 
 from fss_arm_driver.clock import LinkClock
-from fss_arm_driver.protocol import Telemetry, newer
+from fss_arm_driver.protocol import State, Telemetry, newer
 from fss_arm_driver.scale import Scale
 
 SECOND = 1_000_000_000  # [ns]
@@ -86,6 +86,8 @@ class Reception:
             self._counts["impossible"] += 1
             return False
         verdict = self._compare(self.track, frame, now, late=self._timeout)
+        if self.lost and verdict is Verdict.STALE:  # all are, once the host's clock was set forward
+            verdict = Verdict.JUMP
         if verdict not in (Verdict.FOLLOWS, Verdict.JUMP):
             self._counts[verdict.value] += 1
             return False
@@ -122,11 +124,13 @@ class Reception:
         period = frame.clock - track.frame.clock
         steps = (frame.sequence - track.frame.sequence) & 0xFFFFFFFF
         turned = frame.position - track.frame.position
+        homed = frame.flags & ~track.frame.flags & State.REFERENCED  # from now it counts anew
         # Frames that are said to have come between need their time; the next one is no leap.
         least = max(steps * SHORTEST_PERIOD, (steps - 1) * track.period / 2)
         if period < least or (age < -self._early and self._is_early(track, age, now)):
             return Verdict.JUMP
-        return Verdict.FOLLOWS if self._scale.reachable(turned, period) else Verdict.JUMP
+        reachable = homed or self._scale.reachable(turned, period)
+        return Verdict.FOLLOWS if reachable else Verdict.JUMP
 
     def _is_early(self, track: Track, age: int, now: int) -> bool:
         """Whether a frame is from the future by more than the clock's uncertainty, too."""
