@@ -1,8 +1,10 @@
 """The far ends of the driver's transports, in a few lines: a link's socket or serial port."""
 
+import errno
 import os
 import pty
 import socket
+import termios
 import tty
 from contextlib import suppress
 from select import select
@@ -117,6 +119,11 @@ class PtyEnd(StreamEnd):
     def close(self):
         if not self.line.closed:
             self.unplug()
+
+
+def go_in_mid_open(*_):
+    """What `termios.tcsetattr` does for a serial adapter that is pulled just then."""
+    raise termios.error(errno.EIO, "Input/output error")
 
 
 ENDS = {"udp": UdpEnd, "tcp": TcpEnd, "pty": PtyEnd}

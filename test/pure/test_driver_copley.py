@@ -1,11 +1,12 @@
 """The servo drive's own language, and a drive straight on the computer's serial port."""
 
+import termios
 import time
 from dataclasses import replace
 
 import pytest
 from driver_drive import DriveOnPty, FakeDrive
-from driver_wire import ENDS
+from driver_wire import ENDS, go_in_mid_open
 
 from fss_arm_driver.copley.drive import REPLY_TIME, Demand, Drive, Goal
 from fss_arm_driver.copley.language import (
@@ -489,6 +490,33 @@ def test_unplugged_and_plugged_in_again_it_is_found_and_disarmed(rig):
     assert not rig.session.armed
     rig.until(lambda: rig.peer.drive.held[0x24] == 0)
     rig.arm()
+
+
+@pytest.mark.parametrize("pulled", [True, False])
+def test_an_adapter_that_goes_while_it_is_set_up_is_found_again(rig, monkeypatch, pulled):
+    rig.arm()
+    if pulled:
+        rig.end.unplug()
+        rig.until(lambda: "cannot use the port" in rig.transport.trouble)
+        rig.end.replug()
+    else:
+        rig.peer.drive.switch_on()  # so its rate is raised anew
+    with monkeypatch.context() as patch:
+        patch.setattr(termios, "tcsetattr", go_in_mid_open)
+        said = "cannot use the port: Input/output error"
+        rig.until(lambda: rig.transport.trouble == said)
+    rig.until(lambda: not rig.session.armed)
+    rig.until(lambda: not rig.session.lost and not rig.transport.trouble)
+
+
+def test_whatever_goes_wrong_on_the_way_is_said_and_tried_again(rig, monkeypatch):
+    rig.arm()
+    with monkeypatch.context() as patch:
+        patch.setattr(DriveLink, "poll", lambda *_: {}["nothing"])
+        said = "cannot use the port: KeyError('nothing')"
+        rig.until(lambda: rig.transport.trouble == said)
+    rig.until(lambda: not rig.session.armed)
+    rig.until(lambda: not rig.session.lost and not rig.transport.trouble)
 
 
 def test_power_cycled_it_takes_no_position_until_it_is_homed(rig):

@@ -2,10 +2,11 @@
 
 import os
 import socket
+import termios
 import time
 
 import pytest
-from driver_wire import ENDS, TIMEOUT
+from driver_wire import ENDS, TIMEOUT, go_in_mid_open
 
 from fss_arm_driver.transport import BATCH, FORMS, TransportError, UdpTransport, open_transport
 
@@ -248,3 +249,23 @@ def test_localhost_is_the_ipv4_one_if_there_are_two():
     transport = UdpTransport("localhost", 9)
     assert transport._socket.family == socket.AF_INET
     transport.close()
+
+
+def test_an_adapter_that_goes_while_it_is_set_up_is_found_again(opened, tmp_path, monkeypatch):
+    end = ENDS["pty"](tmp_path)
+    transport = opened(end.url)
+    meet(transport, end)
+    end.unplug()
+    while not transport.trouble:
+        transport.wait(0.01)
+        transport.receive()
+    end.replug()
+    with monkeypatch.context() as patch:
+        patch.setattr(termios, "tcsetattr", go_in_mid_open)
+        assert not transport.wait(0.01)
+        assert transport.trouble == "cannot connect: Input/output error"
+        with pytest.raises(TransportError, match="Input/output error"):
+            open_transport(end.url)
+    meet(transport, end)
+    assert transport.trouble == ""
+    end.close()

@@ -15,7 +15,7 @@ from fss_arm_driver.copley.language import FIRST_BAUD
 from fss_arm_driver.copley.link import DriveLink
 from fss_arm_driver.protocol import Mode
 from fss_arm_driver.transport.base import BATCH
-from fss_arm_driver.transport.stream import open_port
+from fss_arm_driver.transport.stream import open_port, set_rate
 
 TICK = 0.005  # at which time passes for the drive [s]
 AGAIN = 0.5  # from one try to open the port to the next [s]
@@ -77,9 +77,10 @@ class CopleyTransport:
                     self._link.restart()
                     self.counts["connects"] += 1
                 self._turn(self._port)
-            except (OSError, ValueError) as error:
+            except Exception as error:  # whatever it is: nobody else looks after the drive
                 self._drop()
-                self.trouble = f"cannot use the port: {getattr(error, 'strerror', 0) or error}"
+                why = error.strerror or error if isinstance(error, OSError) else repr(error)
+                self.trouble = f"cannot use the port: {why}"
                 self._closing.wait(AGAIN)
         self._let_go()
         self._drop()
@@ -109,7 +110,7 @@ class CopleyTransport:
         out, frame = self._link.poll(data, clock)
         drive = self._link.drive
         if drive.baud != port.baudrate:
-            port.baudrate = drive.baud
+            set_rate(port, drive.baud)
         if out:
             os.write(port.fileno(), out)
         if frame:

@@ -3,6 +3,7 @@
 import errno
 import os
 import socket
+import termios
 from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
@@ -169,6 +170,8 @@ def open_port(device: str, baud: int) -> Serial:
     """
     try:
         return Serial(device, baud, EIGHTBITS, PARITY_NONE, STOPBITS_ONE, timeout=0, exclusive=True)
+    except termios.error as error:  # which is no OSError: the device went meanwhile
+        raise OSError(*error.args) from None
     except (SerialException, ValueError) as error:
         number = getattr(error, "errno", None)
         if number == errno.EAGAIN:
@@ -176,3 +179,15 @@ def open_port(device: str, baud: int) -> Serial:
         if number:
             raise OSError(number, os.strerror(number)) from None
         raise OSError(f"it is no serial port, or has no rate of {baud} baud") from None
+
+
+def set_rate(port: Serial, baud: int) -> None:
+    """Change the rate of an open port.
+
+    Raises:
+        OSError: it cannot be set.
+    """
+    try:
+        port.baudrate = baud
+    except termios.error as error:
+        raise OSError(*error.args) from None
