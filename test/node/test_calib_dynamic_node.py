@@ -147,6 +147,9 @@ def test_older_maneuvers_go(ros, samples, tmp_path):
     node.take(every[4:])
     assert node.maneuvers == newest == every[-7:]
     assert node.calibration.provenance.data_hash == some.provenance.data_hash
+    node.take([replace(every[0], used=False, reason="a gap")] * 9)
+    assert node.maneuvers[:7] == newest
+    assert len(node.maneuvers) == 14
     node.destroy_node()
 
 

@@ -1,7 +1,7 @@
 """The node on real topics, the same data from a bag, and both against each other."""
 
 import json
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -214,6 +214,20 @@ def test_older_rests_go(spin, play, samples, tmp_path):
     offline = solve_bag(record(tmp_path, samples), CalibrationSettings(kept=6))
     assert offline.observations_hash == bed.results[-1].observations_hash
     assert np.abs(offline.q - DEFAULT[2:8]).max() < 1e-4
+
+
+def test_what_is_spoiled_takes_no_place_of_what_is_used(ros):
+    node = make_node(kept=6)
+    tips = tip_in_base(ARM.vector(), DEFAULT)
+    used = [
+        Observation(at(k), at(k + 1), tuple(q), tuple(tip))
+        for k, (q, tip) in enumerate(zip(DEFAULT.tolist(), tips.tolist(), strict=True))
+    ]
+    node.take(used)
+    node.take([replace(used[0], used=False, reason="a gap")] * 10)
+    assert node.observations[:6] == used[-6:]
+    assert len(node.observations) == 12
+    node.destroy_node()
 
 
 def test_what_cannot_be_written_is_told_and_nothing_else_is_lost(spin, play, samples, tmp_path):

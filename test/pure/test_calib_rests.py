@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from calib_rig import ARM, COUNT, POSTURES, START, Rig, Sample, at
 
+from fss_arm_calib.postures import DEFAULT
 from fss_arm_calib.rests import (
     BASE,
     TIP,
@@ -17,6 +18,7 @@ from fss_arm_calib.rests import (
     since_homed,
     spoiled,
 )
+from fss_arm_calib.streams import newest
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_ros.convert import SECOND
 
@@ -255,10 +257,86 @@ def test_a_live_finder_forgets():
     find(samples, close=False, finder=finder)
     assert all(len(poses.t) < 4500 for poses in finder.subjects.values())
     assert all(len(joint.t) < 50 for joint in finder.joints)
-    dead = RestFinder(4)
+    dead = RestFinder(4, RestSettings(horizon=20.0))
     find(without(samples, {2}, 1.0, 700.0), close=False, finder=dead)
-    assert all(len(poses.t) < 8000 for poses in dead.subjects.values())
-    assert all(len(joint.waiting) <= 301 for joint in dead.joints)  # the horizon's 60 s at 5 Hz
+    assert all(len(poses.t) < 4200 + 1000 for poses in dead.subjects.values())
+    assert all(len(joint.waiting) <= 101 for joint in dead.joints)  # the horizon's 20 s at 5 Hz
+
+
+@pytest.mark.parametrize("lost", [{TIP}, {BASE}, {TIP, BASE}])
+def test_rests_of_a_lost_subject_are_told_and_forgotten(lost):
+    """Twenty rests, nothing seen from the second on: they are told before anything returns."""
+    rig = Rig(np.resize(POSTURES, (20, 4)), rest=3.0)
+    finder, found = RestFinder(4, RestSettings(horizon=10.0)), []
+    for sample in without(rig.samples(), lost, 4.0, 700.0):
+        found += find([sample], close=False, finder=finder)
+        assert len(finder._pending) <= 3
+        assert all(len(poses.t) < 2200 + 1000 for poses in finder.subjects.values())
+    assert [o.used for o in found] == [True] + [False] * 17
+    assert len(finder.alignment._readings[0]) < 500
+    assert all("silent for" in o.reason for o in found[1:])
+    assert np.abs(np.array([o.q for o in found]) - rig.postures[:18]).max() <= 1e-3
+
+
+@pytest.mark.parametrize("begin", [8.0, 12.9, 13.05, 14.0])
+def test_what_a_lost_subject_leaves_is_the_same_however_streams_lag(begin):
+    """Lost amid rests or just before they end, for longer than what is waited for."""
+    rig = Rig(DEFAULT[:9], rest=3.0)
+    samples = without(rig.samples(), {TIP}, begin, 31.3)
+    samples = without(samples, {BASE}, 0.0, 0.4)
+
+    def late(*streams):
+        """In the order in which they arrive if some are nearly as late as is waited for."""
+        return sorted(samples, key=lambda s: s.t + 9.5 * SECOND * (s.stream in streams))
+
+    expected = find(samples, horizon=10.0)
+    assert 3 <= sum(not o.used for o in expected) <= 5
+    orders = [(TIP,), (BASE,), (BASE, TIP), (1, 2, 3, 4), (1, 2, 3, 4, BASE), (2, TIP)]
+    for streams in orders:
+        assert find(late(*streams), horizon=10.0) == expected, streams
+
+
+def test_a_subject_that_flickers_makes_no_work():
+    """Never seen for as long as it takes, it is looked at once for each time that it went."""
+    samples = Rig(rest=40.0).samples()
+    for begin in np.arange(0.8, 40.0, 1.5):
+        samples = without(samples, {TIP}, begin, begin + 0.4)
+    finder, looks = RestFinder(4), []
+    look = finder._observe
+    finder._observe = lambda rest, over: looks.append(over) or look(rest, over)
+    found = find(samples, finder=finder)
+    assert [o.used for o in found] == [True] * 3
+    assert SECOND < found[0].end - found[0].start < 1.2 * SECOND
+    assert len(looks) < 40
+
+
+@pytest.mark.parametrize(("lost", "begin"), [({TIP, BASE}, 41.0), ({2}, 44.0)])
+def test_a_posture_is_known_however_long_nothing_was_heard(lost, begin):
+    rig = Rig(np.array([*POSTURES, POSTURES[1]]), rest=40.0)
+    found = find(without(rig.samples(), lost, begin, 83.0), horizon=5.0)
+    assert [o.used for o in found] == [True, False, True, True]
+    assert np.abs(np.array(found[1].q) - POSTURES[1]).max() <= 1e-3
+    assert spoiled(found, np.radians(1.0)) == []
+
+
+def test_the_newest_are_kept_whatever_was_spoiled_since():
+    def rests(words):
+        return [Observation(k, k, (), used=word == "u") for k, word in enumerate(words)]
+
+    def kept(words, most):
+        return "".join("u" if o.used else "-" for o in newest(rests(words), most))
+
+    assert kept("-u-u", 3) == "-u-u"
+    assert kept("u-uu-uuu", 3) == "uuu"
+    assert kept("uu-u-u-", 3) == "u-u-u-"
+    assert kept("uuu" + 10 * "-", 3) == "uuu---"
+    assert kept(10 * "-", 3) == "---"
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        every, one_by_one = rests(rng.choice(["u", "-"], 30, p=[0.4, 0.6])), []
+        for o in every:
+            one_by_one = newest([*one_by_one, o], 4)
+        assert one_by_one == newest(every, 4)
 
 
 def test_observations_come_in_order_of_time():

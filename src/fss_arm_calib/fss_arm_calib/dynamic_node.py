@@ -34,6 +34,7 @@ from .maneuvers import Maneuver, ManeuverFinder
 from .report import write
 from .settings import setting
 from .state import attempt
+from .streams import newest
 
 
 @dataclass(frozen=True)
@@ -98,7 +99,7 @@ class DynamicNode(Node):
         """Keep and publish new maneuvers and solve again; False if there are none."""
         if not found:
             return False
-        self.maneuvers = (self.maneuvers + found)[-self.settings.kept :]
+        self.maneuvers = newest(self.maneuvers + found, self.settings.kept)
         self.solve()
         self.publish()
         for m in found:

@@ -27,7 +27,7 @@ class ManeuverSettings(RestSettings):
     horizon: float = setting(
         60.0, "how far streams may lag each other, and how long a maneuver may last [s]"
     )
-    kept: int = setting(100, "most maneuvers that a result is from, the newest; older ones go")
+    kept: int = setting(100, "most maneuvers used for a result, the newest; older ones go")
     bin: float = setting(0.5, "poses of a look are averaged over so long each [s]")
     least_travel: float = setting(0.05, "a smaller motion is no maneuver [rad]")
     time_offset: float = setting(

@@ -29,6 +29,7 @@ from .messages import feed_joints, feed_telemetry
 from .rests import BASE, TIP, Observation, RestFinder
 from .settings import CalibrationSettings
 from .state import write_text
+from .streams import newest
 from .verdict import FAIL, NOT_EVALUATED, PASS, Calibration, calibrate
 
 EXIT_CODES = {PASS: 0, FAIL: 2, NOT_EVALUATED: 3}
@@ -57,7 +58,7 @@ def solve_bag(
     arm = load(settings.arm) if settings.arm else paper_arm()
     finder = RestFinder(arm.n, settings)
     with open_bags(paths) as bags:
-        found = observations(bags, finder, settings)[-settings.kept :]
+        found = newest(observations(bags, finder, settings), settings.kept)
         return calibrate(found, arm, settings, finder.streams(), source(bags))
 
 
@@ -84,7 +85,7 @@ def solve_dynamic_bag(
     arm = load(settings.arm) if settings.arm else paper_arm()
     finder = ManeuverFinder(arm.n, settings)
     with open_bags(paths) as bags:
-        found = maneuvers(bags, finder, settings)[-settings.kept :]
+        found = newest(maneuvers(bags, finder, settings), settings.kept)
         told = dynamic_verdict.calibrate(found, arm, settings, finder.streams(), source(bags))
         return told, found
 

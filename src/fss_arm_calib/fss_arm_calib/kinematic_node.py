@@ -29,6 +29,7 @@ from .report import write
 from .rests import BASE, TIP, Observation, RestFinder, homed
 from .settings import CalibrationSettings, setting
 from .state import attempt, read_observations, write_observations
+from .streams import newest
 from .verdict import PASS, calibrate
 
 
@@ -54,7 +55,7 @@ class KinematicNode(Node):
         s = self.settings = declare(self, KinematicSettings)
         self.arm = load(s.arm) if s.arm else paper_arm()
         kept = read_observations(s.state_file, self.arm.n) if s.state_file else []
-        self.observations: list[Observation] = kept[-s.kept :]
+        self.observations: list[Observation] = newest(kept, s.kept)
         resting_at = kept[-1].q if kept and kept[-1].used else None
         self.finder = RestFinder(self.arm.n, s, resting_at)
         self.trouble = ""
@@ -102,7 +103,7 @@ class KinematicNode(Node):
         """Keep, save and publish new observations and solve again; False if there are none."""
         if not found:
             return False
-        self.observations = (self.observations + found)[-self.settings.kept :]
+        self.observations = newest(self.observations + found, self.settings.kept)
         if path := self.settings.state_file:
             self.trouble = attempt(
                 self.get_logger(), lambda: write_observations(path, self.observations)

@@ -105,6 +105,7 @@ class _Rest(NamedTuple):
 
     begin: int
     end: int
+    q: tuple[float, ...]  # amid all readings of each joint, whatever was forgotten of them
     readings: list[tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]]
     holes: list[Hole]
     moved: int  # a moment just before, at which some joint was moving; -1: none is known
@@ -180,6 +181,7 @@ class RestFinder:
         self._settled = 0  # when the present rest began to count
         self._confirmed = -1  # up to when all joints are known to rest
         self._observed = False  # the present rest is done with
+        self._whole_since = 0  # the present rest had a gap until then, as far as was looked
         self._aligned = 0  # begin of the last rest that the clocks were aligned for
         self._resting_at = resting_at
         self._until_cleaning = _CLEANING
@@ -188,6 +190,7 @@ class RestFinder:
         """A reading q [rad] of joint i; beyond n it is another arm's, and counted as such."""
         for joint in self._merge.add(i, t, q):
             self._take(joint)
+        self._until_cleaning -= 1
         return self._collect()
 
     def reference(self, i: int, t: int, boot: int, homings: int) -> None:
@@ -257,6 +260,7 @@ class RestFinder:
                 if not self._done() and (rest := self._rest(t)):
                     self._pending.append(rest)
                 self._observed, self._resting_at = False, None
+                self._whole_since = 0
             joint.begin(t, q)
             start = max(j.start for j in self.joints)
             self._settled = start + round(self.settings.settle * SECOND)
@@ -286,18 +290,25 @@ class RestFinder:
             late = [Hole(j.last, until, j.name) for j in self.joints if until - j.last > gap]
             holes += late
             end = until if late else end
+        q = tuple(0.5 * (j.low + j.high) for j in self.joints)
         readings = [(np.array(j.t), np.array(j.q)) for j in self.joints]
         moved = max(j.moved for j in self.joints)
-        return _Rest(begin, end, readings, holes, moved, *self._references(end))
+        return _Rest(begin, end, q, readings, holes, moved, *self._references(end))
 
     def _collect(self) -> list[Observation]:
-        """Observations that every stream has passed by now."""
+        """Observations that every stream has passed by now, or is waited for no longer."""
         found = []
-        while self._pending and self._pending[0].end <= self._seen:
-            self._align(self._pending[0].begin, self._pending[0].end)
-            if self._pending[0].end > self._seen:
+        while self._pending and self._decided(self._pending[0]):
+            self._align(self._pending[0].begin, min(self._pending[0].end, self._seen))
+            if not self._decided(self._pending[0]):
                 break  # by the new offset
-            found.append(self._observe(self._pending.pop(0), over=True))
+            over = self._pending.pop(0)
+            missing = [
+                Hole(poses.reached, over.end, poses.name)
+                for poses in self.subjects.values()
+                if poses.reached < over.end
+            ]
+            found.append(self._observe(over._replace(holes=over.holes + missing), over=True))
         if not self._pending:
             self._align(self._settled, min(self._seen, self._confirmed))
             if self._long_enough(self._seen) and (rest := self._rest()):
@@ -307,6 +318,18 @@ class RestFinder:
         if self._until_cleaning <= 0:
             self._forget()
         return [observation for observation in found if observation]
+
+    def _decided(self, rest: _Rest) -> bool:
+        """Whether what can be seen of a rest that is over has been heard."""
+        return rest.end <= self._seen or rest.end < self._newest - self._horizon
+
+    @property
+    def _horizon(self) -> int:
+        return round(self.settings.horizon * SECOND)
+
+    @property
+    def _newest(self) -> int:
+        return max(stream.newest for stream in self._streams)
 
     @property
     def _seen(self) -> int:
@@ -328,7 +351,7 @@ class RestFinder:
         if not move:
             return
         search = round(self.alignment.search * SECOND)
-        first, last = move[0] - search, move[1] + search
+        first, last = move[0] - search, max(move[1] + search, heard)
         gap = self.settings.vicon_gap * SECOND
         if any(poses.holes(first, last, gap) for poses in self.subjects.values()):
             return
@@ -342,15 +365,17 @@ class RestFinder:
     def _long_enough(self, seen: int) -> bool:
         """Whether the present rest may hold an interval of full length, told without arrays."""
         least = self.settings.longest * SECOND
-        return min(seen, self._confirmed) - self._settled >= least and not self._done()
+        since = max(self._settled, self._whole_since)
+        return min(seen, self._confirmed) - since >= least and not self._done()
 
     def _observe(self, rest: _Rest, over: bool) -> Observation | None:
         """The observation of a rest; None if it is too short, or may yet become longer."""
         shortest, longest = (
             round(s * SECOND) for s in (self.settings.shortest, self.settings.longest)
         )
-        # A stream that has not begun is no gap.
-        begin = max(rest.begin, *(poses.begun for poses in self.subjects.values()))
+        # A stream that has not begun is no gap; what is older than the horizon may be forgotten.
+        begun = max(poses.begun for poses in self.subjects.values())
+        begin = max(rest.begin, begun, rest.end - self._horizon - longest)
         if rest.end - begin < shortest or any(p.first < 0 for p in self.subjects.values()):
             return None
         holes = [hole for hole in rest.holes if hole.end > begin and hole.start < rest.end]
@@ -363,12 +388,18 @@ class RestFinder:
             best = max(pieces, key=lambda piece: piece[1] - piece[0], default=(0, 0))
             whole = [best] if best[1] - best[0] >= shortest else []
         if not whole and not over:
+            self._whole_since = max(hole.end for hole in holes) if holes else begin
             return None
         for poses in self.subjects.values():
             poses.refused[FROZEN] += poses.frozen(begin, rest.end, rest.moved)
         if whole:
             return self._average(rest, *whole[0])
-        return _unused(rest, str(max(holes, key=lambda hole: hole.end - hole.start)))
+        # What is beyond the rest is not told: it may have been forgotten, or not heard yet.
+        told = [
+            hole._replace(start=max(hole.start, begin), end=min(hole.end, rest.end))
+            for hole in holes
+        ]
+        return _unused(rest, str(max(told, key=lambda hole: hole.end - hole.start)))
 
     def _average(self, rest: _Rest, begin: int, end: int) -> Observation:
         inside = [q[(t >= begin) & (t <= end)] for t, q in rest.readings]
@@ -404,22 +435,24 @@ class RestFinder:
         return seen_from(self.subjects[BASE], self.subjects[TIP], begin, end, moved)
 
     def _forget(self) -> None:
-        """Drop what no observation will ask for: the past, and what lies beyond the horizon."""
+        """Drop what no observation will ask for.
+
+        The past, and what lies beyond the horizon, twice as far back for streams that lag.
+        """
         self._until_cleaning = _CLEANING
         past = self._confirmed
         if self._pending:
             past = min(past, self._pending[0].begin)
         if not self._observed:
             past = min(past, max(j.start for j in self.joints))
-        horizon = max(stream.newest for stream in self._streams)
-        horizon -= round(self.settings.horizon * SECOND)
+        oldest = self._newest - 2 * self._horizon - round(self.settings.longest * SECOND)
         for joint in self.joints:
-            joint.forget(max(past, horizon))
+            joint.forget(max(past, oldest))
         # A rest's clocks are aligned by the move before it.
         past -= round((LONGEST_MOVE + 2.0 * self.alignment.search) * SECOND)
         for poses in self.subjects.values():
-            poses.forget(max(past, horizon))
-        self.alignment.forget(max(past, horizon))
+            poses.forget(max(past, oldest))
+        self.alignment.forget(max(past, oldest))
 
 
 def _pieces(begin: int, end: int, holes: list[Hole]) -> list[tuple[int, int]]:
@@ -432,9 +465,14 @@ def _pieces(begin: int, end: int, holes: list[Hole]) -> list[tuple[int, int]]:
 
 
 def _unused(rest: _Rest, reason: str) -> Observation:
-    q = tuple(float(np.mean(q)) if len(q) else nan for _, q in rest.readings)
     return Observation(
-        rest.begin, rest.end, q, boots=rest.boots, homings=rest.homings, used=False, reason=reason
+        rest.begin,
+        rest.end,
+        rest.q,
+        boots=rest.boots,
+        homings=rest.homings,
+        used=False,
+        reason=reason,
     )
 
 

@@ -40,7 +40,7 @@ class RestSettings:
     )
     max_turn: float = setting(10.0, "likewise [rad/s]")
     horizon: float = setting(60.0, "how far streams may lag each other [s]")
-    kept: int = setting(200, "most rests that a result is from, the newest; older ones go")
+    kept: int = setting(200, "most rests used for a result, the newest; older ones go")
 
     def __post_init__(self) -> None:
         for name in (

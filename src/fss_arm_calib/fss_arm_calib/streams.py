@@ -51,6 +51,30 @@ class Streams:
         )
 
 
+class Found(Protocol):
+    """What a finder finds: to be solved from, or kept for its reason why not."""
+
+    @property
+    def used(self) -> bool:
+        """Whether it is solved from."""
+
+
+F = TypeVar("F", bound=Found)
+
+
+def newest(found: Sequence[F], kept: int) -> list[F]:
+    """The newest `kept` of those used, and since then at most as many of those that are not.
+
+    What is spoiled thus never takes the place of what is well. To be called as things are found:
+    it leaves what it would leave of all at once.
+    """
+    used = [k for k, one in enumerate(found) if one.used]
+    first = used[-kept] if len(used) >= kept else 0
+    unused = [k for k, one in enumerate(found) if k >= first and not one.used]
+    which = {*used[-kept:], *unused[-kept:]}
+    return [one for k, one in enumerate(found) if k in which]
+
+
 class Joint:
     """The stream of one joint; what is kept of the samples that were merged is a finder's own."""
 
