@@ -480,6 +480,15 @@ def test_a_drive_on_a_port_is_a_link(rig):
     assert rig.peer.drive.held[0x24] == 0  # the process ends: the drive is switched off
 
 
+def test_the_end_of_the_process_switches_off_a_joint_that_does_not_come_to_rest(rig):
+    rig.arm()
+    rig.set(Mode.VELOCITY, 0.1)
+    rig.until(lambda: rig.peer.drive.velocity)
+    rig.peer.drive.shakes = True
+    rig.transport.close()
+    assert rig.peer.drive.held[0x24] == 0
+
+
 def test_unplugged_and_plugged_in_again_it_is_found_and_disarmed(rig):
     rig.arm()
     rig.end.unplug()
