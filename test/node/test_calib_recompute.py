@@ -1,6 +1,7 @@
 """Recorded results computed again from what was recorded with them."""
 
 from contextlib import suppress
+from dataclasses import replace
 from functools import cache
 
 import pytest
@@ -15,7 +16,7 @@ from fss_arm_calib.dynamic_messages import to_message as dynamic_message
 from fss_arm_calib.dynamic_node import DynamicSettings
 from fss_arm_calib.dynamic_verdict import calibrate as calibrate_dynamics
 from fss_arm_calib.maneuvers import ManeuverFinder
-from fss_arm_calib.messages import observations_message, to_message
+from fss_arm_calib.messages import observations_message, observations_of, to_message
 from fss_arm_calib.postures import DEFAULT
 from fss_arm_calib.recompute import main
 from fss_arm_calib.rests import TIP, Observation
@@ -84,6 +85,17 @@ def test_every_result_follows_from_its_observations(published, tmp_path, capsys)
     assert lines[0] == "1 observations, not_evaluated: the same, to 0.0e+00"
     assert all("the same, to " in line for line in lines)
     assert lines[-1].startswith("13 observations, ")
+
+
+def test_a_result_may_end_before_the_last_observation_used(published, tmp_path, capsys):
+    """What follows was observed with other zeros of the joints than the last rest."""
+    rests = [replace(o, boots=4 * (3,)) for o in observations_of(published[-1][0])]
+    told = [replace(o, homings=4 * (2 if k in (4, 5, 13) else 1,)) for k, o in enumerate(rests)]
+    told[13] = replace(told[13], used=False)
+    result = calibrate(told, ARM, SETTINGS)
+    pair = observations_message(told, "fss", TIP), to_message(result, "fss")
+    assert main([record(tmp_path, [pair])]) == 0
+    assert capsys.readouterr().out.startswith("2 observations, not_evaluated: the same")
 
 
 def test_a_result_that_does_not_is_told(published, tmp_path, capsys):

@@ -16,6 +16,8 @@ from fss_arm_ros.convert import stamp_ns
 from . import dynamic_messages, dynamic_verdict, messages, verdict
 from .dynamic_settings import DynamicCalibrationSettings
 from .judgement import settings_of
+from .maneuvers import Maneuver
+from .rests import Observation, since_homed
 from .settings import CalibrationSettings
 
 LARGEST = 1e-9  # difference of any number, in its unit
@@ -28,10 +30,19 @@ class Kind(NamedTuple):
 
     results: str
     data: str
-    parts: str  # of the data's message: what it was solved from
+    parts: str  # what the data are, in words
+    used: Callable[[Any], Sequence[Any]]  # of the data, what a result is from
     settings: type[Any]
     again: Callable[[Any, Any, Any], Any]  # the message, of data, arm and settings
     numbers: tuple[str, ...]  # to compare
+
+
+def _observations(data: Any) -> list[Observation]:
+    return [o for o in since_homed(messages.observations_of(data)) if o.used]
+
+
+def _maneuvers(data: Any) -> list[Maneuver]:
+    return [m for m in dynamic_messages.maneuvers_of(data) if m.used]
 
 
 def _kinematic(data: Any, arm: Arm, settings: CalibrationSettings) -> Any:
@@ -46,13 +57,13 @@ def _dynamic(data: Any, arm: Arm, settings: DynamicCalibrationSettings) -> Any:
 
 KINDS = (
     Kind(
-        "/calibration/kinematic", "/calibration/observations", "observations",
+        "/calibration/kinematic", "/calibration/observations", "observations", _observations,
         CalibrationSettings, _kinematic,
         ("values", "covariance", "residuals", "leverage", "normalized_residuals",
          "held_out_residuals", "chi_square", "position_residual", "heading_residual"),
     ),
     Kind(
-        "/calibration/dynamic", "/calibration/maneuvers", "maneuvers",
+        "/calibration/dynamic", "/calibration/maneuvers", "maneuvers", _maneuvers,
         DynamicCalibrationSettings, _dynamic,
         ("values", "covariance", "residuals", "leverage", "prediction_errors", "momenta",
          "combination_values", "chi_square", "position_residual", "heading_residual"),
@@ -84,15 +95,12 @@ def recompute(kind: Kind, result: Any, data: Any) -> Comparison | None:
     Raises:
         ValueError: the result does not tell its settings or its guess.
     """
-    used = [part for part in getattr(data, kind.parts) if part.used]
-    if (stamp_ns(used[-1].end) if used else 0) != stamp_ns(result.provenance.end):
-        return None
     settings = settings_of(result.provenance, kind.settings)
     again = kind.again(data, from_yaml(result.guess), settings)
     if again.provenance.data_hash != result.provenance.data_hash:
         return None
     difference = max(_difference(getattr(result, n), getattr(again, n)) for n in kind.numbers)
-    return Comparison(f"{len(used)} {kind.parts}", result.verdict, difference)
+    return Comparison(f"{len(kind.used(data))} {kind.parts}", result.verdict, difference)
 
 
 def _difference(a: Any, b: Any) -> float:
@@ -112,9 +120,12 @@ def comparisons(bags: Bags) -> list[Comparison]:
     found = []
     for kind in KINDS:
         read = [(topic, m) for topic, _, _, m in bags.messages({kind.results, kind.data})]
-        every = [m for topic, m in read if topic == kind.data][::-1]
+        data = [m for topic, m in reversed(read) if topic == kind.data]
+        every = [(used[-1].end if (used := kind.used(m)) else 0, m) for m in data]
         for result in (m for topic, m in read if topic == kind.results):
-            again = next((c for m in every if (c := recompute(kind, result, m))), None)
+            # Solving takes longer than to tell that others end at another time.
+            alike = (m for end, m in every if end == stamp_ns(result.provenance.end))
+            again = next((c for m in alike if (c := recompute(kind, result, m))), None)
             if again is None:
                 begin = result.provenance.data_hash[:8]
                 raise BagError(f"a result on {kind.results} lacks its {kind.parts} ({begin}..)")
