@@ -134,6 +134,13 @@ def test_a_wrong_maneuver_fails_and_may_be_rejected(maneuvers):
     assert np.abs((robust.values - rejected.values) / rejected.deviations).max() < 0.6
 
 
+def test_no_outlier_is_rejected_of_what_is_needed(maneuvers):
+    wrong = [off(maneuvers[0], 0.2), *maneuvers[1:4], off(maneuvers[4], 0.2), *maneuvers[5:7]]
+    result = calibrate(wrong, ARM, replace(SETTINGS, max_outliers=3))
+    assert result.maneuvers_used == 6
+    assert sum(map(bool, result.reasons)) == 1
+
+
 def test_larger_errors_than_assumed_fail(maneuvers):
     result = calibrate(maneuvers, ARM, replace(SETTINGS, heading_deviation=0.0005))
     assert result.verdict == FAIL

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fss_arm_calib.judgement import settings_of
-from fss_arm_calib.kinematic import FULL, OFFSETS, KinematicProblem, inverse, solve
+from fss_arm_calib.kinematic import EQUAL, FULL, OFFSETS, KinematicProblem, inverse, solve
 from fss_arm_calib.postures import DEFAULT
 from fss_arm_calib.rests import Observation
 from fss_arm_calib.settings import CalibrationSettings, Criteria
@@ -106,6 +106,54 @@ def test_an_outlier_is_rejected_by_choice_and_kept_with_its_reason():
     without = calibrate(with_outlier()[:4] + with_outlier()[5:], paper_arm())
     assert np.array_equal(calibration.values, without.values)
     assert calibrate(observe(), paper_arm(), settings).observations_used == 13
+
+
+def test_no_outlier_is_rejected_of_what_is_needed():
+    """Two are off, and seven observations have but one to spare."""
+    observations = with_outlier(k=2)[:7]
+    observations[5] = with_outlier(k=5)[5]
+    found = calibrate(observations, paper_arm(), replace(SETTINGS, max_outliers=3))
+    assert found.observations_used == 6
+    assert sum(map(bool, found.reasons)) == 1
+
+
+def test_an_observation_that_decides_alone_is_not_believed():
+    """Of six postures the first is hardly checked by the others, and is 0.42 m off."""
+    settings = replace(SETTINGS, parametrization=FULL)
+    trusting, verdicts = replace(settings, min_redundancy=0.0), []
+    for angle in np.radians(np.arange(0.0, 360.0, 45.0)):
+        observations = observe(DEFAULT[:6], seed=3)
+        x, y, heading = observations[0].tip
+        x, y = x + 0.42 * np.cos(angle), y + 0.42 * np.sin(angle)
+        observations[0] = replace(observations[0], tip=(x, y, heading))
+        verdicts.append(calibrate(observations, paper_arm(), trusting).verdict)
+        assert calibrate(observations, paper_arm(), settings).verdict != PASS
+        if verdicts[-1] == PASS:
+            found = calibrate(observations, paper_arm(), settings)
+            assert found.verdict == NOT_EVALUATED
+            assert found.reason.startswith("observation 1 hardly checked by the others: redund")
+    assert PASS in verdicts
+
+
+@pytest.mark.parametrize(
+    ("postures", "parametrization", "least"),
+    [
+        (range(13), EQUAL, 0.52),
+        (range(13), FULL, 0.50),
+        (range(7), FULL, 0.10),
+        (range(6), EQUAL, 0.49),  # of the angles, as lengths and mount are as described
+        (range(6), FULL, 0.49),
+        ((0, 3, 10), OFFSETS, 0.30),
+    ],
+)
+def test_observations_that_check_each_other_pass(postures, parametrization, least):
+    settings = CalibrationSettings(parametrization=parametrization, min_observations=3)
+    found = calibrate(observe(DEFAULT[list(postures)], noise=0.3), paper_arm(), settings)
+    assert found.verdict == PASS, found.reason
+    assert stage(found, "redundancy").value == pytest.approx(least, abs=0.02)
+    few = calibrate(observe(DEFAULT[:3]), paper_arm(), replace(settings, parametrization=OFFSETS))
+    assert few.verdict == NOT_EVALUATED
+    assert few.reason.startswith("observation 3 hardly checked by the others: redundancy 0.005")
 
 
 def test_a_robust_loss_passes_with_an_outlier_that_hardly_weighs():
@@ -274,6 +322,7 @@ def test_the_hash_is_of_what_was_used():
         ({"min_probability": 1.0}, r"min_probability is 1.0, must be in \[0, 1\)"),
         ({"outlier": 0.0}, "outlier is 0.0, must be positive"),
         ({"max_outliers": -1}, "max_outliers is -1, must not be negative"),
+        ({"min_redundancy": 1.0}, r"min_redundancy is 1.0, must be in \[0, 1\)"),
         ({"held_out": 1}, "held_out is 1, must be 0 or at least 2"),
         ({"same_posture": 0.0}, "same_posture is 0.0 rad, must be positive"),
     ],

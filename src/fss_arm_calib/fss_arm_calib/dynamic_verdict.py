@@ -170,7 +170,9 @@ def solution_of(problem: DynamicProblem, settings: DynamicCalibrationSettings) -
             if settings.loss != SQUARE:  # errors are those of one coordinate, of three
                 weights[kept] = LOSSES[settings.loss].weight(3.0 * errors[kept] ** 2)
         worst = int(np.argmax(np.where(kept, errors, 0.0)))
-        if errors[worst] <= settings.outlier or np.sum(~kept) >= settings.max_outliers:
+        enough = np.sum(kept) > settings.min_maneuvers  # to do without one
+        rejected = np.sum(~kept)
+        if errors[worst] <= settings.outlier or rejected >= settings.max_outliers or not enough:
             return Solution(result, kept, weights, tuple(reasons), errors, leverage)
         kept[worst], leverage[worst] = False, 0.0
         reasons[worst] = (

@@ -74,6 +74,9 @@ class Criteria:
         5.0, "normalized residual above which an observation is an outlier [deviations]"
     )
     max_outliers: int = setting(0, "most outliers to reject; with more, the calibration fails")
+    min_redundancy: float = setting(
+        0.1, "least share of an observation's error that the others let show, squared"
+    )
     held_out: int = setting(
         4, "every so-manyth observation is predicted from the others, if enough remain; 0: none"
     )
@@ -95,6 +98,8 @@ class Criteria:
             raise ValueError(f"outlier is {self.outlier}, must be positive")
         if self.max_outliers < 0:
             raise ValueError(f"max_outliers is {self.max_outliers}, must not be negative")
+        if not 0.0 <= self.min_redundancy < 1.0:
+            raise ValueError(f"min_redundancy is {self.min_redundancy}, must be in [0, 1)")
         if self.held_out < 0 or self.held_out == 1:
             raise ValueError(f"held_out is {self.held_out}, must be 0 or at least 2")
         if not self.max_length_change > 0.0:

@@ -216,7 +216,8 @@ def solution_of(problem: KinematicProblem, settings: CalibrationSettings) -> Sol
         result = solve(problem.only(kept), TOLERANCE, max_condition=s.max_condition)
         worst = int(np.flatnonzero(kept)[np.argmax(result.normalized_residuals)])
         length = float(np.max(result.normalized_residuals))
-        if length <= s.outlier or np.sum(~kept) >= s.max_outliers:
+        enough = np.sum(kept) > _needed(problem, s)  # to do without one
+        if length <= s.outlier or np.sum(~kept) >= s.max_outliers or not enough:
             break
         kept[worst] = False
         reasons[worst] = f"normalized residual {length:.3g}, more than {s.outlier:g}"
@@ -315,7 +316,7 @@ def _judged(solution: Solution, s: CalibrationSettings) -> list[Stage]:
     outliers = _outliers(solution, s)
     if FAIL in (fit.verdict, outliers.verdict) and (hint := _swap_hint(solution, s)):
         fit = replace(fit, verdict=FAIL, reason=f"{hint}; {fit.reason}")
-    return [*stages, fit, outliers, _predicted(solution, s)]
+    return [*stages, fit, outliers, _checked(solution, s), _predicted(solution, s)]
 
 
 def _lengths_kept(solution: Solution, s: CalibrationSettings) -> Stage:
@@ -329,6 +330,40 @@ def _lengths_kept(solution: Solution, s: CalibrationSettings) -> Stage:
     words += f" (at most {s.max_length_change:g} m apart)"
     stage = at_most("description", change, s.max_length_change, words, "another arm's data")
     return stage if stage.verdict == FAIL else replace(stage, reason="")
+
+
+def _checked(solution: Solution, s: CalibrationSettings) -> Stage:
+    """Whether the others check each observation: of one that decides alone no error is seen.
+
+    Where they hardly do, lengths and mount may: if these came out as described, an error can only
+    hide in the angles, which leaves the others more to check it by.
+    """
+    r = solution.result
+    regressor = r.problem.linear(r.values).regressor
+    checked = _redundancy(regressor)
+    worst = int(np.argmin(checked))
+    least, which = float(checked[worst]), numbers([int(np.flatnonzero(solution.kept)[worst])])
+    hardly = f"{which} hardly checked by the others: redundancy {least:.2g}"
+    hardly += f" (at least {s.min_redundancy:g})"
+    if least >= s.min_redundancy:
+        return Stage("redundancy", PASS, least, s.min_redundancy, "")
+    angles = np.array(r.problem.units) == "rad"
+    change = float(np.max(np.abs(r.values - r.problem.initial)[~angles], initial=0.0))
+    by_angles = float(np.min(_redundancy(regressor[:, angles])))
+    if change <= s.max_length_change and by_angles >= s.min_redundancy:
+        words = f"{hardly}, but lengths and mount are as described: then {by_angles:.2g}"
+        return Stage("redundancy", PASS, by_angles, s.min_redundancy, words)
+    return Stage("redundancy", NOT_EVALUATED, least, s.min_redundancy, hardly)
+
+
+def _redundancy(regressor: Floats) -> Floats:
+    """(s,) what share of an error of an observation shows in its residual at least, squared.
+
+    The least eigenvalue of 1 - hat of each three rows. An error e (in deviations) along it has a
+    normalized residual of e sqrt(redundancy); 0: it moves the parameters alone.
+    """
+    Q = np.linalg.qr(regressor)[0].reshape(-1, 3, regressor.shape[1])
+    return np.asarray(1.0 - np.linalg.norm(Q, 2, axis=(1, 2)) ** 2)
 
 
 def _outliers(solution: Solution, s: CalibrationSettings) -> Stage:
