@@ -63,25 +63,26 @@ def run_graph(folder: Path, seconds: float) -> tuple[dict[str, float], float]:
 
 
 def lost(bags: Bags) -> dict[str, int]:
-    """What is missing of the numbered telemetry and of the steady poses.
+    """What is missing of the telemetry that the drivers say they published, and of steady poses.
 
-    Without what the drivers say that they missed themselves: no recorder can have that.
+    Frames that were lost on the wire, or came to a driver that had lost the link, no recorder has.
     """
-    missed: dict[str, int] = {}
+    said: Counter[str] = Counter()
+    missed: Counter[str] = Counter()
     for _, _, _, message in bags.messages({"/diagnostics"}):
         for status in message.status:
             values = {pair.key: pair.value for pair in status.values}
-            missed[f"/{status.name}/telemetry"] = int(values.get("missed", 0))
-    print("missed by the drivers, on the wire:", sum(missed.values()))
-    sequences: dict[str, list[int]] = {topic: [] for topic in TELEMETRY}
+            if "believed" in values:
+                said[f"/{status.name}/telemetry"] = int(values["believed"])
+                missed[status.name] = int(values.get("missed", 0))
+    print("missed by the drivers, on the wire:", missed.total())
     stamps: dict[str, list[int]] = {topic: [] for topic in VICON}
-    for topic, _, _, message in bags.messages({*TELEMETRY, *VICON}):
-        if topic in stamps:
-            stamps[topic].append(stamp_ns(message.header.stamp) // 10_000_000)
-        else:
-            sequences[topic].append(message.sequence)
-    numbers = sequences | stamps
-    return {t: n[-1] - n[0] + 1 - len(n) - missed.get(t, 0) for t, n in numbers.items()}
+    for topic, _, _, message in bags.messages(set(VICON)):
+        stamps[topic].append(stamp_ns(message.header.stamp) // 10_000_000)
+    if silent := set(TELEMETRY) - set(said):
+        raise RuntimeError(f"no diagnostics of {', '.join(sorted(silent))}")
+    telemetry = {t: max(0, said[t] - bags.topics[t].messages) for t in TELEMETRY}
+    return telemetry | {t: n[-1] - n[0] + 1 - len(n) for t, n in stamps.items()}
 
 
 def write_alone(bags: Bags, path: Path) -> float:
