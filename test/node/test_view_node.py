@@ -117,11 +117,11 @@ def test_a_viewer_that_ended_is_an_error_and_not_the_end(spin):
 
 
 OWNER = """
-import sys, time
+import sys
 from fss_arm_view.sink import Viewer
 viewer = Viewer("web", "127.0.0.1", sys.argv[1], sys.argv[2], "100MB")
 print(viewer.process.pid, flush=True)
-time.sleep(60)
+viewer.process.wait()
 """
 
 
