@@ -26,7 +26,7 @@ from fss_arm_model.kinematics import tip_in_base
 from fss_arm_msgs.msg import KinematicCalibration, KinematicObservations, LinkTelemetry
 from fss_arm_ros.bags import BagError
 from fss_arm_ros.convert import to_time
-from fss_arm_ros.diagnostics import ERROR
+from fss_arm_ros.diagnostics import ERROR, OK
 from fss_arm_ros.qos import LATCHED, SENSOR, sensor
 from fss_arm_ros.recording import Recording
 from fss_arm_ros.replay_node import ReplayNode
@@ -233,13 +233,20 @@ def test_what_is_spoiled_takes_no_place_of_what_is_used(ros):
 def test_what_cannot_be_written_is_told_and_nothing_else_is_lost(spin, play, samples, tmp_path):
     out, state = tmp_path / "new" / "arm.yaml", tmp_path / "state.json"
     (tmp_path / ".state.json.part").mkdir()  # in the way
-    bed, node = Bed(), make_node(output=str(out), state_file=str(state))
+    (tmp_path / "report").write_text("in the way")
+    settings = {"output": str(out), "state_file": str(state), "report": str(tmp_path / "report")}
+    bed, node = Bed(), make_node(**settings)
     play(bed, node, samples)
     assert ask_to_solve(spin, bed, node).success
     spin([bed, node], lambda: bed.observed() == 8)
     assert load(out).links[0].a > 0.0  # its folder was made
     assert node.health().level == ERROR
     assert node.health().message.startswith(f"cannot write {tmp_path}")
+    (tmp_path / ".state.json.part").rmdir()
+    (tmp_path / "report").unlink()
+    assert ask_to_solve(spin, bed, node).success
+    assert node.health().level == OK
+    assert len(json.loads(state.read_text())) == 8
 
 
 def reference(i, seconds, homings):

@@ -84,13 +84,12 @@ class DynamicNode(Node):
             self.publish()
         s = self.settings
         if s.report:
-            write(
-                s.report,
-                dynamic_report(
-                    to_message(self.calibration, s.base_frame),
-                    maneuvers=maneuvers_message(self.maneuvers, s.base_frame).maneuvers,
-                ),
+            told = dynamic_report(
+                to_message(self.calibration, s.base_frame),
+                maneuvers=maneuvers_message(self.maneuvers, s.base_frame).maneuvers,
             )
+            trouble = attempt(self.get_logger(), lambda: write(s.report, told))
+            self.trouble = trouble or self.trouble
         response.success = self.calibration.verdict == PASS
         response.message = f"{self.calibration.verdict}: {self.calibration.reason}"
         return response
@@ -114,7 +113,7 @@ class DynamicNode(Node):
 
     def publish(self) -> None:
         """Publish maneuvers and calibration; write the description if it passes."""
-        s = self.settings
+        s, self.trouble = self.settings, ""
         self.seen.publish(maneuvers_message(self.maneuvers, s.base_frame))
         self.calibrated.publish(to_message(self.calibration, s.base_frame))
         if s.output and self.calibration.verdict == PASS:

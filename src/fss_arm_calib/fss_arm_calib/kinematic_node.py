@@ -1,6 +1,7 @@
 """The node `kinematic`: finds rests in live or replayed topics and calibrates the arm from them."""
 
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -94,7 +95,7 @@ class KinematicNode(Node):
             self.solve()
             self.publish()
         if self.settings.report:
-            write(self.settings.report, kinematic_report(self.message()))
+            self.attempt(lambda: write(self.settings.report, kinematic_report(self.message())))
         response.success = self.calibration.verdict == PASS
         response.message = f"{self.calibration.verdict}: {self.calibration.reason}"
         return response
@@ -104,10 +105,6 @@ class KinematicNode(Node):
         if not found:
             return False
         self.observations = newest(self.observations + found, self.settings.kept)
-        if path := self.settings.state_file:
-            self.trouble = attempt(
-                self.get_logger(), lambda: write_observations(path, self.observations)
-            )
         self.solve()
         self.publish()
         for o in found:
@@ -126,15 +123,19 @@ class KinematicNode(Node):
         return to_message(self.calibration, self.settings.base_frame)
 
     def publish(self) -> None:
-        """Publish observations and calibration; write the description if it passes."""
-        s = self.settings
+        """Save the observations, publish them and the calibration; write what passes."""
+        s, self.trouble = self.settings, ""
+        if path := s.state_file:
+            self.attempt(lambda: write_observations(path, self.observations))
         self.observed.publish(observations_message(self.observations, s.base_frame, TIP))
         self.calibrated.publish(self.message())
         if s.output and self.calibration.verdict == PASS:
             calibrated = from_yaml(self.calibration.description)
-            self.trouble = (
-                attempt(self.get_logger(), lambda: save(calibrated, s.output)) or self.trouble
-            )
+            self.attempt(lambda: save(calibrated, s.output))
+
+    def attempt(self, write: Callable[[], object]) -> None:
+        """Write; what cannot be written is told until the next result."""
+        self.trouble = attempt(self.get_logger(), write) or self.trouble
 
     def health(self) -> Health:
         """For diagnostics."""

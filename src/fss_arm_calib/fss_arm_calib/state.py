@@ -36,7 +36,7 @@ def write(path: str | Path, state: Any) -> None:
     write_text(path, json.dumps(state, indent=1))
 
 
-def attempt(log: Any, write: Callable[[], None]) -> str:
+def attempt(log: Any, write: Callable[[], object]) -> str:
     """Write; return, and log, why it cannot be done: a full disk ends no calibration."""
     try:
         write()
