@@ -6,7 +6,7 @@ fail() { echo "${0##*/}: $*" >&2; exit 1; }
 # read_config CONFIG: its settings, the environment, and $fss_nodes, its nodes' names in order.
 read_config() {
   fss_root=$(CDPATH='' cd -- "$fss_scripts/.." && pwd -P)
-  fss_config=$(readlink -f -- "${1:-$fss_root/config/fss.sh}")
+  fss_config=$(readlink -f -- "${1:-$fss_root/config/fss.sh}") || fss_config=   # nor its folder
   [ -f "$fss_config" ] || fail "${1:-config/fss.sh}: no such configuration"
   cd "$fss_root" || exit 1
   fss_name=${fss_config##*/} fss_name=${fss_name%.sh}

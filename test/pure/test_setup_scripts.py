@@ -153,6 +153,16 @@ def test_units_reach_the_nodes_and_leave_the_logs_to_their_user(tmp_path: Path) 
         assert (tmp_path / f"logs/{node}.log").is_file()  # else systemd would make it as root
 
 
+@pytest.mark.parametrize("command", [["fss_status.sh"], ["fss_arm.sh", "stop"]])
+def test_a_configuration_that_is_nowhere_is_named(command):
+    script, *words = command
+    run = subprocess.run(
+        [ROOT / "scripts" / script, *words, "/nowhere/at/all.sh"], capture_output=True, text=True
+    )
+    assert run.returncode == 1
+    assert run.stderr == f"{script}: /nowhere/at/all.sh: no such configuration\n"
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
