@@ -15,7 +15,7 @@ from fss_arm_model.kinematics import tip_pose
 from fss_arm_msgs.msg import BaseReaction
 from fss_arm_view import scene
 from fss_arm_view.settings import ViewSettings
-from fss_arm_view.sink import FILE, Sink, open_stream
+from fss_arm_view.sink import FILE, Sink, new_file, open_stream
 
 
 def strips(archetype):
@@ -147,6 +147,7 @@ def test_a_recording_of_the_view_can_be_read(tmp_path):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
+        ({"mode": "file", "file": ""}, "file is empty, expected the name of the recording"),
         ({"mode": "tv"}, "mode is 'tv', expected 'native', 'web', 'file' or 'connect'"),
         ({"rate": 0.0}, "rate is 0.0, expected more than 0"),
         ({"queue": 0}, "queue is 0, expected 1 or more"),
@@ -159,4 +160,11 @@ def test_impossible_settings_are_refused(change, words):
 
 def test_a_file_that_cannot_be_written_is_named(tmp_path):
     with pytest.raises(ValueError, match=r"view\.rrd"):
-        open_stream(FILE, str(tmp_path / "none/view.rrd"), scene.blueprint())
+        new_file(str(tmp_path / "none/view.rrd"))
+
+
+def test_no_recording_is_written_over(tmp_path):
+    (tmp_path / "view.rrd").write_bytes(b"yesterday's")
+    names = [new_file(str(tmp_path / "view.rrd")) for _ in range(2)]
+    assert names == [str(tmp_path / f"view_{k}.rrd") for k in (1, 2)]
+    assert (tmp_path / "view.rrd").read_bytes() == b"yesterday's"

@@ -66,7 +66,7 @@ class ViewSettings:
     bind: str = setting("127.0.0.1", "address that the page and its data are served on")
     port: int = setting(9876, "of the data that the viewer listens to")
     web_port: int = setting(9090, "of the page")
-    file: str = setting("view.rrd", "that mode file writes")
+    file: str = setting("view.rrd", "that mode file writes; if there, NAME_1, NAME_2, ...")
     url: str = setting("rerun+http://127.0.0.1:9876/proxy", "of the viewer of mode connect")
     memory: str = setting("1GB", "that the viewer keeps; the oldest goes first")
     rate: float = setting(10.0, "most often that one thing is drawn [1/s]")
@@ -86,6 +86,8 @@ class ViewSettings:
             raise ValueError(
                 f"mode is {self.mode!r}, expected 'native', 'web', 'file' or 'connect'"
             )
+        if self.mode == "file" and not self.file:
+            raise ValueError("file is empty, expected the name of the recording: -p file:=NAME")
         if not self.rate > 0.0:
             raise ValueError(f"rate is {self.rate}, expected more than 0")
         if self.queue < 1:

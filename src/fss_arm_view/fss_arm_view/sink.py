@@ -8,6 +8,7 @@ import time
 from collections import Counter
 from collections.abc import Iterable
 from contextlib import suppress
+from itertools import count
 from pathlib import Path
 from queue import Full, Queue
 from threading import Thread
@@ -116,6 +117,23 @@ def _end_with_owner() -> None:
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
+def new_file(path: str) -> str:
+    """Make an empty file of that name, or of NAME_1, NAME_2, ...: none is written over.
+
+    Raises:
+        ValueError: it cannot be written.
+    """
+    file = first = Path(path)
+    numbers = count(1)
+    while file.exists():
+        file = first.with_stem(f"{first.stem}_{next(numbers)}")
+    try:
+        file.touch()
+    except OSError as error:
+        raise ValueError(f"{path!r} cannot be written: {error.strerror}") from None
+    return str(file)
+
+
 def open_stream(mode: str, target: str, blueprint: Any) -> rr.RecordingStream:
     """A recording that goes to a file or to a viewer's address.
 
@@ -127,7 +145,6 @@ def open_stream(mode: str, target: str, blueprint: Any) -> rr.RecordingStream:
     stream = rr.RecordingStream("fss_arm")
     try:
         if mode == FILE:
-            Path(target).touch()  # rerun would tell of its failure in words of its own, too
             stream.save(target, default_blueprint=blueprint)
         else:
             stream.connect_grpc(target, default_blueprint=blueprint)

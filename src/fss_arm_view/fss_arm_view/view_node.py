@@ -34,7 +34,7 @@ from fss_arm_ros.settings import declare
 
 from . import scene
 from .settings import ViewSettings
-from .sink import CONNECT, FILE, NATIVE, WEB, Sink, Viewer, open_stream
+from .sink import CONNECT, FILE, NATIVE, WEB, Sink, Viewer, new_file, open_stream
 
 LEAST_PLUME = 0.2  # a shorter pulse of a thruster is drawn so long [s]
 
@@ -57,8 +57,10 @@ class ViewNode(Node):
         self.viewer = None
         if s.mode in (NATIVE, WEB):
             self.viewer = Viewer(s.mode, s.bind, s.port, s.web_port, s.memory)
-        here = f"rerun+http://127.0.0.1:{s.port}/proxy"
-        target = {FILE: s.file, CONNECT: s.url}.get(s.mode, here)
+        target = s.url if s.mode == CONNECT else f"rerun+http://127.0.0.1:{s.port}/proxy"
+        if s.mode == FILE:
+            target = new_file(s.file)
+            self.get_logger().info(f"writes {target}")
         self.sink = Sink(open_stream(s.mode, target, scene.blueprint()), s.rate, s.queue)
         n = self.known.arm.n
         self.q = [0.0] * n
