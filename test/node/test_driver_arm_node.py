@@ -6,6 +6,7 @@ import pytest
 from action_msgs.msg import GoalStatus
 from driver_link import RATE, FakeTransport
 from rclpy.action import ActionClient
+from rclpy.clock import ClockType
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from std_msgs.msg import Empty, String
@@ -192,3 +193,16 @@ def test_settings_are_checked(start):
     program = start("fss_arm_driver.arm_node", "--ros-args", "-p", "tolerance:=0.0")
     assert program.wait() == 1
     assert program.output.strip().endswith("tolerance is 0.0, expected a positive number")
+
+
+@pytest.mark.parametrize("kind", [ClockType.STEADY_TIME, ClockType.ROS_TIME])
+def test_no_timer_keeps_the_systems_clock(ros, kind):
+    """One that does stands still for as long as that clock is set back."""
+    time = overrides(use_sim_time=kind is ClockType.ROS_TIME)
+    link = LinkNode(1, transport=FakeTransport(1), parameter_overrides=time)
+    arm = ArmNode(parameter_overrides=time)
+    paces = {t.callback: t.clock.clock_type for node in (link, arm) for t in node.timers}
+    assert paces[link.send] == paces[arm.tick] == kind
+    link.close()
+    for node in (link, arm):
+        node.destroy_node()

@@ -23,6 +23,7 @@ from fss_arm_msgs.action import MoveArm
 from fss_arm_msgs.msg import LinkCommand, LinkTelemetry
 from fss_arm_ros.convert import SECOND
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
+from fss_arm_ros.pace import pace
 from fss_arm_ros.qos import LATCHED, command, subscribe_sensor
 from fss_arm_ros.run import run
 from fss_arm_ros.settings import declare
@@ -67,7 +68,7 @@ class ArmNode(Node):
         self.create_service(SetBool, "arm/arm", self.on_arm, callback_group=waits)
         description = self.create_publisher(String, "robot_description", LATCHED)
         description.publish(String(data=urdf(self.arm)))
-        self.create_timer(1.0 / self.settings.rate, self.tick)
+        self.create_timer(1.0 / self.settings.rate, self.tick, clock=pace(self))
         self.mover = ActionServer(
             self,
             MoveArm,

@@ -33,6 +33,7 @@ from fss_arm_driver.transport import Transport, open_transport
 from fss_arm_msgs.msg import CommandStatus, LinkCommand, LinkTelemetry
 from fss_arm_ros.convert import stamp_ns
 from fss_arm_ros.diagnostics import Diagnostics, Health
+from fss_arm_ros.pace import pace
 from fss_arm_ros.qos import COMMAND, SENSOR
 from fss_arm_ros.run import RCLError, run
 from fss_arm_ros.settings import declare
@@ -87,7 +88,7 @@ class LinkNode(Node):
         group = ReentrantCallbackGroup()  # the answer waits for the link's; all else goes on
         self.create_service(SetBool, f"{self.name}/arm", self.on_arm, callback_group=group)
         self.create_service(Trigger, f"{self.name}/clear_faults", self.on_clear_faults)
-        self.create_timer(1.0 / settings.rate, self.send)
+        self.create_timer(1.0 / settings.rate, self.send, clock=pace(self))
         self.messages = SampleMessages(self.session)
         self.link_health = LinkHealth(self.session, self.transport, bool(settings.keys))
         self.diagnostics = Diagnostics(self, self.health, settings.url)
