@@ -293,11 +293,14 @@ def test_parameters_that_cannot_be_told_apart_are_named_with_the_joint():
     assert np.isnan(calibration.values).all()
 
 
+def spoiled_at(k):
+    """A posture of its own, spoiled at the time of observation k."""
+    q = tuple(np.add(DEFAULT[5], 0.3))
+    return Observation(k * 10**9, k * 10**9 + 1, q, used=False, reason="fss silent for 0.40 s")
+
+
 def test_a_spoiled_posture_is_not_evaluated_until_it_is_observed():
-    observations = observe()
-    spoiled = Observation(
-        0, 1, tuple(np.add(observations[5].q, 0.3)), used=False, reason="fss silent for 0.40 s"
-    )
+    observations, spoiled = observe(), spoiled_at(12)
     lacking = calibrate([*observations, spoiled], paper_arm())
     assert lacking.verdict == NOT_EVALUATED
     assert "1 rest spoiled (fss silent for 0.40 s)" in lacking.reason
@@ -306,6 +309,15 @@ def test_a_spoiled_posture_is_not_evaluated_until_it_is_observed():
     assert np.isfinite(lacking.values).all()
     again = replace(spoiled, q=tuple(np.add(observations[5].q, 0.01)))
     assert calibrate([*observations, again], paper_arm()).verdict == PASS
+
+
+@pytest.mark.parametrize(("k", "verdict"), [(0, PASS), (6, PASS), (7, NOT_EVALUATED)])
+def test_a_spoiled_posture_counts_until_enough_others_are_observed(k, verdict):
+    """Six suffice: nobody can repeat by hand what the cameras never saw."""
+    observations = observe()
+    found = calibrate([*observations[:k], spoiled_at(k), *observations[k:]], paper_arm())
+    assert found.verdict == stage(found, "rests").verdict == verdict
+    assert found.gaps == 1
 
 
 def test_the_hash_is_of_what_was_used():

@@ -140,7 +140,7 @@ def calibrate(
     stages = [
         joints_known(streams, arm),
         _homings(observations),
-        _rests(comparable, s),
+        _rests(comparable, _needed(problem, s), s),
         clocks_kept(streams, s.joint_gap),
         _enough(problem, streams, s),
     ]
@@ -256,8 +256,11 @@ def _homings(observations: Sequence[Observation]) -> Stage:
     return Stage("homings", PASS, left_out, nan, words if left_out else "")
 
 
-def _rests(observations: Sequence[Observation], s: CalibrationSettings) -> Stage:
-    lost = spoiled(observations, s.same_posture)
+def _rests(observations: Sequence[Observation], needed: int, s: CalibrationSettings) -> Stage:
+    """What was spoiled need not be repeated once those used since then are enough by themselves."""
+    used = [o for o in observations if o.used]
+    since = used[-needed].start if len(used) >= needed else 0
+    lost = [o for o in spoiled(observations, s.same_posture) if o.end >= since]
     reason = (
         f"{count(len(lost), 'rest')} spoiled ({lost[0].reason}) and not repeated" if lost else ""
     )
