@@ -1,7 +1,6 @@
 """The node `kinematic`: finds rests in live or replayed topics and calibrates the arm from them."""
 
 import sys
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -29,7 +28,7 @@ from .messages import (
 from .report import write
 from .rests import BASE, TIP, Observation, RestFinder, homed
 from .settings import CalibrationSettings, setting
-from .state import attempt, read_observations, write_observations
+from .state import Writes, read_observations, write_observations
 from .streams import newest
 from .verdict import PASS, calibrate
 
@@ -59,7 +58,7 @@ class KinematicNode(Node):
         self.observations: list[Observation] = newest(kept, s.kept)
         resting_at = kept[-1].q if kept and kept[-1].used else None
         self.finder = RestFinder(self.arm.n, s, resting_at)
-        self.trouble = ""
+        self.writes = Writes(self.get_logger())
         self.solve()
         self.observed = self.create_publisher(
             KinematicObservations, "calibration/observations", LATCHED
@@ -95,7 +94,7 @@ class KinematicNode(Node):
             self.solve()
             self.publish()
         if self.settings.report:
-            self.attempt(lambda: write(self.settings.report, kinematic_report(self.message())))
+            self.writes(lambda: write(self.settings.report, kinematic_report(self.message())))
         response.success = self.calibration.verdict == PASS
         response.message = f"{self.calibration.verdict}: {self.calibration.reason}"
         return response
@@ -124,18 +123,14 @@ class KinematicNode(Node):
 
     def publish(self) -> None:
         """Save the observations, publish them and the calibration; write what passes."""
-        s, self.trouble = self.settings, ""
+        s, self.writes.trouble = self.settings, ""
         if path := s.state_file:
-            self.attempt(lambda: write_observations(path, self.observations))
+            self.writes(lambda: write_observations(path, self.observations))
         self.observed.publish(observations_message(self.observations, s.base_frame, TIP))
         self.calibrated.publish(self.message())
         if s.output and self.calibration.verdict == PASS:
             calibrated = from_yaml(self.calibration.description)
-            self.attempt(lambda: save(calibrated, s.output))
-
-    def attempt(self, write: Callable[[], object]) -> None:
-        """Write; what cannot be written is told until the next result."""
-        self.trouble = attempt(self.get_logger(), write) or self.trouble
+            self.writes(lambda: save(calibrated, s.output))
 
     def health(self) -> Health:
         """For diagnostics."""
@@ -146,8 +141,8 @@ class KinematicNode(Node):
             "time offset [s]": streams.offset.value,
             **{f"refused: {kind}": number for kind, number in streams.refused.items()},
         }
-        if self.trouble:
-            return Health(ERROR, self.trouble, values)
+        if trouble := self.writes.trouble:
+            return Health(ERROR, trouble, values)
         if streams.silent:
             return Health(WARN, f"waiting for {', '.join(streams.silent)}", values)
         if streams.strange:

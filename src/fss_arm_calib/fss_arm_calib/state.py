@@ -48,6 +48,17 @@ def attempt(log: Any, write: Callable[[], object]) -> str:
     return ""
 
 
+class Writes:
+    """Attempts to write; `trouble` is what could not be written since it was last cleared."""
+
+    def __init__(self, log: Any) -> None:
+        self.log, self.trouble = log, ""
+
+    def __call__(self, write: Callable[[], object]) -> None:
+        """Write; what fails outlasts what succeeds after it."""
+        self.trouble = attempt(self.log, write) or self.trouble
+
+
 def read(path: str | Path, default: Any) -> Any:
     """The state in the file, `default` if there is none.
 
