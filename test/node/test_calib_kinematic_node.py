@@ -5,7 +5,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from calib_rig import ARM, TYPES, Rig, at, message, record
+from calib_rig import ARM, TYPES, Rig, Sample, at, message, record
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
@@ -49,6 +49,7 @@ class Bed(Node):
             KinematicCalibration, "calibration/kinematic", self.results.append, LATCHED
         )
         self.solver = self.create_client(Trigger, "kinematic/solve")
+        self.forgetter = self.create_client(Trigger, "kinematic/forget")
 
     def ready(self):
         return self.solver.service_is_ready() and all(
@@ -269,6 +270,27 @@ def test_a_link_homed_later_asks_for_its_offsets(spin, play, samples):
     link.publish(reference(2, 100.0, 2))
     said = "joint_2 homed or restarted since: calibrate the offsets"
     spin([bed, node], lambda: node.health().message == said)
+
+
+def test_what_is_forgotten_is_gone_and_it_begins_anew(spin, play, samples, tmp_path):
+    """A clock runs back by 10 s, which no observation after it would mend."""
+    bed, node = Bed(), make_node(state_file=str(tmp_path / "state.json"))
+    link = bed.create_publisher(LinkTelemetry, "link_2/telemetry", 10)
+    spin([bed, node], link.get_subscription_count)
+    play(bed, node, [s for s in samples if s.t < at(9.0)])
+    assert bed.observed() == 2
+    bed.outputs["joint_states"].publish(message(Sample(at(-1.0), 1, 0.0))[1])
+    spin([bed, node], lambda: node.finder.streams().set_back["joint_1"] > 9.0)
+    answer = bed.forgetter.call_async(Trigger.Request())
+    spin([bed, node], lambda: answer.done() and bed.observed() == 0)
+    assert answer.result().success
+    assert answer.result().message == "2 observations forgotten"
+    assert json.loads((tmp_path / "state.json").read_text()) == []
+    link.publish(reference(2, 9.0, 1))
+    play(bed, node, [s for s in samples if s.t < at(9.0)])
+    result = spin([bed, node], lambda: bed.observed() == 2 and bed.results[-1])
+    assert list(result.homings) == [0, 1, 0, 0]
+    assert "ran back" not in result.reason
 
 
 def test_homings_are_read_from_bags(samples, tmp_path):

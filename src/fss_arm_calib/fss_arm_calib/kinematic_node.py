@@ -17,6 +17,7 @@ from fss_arm_ros.qos import LATCHED, subscribe_sensor
 from fss_arm_ros.run import run
 from fss_arm_ros.settings import declare
 
+from .judgement import count
 from .kinematic_report import kinematic_report
 from .messages import (
     feed_joints,
@@ -47,7 +48,7 @@ class KinematicNode(Node):
     """Publishes each rest of the arm as an observation, and the calibration from all of them.
 
     Subscribes joint_states and the two VICON topics; nobody needs to say when the arm rests.
-    `~/solve` closes the present rest and solves.
+    `~/solve` closes the present rest and solves; `~/forget` begins anew.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -72,9 +73,9 @@ class KinematicNode(Node):
                 self, PoseStamped, topic, partial(self.on_pose, subject), keep_all=True
             )
         for i in range(1, self.arm.n + 1):
-            hear = partial(feed_telemetry, self.finder)
-            subscribe_sensor(self, LinkTelemetry, f"link_{i}/telemetry", hear)
+            subscribe_sensor(self, LinkTelemetry, f"link_{i}/telemetry", self.on_telemetry)
         self.create_service(Trigger, "~/solve", self.on_solve)
+        self.create_service(Trigger, "~/forget", self.on_forget)
         if kept:
             self.get_logger().info(f"goes on with {len(kept)} observations of {s.state_file}")
             self.publish()
@@ -88,6 +89,10 @@ class KinematicNode(Node):
         """A pose of the base or the end effector."""
         self.take(feed_pose(self.finder, subject, message))
 
+    def on_telemetry(self, message: LinkTelemetry) -> None:
+        """What a link tells of its zero."""
+        feed_telemetry(self.finder, message)
+
     def on_solve(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Close the present rest and solve; succeeds if the calibration passes."""
         if not self.take(self.finder.close()):
@@ -97,6 +102,16 @@ class KinematicNode(Node):
             self.writes(lambda: write(self.settings.report, kinematic_report(self.message())))
         response.success = self.calibration.verdict == PASS
         response.message = f"{self.calibration.verdict}: {self.calibration.reason}"
+        return response
+
+    def on_forget(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Drop all observations, in the state file too, and whatever befell the streams."""
+        response.success = True
+        response.message = f"{count(len(self.observations), 'observation')} forgotten"
+        self.get_logger().info(response.message)
+        self.observations, self.finder = [], RestFinder(self.arm.n, self.settings)
+        self.solve()
+        self.publish()
         return response
 
     def take(self, found: list[Observation]) -> bool:
