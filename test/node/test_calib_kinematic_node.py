@@ -26,7 +26,7 @@ from fss_arm_model.kinematics import tip_in_base
 from fss_arm_msgs.msg import KinematicCalibration, KinematicObservations, LinkTelemetry
 from fss_arm_ros.bags import BagError
 from fss_arm_ros.convert import to_time
-from fss_arm_ros.diagnostics import ERROR, OK
+from fss_arm_ros.diagnostics import ERROR, OK, WARN
 from fss_arm_ros.qos import LATCHED, SENSOR, sensor
 from fss_arm_ros.recording import Recording
 from fss_arm_ros.replay_node import ReplayNode
@@ -280,7 +280,9 @@ def test_what_is_forgotten_is_gone_and_it_begins_anew(spin, play, samples, tmp_p
     play(bed, node, [s for s in samples if s.t < at(9.0)])
     assert bed.observed() == 2
     bed.outputs["joint_states"].publish(message(Sample(at(-1.0), 1, 0.0))[1])
-    spin([bed, node], lambda: node.finder.streams().set_back["joint_1"] > 9.0)
+    said = "clock of joint_1 ran back by 9.83 s (at most 1): kinematic/forget begins anew"
+    spin([bed, node], lambda: node.health().message == said)
+    assert node.health().level == WARN
     answer = bed.forgetter.call_async(Trigger.Request())
     spin([bed, node], lambda: answer.done() and bed.observed() == 0)
     assert answer.result().success
@@ -291,6 +293,7 @@ def test_what_is_forgotten_is_gone_and_it_begins_anew(spin, play, samples, tmp_p
     result = spin([bed, node], lambda: bed.observed() == 2 and bed.results[-1])
     assert list(result.homings) == [0, 1, 0, 0]
     assert "ran back" not in result.reason
+    assert node.health().level == OK
 
 
 def test_homings_are_read_from_bags(samples, tmp_path):

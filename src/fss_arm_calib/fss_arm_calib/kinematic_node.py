@@ -17,7 +17,7 @@ from fss_arm_ros.qos import LATCHED, subscribe_sensor
 from fss_arm_ros.run import run
 from fss_arm_ros.settings import declare
 
-from .judgement import count
+from .judgement import clocks_kept, count
 from .kinematic_report import kinematic_report
 from .messages import (
     feed_joints,
@@ -162,6 +162,8 @@ class KinematicNode(Node):
             return Health(WARN, f"waiting for {', '.join(streams.silent)}", values)
         if streams.strange:
             return Health(WARN, f"the arm has no {', '.join(streams.strange)}", values)
+        if clocks := clocks_kept(streams, self.settings.joint_gap).reason:
+            return Health(WARN, f"{clocks}: kinematic/forget begins anew", values)
         if again := homed(self.calibration, streams):
             names = ", ".join(f"joint_{i}" for i in again)
             return Health(WARN, f"{names} homed or restarted since: calibrate the offsets", values)
