@@ -394,6 +394,7 @@ def test_a_bag_with_a_gap_is_not_evaluated(samples, tmp_path, capsys):
         (["BAG", "--settle", "-1"], "settle is -1.0 s, must not be negative"),
         (["BAG", "--report", "/dev/null/report"], "/dev/null/report"),
         (["BAG", "--settle", "x"], "argument --settle: invalid float value: 'x'"),
+        (["--dyn", "BAG"], "unrecognized arguments: --dyn"),
         ([], "the following arguments are required: BAG"),
     ],
 )
