@@ -316,7 +316,7 @@ def arguments() -> argparse.ArgumentParser:
     parser.add_argument(
         "--postures",
         type=int,
-        choices=range(6, len(DEFAULT) + 1),  # fewer are no calibration
+        choices=range(7, len(DEFAULT) + 1),  # fewer hardly check each other
         default=len(DEFAULT),
         help="to observe: the first so many",
     )

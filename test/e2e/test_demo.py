@@ -128,7 +128,7 @@ def replayed_is_offline(bag, start, spin):
 )
 def test_the_truth_comes_back_live_and_from_the_bag_whatever_node_dies(demo, start, spin, killed):
     # Without noise; at a speed that two cores keep up with.
-    postures = 13 if killed else 6
+    postures = 13 if killed else 7
     run = demo("--speed", "2", "--preset", "ideal", "--postures", str(postures))
     pause = partial(Event().wait, 0.1)
     for observed, (name, word) in enumerate(((k, NODES[k]) for k in killed), 2):

@@ -140,6 +140,7 @@ def test_an_observation_that_decides_alone_is_not_believed():
     [
         (range(13), EQUAL, 0.52),
         (range(13), FULL, 0.50),
+        (range(7), EQUAL, 0.16),  # the fewest that the demo allows
         (range(7), FULL, 0.10),
         (range(6), EQUAL, 0.49),  # of the angles, as lengths and mount are as described
         (range(6), FULL, 0.49),
