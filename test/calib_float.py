@@ -20,8 +20,8 @@ COUNT = 2 * np.pi / 240_000
 
 class Sample(NamedTuple):
     t: int  # [ns]
-    stream: int | str  # joint number, "base", "tip" or "gyro"
-    value: object  # (q, qd), pose or rate
+    stream: int | str  # joint number, "base", "tip", "gyro" or "link_<i>"
+    value: object  # (q, qd), pose, rate or (armed, start of the electronics, homings)
 
 
 def at(t):
@@ -155,6 +155,8 @@ def feed(finder, samples, close=True):
             found += finder.tip_pose(t, value)
         elif stream == "gyro":
             found += finder.rate(t, value)
+        elif isinstance(stream, str):
+            found += finder.telemetry(int(stream.removeprefix("link_")), t, *value)
         else:
             found += finder.joint(stream, t, *value)
     return found + (finder.close() if close else [])

@@ -7,6 +7,7 @@ import pytest
 from calib_float import ARM, TYPES, Float, at, message, postures, record
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.serialization import serialize_message
 from std_srvs.srv import Trigger
 
 from fss_arm_calib.dynamic_messages import maneuvers_of
@@ -17,8 +18,10 @@ from fss_arm_calib.from_bag import main as from_bag
 from fss_arm_calib.from_bag import parser, solve_dynamic_bag
 from fss_arm_calib.judgement import settings_of
 from fss_arm_model.description import from_yaml, load, save
-from fss_arm_msgs.msg import DynamicCalibration, Maneuvers
-from fss_arm_ros.qos import LATCHED, sensor
+from fss_arm_msgs.msg import DynamicCalibration, LinkTelemetry, Maneuvers
+from fss_arm_ros.convert import to_time
+from fss_arm_ros.qos import LATCHED, SENSOR, sensor
+from fss_arm_ros.recording import Recording
 
 STATE = np.array([0.1, 0.2, 3.0, 0.1, -0.1, 0.02, 0.0002, -0.0001])
 PRECISE = {"position_deviation": 0.0005, "heading_deviation": 0.001, "max_relative": 2.0}
@@ -151,6 +154,34 @@ def test_older_maneuvers_go(ros, samples, tmp_path):
     assert node.maneuvers[:7] == newest
     assert len(node.maneuvers) == 14
     node.destroy_node()
+
+
+def telemetry(seconds, armed):
+    message = LinkTelemetry(link=2, boot=3, homings=1, armed=armed)
+    message.header.stamp = to_time(at(seconds))
+    return message
+
+
+def test_what_is_moved_by_hand_is_kept_unused_live_and_from_bags(spin, play, samples, tmp_path):
+    """Link 2 is armed after the first maneuver."""
+    some = [s for s in samples if s.t < at(34.0)]
+    heard = [telemetry(0.0, False), telemetry(12.0, True)]
+    bed, node = Bed(), make_node()
+    link = bed.create_publisher(LinkTelemetry, "link_2/telemetry", 10)
+    spin([bed, node], link.get_subscription_count)
+    for one in heard:
+        link.publish(one)
+    spin([bed, node], lambda: node.finder.links[1].newest >= at(12.0))
+    play(bed, node, some)
+    assert [m.reason for m in node.maneuvers] == ["joint_2 moved while disarmed", ""]
+
+    told = Recording(tmp_path / "told")
+    told.add("/link_2/telemetry", "fss_arm_msgs/msg/LinkTelemetry", [SENSOR])
+    for one in heard:
+        told.write("/link_2/telemetry", at(0.0), serialize_message(one))
+    told.close()
+    _, found = solve_dynamic_bag([told.path, record(tmp_path / "bag", some)])
+    assert found == node.maneuvers
 
 
 def test_too_little_is_not_evaluated(spin, play, samples):

@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from calib_float import ARM, SECOND, Float, at, feed, postures
+from calib_float import ARM, SECOND, Float, Sample, at, feed, postures
 
 from fss_arm_calib.dynamic_settings import DynamicCalibrationSettings, ManeuverSettings
 from fss_arm_calib.kinematic import wrap
@@ -270,6 +270,72 @@ def test_joints_of_another_arm_are_named(samples):
     finder = ManeuverFinder(3)
     feed(finder, samples[:500], close=False)
     assert finder.streams().strange == ("joint_4",)
+
+
+def told(samples, armed=lambda i, t: True, reference=lambda i, t: (7, 1)):
+    """The samples of joints, each with what its link tells just before: (armed, start, homings)."""
+    links = [s for s in samples if isinstance(s.stream, int)]
+    extra = [
+        Sample(s.t, f"link_{s.stream}", (armed(s.stream, s.t), *reference(s.stream, s.t)))
+        for s in links
+    ]
+    return sorted([*extra, *samples], key=lambda s: s.t)
+
+
+def test_what_a_disarmed_joint_does_is_no_maneuver(rig, samples, found):
+    """Whether it is disarmed all the while, or in the midst of the motion."""
+    amid = at(0.5 * (rig.begins[2] + rig.ends[2]))
+    heard = told(
+        samples, lambda i, t: (i, t < at(rig.ends[0])) != (3, True) and (i, t > amid) != (2, True)
+    )
+    seen = feed(ManeuverFinder(4), heard)
+    assert [m.reason for m in seen] == [
+        "joint_3 moved while disarmed", "", "joint_2 moved while disarmed",
+    ]  # fmt: skip
+    assert [m.used for m in seen] == [False, True, False]
+    assert seen[1].q == found[1].q
+
+
+def test_links_that_rest_disarmed_spoil_nothing(rig, samples, found):
+    """Armed with the first move, disarmed after the last one; links 3 and 4 tell nothing."""
+    heard = [
+        s for s in told(samples, lambda i, t: at(rig.begins[0]) < t < at(rig.ends[-1] + 0.2))
+        if s.stream not in ("link_3", "link_4")
+    ]  # fmt: skip
+    assert feed(ManeuverFinder(4), heard) == found
+
+
+def test_a_disarmed_joint_that_stays_spoils_nothing():
+    rig = Float(np.array([[[0.3, -1.0, 0.2, 0.5], [0.3, 1.0, 0.2, 0.5]]]))
+    (only,) = feed(ManeuverFinder(4), told(rig.samples(), lambda i, t: i == 2))
+    assert only.used
+
+
+def test_a_joint_homed_amid_a_maneuver_spoils_it(rig, samples, found):
+    """A start or a count that is told for the first time is none; nor is one told of a rest."""
+    amid, rest = at(rig.begins[1] + 0.5), at(rig.begins[2] - 2.5)
+    homings = [
+        lambda i, t: (7, 1 + (i == 4 and t > amid)),
+        lambda i, t: (7 + (i == 4 and t > amid), 1),
+    ]
+    for reference in homings:
+        seen = feed(ManeuverFinder(4), told(samples, reference=reference))
+        assert [m.reason for m in seen] == ["", "joint_4 homed or restarted", ""]
+    first = told(samples, reference=lambda i, t: (7, int(t > amid)))
+    assert feed(ManeuverFinder(4), first) == found
+    between = told(samples, reference=lambda i, t: (7, 1 + (t > rest)))
+    assert [m.used for m in feed(ManeuverFinder(4), between)] == [True] * 3
+
+
+def test_the_same_however_telemetry_arrives(rig, samples):
+    """Late, before all else, and of links that the arm does not have."""
+    heard = told(samples, lambda i, t: i != 2 or t > at(rig.begins[1]))
+    expected = feed(ManeuverFinder(4), heard)
+    assert [m.used for m in expected] == [False, True, True]
+    late = sorted(heard, key=lambda s: s.t + 3 * SECOND * str(s.stream).startswith("link"))
+    early = sorted(heard, key=lambda s: not str(s.stream).startswith("link"))
+    for order in (late, early, [*heard, Sample(at(0.0), "link_5", (False, 1, 1))]):
+        assert feed(ManeuverFinder(4), order) == expected
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,8 @@ from sensor_msgs.msg import Imu, JointState
 from std_srvs.srv import Trigger
 
 from fss_arm_model.description import from_yaml, load, paper_arm, save
-from fss_arm_msgs.msg import DynamicCalibration, Maneuvers
+from fss_arm_msgs.msg import DynamicCalibration, LinkTelemetry, Maneuvers
+from fss_arm_ros.convert import stamp_ns
 from fss_arm_ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
 from fss_arm_ros.qos import LATCHED, subscribe_sensor
 from fss_arm_ros.run import run
@@ -49,8 +50,8 @@ class DynamicSettings(DynamicCalibrationSettings):
 class DynamicNode(Node):
     """Publishes each maneuver of the arm, and the dynamic calibration from all of them.
 
-    Subscribes joint_states, the two VICON topics and the gyro; nobody needs to say when the arm
-    moves. `~/solve` closes the present rest and solves.
+    Subscribes joint_states, the two VICON topics, the gyro and the links' telemetry; nobody needs
+    to say when the arm moves. `~/solve` closes the present rest and solves.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -70,12 +71,20 @@ class DynamicNode(Node):
             (Imu, s.gyro_topic, feed_gyro),
         ):
             subscribe_sensor(self, kind, topic, partial(self.on_sample, feed), keep_all=True)
+        for i in range(1, self.arm.n + 1):
+            topic = f"link_{i}/telemetry"
+            subscribe_sensor(self, LinkTelemetry, topic, self.on_telemetry, keep_all=True)
         self.create_service(Trigger, "~/solve", self.on_solve)
         self.diagnostics = Diagnostics(self, self.health)
 
     def on_sample(self, feed: Callable[[ManeuverFinder, Any], list[Maneuver]], m: Any) -> None:
         """A message of a sensor."""
         self.take(feed(self.finder, m))
+
+    def on_telemetry(self, m: LinkTelemetry) -> None:
+        """Whether a link is armed, and how often it was homed."""
+        t = stamp_ns(m.header.stamp)
+        self.take(self.finder.telemetry(m.link, t, m.armed, m.boot, m.homings))
 
     def on_solve(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Close the present rest and solve; succeeds if the calibration passes."""

@@ -14,7 +14,7 @@ from fss_arm_model.description import Arm, from_yaml, load, paper_arm, save
 from fss_arm_ros.bags import BagError, Bags, digest, open_bags
 from fss_arm_ros.bulk import pieces, poses, turn_rates
 from fss_arm_ros.command_line import USER_ERROR, Parser
-from fss_arm_ros.convert import SECOND
+from fss_arm_ros.convert import SECOND, stamp_ns
 
 from . import drift_verdict, dynamic_messages, dynamic_verdict, report
 from .drift_settings import DriftSettings
@@ -157,7 +157,7 @@ def observations(
 def maneuvers(
     bags: Bags, finder: ManeuverFinder, settings: DynamicCalibrationSettings
 ) -> list[Maneuver]:
-    """What the finder makes of the bags' messages; gyro and end effector may be missing.
+    """What the finder makes of the bags' messages; all but joints and base may be missing.
 
     Raises:
         BagError: a topic is missing or of another type.
@@ -165,10 +165,15 @@ def maneuvers(
     s = settings
     wanted = {s.joints_topic: JOINTS, s.base_topic: POSES}
     wanted |= {s.gyro_topic: "sensor_msgs/msg/Imu", s.tip_topic: POSES}
-    joints, base, gyro, tip = topics(bags, wanted, 2)
+    wanted |= {f"link_{i}/telemetry": TELEMETRY for i in range(1, len(finder.joints) + 1)}
+    joints, base, gyro, tip, *links = topics(bags, wanted, 2)
     found: list[Maneuver] = []
     span = round(PIECE * s.horizon * SECOND)
-    for piece in pieces(bags.raw({joints, base, gyro, tip}), span):
+    for piece in pieces(bags.raw({joints, base, gyro, tip, *links}), span):
+        for data in (data for link in links for data in piece.get(link, ())):
+            m = bags.deserialize(data, TELEMETRY)
+            t = stamp_ns(m.header.stamp)
+            found += finder.telemetry(m.link, t, m.armed, m.boot, m.homings)
         for data in piece.get(joints, ()):
             found += dynamic_messages.feed_joints(finder, bags.deserialize(data, JOINTS))
         found += finder.rates(*turn_rates(piece.get(gyro, ())))

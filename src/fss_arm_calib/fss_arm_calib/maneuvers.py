@@ -5,12 +5,15 @@ settle and to look twice is part of the motion. The second half of a rest, up to
 look before the next maneuver, the first half that after the last one: no pose counts twice. In a
 look the base may drift, so its poses are averaged over short bins, each a mark of the path.
 
+A joint that moves while its link tells that it is not armed is moved by hand: then the base is
+held, and what it does tells nothing of the arm.
+
 How the base turns, by its gyro and by motion capture, tells the offset between their clocks; the
 gyro's stamps are of the joints' clock. What was learned by then shifts the looks that follow.
 
 As with rests.py, samples are merged by their stamps and nothing is decided before every stream has
-passed the moment in question: what is found is a function of the data alone. Gyro and end effector
-may be absent; if they fall silent, they are waited for up to half of `horizon`.
+passed the moment in question: what is found is a function of the data alone. Gyro, end effector and
+telemetry may be absent; if they fall silent, they are waited for up to half of `horizon`.
 """
 
 from array import array
@@ -19,6 +22,7 @@ from collections import deque
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import isfinite, pi
+from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -142,12 +146,54 @@ class _Gyro:
         del self.t[:k], self.rate[:k]
 
 
+class _Told(NamedTuple):
+    """What a link tells of itself, from a moment on."""
+
+    t: int  # [ns]
+    armed: bool
+    reference: tuple[int, int]  # start of its electronics, and homings since; 0 homings: not told
+
+
+class _Link:
+    """A link's telemetry, wherever it changed."""
+
+    def __init__(self) -> None:
+        self.newest = -1
+        self.told: list[_Told] = []
+
+    def append(self, told: _Told) -> None:
+        if told.t > self.newest:
+            self.newest = told.t
+            if not self.told or self.told[-1][1:] != told[1:]:
+                self.told.append(told)
+
+    def within(self, begin: int, end: int) -> list[_Told]:
+        """What held at the begin of an interval, and what was told until its end."""
+        a, b = (bisect_right(self.told, t, key=itemgetter(0)) for t in (begin, end))
+        return self.told[max(a - 1, 0) : b]
+
+    def disarmed(self, begin: int, end: int) -> list[tuple[int, int]]:
+        """The parts of an interval, both ends included, in which it was not armed."""
+        told = self.within(begin, end)
+        edges = [*(max(begin, one.t) for one in told), end + 1]
+        parts = zip(told, pairwise(edges), strict=True)
+        return [(a, b - 1) for one, (a, b) in parts if not one.armed]
+
+    def homed(self, begin: int, end: int) -> bool:
+        """Whether it was referenced anew meanwhile, or restarted, the drive perhaps with it."""
+        told = self.within(begin, end)
+        return len({one.reference for one in told if one.reference[1]}) > 1
+
+    def forget(self, before: int) -> None:
+        del self.told[: max(bisect_right(self.told, before, key=itemgetter(0)) - 1, 0)]
+
+
 class ManeuverFinder:
     """Fed samples of n joints, the base and its gyro, returns the maneuvers that they complete.
 
     Each feeding method returns the maneuvers found by it, in order of time. Stamps are integer
     nanoseconds. The gyro may be absent: it is needed only where the base was not seen for long. So
-    may the end effector, which only tells whose arm it is.
+    may the end effector, which only tells whose arm it is, and the links' telemetry.
     """
 
     def __init__(self, n: int, settings: ManeuverSettings | None = None) -> None:
@@ -157,6 +203,7 @@ class ManeuverFinder:
         self.tip = Poses(TIP, s.max_speed, s.max_turn)
         self._lag(round(s.time_offset * SECOND))
         self.gyro = _Gyro()
+        self.links = [_Link() for _ in self.joints]
         self.offset = Offset()  # between the clocks
         self._offsets: deque[Offset] = deque(maxlen=NEWEST)  # by each maneuver
         self._merge = Merge(self.joints, s.horizon)
@@ -199,6 +246,12 @@ class ManeuverFinder:
         """Many turn rates of the base at once, (k,) each."""
         for stamp, rate in zip(t.tolist(), rates.tolist(), strict=True):
             self.gyro.append(stamp, rate)
+        return self._collect()
+
+    def telemetry(self, i: int, t: int, armed: bool, boot: int, homings: int) -> list[Maneuver]:
+        """What link i, 1 to n, tells: whether it is armed, its start, and its homings since."""
+        if 1 <= i <= len(self.links):
+            self.links[i - 1].append(_Told(t, armed, (boot, homings)))
         return self._collect()
 
     def close(self) -> list[Maneuver]:
@@ -267,7 +320,8 @@ class ManeuverFinder:
     def _passed(self, before: _Rest, after: _Rest) -> bool:
         end = self._looks(before, after)[1][1]
         late = end + round(PATIENCE * self.settings.horizon * SECOND)
-        optional = ((self.gyro.newest, 0), (self.tip.newest, self.tip.lag))
+        links = [(link.newest, 0) for link in self.links]
+        optional = [(self.gyro.newest, 0), (self.tip.newest, self.tip.lag), *links]
         heard = all(newest < 0 or newest + lag >= end for newest, lag in optional)
         return self.base.reached >= (end if heard else late)
 
@@ -291,14 +345,26 @@ class ManeuverFinder:
             tuple(tuple(part.tolist()) for part in parts) for parts in zip(*series, strict=True)
         )
         maneuver = Maneuver(start, end, times, q, qd)
-        if holes:
-            return replace(maneuver, used=False, reason=str(holes[0]))
+        if reason := str(holes[0]) if holes else self._spoiled(maneuver):
+            return replace(maneuver, used=False, reason=reason)
         tip = seen_from(self.base, self.tip, *looks[0])[1]
         if len(tip) > 1:
             maneuver = replace(maneuver, tip=tuple(mean_pose(tip).tolist()))
         maneuver = replace(self._seen(maneuver, looks), time_offset=self.base.lag / SECOND)
         self._align(start, end)
         return maneuver
+
+    def _spoiled(self, maneuver: Maneuver) -> str:
+        """What telemetry tells against a maneuver; empty: nothing."""
+        span = maneuver.start, maneuver.end
+        for i, (joint, link) in enumerate(zip(self.joints, self.links, strict=True), 1):
+            if link.homed(*span):
+                return f"{joint.name} homed or restarted"
+            readings = (joint.within(*part)[1] for part in link.disarmed(*span))
+            travel = max((float(np.ptp(q)) for q in readings if len(q)), default=0.0)
+            if i in maneuver.moved and travel > self.settings.still:
+                return f"{joint.name} moved while disarmed"
+        return ""
 
     def _align(self, begin: int, end: int) -> None:
         """Learn the clocks' offset from how the base turned."""
@@ -414,6 +480,8 @@ class ManeuverFinder:
         # What may be absent has a say in its own samples only: its clock may be wrong.
         self.tip.forget(max(oldest, self.tip.newest - span))
         self.gyro.forget(max(oldest, self.gyro.newest - span))
+        for link in self.links:
+            link.forget(max(oldest, link.newest - span))
 
 
 class _LostTurn(Exception):  # noqa: N818
