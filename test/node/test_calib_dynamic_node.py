@@ -184,6 +184,24 @@ def test_what_is_moved_by_hand_is_kept_unused_live_and_from_bags(spin, play, sam
     assert found == node.maneuvers
 
 
+def test_forgotten_maneuvers_count_no_more(spin, play, samples):
+    """Nor does a clock that ran back."""
+    bed, node = Bed(), make_node()
+    forget = bed.create_client(Trigger, "dynamic/forget")
+    play(bed, node, [s for s in samples if s.t < at(20.0)])
+    node.finder.joint(1, at(1.0), 0.0, 0.0)
+    assert node.finder.streams().set_back["joint_1"] > 10.0
+    spin([bed, node], lambda: bed.found() == 1)
+    answer = forget.call_async(Trigger.Request())
+    spin([bed, node], lambda: answer.done() and bed.found() == 0)
+    assert answer.result().success
+    assert answer.result().message == "1 maneuver forgotten"
+    spin([bed, node], lambda: bed.results[-1].reason.startswith("0 maneuvers (at least 6)"))
+    again = play(bed, node, [s for s in samples if s.t < at(20.0)])
+    assert again.message.startswith("not_evaluated: 1 maneuver (at least 6)")
+    assert node.finder.streams().set_back["joint_1"] == 0.0
+
+
 def test_too_little_is_not_evaluated(spin, play, samples):
     bed, node = Bed(), make_node()
     answer = play(bed, node, [s for s in samples if s.t < at(20.0)])

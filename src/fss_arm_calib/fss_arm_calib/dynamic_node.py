@@ -30,7 +30,7 @@ from .dynamic_messages import (
 from .dynamic_report import dynamic_report
 from .dynamic_settings import DynamicCalibrationSettings
 from .dynamic_verdict import calibrate
-from .judgement import PASS
+from .judgement import PASS, count
 from .maneuvers import Maneuver, ManeuverFinder
 from .report import write
 from .settings import setting
@@ -51,7 +51,7 @@ class DynamicNode(Node):
     """Publishes each maneuver of the arm, and the dynamic calibration from all of them.
 
     Subscribes joint_states, the two VICON topics, the gyro and the links' telemetry; nobody needs
-    to say when the arm moves. `~/solve` closes the present rest and solves.
+    to say when the arm moves. `~/solve` closes the present rest and solves; `~/forget` begins anew.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -75,6 +75,7 @@ class DynamicNode(Node):
             topic = f"link_{i}/telemetry"
             subscribe_sensor(self, LinkTelemetry, topic, self.on_telemetry, keep_all=True)
         self.create_service(Trigger, "~/solve", self.on_solve)
+        self.create_service(Trigger, "~/forget", self.on_forget)
         self.diagnostics = Diagnostics(self, self.health)
 
     def on_sample(self, feed: Callable[[ManeuverFinder, Any], list[Maneuver]], m: Any) -> None:
@@ -101,6 +102,16 @@ class DynamicNode(Node):
             self.trouble = trouble or self.trouble
         response.success = self.calibration.verdict == PASS
         response.message = f"{self.calibration.verdict}: {self.calibration.reason}"
+        return response
+
+    def on_forget(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Drop all maneuvers, and whatever befell the streams."""
+        response.success = True
+        response.message = f"{count(len(self.maneuvers), 'maneuver')} forgotten"
+        self.get_logger().info(response.message)
+        self.maneuvers, self.finder = [], ManeuverFinder(self.arm.n, self.settings)
+        self.solve()
+        self.publish()
         return response
 
     def take(self, found: list[Maneuver]) -> bool:
