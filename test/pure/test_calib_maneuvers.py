@@ -1,6 +1,7 @@
 """Maneuvers out of streams: which, what of them, and the same however the streams arrive."""
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
@@ -348,6 +349,11 @@ def test_the_same_however_telemetry_arrives(rig, samples):
         ({"fresh_rate": 0.0}, "fresh_rate is 0.0, must be positive"),
         ({"tilt_deviation": -1.0}, "tilt_deviation is -1.0, must not be negative"),
         ({"mass_deviation": -1.0}, "mass_deviation is -1.0, expected a deviation of 0 or more"),
+        (
+            {"base_com_deviation": 0.0},
+            "estimate has 'com_0', said to be known exactly (its deviation is 0): leave it out",
+        ),
+        ({"inertia_deviation": 0.0, "estimate": "I"}, "estimate has 'I', said to be known"),
         ({"min_probability": 1.0}, "min_probability is 1.0, must be in"),
         ({"min_maneuvers": 0}, "min_maneuvers is 0, must be positive"),
         ({"max_outliers": -1}, "max_outliers is -1, must not be negative"),
@@ -355,8 +361,12 @@ def test_the_same_however_telemetry_arrives(rig, samples):
     ],
 )
 def test_impossible_settings_are_refused(change, message):
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises(ValueError, match=re.escape(message)):
         DynamicCalibrationSettings(**change)
+
+
+def test_what_is_not_estimated_may_be_known_exactly():
+    DynamicCalibrationSettings(base_com_deviation=0.0, length_deviation=0.0, estimate="b_i I_i")
 
 
 @pytest.mark.parametrize("late", [-0.8, 0.05, 1.5])

@@ -140,5 +140,12 @@ class DynamicCalibrationSettings(ManeuverSettings, DynamicCriteria, Knowledge):
             if not 0.0 <= getattr(self, name) < inf:
                 raise ValueError(f"{name} is {getattr(self, name)}, must not be negative")
         Choice.of(self.estimate, 12)
+        deviations = self.deviations(12)
+        for word in self.estimate.split():
+            if not (Choice.of(word, 12).basis.T @ deviations > 0.0).all():
+                raise ValueError(
+                    f"estimate has {word!r}, said to be known exactly (its deviation is 0): "
+                    "leave it out"
+                )
         if self.priors.strip():
             Choice.of(self.priors, 12)

@@ -96,7 +96,7 @@ def units(result: DynamicResult, knowledge: Knowledge) -> Floats:
     typical = choice.basis.T @ knowledge.deviations(result.problem.arm.n)
     typical = typical / choice.basis.sum(axis=0)
     typical = np.concatenate([typical, known[len(typical) :]])
-    return np.where(np.isfinite(known) | (typical <= 0.0), known, typical)
+    return np.where(np.isfinite(known), known, typical)
 
 
 def directions(result: DynamicResult, knowledge: Knowledge) -> list[Direction]:
