@@ -119,6 +119,26 @@ def replace_speed(motion, qd):
     return motion._replace(qd=qd)
 
 
+def test_whatever_stops_it_brakes_as_hard_as_the_drive_can():
+    gentle = replace(GO, acceleration=50)
+    electronics = link(QUIET, gentle)
+    assert electronics.demand(SECOND, REST).acceleration < 0.02
+    assert electronics.receive(encode(replace(QUIET, sequence=3, flags=Order.STOP)), SECOND)
+    held = electronics.demand(SECOND, replace_speed(REST, 0.3))
+    assert held.acceleration == LINK.drive.max_acceleration
+
+
+def test_a_joint_that_does_not_come_to_rest_is_switched_off_in_bounded_time():
+    electronics, pushed = link(QUIET, GO), replace_speed(REST, 0.3)
+    electronics.demand(SECOND, pushed)
+    for k in range(15):  # told again and again, which begins nothing anew
+        clock = SECOND + 200_000 * k
+        assert electronics.receive(encode(replace(QUIET, sequence=3 + k)), clock)
+        assert electronics.demand(clock, pushed).mode == Mode.POSITION
+    assert electronics.demand(4 * SECOND, pushed).mode == Mode.POSITION
+    assert electronics.demand(4 * SECOND + 1, pushed).mode == Mode.OFF
+
+
 def test_a_link_without_reference_finds_it_once_for_all_such_commands_in_a_row():
     electronics = link(QUIET)
     electronics.referenced = False

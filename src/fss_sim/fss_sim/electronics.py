@@ -25,6 +25,7 @@ from fss_sim.instruments import Instruments, make
 from fss_sim.plant import Demand, Motion
 
 STILL = 1e-3  # a joint slower than this is at rest [rad/s]
+PATIENCE = 3_000_000  # with a joint that does not come to rest and shall be released [us]
 
 # The servo drive's status word.
 DISABLED, AT_HIGHEST, AT_LOWEST, IN_MOTION = 1 << 12, 1 << 16, 1 << 17, 1 << 27
@@ -63,6 +64,7 @@ class LinkElectronics(LinkState):
         drive = link.drive
         self._count = drive.direction * 2.0 * pi / drive.counts_per_turn  # [rad]
         self._demand = Demand(Mode.OFF)
+        self._kept = 0  # when the joint was last not to be released [us]
         self._acceleration = drive.max_acceleration
         self._period = round(1e6 / rate)  # [us]
         self._periods = -1  # of the clock, at the last frame
@@ -80,12 +82,15 @@ class LinkElectronics(LinkState):
     def demand(self, clock: int, motion: Motion) -> Demand:
         """What the servo drive is to do from now on."""
         goal, command = self.goal(clock), self.gate.command
+        if goal is not Goal.RELEASE:
+            self._kept = clock
         if goal is Goal.OBEY and command and not command.flags & Order.HOME:
             self._demand = self._commanded(command)
         elif goal is not Goal.RELEASE:
             self._demand = self._held()
         elif self._demand.mode != Mode.OFF:
-            self._demand = Demand(Mode.OFF) if abs(motion.qd) < STILL else self._held()
+            over = abs(motion.qd) < STILL or clock - self._kept > PATIENCE
+            self._demand = Demand(Mode.OFF) if over else self._held()
         return self._demand
 
     def telemetry(self, clock: int, motion: Motion) -> bytes | None:
@@ -120,7 +125,7 @@ class LinkElectronics(LinkState):
 
     def _held(self) -> Demand:
         """Decelerate and hold there; a drive that holds already goes on holding the same place."""
-        return Demand(Mode.POSITION, 0.0, 0.0, self._acceleration)
+        return Demand(Mode.POSITION, 0.0, 0.0, self.link.drive.max_acceleration)
 
     def _commanded(self, command: Command) -> Demand:
         """The command in SI units, within the drive's own limits."""
