@@ -287,16 +287,16 @@ class LinkBench:
 
     def __init__(self):
         self.there, self.link = FakeDrive(), DriveLink(1, 7, None, 115_200)
-        self.now, self.frames = 0, []
+        self.now, self.frames, self.answer = 0, [], b""
 
     def run(self, seconds):
-        end, answer = self.now + round(seconds * SECOND), b""
+        end = self.now + round(seconds * SECOND)
         while self.now < end:
             self.now += 2000
             if self.now % 20_000 == 0:
                 self.there.turn()
-            line, frame = self.link.poll(answer, self.now)
-            answer = self.there.feed(line, self.link.drive.baud)
+            line, frame = self.link.poll(self.answer, self.now)
+            self.answer = self.there.feed(line, self.link.drive.baud)
             if frame:
                 self.frames.append(decode(frame))
 
@@ -353,6 +353,56 @@ def test_a_fault_disarms_it():
     bench.run(0.5)
     assert not bench.frames[-1].flags & State.ARMED
     assert bench.there.held[0x24] == 0
+
+
+def test_one_that_cannot_hold_is_switched_off_and_no_stop_switches_it_on():
+    bench = LinkBench()
+    bench.run(1.0)
+    bench.arm(mode=Mode.VELOCITY, set_point=5000)
+    bench.run(0.5)
+    bench.there.error = 15
+    for _ in range(5):
+        command(bench.link, bench.now, flags=Order.STOP)
+        bench.run(0.3)
+    assert bench.there.held[0x24] == Mode.OFF
+    bench.arm(mode=Mode.VELOCITY, set_point=5000)
+    bench.run(0.5)
+    assert bench.there.held[0x24] == Mode.VELOCITY
+
+
+def test_each_frame_echoes_what_was_taken_before_its_measurement():
+    bench, told = LinkBench(), []
+    bench.run(1.0)
+    for _ in range(100):  # more often than the drive can be read
+        command(bench.link, bench.now)
+        told.append(bench.now)
+        bench.run(0.02)
+    frames = [frame for frame in bench.frames if frame.clock > told[0]]
+    assert len(frames) > 5
+    for frame in frames:
+        assert frame.echo == max(clock for clock in told if clock <= frame.clock)
+        assert frame.turnaround == frame.clock - frame.echo
+
+
+def test_told_to_home_it_is_referenced_once_it_has():
+    bench = LinkBench()
+    bench.run(1.0)
+    homings = bench.link.drive.homings
+    bench.arm(mode=Mode.VELOCITY, set_point=5000)
+    bench.run(0.5)
+    bench.frames.clear()
+    bench.there.shakes = True  # so it does not begin
+    command(bench.link, bench.now, flags=Order.ARM | Order.HOME, mode=Mode.POSITION)
+    told = bench.now
+    bench.run(0.8)
+    frames = [frame for frame in bench.frames if frame.echo == told]
+    assert frames
+    assert not any(frame.flags & State.REFERENCED for frame in frames)
+    bench.there.shakes = False
+    command(bench.link, bench.now, flags=Order.ARM | Order.HOME, mode=Mode.POSITION)
+    bench.run(0.8)
+    assert bench.frames[-1].flags & State.REFERENCED
+    assert bench.link.drive.homings == homings + 1
 
 
 def test_once_disarmed_by_a_fault_it_must_be_told_to_disarm():

@@ -454,6 +454,20 @@ def test_a_drive_that_cannot_hold_is_switched_off(link):
     link.run(0.5)
     assert link.orders() == ["t 0", "s r0x24 0"]
     assert link.joint().mode == Mode.OFF
+    assert set(stopped_again_and_again(link, 1.0)) == {Mode.OFF}
+
+
+def test_one_that_cannot_hold_when_its_time_is_over_is_switched_off(link):
+    assert link.send(QUIET)
+    assert link.send(replace(TURN, expiry=2 * SECOND))
+    link.run(0.5)
+    link.tell("fail 15")
+    for sequence in range(3, 13):
+        link.send(replace(TURN, sequence=sequence, expiry=2 * SECOND))
+        link.run(0.2)
+    assert "s r0x24 0" in link.orders()
+    assert link.joint().mode == Mode.OFF
+    assert not link.frame().flags & State.ARMED
 
 
 SLOW = {Slow.FAULTS: 0xA4, Slow.SUPPLY: 0x1E, Slow.TEMPERATURE: 0x20, "deceleration": 0xCF}
@@ -545,6 +559,28 @@ def test_homing_is_begun_once_and_counted(link):
     assert link.orders() == ["s r0x24 21", "t 2"]
     (homings,) = {f.slow_value for f in link.run(1.6) if f.slow_id == Slow.HOMINGS}
     assert homings == 2
+
+
+def test_it_is_not_referenced_from_the_order_to_home_on(link):
+    link.tell(f"lack {SLOW['deceleration']}")
+    moving(link, replace(TURN, acceleration=3000))
+    assert link.send(replace(HOME, sequence=3, clock=99))
+    frames = [frame for frame in link.run(3.0) if frame.echo == 99]
+    referenced = [bool(frame.flags & State.REFERENCED) for frame in frames]
+    assert not any(referenced[:3])  # while it brakes
+    assert referenced == sorted(referenced)
+    assert referenced[-1]
+
+
+def test_a_drive_that_refuses_to_home_does_not_say_that_it_has(link):
+    moving(link)
+    link.tell("fail 15")
+    assert link.send(replace(HOME, sequence=3, clock=99))
+    frames = [frame for frame in link.run(1.0) if frame.echo == 99]
+    assert frames
+    assert not any(frame.flags & State.REFERENCED for frame in frames)
+    assert link.send(replace(HOME, sequence=4, flags=Order.ARM | Order.HOLD, mode=Mode.OFF))
+    assert link.frame().flags & State.REFERENCED
 
 
 @pytest.mark.parametrize("flags", [Order.ARM | Order.HOLD, Order.STOP])

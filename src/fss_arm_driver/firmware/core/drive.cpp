@@ -373,6 +373,7 @@ void Drive::take_ok() {
     return;
   }
   if (write_.variable == kDesiredState) mode_ = static_cast<Mode>(write_.value);
+  if (write_.variable == kTrajectory && write_.value == kFindHome) referenced_ = false;
   if (!outdated_) ++step_;
 }
 
@@ -410,7 +411,8 @@ void Drive::order(Write write, uint64_t now) {
   line.add("\r");
   write_ = write;
   outdated_ = false;
-  if (write.variable == kDesiredState) turn_ = 0;  // what was read of it is out of date
+  const bool homes = write.variable == kTrajectory && write.value == kFindHome;
+  if (homes || write.variable == kDesiredState) turn_ = 0;  // what was read is out of date
   variable_ = 0;
   waiting_ = Waiting::Ok;
   send(line.text, line.size, now);

@@ -57,6 +57,7 @@ class Drive {
   // Whether the drive answers, and has been measured since it does.
   bool answers() const { return phase_ == Phase::Running && measured_.clock != 0; }
   bool blocked() const;  // by a fault
+  bool let_go() const { return demand_.goal == Demand::Off; }  // it refused even to hold
 
   Mode mode() const { return mode_; }
   const Measurement& measured() const { return measured_; }
@@ -64,7 +65,11 @@ class Drive {
   uint32_t faults() const { return faults_; }                  // latched ones
   int32_t supply() const { return supply_; }                   // [0.1 V]
   int32_t temperature() const { return temperature_; }         // [deg C]
-  bool referenced() const { return referenced_; }
+  // Not while it is told to home and has not begun, or refuses to.
+  bool referenced() const {
+    const bool begun = demand_.goal == Demand::Home && done_;
+    return referenced_ && (asked_.goal != Demand::Home || begun);
+  }
   uint16_t homings() const { return homings_; }
 
  private:

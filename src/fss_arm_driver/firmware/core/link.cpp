@@ -85,6 +85,10 @@ void Link::obey(const Command& command) {
 
 // What happens without a command: faults, silence, the end of a set-point's time.
 void Link::watch(uint64_t now) {
+  if (on_ && drive_.let_go()) {
+    armed_ = on_ = false;
+    dropped_ = true;
+  }
   if (on_ && (!drive_.answers() || drive_.blocked())) {  // one that only holds as well
     armed_ = on_ = false;
     dropped_ = true;

@@ -12,6 +12,7 @@ from itertools import count, cycle
 
 from fss_arm_driver.copley.language import (
     FIRST_BAUD,
+    HOMING,
     LONGEST,
     REFERENCED,
     RESET,
@@ -121,8 +122,10 @@ class Drive:
         self.slow = dict.fromkeys(SLOW, 0)
         self.homings = 0
         self.refusal = ""  # of the present demand, in the drive's words
+        self.let_go = False  # it refused even to hold, and is switched off whatever is demanded
         self._done: Demand | None = None  # the demand that the drive was told last, in full
         self._mode = int(Mode.OFF)  # that the drive is in, as read or acknowledged
+        self._referenced = False  # as read; not since it was told to home
         self.baud = FIRST_BAUD  # that the line must be set to now
         self._fast = baud
         self._now = self._until = 0
@@ -133,8 +136,9 @@ class Drive:
 
     @property
     def referenced(self) -> bool:
-        """Whether it has been homed since it was switched on."""
-        return bool(self.reading and self.reading.trajectory & REFERENCED)
+        """Whether it is homed; not while it is told to home and has not begun, or refuses to."""
+        begun = self.demand.goal != Goal.HOME or (self.demand == self._done and not self.refusal)
+        return bool(self.reading) and self._referenced and begun
 
     def poll(self, data: bytes, now: int) -> bytes:
         """Take what has come until `now` [us]; return what to send, at `baud`."""
@@ -187,7 +191,7 @@ class Drive:
         """Find the drive at this rate, and set it to the one to work at."""
         self.baud = baud
         self._done = None  # what a drive does that was out of reach is not known
-        self._mode = Mode.OFF
+        self._mode, self._referenced = Mode.OFF, False
         yield _Tell(b"\r", LINE_TIME)  # ends whatever is left in the drive's buffer
         yield _Ask(get(Variable.STATUS))
         if baud != self._fast:
@@ -210,7 +214,7 @@ class Drive:
 
     def _read(self, slow: Variable) -> Generator[_Ask | _Tell, Reply | None, Reading]:
         """A round of readings."""
-        before, last = self.referenced, self.reading
+        last = self.reading
         position = yield from self._value(Variable.POSITION)
         reading = Reading(
             clock=self._now,
@@ -227,7 +231,9 @@ class Drive:
             raise _ResetError
         self._mode = reading.mode
         self.reading = reading
-        self.homings += self.referenced and not before
+        referenced = reading.trajectory & (REFERENCED | HOMING) == REFERENCED
+        self.homings += referenced and not self._referenced
+        self._referenced = referenced
         return reading
 
     def _act(self) -> Script:
@@ -239,11 +245,12 @@ class Drive:
             self.clear_faults = False
         if demand == self._done and (reading.mode == demand.mode or self.refusal):
             return
-        self._done, self.refusal = None, ""
+        self._done, self.refusal, self.let_go = None, "", False
         done = yield from self._pursue(demand, demand)
         if not done and demand.goal > Goal.HOLD:  # what cannot be done is held,
             yield from self._read(Variable.FAULTS)
             done = yield from self._pursue(Demand(Goal.HOLD), demand)
+        self.let_go = not done
         while not done:  # and what cannot be held is switched off
             yield from self._read(Variable.FAULTS)
             done = yield from self._say([put(Variable.DESIRED_STATE, Mode.OFF)])
@@ -279,6 +286,8 @@ class Drive:
                 raise _NoAnswerError
             if line.startswith(STATE):
                 self._mode = int(line.removeprefix(STATE))
+            if line == trajectory(Trajectory.HOME):
+                self._referenced = False
         return True
 
 

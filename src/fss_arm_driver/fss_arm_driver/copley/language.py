@@ -44,7 +44,7 @@ class Trajectory(IntEnum):
     HOME = 2
 
 
-REFERENCED = 1 << 12  # of the trajectory status
+REFERENCED, HOMING = 1 << 12, 1 << 13  # of the trajectory status
 RESET = 1 << 20  # of the status
 
 ERRORS = {

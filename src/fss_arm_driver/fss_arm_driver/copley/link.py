@@ -1,5 +1,7 @@
 """A drive without electronics of ours before it, in the part of a link: frames in, frames out."""
 
+from collections import deque
+
 from fss_arm_driver.copley.drive import Demand, Drive, Goal
 from fss_arm_driver.copley.language import Variable
 from fss_arm_driver.faults import blocking
@@ -7,6 +9,7 @@ from fss_arm_driver.protocol import Command, Gate, LinkState, Mode, Order, Slow,
 from fss_arm_driver.protocol import Goal as Intent
 
 NO_TORQUE = 255  # as the age of a torque sample: there is no torque converter [ms]
+TAKEN = 1024  # commands remembered: as many as may come during one round of readings
 SLOW = {
     Slow.FAULTS: Variable.FAULTS,
     Slow.SUPPLY: Variable.SUPPLY,
@@ -39,6 +42,7 @@ class DriveLink:
         self._baud = baud
         self._period, self._periods = round(1e6 / rate), 0
         self._sequence, self._measured = 0, 0
+        self._taken: deque[tuple[int, int]] = deque(maxlen=TAKEN)  # arrivals and clocks
 
     def restart(self) -> None:
         """The line was opened anew; the drive's state is not known."""
@@ -50,13 +54,15 @@ class DriveLink:
         """Take or refuse a command frame."""
         if self.state.receive(data, clock):
             command = self.state.gate.command
-            if command and command.flags & Order.CLEAR_FAULTS:
+            assert command
+            self._taken.append((clock, command.clock))
+            if command.flags & Order.CLEAR_FAULTS:
                 self.drive.clear_faults = True
 
     def poll(self, data: bytes, clock: int) -> tuple[bytes, bytes]:
         """Take bytes from the drive; return those to send to it, and a telemetry frame or none."""
         reading = self.drive.reading
-        if reading is None or blocking(reading.status, 0):
+        if reading is None or blocking(reading.status, 0) or self.drive.let_go:
             self.state.drop()
         self.drive.demand = self._demand(clock)
         out = self.drive.poll(data, clock)
@@ -75,7 +81,7 @@ class DriveLink:
         if reading.clock // self._period == self._periods:
             return b""
         self._measured, self._periods = reading.clock, reading.clock // self._period
-        taken = gate.command is not None and gate.arrival <= reading.clock
+        arrival, echo = self._taken_before(reading.clock)
         self._sequence = (self._sequence + 1) & 0xFFFFFFFF
         slow = (*SLOW, Slow.HOMINGS, Slow.REFUSED)[self._sequence % (len(SLOW) + 2)]
         known = reading.mode in GOALS
@@ -85,8 +91,8 @@ class DriveLink:
             boot=gate.boot,
             sequence=self._sequence,
             clock=reading.clock,
-            echo=gate.command.clock & 0xFFFFFFFF if taken and gate.command else 0,
-            turnaround=min(reading.clock - gate.arrival, 0xFFFFFFFF) if taken else 0,
+            echo=echo & 0xFFFFFFFF,
+            turnaround=min(reading.clock - arrival, 0xFFFFFFFF),
             position=_signed(reading.position, 32),
             velocity=_signed(reading.velocity, 32),
             current=_signed(reading.current, 16),
@@ -98,6 +104,12 @@ class DriveLink:
             slow_value=_signed(self._slow(slow), 32),
         )
         return encode(frame, gate.key)
+
+    def _taken_before(self, clock: int) -> tuple[int, int]:
+        """Arrival and clock of the last command that had been taken then."""
+        while len(self._taken) > 1 and self._taken[1][0] <= clock:
+            self._taken.popleft()
+        return self._taken[0] if self._taken and self._taken[0][0] <= clock else (clock, 0)
 
     def _slow(self, slow: Slow) -> int:
         if slow in SLOW:

@@ -87,11 +87,12 @@ class CopleyTransport:
 
     def _let_go(self) -> None:
         """Bring the joint to rest and switch the drive off, if that can be done."""
+        begun = time.monotonic_ns() // 1000  # an older reading may miss the last order
         end = time.monotonic() + RELEASE
         with suppress(OSError, ValueError):
-            while self._port and time.monotonic() < end:
+            while self._port and time.monotonic() < min(end, self._heard + DEAF):
                 reading = self._link.drive.reading
-                if reading is None or reading.mode == Mode.OFF:
+                if reading and reading.clock > begun and reading.mode == Mode.OFF:
                     break
                 self._link.state.disarm()
                 self._turn(self._port)
