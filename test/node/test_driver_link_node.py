@@ -103,6 +103,17 @@ def test_each_frame_is_a_joint_state_and_a_telemetry(bench):
     assert abs(stamps[-1] - transport.link.born - 1000 * message.clock) < 0.05 * SECOND
 
 
+def test_a_command_that_another_replaces_is_told_to_have_ended(bench):
+    _, user, _, until = bench
+    assert arm(user, until).success
+    order(user, set_point=1.0, max_velocity=0.01)
+    until(lambda: user.status)
+    order(user, mode=Mode.VELOCITY, set_point=0.1)
+    until(lambda: user.status[-1].given != user.status[0].given)
+    ended = [m for m in user.status if m.given == user.status[0].given][-1]
+    assert (ended.status, ended.reason) == (ended.ABORTED, "another command took its place")
+
+
 @pytest.mark.parametrize("bench", [{"timeout": 1.5}], indirect=True)
 def test_one_message_for_each_valid_frame_and_none_for_others(bench):
     _, user, transport, until = bench
@@ -364,6 +375,7 @@ def test_a_wrong_baud_rate_is_said_in_one_line(start, tmp_path):
         (("-p", "link:=5"), "link is 5, expected 1 to 4, as arm 'paper' has"),
         (("-p", "timeout:=0.0"), "timeout is 0.0 s, expected above 0"),
         (("-p", "watchdog:=100.0"), "watchdog is 100.0 s"),
+        (("-p", "rate:=0.5"), "watchdog is 2.0 s, expected more than the 2 s"),
         (("-p", "arm:=/no/such.yaml"), "/no/such.yaml"),
         (("-p", "urls:=['udp://127.0.0.1:9', 'nonsense']"), "url is 'nonsense'"),
     ],

@@ -6,7 +6,6 @@
 from dataclasses import dataclass
 from enum import Enum
 
-WAS_RESET = 1 << 20
 IN_MOTION = 1 << 27
 
 

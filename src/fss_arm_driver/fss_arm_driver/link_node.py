@@ -26,6 +26,7 @@ from fss_arm_driver.messages import (
     command_status,
     state_words,
 )
+from fss_arm_driver.progress import Progress
 from fss_arm_driver.receiver import Receiver
 from fss_arm_driver.scale import CommandError
 from fss_arm_driver.settings import LinkSettings
@@ -135,7 +136,7 @@ class LinkNode(Node):
     def on_command(self, message: LinkCommand) -> None:
         """Take a command, from the time that its stamp says it was given."""
         with self.lock:
-            now = self.now()
+            now, before = self.now(), self.session.progress
             given = min(stamp_ns(message.header.stamp) or now, now)
             try:
                 if not 0.0 < (lives := message.time_to_live) <= 3600.0:
@@ -151,6 +152,8 @@ class LinkNode(Node):
             except CommandError as error:
                 self.status.publish(command_refused(str(error), given, now))
                 self.warn("refused", f"command refused: {error}")
+            if before and before is not self.session.progress:
+                self.tell(before)  # another command took its place
         self.answer()
 
     def on_stop(self, _: Empty) -> None:
@@ -198,16 +201,19 @@ class LinkNode(Node):
         progress = self.session.progress
         return progress is not None and (progress.given, progress.status) != self.told
 
+    def tell(self, progress: Progress) -> None:
+        """Publish how far a command has come, if that is new."""
+        if (progress.given, progress.status) != self.told:
+            self.told = progress.given, progress.status
+            self.status.publish(command_status(progress, self.now()))
+
     def answer(self) -> None:
         """Tell what has changed: how far the last command has come, whether arming has ended."""
         if self.receiver.error and self.context.ok():
             raise self.receiver.error
         with self.lock:
-            progress, told = self.session.progress, self.progressed()
-            if progress:
-                self.told = progress.given, progress.status
-        if progress and told:
-            self.status.publish(command_status(progress, self.now()))
+            if self.session.progress:
+                self.tell(self.session.progress)
         while self.waiting and self.session.settled:
             self.waiting.pop().set_result(None)
 

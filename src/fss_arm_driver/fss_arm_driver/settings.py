@@ -34,6 +34,11 @@ class LinkSettings:
             raise ValueError(f"timeout is {self.timeout} s, expected above 0 to 3600")
         if not 0.001 <= self.watchdog <= 65.535:
             raise ValueError(f"watchdog is {self.watchdog} s, expected 0.001 to 65.535")
+        if self.rate * self.watchdog <= 1.0:
+            raise ValueError(
+                f"watchdog is {self.watchdog} s, expected more than the {1.0 / self.rate:g} s "
+                f"from one command to the next (rate {self.rate})"
+            )
 
     def description(self) -> Link:
         """The link, as its arm's file has it.

@@ -12,7 +12,7 @@ from math import copysign, degrees, isnan, pi, radians
 from statistics import mean, pstdev
 
 from fss_arm_driver.faults import present
-from fss_arm_driver.link import Arming, LinkSession, Sample
+from fss_arm_driver.link import RELEASE, Arming, LinkSession, Sample
 from fss_arm_driver.protocol import CURRENT_UNIT, Mode, Slow, State, newer
 from fss_arm_driver.scale import CommandError
 from fss_arm_driver.transport import Transport
@@ -150,7 +150,7 @@ class Rig:
             off = sample.frame.mode == Mode.OFF and not sample.frame.flags & State.ARMED
             return off and abs(sample.velocity) < STILL
 
-        if not self.until(released, 3.0):
+        if not self.until(released, 1e-9 * RELEASE):
             raise CommandError(f"link {self.number} is not seen to switch off: cut its power")
 
 

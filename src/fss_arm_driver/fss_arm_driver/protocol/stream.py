@@ -7,7 +7,6 @@ each frame and nowhere within, as each zero of the frame is replaced by the dist
 from fss_arm_driver.protocol.frames import FRAME_SIZE
 
 _STUFFED = FRAME_SIZE + 1  # a frame is shorter than 254 bytes, so stuffing adds one byte to it
-PACKED = _STUFFED + 2  # bytes of a frame on a stream
 
 
 def pack(frame: bytes) -> bytes:
