@@ -56,6 +56,13 @@ def test_any_arm_gets_postures_that_identify_it(n):
     assert min(apart) >= (APART if n > 2 else np.radians(4.0))
 
 
+def test_more_postures_than_one_joint_has_room_for_are_chosen_in_time():
+    """Each that is exchanged makes another crowded, and so on for ever."""
+    q = design(arm_of(1), 30, candidates=200)
+    assert q.shape == (30, 1)
+    assert np.ptp(q) > np.radians(160.0)
+
+
 def test_a_folded_arm_is_not_clear():
     assert clearance(paper_arm(), np.zeros(4)) > MARGIN
     assert clearance(paper_arm(), np.radians([0.0, 90.0, 90.0, 85.0])) < MARGIN

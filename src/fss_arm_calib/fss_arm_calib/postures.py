@@ -13,6 +13,8 @@ MARGIN = 0.2  # least distance between links that are not neighbours [m]
 APART = np.radians(45.0)  # two postures differ by as much in some joint at least
 BASE_RADIUS = 0.3  # about the base's origin, kept clear by all links but the first [m]
 
+ROUNDS = 20  # of exchanges at most: about five settle it, unless too many crowd a single joint
+
 #: What design(paper_arm(), seed=5) finds, for the paper's arm and those like it, (13, 4) [rad].
 DEFAULT: Floats = np.radians(
     [
@@ -49,9 +51,9 @@ def design(
 
     From seeded random candidates within the joints' limits and +-`reach`, in which the arm keeps
     clear of itself and the base, one posture after the other is exchanged for the candidate that
-    raises det(Phi' W Phi) most among those APART from the others, until none does. The first is
-    the candidate nearest to zero. The order then is a short way through them, in moves that keep
-    clear as well.
+    raises det(Phi' W Phi) most among those APART from the others, until none does, or for ROUNDS.
+    The first is the candidate nearest to zero. The order then is a short way through them, in moves
+    that keep clear as well.
 
     Returns:
         (count, n) [rad], in whole multiples of 5 degrees.
@@ -71,8 +73,8 @@ def design(
     sigma = np.array([POSITION_DEVIATION, POSITION_DEVIATION, HEADING_DEVIATION])
     Phi = tip_regressor(arm.vector(), q) / sigma[:, None]
     information = np.swapaxes(Phi, 1, 2) @ Phi
-    chosen, before = list(range(count)), [-1]
-    while chosen != before:
+    chosen = list(range(count))
+    for _ in range(ROUNDS):
         before = list(chosen)
         for k in range(1, count):
             others = information[chosen[:k] + chosen[k + 1 :]].sum(axis=0)
@@ -81,6 +83,8 @@ def design(
             gain = np.linalg.det(np.eye(3) + Phi @ inverse @ np.swapaxes(Phi, 1, 2))
             gain[~_apart(q, q[chosen[:k] + chosen[k + 1 :]])] = 0.0
             chosen[k] = int(np.argmax(gain))
+        if chosen == before:
+            break
     return q[chosen][_short_way(arm, q[chosen])]
 
 
