@@ -35,7 +35,7 @@ class LinkFaults:
     duplication: float = fault("share of the datagrams that come twice")
     reordering: float = fault("share of the datagrams that come after the next one")
     corruption: float = fault("share of the datagrams with a bit flipped")
-    dead: float = fault("1: without power; at its end the link starts anew, which is a reboot")
+    dead: float = fault("1: without power; then the link starts anew, its drive still referenced")
 
 
 @dataclass(frozen=True)
