@@ -81,6 +81,30 @@ def test_moves_that_contradict_each_other_widen_the_deviation():
     assert mean_offset([Offset(0.3, 0.002)]) == Offset(0.3, pytest.approx(0.002))
 
 
+def one_joint():
+    """The alignment of a joint that has turned by 1 rad, its moves taught by `learn`."""
+    alignment, t = Alignment(1, 1e-3, 1.0), np.arange(-2.0, 4.0, 0.2)
+    for q, stamp in zip(path(t, 1.0), t, strict=True):
+        alignment.reading(1, round(stamp * SECOND), q)
+
+    def learn(psi, late=0.0):
+        seen = np.arange(-2.0, 4.0, 0.01)
+        stamps = np.round((seen - late) * SECOND).astype(np.int64)
+        alignment.learn(0, 5 * SECOND // 2, 4 * SECOND, stamps, psi(seen))
+
+    return alignment, learn
+
+
+def test_a_move_that_looks_like_another_tells_nothing():
+    """An end effector that swings by itself fits best at some offset, however badly."""
+    alignment, learn = one_joint()
+    learn(lambda t: 0.1 * np.sin(3.0 * t))
+    assert alignment.offset.deviation == np.inf
+    learn(lambda t: path(t, 1.0), late=0.1)
+    learn(lambda t: 0.1 * np.sin(3.0 * t))
+    assert alignment.offset.value == pytest.approx(0.1, abs=0.003)
+
+
 def test_without_moves_there_is_nothing_to_learn():
     alignment = Alignment(2, 1e-3, 1.0)
     for k in range(20):
@@ -93,13 +117,9 @@ def test_without_moves_there_is_nothing_to_learn():
 
 def test_only_the_newest_moves_count():
     """A clock that is set anew is followed, and a day of moves is not kept."""
-    alignment, t = Alignment(1, 1e-3, 1.0), np.arange(-2.0, 4.0, 0.2)
-    for q, stamp in zip(path(t, 1.0), t, strict=True):
-        alignment.reading(1, round(stamp * SECOND), q)
-    seen = np.arange(-2.0, 4.0, 0.01)
+    alignment, learn = one_joint()
     for late in [0.3] * 150 + [0.1] * 100:
-        stamps = np.round((seen - late) * SECOND).astype(np.int64)
-        alignment.learn(0, 5 * SECOND // 2, 4 * SECOND, stamps, path(seen, 1.0))
+        learn(lambda t: path(t, 1.0), late)
     assert len(alignment.moves) == 100
     assert alignment.offset.value == pytest.approx(0.1, abs=0.003)
 

@@ -24,6 +24,7 @@ from .poses import SECOND, Stamps
 LONGEST_MOVE = 20.0  # of a move, only so much at its end is used [s]
 LEAST_TURN = 0.1  # a move that turns the end effector less tells nothing [rad]
 GRID = 0.02  # step of the search [s]
+WORST = 0.05  # a move that tells the offset no better tells nothing [s]
 FRAME = 0.01  # at which a move is looked at [s]
 ENOUGH = 5  # moves to tell their scatter from
 NEWEST = 100  # moves that the mean is of: clocks drift, and a day has thousands
@@ -122,7 +123,7 @@ class Alignment:
         move = np.array([0.0, (end - begin) / SECOND])
         q_s = [((stamps - begin) / SECOND, values) for stamps, values in q]
         found = offset_of_move(move, q_s, (t - begin) / SECOND, psi, self.search)
-        if found.deviation < inf:
+        if found.deviation <= WORST:
             self.moves.append(found)
             self.offset = mean_offset(self.moves)
 
