@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import yaml
-from calib_float import ARM, TYPES, Float, feed, message, postures, record
+from calib_float import ARM, TYPES, Float, at, feed, message, postures, record
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
@@ -117,6 +117,21 @@ def test_its_file_sets_the_other_nodes(bag, tmp_path, spin, capsys):
         assert getattr(dynamic.settings, name) == value
     assert dynamic.settings.tilt_deviation >= 2e-5
     np.testing.assert_allclose(reaction.settings.tilt, TILT, atol=2e-6)
+
+
+@pytest.mark.parametrize("begin", [2.0, 41.5])
+def test_a_frozen_base_does_not_drift(samples, begin):
+    """In the first rest, or in the motion after it."""
+    held = next(s.value for s in samples if s.stream == "base" and s.t >= at(begin))
+    finder = Finder(ARM.n, DriftSettings(longest=20.0))
+    frozen = [
+        s._replace(value=held) if s.stream == "base" and s.t >= at(begin) else s for s in samples
+    ]
+    found = feed(finder, frozen)
+    assert all(drift.start < at(begin) for drift in found)
+    result = calibrate(found, ARM, streams=finder.streams())
+    assert result.verdict == "not_evaluated"
+    assert "fss frozen" in result.reason
 
 
 def test_too_little_is_not_evaluated_and_a_push_fails(samples, bag, capsys):

@@ -165,6 +165,37 @@ def test_a_look_without_poses_spoils_a_maneuver(rig, samples):
     assert found[1].reason.startswith("fss silent for")
 
 
+def frozen(samples, begin, end):
+    """The base's pose of the time `begin`, with fresh stamps, until `end` [s]."""
+    held = next(s.value for s in samples if s.stream == "base" and s.t >= at(begin))
+    return [
+        s._replace(value=held) if s.stream == "base" and at(begin) <= s.t < at(end) else s
+        for s in samples
+    ]
+
+
+def test_a_look_at_a_frozen_base_spoils_a_maneuver(rig, samples):
+    """Since amid the first motion, until before the second one or amid it, or but for a moment."""
+    amid, second = rig.begins[0] + 1.0, rig.begins[1]
+    for end, used in (
+        (second - 3.0, [False, True, True]),
+        (second + 1.0, [False, False, True]),
+        (rig.ends[0] + 0.4, [True, True, True]),
+    ):
+        finder = ManeuverFinder(4)
+        found = feed(finder, frozen(samples, amid, end))
+        assert [m.used for m in found] == used, end
+        assert [m.reason.startswith("fss frozen for") for m in found] == [not u for u in used]
+        assert (finder.streams().refused.get("fss frozen", 0) > 100) == (not all(used))
+
+
+def test_a_base_that_stands_still_without_noise_is_not_frozen(rig, samples):
+    """A simulated one has the very same pose in each frame, once the arm rests."""
+    for end, begin in zip(rig.ends, [*rig.begins[1:], rig.length], strict=True):
+        samples = frozen(samples, end, begin)
+    assert [m.used for m in feed(ManeuverFinder(4), samples)] == [True] * 3
+
+
 def test_a_short_pause_is_part_of_the_motion():
     """To stay where it is takes a move 0.5 s."""
     a, b, c = postures(1)[0]

@@ -78,7 +78,7 @@ CASES = {
         dynamic="is off",
     ),
     "frozen end effector": Case(on(["end_effector"], "at: 20, fault: frozen, duration: 8")),
-    "frozen base": Case(on(["fss"], "at: 20, fault: frozen, duration: 8"), dynamic="is off"),
+    "frozen base": Case(on(["fss"], "at: 20, fault: frozen, duration: 8")),
     "latency": Case(on(["fss", "end_effector"], "at: 3, fault: latency, value: 0.3")),
     "gyro silent": Case(on(["fog"], "at: 3, fault: dropout", "at: 3, fault: bias, value: 0.1")),
 }

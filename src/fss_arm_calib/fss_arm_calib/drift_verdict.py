@@ -92,11 +92,9 @@ def calibrate(
         streams: what befell the streams that the drifts are from.
         source: of the drifts.
     """
-    s, known = settings or DriftSettings(), joints_known(streams or Streams(), arm)
-    total = sum(drift.times[-1] for drift in drifts)
-    facts = f"{total:.0f} s of drift, at least {s.least_time:g} s needed"
-    enough = PASS if total >= s.least_time else NOT_EVALUATED
-    judged = [known, Stage("time", enough, total, s.least_time, facts)]
+    s, streams = settings or DriftSettings(), streams or Streams()
+    known = joints_known(streams, arm)
+    judged = [known, _long_enough(drifts, streams, s)]
     solvable = drifts and known.verdict == PASS
     result = solve(problem_of(drifts, arm, s)) if solvable else None
     if result:
@@ -118,6 +116,17 @@ def calibrate(
         result.minimum.linear.cost if result else nan,
         result.problem.degrees_of_freedom if result else 0,
     )  # fmt: skip
+
+
+def _long_enough(drifts: Sequence[Drift], streams: Streams, s: DriftSettings) -> Stage:
+    total = sum(drift.times[-1] for drift in drifts)
+    reason = f"{total:.0f} s of drift, at least {s.least_time:g} s needed"
+    if total >= s.least_time:
+        return Stage("time", PASS, total, s.least_time, reason)
+    if streams.refused:
+        told = (f"{number} {kind}" for kind, number in streams.refused.items())
+        reason += f"; samples refused: {', '.join(told)}"
+    return Stage("time", NOT_EVALUATED, total, s.least_time, reason)
 
 
 def _judged(result: DriftResult, s: DriftSettings) -> list[Stage]:

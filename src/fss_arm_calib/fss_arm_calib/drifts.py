@@ -12,7 +12,7 @@ from .drift import Drift
 from .drift_settings import DriftSettings
 from .least_squares import Floats
 from .maneuvers import Samples
-from .poses import SECOND, Poses
+from .poses import FROZEN, SECOND, Poses
 from .rests import BASE
 from .streams import Merge, Streams
 
@@ -98,7 +98,9 @@ class DriftFinder:
     def _drift(self, begin: int, end: int) -> Drift:
         s = self.settings
         begin += round(s.settle * SECOND)
-        t, poses = self.base.slice(begin, end)
+        # What floats never has the very same pose for long: that is a receiver repeating itself.
+        self.base.refused[FROZEN] += self.base.frozen(begin, end, begin - 1)
+        t, poses = self.base.slice(begin, end, begin - 1)
         inside = (t >= begin) & (t <= end)
         t, poses = t[inside], poses[inside]
         poses[:, 2] = np.unwrap(poses[:, 2])

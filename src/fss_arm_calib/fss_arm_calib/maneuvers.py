@@ -33,13 +33,15 @@ from .alignment import NEWEST, Offset, mean_offset, offset_of_move
 from .dynamic_settings import ManeuverSettings
 from .kinematic import wrap
 from .least_squares import Floats
-from .poses import SECOND, Hole, Poses, mean_pose, seen_from
+from .poses import FROZEN, SECOND, Hole, Poses, mean_pose, seen_from
 from .rests import BASE, TIP
 from .streams import Joint, Merge, Stream, Streams
 
 SEARCH = 0.5  # for an offset, about the one allowed for [s]
 PATIENCE = 0.5  # of the horizon, for what may be absent
 WORST = 0.05  # an offset known no better tells nothing [s]
+
+_Looks = tuple[tuple[int, int], tuple[int, int]]  # begin and end, before and after [ns]
 
 _CLEANING = 1000  # samples between two looks at what may be forgotten
 
@@ -78,6 +80,7 @@ class _Rest(NamedTuple):
 
     begin: int  # [ns]
     end: int  # as far as known
+    moved: int  # a moment just before, at which some joint was moving; -1: none is known
 
 
 class Samples(Joint):
@@ -87,6 +90,7 @@ class Samples(Joint):
         super().__init__(name)
         self.t, self.q, self.qd = array("q"), array("d"), array("d")
         self.start = self.last = -1  # of the run
+        self.moved = -1  # the last sample before it
         self.low = self.high = 0.0
 
     def take(self, still: float) -> bool:
@@ -97,6 +101,7 @@ class Samples(Joint):
         self.qd.append(qd)
         ends = self.start >= 0 and max(self.high, q) - min(self.low, q) > still
         if ends or self.start < 0:
+            self.moved = self.last
             self.start, self.low, self.high = t, q, q
         else:
             self.low, self.high = min(self.low, q), max(self.high, q)
@@ -276,7 +281,8 @@ class ManeuverFinder:
         """The present rest, as far as all joints confirm it, if it is long enough to count."""
         if any(joint.start < 0 for joint in self.joints):
             return None
-        rest = _Rest(max(j.start for j in self.joints), min(j.last for j in self.joints))
+        begin, end = max(j.start for j in self.joints), min(j.last for j in self.joints)
+        rest = _Rest(begin, end, max(j.moved for j in self.joints))
         return rest if self._look(rest) >= self.settings.shortest * SECOND else None
 
     def _look(self, rest: _Rest) -> int:
@@ -284,7 +290,7 @@ class ManeuverFinder:
         usable = rest.end - rest.begin - round(self.settings.settle * SECOND)
         return min(round(self.settings.longest * SECOND), usable // 2)
 
-    def _looks(self, before: _Rest, after: _Rest) -> tuple[tuple[int, int], tuple[int, int]]:
+    def _looks(self, before: _Rest, after: _Rest) -> _Looks:
         """The looks before and after a maneuver."""
         settled = after.begin + round(self.settings.settle * SECOND)
         return (
@@ -345,6 +351,7 @@ class ManeuverFinder:
             tuple(tuple(part.tolist()) for part in parts) for parts in zip(*series, strict=True)
         )
         maneuver = Maneuver(start, end, times, q, qd)
+        holes += self._frozen(looks, before, after)
         if reason := str(holes[0]) if holes else self._spoiled(maneuver):
             return replace(maneuver, used=False, reason=reason)
         tip = seen_from(self.base, self.tip, *looks[0])[1]
@@ -353,6 +360,15 @@ class ManeuverFinder:
         maneuver = replace(self._seen(maneuver, looks), time_offset=self.base.lag / SECOND)
         self._align(start, end)
         return maneuver
+
+    def _frozen(self, looks: _Looks, *rests: _Rest) -> list[Hole]:
+        """Looks with poses that the base has had since before the arm came to rest."""
+        found = []
+        for look, rest in zip(looks, rests, strict=True):
+            if number := self.base.frozen(*look, rest.moved):
+                self.base.refused[FROZEN] += number
+                found.append(Hole(*look, BASE, FROZEN))
+        return found
 
     def _spoiled(self, maneuver: Maneuver) -> str:
         """What telemetry tells against a maneuver; empty: nothing."""
@@ -396,9 +412,7 @@ class ManeuverFinder:
         late = np.flatnonzero((np.diff(t) > self.settings.joint_gap * SECOND) & moved)
         return [Hole(int(t[k]), int(t[k + 1]), joint.name) for k in late]
 
-    def _samples(
-        self, joint: Samples, looks: tuple[tuple[int, int], tuple[int, int]]
-    ) -> tuple[Floats, Floats, Floats]:
+    def _samples(self, joint: Samples, looks: _Looks) -> tuple[Floats, Floats, Floats]:
         """Times from the start [s], readings and rates: at rest, the averages of both looks.
 
         Of a joint that did not move, one sample.
@@ -416,7 +430,7 @@ class ManeuverFinder:
         q, qd = np.concatenate([[first], q, [last]]), np.concatenate([[0.0], qd, [0.0]])
         return times, q, np.where(np.isfinite(qd), qd, np.gradient(q, times))
 
-    def _seen(self, maneuver: Maneuver, looks: tuple[tuple[int, int], tuple[int, int]]) -> Maneuver:
+    def _seen(self, maneuver: Maneuver, looks: _Looks) -> Maneuver:
         """The maneuver with the base's poses, averaged over bins."""
         t, poses = self.base.slice(maneuver.start, maneuver.end)
         inside = (t >= maneuver.start) & (t <= maneuver.end)
