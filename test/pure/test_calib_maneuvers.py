@@ -156,6 +156,17 @@ def test_a_silent_joint_spoils_a_maneuver(rig, samples):
     assert found[1].reason.startswith("joint_2 silent for")
 
 
+def test_a_joint_silent_for_a_look_spoils_a_maneuver(rig, samples):
+    """Where `joint_gap` allows for it: nobody knows its reading then."""
+    gap = (at(rig.ends[0] + 0.1), at(rig.ends[0] + 2.9))
+    found = feed(
+        ManeuverFinder(4, ManeuverSettings(joint_gap=4.0)),
+        [s for s in samples if s.stream != 2 or not gap[0] < s.t < gap[1]],
+    )
+    assert [m.used for m in found] == [False, True, True]
+    assert found[0].reason.startswith("joint_2 silent for 2.")
+
+
 def test_a_look_without_poses_spoils_a_maneuver(rig, samples):
     gap = (at(rig.ends[1] + 0.1), at(rig.begins[2] + 0.1))
     found = feed(

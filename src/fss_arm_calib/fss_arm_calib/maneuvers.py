@@ -343,6 +343,8 @@ class ManeuverFinder:
         holes: list[Hole] = []
         for joint in self.joints:
             holes += self._holes(joint, start, end)
+            # A joint that rests may be silent for `joint_gap`, which may be longer than a look.
+            holes += [Hole(*look, joint.name) for look in looks if not len(joint.within(*look)[0])]
             series.append(self._samples(joint, looks))
         travel = max(float(np.ptp(q)) if len(q) else 0.0 for _, q, _ in series)
         if not holes and travel < self.settings.least_travel:
