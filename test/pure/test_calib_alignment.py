@@ -124,18 +124,32 @@ def test_only_the_newest_moves_count():
     assert alignment.offset.value == pytest.approx(0.1, abs=0.003)
 
 
-@pytest.mark.parametrize("late", [-0.9, -0.03, 0.04, 0.9])
-def test_the_finder_allows_for_the_offset(late):
-    """All joints' stamps are late: the windows of poses would reach into the next move."""
-    rig = Rig(np.array([*POSTURES, *DEFAULT[:5]]), rest=2.6)
+def observed(rig, late):
+    """The finder and what it finds if all joints' stamps are late [s]."""
     finder, found = RestFinder(4), []
     for s in rig.samples():
         if isinstance(s.stream, str):
             found += finder.pose(s.stream, s.t, s.value)
         else:
             found += finder.joint(s.stream, s.t + round(late * SECOND), s.value)
-    found += finder.close()
+    return finder, found + finder.close()
+
+
+@pytest.mark.parametrize("late", [-1.5, 1.2, 3.0])
+def test_clocks_too_far_apart_are_told(late):
+    rig = Rig(DEFAULT[:9], rest=2.6, rate=50.0)
+    streams = observed(rig, late)[0].streams()
+    assert streams.offset.deviation == np.inf
+    assert streams.offset_beyond == 1.0
+
+
+@pytest.mark.parametrize("late", [-0.9, -0.03, 0.04, 0.9])
+def test_the_finder_allows_for_the_offset(late):
+    """All joints' stamps are late: the windows of poses would reach into the next move."""
+    rig = Rig(np.array([*POSTURES, *DEFAULT[:5]]), rest=2.6)
+    finder, found = observed(rig, late)
     offset = finder.streams().offset
+    assert finder.streams().offset_beyond == 0.0
     assert offset.value == pytest.approx(late, abs=0.003)
     assert offset.deviation < 0.003
     # Nothing had moved before the first rest, and its poses may be those of the move after it.

@@ -251,6 +251,16 @@ def test_a_clock_that_ran_back_is_not_evaluated():
     assert calibrate(observe(), paper_arm(), streams=Streams(set_back={"fss": 0.9})).verdict == PASS
 
 
+def test_clocks_too_far_apart_are_named_and_judged_by_the_fit():
+    far = Streams(offset_beyond=1.0)
+    words = "by most moves the clocks differ by more than 1 s, or the subjects are swapped"
+    calibration = calibrate(observe(noise=3.0), paper_arm(), streams=far)
+    assert calibration.verdict == FAIL
+    assert words in calibration.reason
+    assert stage(calibration, "clocks").verdict == NOT_EVALUATED
+    assert calibrate(observe(), paper_arm(), streams=far).verdict == PASS
+
+
 def test_a_result_says_where_it_is_from_and_follows_from_that():
     settings = replace(SETTINGS, parametrization=FULL, theta_e=True, max_outliers=2)
     c = calibrate(with_outlier(), paper_arm(), settings, source="bag_0 1234")

@@ -13,7 +13,7 @@ count as one: a move's deviation is rather too large. Several moves tell theirs 
 from collections import deque
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
-from math import inf, nan, sqrt
+from math import inf, isfinite, nan, sqrt
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
@@ -51,7 +51,8 @@ def offset_of_move(
         search: largest offset to look for [s].
 
     Returns:
-        The offset; unknown if the move hardly turns the end effector, or the offset lies outside.
+        The offset; NaN if the move hardly turns the end effector, an end of the search, of infinite
+        deviation, if the offset lies outside.
     """
     u = np.arange(t[0], t[1], FRAME)
     paths = [(PchipInterpolator(*joint), np.clip(u, joint[0][0], joint[0][-1])) for joint in q]
@@ -68,7 +69,7 @@ def offset_of_move(
     squares = [float(np.sum(residual(delta) ** 2)) for delta in grid]
     best = int(np.argmin(squares))
     if best in (0, len(grid) - 1):
-        return Offset()
+        return Offset(float(grid[best]))
     delta, slope = float(grid[best]), rate - np.mean(rate)
     for _ in range(5):
         delta += float(residual(delta) @ slope / (slope @ slope))
@@ -83,7 +84,7 @@ class Alignment:
     def __init__(self, n: int, still: float, search: float) -> None:
         self.still, self.search = still, search
         self.offset = Offset()
-        self.moves: deque[Offset] = deque(maxlen=NEWEST)
+        self.moves: deque[Offset] = deque(maxlen=NEWEST)  # that turned the end effector
         self._readings: list[deque[tuple[int, float]]] = [deque() for _ in range(n)]
 
     def reading(self, i: int, t: int, q: float) -> None:
@@ -123,9 +124,17 @@ class Alignment:
         move = np.array([0.0, (end - begin) / SECOND])
         q_s = [((stamps - begin) / SECOND, values) for stamps, values in q]
         found = offset_of_move(move, q_s, (t - begin) / SECOND, psi, self.search)
-        if found.deviation <= WORST:
+        if isfinite(found.value):
             self.moves.append(found)
-            self.offset = mean_offset(self.moves)
+        if found.deviation <= WORST:
+            self.offset = mean_offset([move for move in self.moves if move.deviation <= WORST])
+
+    @property
+    def beyond(self) -> float:
+        """What the offset is more than by most moves, once there are ENOUGH, else 0 [s]."""
+        outside = sum(move.deviation == inf for move in self.moves)
+        most = outside >= ENOUGH and 2 * outside > len(self.moves)
+        return self.search if most else 0.0
 
 
 def _between(readings: Iterable[tuple[int, float]], first: int, last: int) -> tuple[Stamps, Floats]:

@@ -57,11 +57,19 @@ def joints_known(streams: Streams, arm: Arm) -> Stage:
 
 
 def clocks_kept(streams: Streams, most: float) -> Stage:
-    """Whether no clock ran back by more than `most` [s], which may have hidden what happened."""
+    """Whether no clock ran back by more than `most` [s], which may have hidden what happened.
+
+    Clocks too far apart to be aligned are only told: swapped subjects look the same.
+    """
     name, back = max(streams.set_back.items(), key=lambda item: item[1], default=("", 0.0))
-    reason = f"clock of {name} ran back by {back:.3g} s (at most {most:g})"
-    bad = back > most
-    return Stage("clocks", NOT_EVALUATED if bad else PASS, back, most, reason if bad else "")
+    reason, bad = "", back > most
+    if bad:
+        reason = f"clock of {name} ran back by {back:.3g} s (at most {most:g})"
+    elif streams.offset_beyond:
+        reason = f"by most moves the clocks differ by more than {streams.offset_beyond:g} s"
+        reason += ", or the subjects are swapped"
+    verdict = NOT_EVALUATED if reason else PASS
+    return Stage("clocks", verdict, back, most, reason, needed=bad)
 
 
 def conclude(stages: Sequence[Stage]) -> tuple[str, str]:

@@ -236,6 +236,7 @@ class RestFinder:
             self._streams,
             self._merge.strange,
             offset=self.alignment.offset,
+            offset_beyond=self.alignment.beyond,
             boots=boots,
             homings=homings,
         )

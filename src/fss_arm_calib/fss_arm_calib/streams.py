@@ -28,6 +28,7 @@ class Streams:
     refused: Mapping[str, int] = field(default_factory=dict)  # samples, by stream and reason
     set_back: Mapping[str, float] = field(default_factory=dict)  # longest step back of stamps [s]
     offset: Offset = field(default_factory=Offset)  # between the clocks
+    offset_beyond: float = 0.0  # what it is more than, by most moves [s]
     boots: tuple[int, ...] = ()  # as an Observation's, at last
     homings: tuple[int, ...] = ()
 
