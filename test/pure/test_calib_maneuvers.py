@@ -207,6 +207,18 @@ def test_a_base_that_stands_still_without_noise_is_not_frozen(rig, samples):
     assert [m.used for m in feed(ManeuverFinder(4), samples)] == [True] * 3
 
 
+def test_a_lost_base_is_waited_for_no_longer_than_the_horizon():
+    """Lost for five maneuvers: each is told in time, and not blamed on a joint."""
+    rig = Float(postures(6, seed=3))
+    samples = rig.samples(rate=20)
+    lost = at(rig.ends[0] + 4.0)
+    finder = ManeuverFinder(4, ManeuverSettings(horizon=15.0))
+    found = feed(finder, [s for s in samples if s.stream != "base" or s.t < lost], close=False)
+    assert [m.used for m in found] == [True, *[False] * (len(found) - 1)]
+    assert len(found) >= 4
+    assert all(m.reason.startswith("fss silent for") for m in found[1:])
+
+
 def test_a_short_pause_is_part_of_the_motion():
     """To stay where it is takes a move 0.5 s."""
     a, b, c = postures(1)[0]

@@ -323,13 +323,19 @@ class ManeuverFinder:
             self._forget()
         return [maneuver for maneuver in found if maneuver]
 
+    @property
+    def _horizon(self) -> int:
+        return round(self.settings.horizon * SECOND)
+
     def _passed(self, before: _Rest, after: _Rest) -> bool:
+        """Whether all has been heard of a maneuver, or is waited for no longer."""
         end = self._looks(before, after)[1][1]
-        late = end + round(PATIENCE * self.settings.horizon * SECOND)
+        late = end + round(PATIENCE * self._horizon)
         links = [(link.newest, 0) for link in self.links]
         optional = [(self.gyro.newest, 0), (self.tip.newest, self.tip.lag), *links]
         heard = all(newest < 0 or newest + lag >= end for newest, lag in optional)
-        return self.base.reached >= (end if heard else late)
+        given_up = max(joint.newest for joint in self.joints) - self._horizon > end
+        return given_up or self.base.reached >= (end if heard else late)
 
     def _maneuver(self, before: _Rest, after: _Rest) -> Maneuver | None:
         """What happened between two rests; None if no joint moved far enough to be called so."""
@@ -488,7 +494,7 @@ class ManeuverFinder:
         rests = [pair[0] for pair in self._pending] + ([self._before] if self._before else [])
         kept = rests[0].end if rests else min(joint.last for joint in self.joints)
         # The longest maneuver, and as much again for streams that lag.
-        span = round(2.0 * self.settings.horizon * SECOND)
+        span = 2 * self._horizon
         needed: list[Samples | Poses] = [*self.joints, self.base]
         oldest = max(kept - look, max(stream.newest for stream in needed) - span)
         for stream in needed:
