@@ -15,19 +15,22 @@ from fss_arm_view.reaction import BaseReaction
 from fss_arm_view.settings import ReactionSettings, SensorErrors
 
 
-def follow(reaction, flight, every, spread_out=True):
-    """Feed readings every so many milliseconds, one joint after the other, and poses at 100 Hz."""
+def follow(reaction, flight, every, step=100):
+    """Feed readings every so many milliseconds, one joint after the other, and poses at 100 Hz.
+
+    Reactions are asked for once a step [ms].
+    """
     found = []
     n = len(reaction.joints)
     for k in range(len(flight.t)):
         t = k * 1_000_000
         for i in range(n):
-            if (k - (i if spread_out else 0)) % every == 0:
+            if (k - i) % every == 0:
                 reaction.joint(i, t, flight.q[k, i], flight.qd[k, i], 0.1)
         if k % 10 == 0:
             still = np.full(3, 1e-6)
             reaction.base(Estimate(t, flight.pose[k], flight.twist[k], still, still))
-        if k % 100 == 0 and (until := reaction.known_until()) > reaction.t:
+        if k % step == 0 and (until := reaction.known_until()) > reaction.t:
             got = reaction.advance(until)
             if got:
                 found.append(got)
@@ -80,6 +83,20 @@ def test_the_first_joint_carries_what_accelerates_the_base(flight):
         np.testing.assert_allclose(r.force, -arm.base.mass * base[:2], rtol=0, atol=2e-3)
         np.testing.assert_allclose(r.torque_measured, 0.1)
     assert ramps >= 3
+
+
+@pytest.mark.parametrize("half", [0.2, 1.5])
+def test_the_torque_is_the_same_however_often_it_is_asked_for(flight, half):
+    settings = ReactionSettings(half_difference=half)
+    often, seldom = (
+        {r.t: r for r in follow(BaseReaction(paper_arm(), settings=settings), flight, 10, step)}
+        for step in (50, 400)
+    )
+    both = sorted(often.keys() & seldom.keys())
+    assert max(abs(seldom[t].torque) for t in both) > 0.02
+    for t in both:
+        assert often[t].torque == pytest.approx(seldom[t].torque, abs=1e-9)
+        np.testing.assert_allclose(often[t].force, seldom[t].force, rtol=0, atol=1e-9)
 
 
 def test_the_band_holds_what_a_wrong_parameter_does(flight):

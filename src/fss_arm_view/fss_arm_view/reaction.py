@@ -163,7 +163,7 @@ class BaseReaction:
             return None
         self._predict(t, law, edges)
         for joint in self.joints:
-            joint.forget(t - _SECOND)
+            joint.forget(t - max(_SECOND, int(self.settings.half_difference * _SECOND)))
         return self._reaction(t, measured, law)
 
     def _measured(self, t: int) -> Estimate | None:
@@ -177,9 +177,10 @@ class BaseReaction:
         return before._replace(t=t, pose=pose, twist=(1.0 - w) * before.twist + w * after.twist)
 
     def _law(self, begin: int):  # type: ignore[no-untyped-def]
-        """The joints' motion since `begin`, in seconds from there."""
+        """The joints' motion, in seconds from `begin`, before which accelerations need some."""
         self.origin = begin
-        parts = [joint.since(begin) for joint in self.joints]
+        before = begin - int(self.settings.half_difference * _SECOND)
+        parts = [joint.since(before) for joint in self.joints]
         return sampled(
             [(np.array(j.t[k]) - begin) * 1e-9 for j, k in zip(self.joints, parts, strict=True)],
             [np.array(j.q[k]) for j, k in zip(self.joints, parts, strict=True)],
