@@ -208,6 +208,17 @@ def test_a_swapped_subject_is_refused_and_a_moved_one_believed_in_the_end():
     np.testing.assert_allclose(found[-1].pose, 1.0, atol=1e-6)
 
 
+def test_a_rate_that_is_no_number_ruins_nothing():
+    filter_, clean = BaseFilter(), BaseFilter()
+    for k in range(50):
+        for one in (filter_, clean):
+            one.rate(k * 10_000_000, 0.1)
+            one.pose(k * 10_000_000, 0.0, 0.0, 0.001 * k)
+        filter_.rate(k * 10_000_000, float("nan"))
+    assert filter_.refused == {"gyro not finite": 50}
+    np.testing.assert_array_equal(filter_.heading.x, clean.heading.x)
+
+
 def test_late_and_interleaved_samples_are_put_in_order():
     merged, sorted_ = BaseFilter(), BaseFilter()
     samples = [(k * 10_000_000, (0.001 * k, 0.0, 0.0)) for k in range(50)]

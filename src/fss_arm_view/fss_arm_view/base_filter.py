@@ -8,7 +8,7 @@ Applications to Tracking and Navigation, 2001, section 6.2.2).
 
 from bisect import insort
 from collections import Counter
-from math import pi, sqrt
+from math import isfinite, pi, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -94,6 +94,9 @@ class BaseFilter:
 
     def rate(self, t: int, omega: float) -> list[Estimate]:
         """Take a gyro sample at t [ns]; return the estimates at all poses merged by it."""
+        if not isfinite(omega):
+            self.refused["gyro not finite"] += 1
+            return []
         return self._take(t, (omega,))
 
     def _take(self, t: int, sample: tuple[float, ...]) -> list[Estimate]:
