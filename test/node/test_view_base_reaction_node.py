@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped
 from rclpy.parameter import Parameter
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import Imu, JointState
 from view_bench import BEGIN, Bench
 from view_flight import paper_flight
 
@@ -110,6 +110,13 @@ def read(t, names=("joint_1", "joint_2", "joint_3", "joint_4"), **values):
     return message
 
 
+def turned(t, rate):
+    """The base's rate."""
+    message = Imu()
+    message.header.stamp, message.angular_velocity.z = to_time(BEGIN + int(t * SECOND)), rate
+    return message
+
+
 @pytest.fixture
 def in_time():
     """The test fails if it hangs."""
@@ -131,6 +138,38 @@ def test_a_base_that_was_not_seen_holds_nothing_up(ros, in_time, unseen):
             node.on_joints(read(t, velocity=[0.0] * 4))
     assert node.reaction.t > BEGIN + 11 * SECOND
     assert node.health().level == OK
+    node.destroy_node()
+
+
+@pytest.mark.parametrize("straggler", [False, True])
+def test_stamps_that_go_back_begin_anew(ros, capfd, straggler):
+    """As in a replay that loops; one reading far ahead, or still on its way, does no harm."""
+    node = BaseReactionNode()
+    node.known = replace(node.known, arm=load("config/truth.yaml"))
+    for begin in (100, 0):
+        for k in range(600):
+            t = begin + 0.01 * k
+            node.on_pose(seen(t))
+            node.on_gyro(turned(t, 0.0))
+            if k % 5 == 2:
+                node.on_joints(read(t, velocity=[0.0] * 4))
+            if k == 20 and straggler:
+                node.on_joints(read(106.0, velocity=[0.0] * 4))
+        assert BEGIN + (begin + 5) * SECOND < node.reaction.t < BEGIN + (begin + 6) * SECOND
+        assert node.health().level == OK
+    np.testing.assert_array_equal(node.reaction.p, load("config/truth.yaml").vector())
+    assert capfd.readouterr().err.count("begins anew") == 1 + 2 * straggler
+    node.destroy_node()
+
+
+def test_a_gyro_ahead_of_the_poses_is_told_of(ros):
+    node = BaseReactionNode()
+    for k in range(100):
+        node.on_gyro(turned(2.0 + 0.01 * k, 0.0))
+        node.on_pose(seen(0.01 * k))
+    late = node.filter.refused["late"]
+    assert late > 50
+    assert node.health().message.endswith(f"; {late} samples of the base came late")
     node.destroy_node()
 
 

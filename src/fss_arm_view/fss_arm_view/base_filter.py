@@ -15,12 +15,12 @@ import numpy as np
 import numpy.typing as npt
 
 from .settings import SensorErrors
+from .stamps import LOST
 
 Floats = npt.NDArray[np.float64]
 
 HORIZON = 50_000_000  # how long a stream may lag the other [ns]
 GATE = 5.0  # deviations at which a measurement is refused
-LOST = 10  # poses refused in a row after which the last one is believed
 
 
 class Estimate(NamedTuple):

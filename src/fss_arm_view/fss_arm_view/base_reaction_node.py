@@ -1,6 +1,7 @@
 """The node `base_reaction`: the base's motion, predicted and measured, as topics a bag keeps."""
 
 import sys
+from collections import defaultdict
 from functools import partial
 from math import cos, isfinite, sin
 from time import monotonic
@@ -32,6 +33,7 @@ from fss_arm_ros.settings import declare
 from .base_filter import BaseFilter, Estimate
 from .reaction import BaseReaction, Reaction
 from .settings import BaseReactionSettings
+from .stamps import Stamps
 
 
 class BaseReactionNode(Node):
@@ -41,8 +43,7 @@ class BaseReactionNode(Node):
         super().__init__("base_reaction", **options)
         s = self.settings = declare(self, BaseReactionSettings)
         self.known = Calibrated(load(s.arm) if s.arm else paper_arm())
-        self.filter = BaseFilter(s)
-        self.reaction = BaseReaction(self.known.arm, settings=s)
+        self.begin()
         self.occluded = 0
         self.told = monotonic()  # when the last reaction was
         self.state = self.create_publisher(Odometry, "base/state", SENSOR)
@@ -58,9 +59,23 @@ class BaseReactionNode(Node):
             self.create_subscription(kind, topic, partial(self.on_calibration, topic), LATCHED)
         self.diagnostics = Diagnostics(self, self.health)
 
+    def begin(self) -> None:
+        """Follow base and joints from nothing but what is known of the arm."""
+        self.stamps: dict[str, Stamps] = defaultdict(Stamps)  # by topic
+        self.filter = BaseFilter(self.settings)
+        self.reaction = BaseReaction(self.known.arm, self.known.covariance, self.settings)
+
+    def stamp(self, topic: str, message: Any) -> int:
+        """A message's stamp [ns]; where a topic's are set back, all begins anew."""
+        t = stamp_ns(message.header.stamp)
+        if self.stamps[topic].set_back(t):
+            self.get_logger().warning(f"{topic} went back to {t / SECOND:.1f} s: begins anew")
+            self.begin()
+        return t
+
     def on_joints(self, message: JointState) -> None:
         """Readings of one link or more; the reaction at all moments that are known now."""
-        t = stamp_ns(message.header.stamp)
+        t = self.stamp(self.settings.joints_topic, message)
         for i, q, qd, effort in joint_readings(message):
             if 1 <= i <= self.known.arm.n and isfinite(q) and isfinite(qd):
                 self.reaction.joint(i - 1, t, q, qd, effort)
@@ -73,12 +88,13 @@ class BaseReactionNode(Node):
         except PoseError:
             self.occluded += 1
             return
-        self.take(self.filter.pose(stamp_ns(message.header.stamp), *pose))
+        t = self.stamp(self.settings.base_topic, message)
+        self.take(self.filter.pose(t, *pose))
 
     def on_gyro(self, message: Imu) -> None:
         """A sample of the base's rate."""
-        t, rate = stamp_ns(message.header.stamp), message.angular_velocity.z
-        self.take(self.filter.rate(t, rate))
+        t = self.stamp(self.settings.gyro_topic, message)
+        self.take(self.filter.rate(t, message.angular_velocity.z))
 
     def on_calibration(self, topic: str, message: Any) -> None:
         """Predict with it from the next rest on, if it passed."""
@@ -122,12 +138,14 @@ class BaseReactionNode(Node):
             "poses occluded": self.occluded,
             **{f"{what} refused": count for what, count in self.filter.refused.items()},
         }
+        count = self.filter.refused["late"]
+        late = f"; {count} samples of the base came late" if count else ""
         if self.reaction.anchor is None:
-            return Health(WARN, "waiting for joints and base at rest", values)
+            return Health(WARN, f"waiting for joints and base at rest{late}", values)
         silence = monotonic() - self.told
         values["silent for"] = silence
         if silence > 2.0:
-            return Health(WARN, f"nothing to compute from for {silence:.1f} s", values)
+            return Health(WARN, f"nothing to compute from for {silence:.1f} s{late}", values)
         return Health(OK, f"predicts with {self.known.arm.name}", values)
 
 
