@@ -331,6 +331,20 @@ def test_a_spoiled_posture_counts_until_enough_others_are_observed(k, verdict):
     assert found.gaps == 1
 
 
+def test_links_described_as_unlike_are_not_taken_as_equal_without_a_word():
+    """Within the noise one length fits all: only the description tells that they differ."""
+    unlike = paper_arm().with_kinematics(
+        [0.38, 0.36, 0.38, 0.3351, *paper_arm().vector()[[15, 21, 27, 4, 5, 6]]]
+    )
+    words = "links described as 0.360 to 0.380 m long are taken as equal: full tells them apart"
+    found = calibrate(observe(arm=unlike), unlike)
+    assert found.verdict == PASS
+    assert words in found.reason
+    full = replace(SETTINGS, parametrization=FULL)
+    assert words not in calibrate(observe(arm=unlike), unlike, full).reason
+    assert "taken as equal" not in calibrate(observe(), paper_arm()).reason
+
+
 def test_the_hash_is_of_what_was_used():
     some, others = observe(), observe(seed=2)
     hashes = {calibrate(o, paper_arm()).observations_hash for o in (some, some, others)}
