@@ -48,20 +48,30 @@ class _Chunk(NamedTuple):
         packed = file.read(i.compressed_size)
         data = decompress(packed, i.compression, i.uncompressed_size, crc)
         wanted = {c.id: c for c in self.storage.connections if c.topic in topics}
-        found, at = [], 0
-        while at < len(data):
-            kind, length = RECORD.unpack_from(data, at)
-            at += RECORD.size
+        found = []
+        for kind, at, end in records(data):
             if kind == MESSAGE:
                 channel, _, receipt, _ = HEAD.unpack_from(data, at)
                 if channel in wanted:
-                    found.append((receipt, wanted[channel], data[at + HEAD.size : at + length]))
-            elif kind == 0:
-                raise ChunkError(f"no record at byte {at - RECORD.size} of a chunk")
-            at += length
-        if at != len(data):
-            raise ChunkError(f"a record is {at - len(data)} bytes longer than its chunk")
+                    found.append((receipt, wanted[channel], data[at + HEAD.size : end]))
         return found
+
+
+def records(data: bytes) -> Iterator[tuple[int, int, int]]:
+    """Kind, begin and end of what each record in an unpacked chunk holds.
+
+    Raises:
+        ChunkError: the chunk is damaged.
+    """
+    at = 0
+    while at < len(data):
+        kind, length = RECORD.unpack_from(data, at)
+        if kind == 0:
+            raise ChunkError(f"no record at byte {at} of a chunk")
+        at += RECORD.size + length
+        if at > len(data):
+            raise ChunkError(f"a record is {at - len(data)} bytes longer than its chunk")
+        yield kind, at - length, at
 
 
 def indexed(reader: AnyReader) -> list[_Chunk] | None:
