@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import yaml
-from calib_float import ARM, TYPES, Float, at, feed, message, postures, record
+from calib_float import ARM, SECOND, TYPES, Float, at, feed, message, postures, record
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
@@ -76,7 +76,8 @@ def test_each_rest_is_a_drift_and_long_ones_are_several(samples):
 
 def test_order_of_arrival_does_not_matter(samples):
     late = [s for s in samples if s.stream == "base"], [s for s in samples if s.stream != "base"]
-    assert feed(Finder(ARM.n), samples) == feed(Finder(ARM.n), late[1] + late[0])
+    patient = DriftSettings(horizon=200.0)
+    assert feed(Finder(ARM.n), samples) == feed(Finder(ARM.n, patient), late[1] + late[0])
 
 
 def test_the_node_says_what_the_bag_says(samples, bag, spin):
@@ -132,6 +133,24 @@ def test_a_frozen_base_does_not_drift(samples, begin):
     result = calibrate(found, ARM, streams=finder.streams())
     assert result.verdict == "not_evaluated"
     assert "fss frozen" in result.reason
+
+
+def test_a_drift_without_readings_of_a_joint_is_none(samples):
+    """Silent through the second of the pieces that the first rest makes."""
+    finder = Finder(ARM.n, DriftSettings(longest=12.0, shortest=5.0))
+    pieces = feed(Finder(ARM.n, finder.settings), samples)
+    silent = pieces[0].end + SECOND // 4, pieces[1].end
+    found = feed(finder, [s for s in samples if s.stream != 2 or not silent[0] < s.t < silent[1]])
+    assert [d.end for d in found[:2]] == [pieces[0].end, pieces[2].end]
+    assert calibrate(found, ARM).verdict == "pass"
+
+
+def test_a_lost_base_is_waited_for_no_longer_than_the_horizon(samples):
+    finder = Finder(ARM.n, DriftSettings(longest=12.0, shortest=5.0, horizon=15.0))
+    lost = [s for s in samples if s.stream != "base" or s.t < at(14.0)]
+    found = feed(finder, lost, close=False)
+    assert len(found) == 1
+    assert len(finder.joints[0].t) < 5 * (12.0 + 15.0 + 12.0)
 
 
 def test_too_little_is_not_evaluated_and_a_push_fails(samples, bag, capsys):

@@ -91,13 +91,22 @@ class DriftFinder:
 
     def _collect(self, everything: bool = False) -> list[Drift]:
         found = []
-        while self._pending and (everything or self.base.reached >= self._pending[0][1]):
+        while self._pending and (everything or self._passed(self._pending[0][1])):
             found.append(self._drift(*self._pending.pop(0)))
-        return [drift for drift in found if len(drift.times) >= _FEWEST]
+        return [drift for drift in found if drift and len(drift.times) >= _FEWEST]
 
-    def _drift(self, begin: int, end: int) -> Drift:
+    def _passed(self, end: int) -> bool:
+        """Whether the base has been heard until then, or is waited for no longer."""
+        heard = max(joint.newest for joint in self.joints)
+        return self.base.reached >= end or heard - end > self.settings.horizon * SECOND
+
+    def _drift(self, begin: int, end: int) -> Drift | None:
+        """The drift of a rest; None if nobody knows how some joint stood."""
         s = self.settings
         begin += round(s.settle * SECOND)
+        readings = [joint.within(begin, end)[1] for joint in self.joints]
+        if not all(map(len, readings)):
+            return None
         # What floats never has the very same pose for long: that is a receiver repeating itself.
         self.base.refused[FROZEN] += self.base.frozen(begin, end, begin - 1)
         t, poses = self.base.slice(begin, end, begin - 1)
@@ -116,6 +125,6 @@ class DriftFinder:
                 rows.append((middle, (x, y, heading), number, span))
         first = rows[0][0] if rows else 0.0
         times, means, frames, seconds = zip(*rows, strict=True) if rows else ((), (), (), ())
-        q = tuple(float(np.mean(joint.within(begin, end)[1])) for joint in self.joints)
+        q = tuple(float(np.mean(one)) for one in readings)
         start = begin + round(first * SECOND)
         return Drift(start, end, q, tuple(at - first for at in times), means, frames, seconds)
