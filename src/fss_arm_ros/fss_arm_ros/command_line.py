@@ -12,8 +12,8 @@ class Parser(argparse.ArgumentParser):
     An option has one name: its abbreviation might become another's with the next option.
     """
 
-    def __init__(self, *args: Any, **options: Any) -> None:
-        super().__init__(*args, allow_abbrev=False, **options)
+    def __init__(self, prog: str, **options: Any) -> None:
+        super().__init__(prog, allow_abbrev=False, **options)
 
     def error(self, message: str) -> NoReturn:
         """Exit with USER_ERROR."""
