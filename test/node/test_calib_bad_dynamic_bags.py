@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from calib_float import ARM, TYPES, Float, at, postures, record
 
+from fss_arm_calib.design_command import main as design
 from fss_arm_calib.dynamic_settings import DynamicCalibrationSettings
 from fss_arm_calib.from_bag import main as from_bag
 from fss_arm_calib.from_bag import solve_dynamic_bag
@@ -75,6 +76,18 @@ def test_a_missing_topic_is_named(samples, tmp_path, missing):
     bag = record(tmp_path / "bags", samples[:1000], topics)
     with pytest.raises(BagError, match=f"no /{missing} in .*, which has "):
         solved(bag)
+
+
+@pytest.mark.parametrize(
+    ("gap", "why"), [(True, ": fss silent for 2.00 s"), (False, ", it has none")]
+)
+def test_design_says_that_no_maneuver_can_be_used(samples, tmp_path, capsys, gap, why):
+    """The base lost from the first look on, or a bag that ends before the arm moves."""
+    end = at(20.0) if gap else at(4.0)
+    some = [s for s in samples if s.t < end and not (gap and s.stream == "base" and s.t > at(2.0))]
+    bag = record(tmp_path / "bags", some)
+    assert design(["--bag", str(bag), "--count", "1"]) == 1
+    assert capsys.readouterr().err == f"design: no maneuver of {bag} can be used{why}\n"
 
 
 @pytest.mark.slow

@@ -13,7 +13,7 @@ from rich.progress import Progress
 
 from fss_arm_model.description import Arm, load, paper_arm
 from fss_arm_model.kinematics import tip_in_base
-from fss_arm_ros.bags import open_bags
+from fss_arm_ros.bags import BagError, open_bags
 from fss_arm_ros.command_line import USER_ERROR, Parser
 
 from . import postures, report
@@ -67,12 +67,20 @@ HELP = {
 
 
 def known_before(bag: str, arm: Arm, settings: DynamicCalibrationSettings) -> Floats | None:
-    """Information of the maneuvers in a bag."""
+    """Information of the maneuvers in a bag.
+
+    Raises:
+        BagError: it cannot be read, or none of them can be used.
+    """
     if not bag:
         return None
     with open_bags(bag) as bags:
         found = maneuvers(bags, ManeuverFinder(arm.n, settings), settings)
-    return np.asarray(information(problem_of([m for m in found if m.used], arm, settings)).sum(0))
+    used = [one for one in found if one.used]
+    if not used:
+        why = f": {found[0].reason}" if found else ", it has none"
+        raise BagError(f"no maneuver of {bag} can be used{why}")
+    return np.asarray(information(problem_of(used, arm, settings)).sum(0))
 
 
 def table(plan: Sequence[Planned]) -> report.Table:
