@@ -9,11 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from fss_arm_model.base_motion import Path, stack
-from fss_arm_model.description import Arm, DescriptionError, to_yaml
+from fss_arm_model.description import Arm, to_yaml
 from fss_arm_model.kinematics import tip_in_base
 
 from .dynamic import DynamicProblem, DynamicResult, solve
-from .dynamic_parameters import Choice, Knowledge
+from .dynamic_parameters import Choice
 from .dynamic_settings import GRAVITY, HEADING, DynamicCalibrationSettings
 from .identifiability import INVISIBLE, Combination, Direction, combinations, directions
 from .judgement import (
@@ -214,10 +214,12 @@ def calibrate(
     stages += _tips_described(used, arm, s)
     problem = problem_of(used, arm, s) if enough.verdict == PASS else None
     solution = solution_of(problem, s) if problem else None
+    told = _nothing_told(arm, s)
     if solution:
-        stages += _judged(solution, s)
+        seen = directions(solution.result, s)
+        stages += _judged(solution, seen, s)
+        told = _told(solution, seen)
     verdict, reason = conclude(stages)
-    told = _told(solution, s) if solution else _nothing_told(arm, s)
     return DynamicCalibration(
         stamp=used[-1].end if used else 0,
         verdict=verdict,
@@ -306,10 +308,12 @@ def _tips_described(
     return [stage if stage.verdict == FAIL else replace(stage, reason="")]
 
 
-def _judged(solution: Solution, s: DynamicCalibrationSettings) -> list[Stage]:
+def _judged(
+    solution: Solution, seen: Sequence[Direction], s: DynamicCalibrationSettings
+) -> list[Stage]:
     """The stages of a solution, each threshold beside its value."""
     r = solution.result
-    stages = [_determined(r, s)]
+    stages = [_determined(r, seen)]
     m = r.minimum
     words = f"{count(m.iterations, 'iteration')}, last update {m.last_update:.2g} deviations"
     words = words if m.converged else f"not converged: {words} (at most {TOLERANCE:g})"
@@ -320,10 +324,6 @@ def _judged(solution: Solution, s: DynamicCalibrationSettings) -> list[Stage]:
     words = f"at the bound of what is possible: {', '.join(held)}" if held else ""
     words += "; of another arm, or its masses or lengths are others?" if held else ""
     stages.append(Stage("bounds", FAIL if held else PASS, len(held), 0, words))
-    try:
-        r.calibrated()
-    except DescriptionError as error:
-        stages.append(Stage("description", FAIL, nan, 0.0, f"no arm is like that: {error}"))
     fit = by_chance(
         "fit", r.chi_square, r.problem.degrees_of_freedom, s.min_probability,
         "residuals are larger than the deviations allow",
@@ -361,12 +361,11 @@ def _fits_swapped(problem: DynamicProblem, s: DynamicCalibrationSettings) -> boo
     return by_chance("", r.chi_square, freedom, s.min_probability, "").verdict == PASS
 
 
-def _determined(r: DynamicResult, s: DynamicCalibrationSettings) -> Stage:
+def _determined(r: DynamicResult, seen: Sequence[Direction]) -> Stage:
     lost = [name for name, u in zip(r.problem.names, r.undetermined, strict=True) if u]
     lost = [name for name in lost if name not in r.at_bound]
-    kinds = directions(r, s)
     missing = len(r.values) - len(r.minimum.basis.s) - len(r.at_bound)
-    invisible = sum(d.kind == INVISIBLE for d in kinds)
+    invisible = sum(d.kind == INVISIBLE for d in seen)
     if not lost:
         return Stage("determined", PASS, 0, 0, "")
     reason = (
@@ -397,12 +396,11 @@ def _precise(r: DynamicResult, s: DynamicCalibrationSettings) -> Stage:
     return at_most("precision", worst, 1.0, f"{at} {asked}" if at else "", "too uncertain")
 
 
-def _told(solution: Solution, knowledge: Knowledge) -> dict[str, Any]:
+def _told(solution: Solution, seen: Sequence[Direction]) -> dict[str, Any]:
     """The fields of a DynamicCalibration that a solution has."""
     r, problem = solution.result, solution.result.problem
     momenta = np.full((len(solution.kept), 3), nan)
     momenta[solution.kept] = r.momenta
-    seen: list[Direction] = directions(r, knowledge)
     found: list[Combination] = combinations(r)
     residuals = r.residuals
     return {
