@@ -1,6 +1,7 @@
 """Bags made for tests."""
 
 from pathlib import Path
+from shutil import copytree
 from typing import Any
 
 from builtin_interfaces.msg import Time
@@ -8,6 +9,7 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
+from fss_arm_msgs.msg import KinematicCalibration
 from fss_arm_ros.convert import stamp_ns
 from fss_arm_ros.qos import LATCHED, SENSOR
 from fss_arm_ros.recording import Recording
@@ -65,6 +67,16 @@ def make_killed_bag(folder: Path, count: int = 100, first: int = 0) -> Path:
     recording.flush()
     recording.abort()
     return recording.path
+
+
+def make_before_and_after(folder: Path) -> Path:
+    """The bag of the first version of our messages, and one of the present version."""
+    copytree(FIRST, folder / "bag_0")
+    recording = Recording(folder)
+    recording.add("/calibration/kinematic", "fss_arm_msgs/msg/KinematicCalibration", [LATCHED])
+    recording.write("/calibration/kinematic", START, serialize_message(KinematicCalibration()))
+    recording.close()
+    return folder
 
 
 def states(messages: Any) -> list[int]:

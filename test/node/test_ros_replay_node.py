@@ -7,7 +7,16 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
-from ros_bags import FIRST, START, STEP, joint_state, make_bag, make_killed_bag, number
+from ros_bags import (
+    FIRST,
+    START,
+    STEP,
+    joint_state,
+    make_bag,
+    make_before_and_after,
+    make_killed_bag,
+    number,
+)
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Empty, String
@@ -193,3 +202,10 @@ def test_messages_of_the_first_version_are_played_as_present_ones(spin, tmp_path
     assert got[0].verdict == recorded.verdict
     assert list(got[0].values) == list(recorded.values)
     assert got[0].provenance == KinematicCalibration().provenance
+
+
+def test_a_type_in_two_versions_is_not_played(ros, tmp_path):
+    player = replay(make_before_and_after(tmp_path))
+    assert "/joint_states" in player.players
+    assert "/calibration/observations" in player.players
+    assert "/calibration/kinematic" not in player.players

@@ -415,6 +415,8 @@ def test_bags_in_the_manner_of_the_standard_recorder_are_read(tmp_path, split, c
     with open_bags(bag) as bags:
         assert not bags.recovered
         assert states(bags.messages()) == list(range(each * split))
+    with open_bags(sorted(bag.glob("*.mcap"), reverse=True)) as bags:  # each a bag of its own
+        assert states(bags.messages()) == list(range(each * split))
 
 
 def test_our_bags_are_laid_out_as_the_standard_ones(tmp_path):

@@ -46,7 +46,7 @@ def as_rosbags(paths, topics=None, start=None, stop=None):
 def test_all_messages_come_in_order(tmp_path, compression, files):
     paths = [make(tmp_path, seed, compression=compression) for seed in range(files)]
     with open_bags(paths) as bags:
-        assert len(indexed(bags._reader)) > 5 * files
+        assert len(indexed(bags._readers)) > 5 * files
         got = list(bags.raw())
     assert got == as_rosbags(paths)
     receipts = [receipt for _, _, receipt, _ in got]

@@ -4,13 +4,14 @@ from collections import Counter
 
 import numpy as np
 import pytest
-from ros_bags import FIRST
+from ros_bags import FIRST, make_before_and_after
 from rosbags.rosbag2 import Reader
 
 from fss_arm_calib.from_bag import solve_bag
 from fss_arm_calib.settings import CalibrationSettings
-from fss_arm_ros.bags import open_bags
+from fss_arm_ros.bags import BagError, find, open_bags
 from fss_arm_ros.definitions import definition, extends, message_class, upgrade
+from fss_arm_ros.doctor import main as doctor
 
 
 def test_all_of_the_first_bag_is_read_and_is_of_types_that_only_grew():
@@ -23,6 +24,20 @@ def test_all_of_the_first_bag_is_read_and_is_of_types_that_only_grew():
             assert extends(about.msgtype, about.definition), topic
         for _, msgtype, _, message in bags.messages():
             upgrade(message, message_class(msgtype))  # field checks are on
+
+
+def test_bags_from_before_and_after_a_type_grew_are_not_misread(tmp_path, capsys):
+    said = "hold two versions of fss_arm_msgs/msg/KinematicCalibration: give them one by one"
+    before_and_after = make_before_and_after(tmp_path)
+    with open_bags(before_and_after) as bags:
+        assert bags.topics["/joint_states"].messages > 0
+        assert sum(1 for _ in bags.messages({"/joint_states", "/link_1/telemetry"})) > 0
+        with pytest.raises(BagError, match=said):
+            list(bags.messages({"/calibration/kinematic"}))
+    assert doctor([str(before_and_after)]) == 2
+    assert f"/calibration/kinematic: the bags {said}" in capsys.readouterr().out
+    for bag in find(before_and_after):  # as it is advised
+        assert doctor([str(bag)]) == 0
 
 
 def test_the_first_bag_gives_the_result_that_was_found_then():

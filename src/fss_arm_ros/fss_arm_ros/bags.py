@@ -11,6 +11,9 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from fcntl import LOCK_NB, LOCK_SH, flock
 from hashlib import sha256
+from heapq import merge
+from itertools import chain
+from operator import itemgetter
 from os import SEEK_END, PathLike, link
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -22,7 +25,7 @@ from mcap.records import Channel, Chunk, ChunkIndex, McapRecord, Message, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk, get_chunk_data_stream
 from mcap.summary import Summary
 from rosbags.highlevel import AnyReader, AnyReaderError
-from rosbags.interfaces import Connection, ConnectionExtRosbag2, Qos
+from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefinitionFormat, Qos
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.rosbag2.metadata import parse_qos
 from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
@@ -44,6 +47,7 @@ class Topic(NamedTuple):
     qos: list[Qos]  # as offered by its publishers
     hash: str  # RIHS01 of the type; empty: not known
     definition: str  # of the type, as in the bag
+    mixed: bool = False  # the bags hold the type in two versions
 
 
 @dataclass(frozen=True)
@@ -71,14 +75,20 @@ class Bags:
         self.recovered: list[Recovered] = []
         self._stack = ExitStack()
         try:
-            self._reader = AnyReader([self._sound(path) for path in self.paths])
-            self._stack.enter_context(self._reader)
-        except (AnyReaderError, OSError) as error:
-            self._stack.close()
-            raise BagError(f"{_list(self.paths)}: {error}") from None
+            # One for each: together they would read all by the definitions of the last one.
+            self._readers = [self._open(path) for path in self.paths]
         except BaseException:
             self._stack.close()
             raise
+        self._connections = list(chain.from_iterable(r.connections for r in self._readers))
+        self._of_type = {c.msgtype: r for r in self._readers for c in r.connections}
+        self._mixed = _mixed(self._readers)
+
+    def _open(self, path: Path) -> AnyReader:
+        try:
+            return self._stack.enter_context(AnyReader([self._sound(path)]))
+        except (AnyReaderError, OSError) as error:
+            raise BagError(f"{path}: {error}") from None
 
     def _sound(self, path: Path) -> Path:
         """The bag itself, or its copy without damage."""
@@ -103,18 +113,21 @@ class Bags:
     def topics(self) -> dict[str, Topic]:
         """The topics by name."""
         topics: dict[str, Topic] = {}
-        for c in sorted(self._reader.connections, key=lambda c: c.topic):
+        for c in sorted(self._connections, key=lambda c: c.topic):
             _, count, qos, *_ = topics.get(c.topic, Topic("", 0, [], "", ""))
+            count += c.msgcount
             qos = qos + cast(ConnectionExtRosbag2, c.ext).offered_qos_profiles
-            topics[c.topic] = Topic(c.msgtype, count + c.msgcount, qos, c.digest, c.msgdef.data)
+            mixed = c.msgtype in self._mixed
+            topics[c.topic] = Topic(c.msgtype, count, qos, c.digest, c.msgdef.data, mixed)
         return topics
 
     @property
     def span(self) -> tuple[int, int]:
         """Times of receipt of the first and the last message [ns]; (0, 0) if there is none."""
-        if not self._reader.message_count:
+        full = [reader for reader in self._readers if reader.message_count]
+        if not full:
             return 0, 0
-        return self._reader.start_time, self._reader.end_time - 1
+        return min(r.start_time for r in full), max(r.end_time for r in full) - 1
 
     def raw(
         self,
@@ -132,7 +145,7 @@ class Bags:
         Raises:
             BagError: damage is met on the way.
         """
-        wanted = [c for c in self._reader.connections if topics is None or c.topic in topics]
+        wanted = {c.topic for c in self._connections if topics is None or c.topic in topics}
         if not wanted:
             return
         try:
@@ -144,14 +157,21 @@ class Bags:
             raise BagError(f"{_list(self.paths)}: damaged, try doctor --repair: {error}") from None
 
     def _received(
-        self, wanted: list[Connection], start: int | None, stop: int | None
+        self, wanted: set[str], start: int | None, stop: int | None
     ) -> Iterable[Received]:
         """Quickly where all is indexed; else as rosbags does it."""
-        chunks = indexed(self._reader)
+        chunks = indexed(self._readers)
         if chunks is None:
-            every = self._reader.messages(wanted, start, stop)
+            every = merge(
+                *(
+                    reader.messages(connections, start, stop)
+                    for reader in self._readers
+                    if (connections := [c for c in reader.connections if c.topic in wanted])
+                ),
+                key=itemgetter(1),
+            )
             return ((receipt, connection, data) for connection, receipt, data in every)
-        return in_order(chunks, {c.topic for c in wanted}, start, stop)
+        return in_order(chunks, wanted, start, stop)
 
     def messages(
         self, topics: Collection[str] | None = None
@@ -164,12 +184,32 @@ class Bags:
         """A message as one of rosbags' classes.
 
         Raises:
-            BagError: the data are not of that type.
+            BagError: the data are not of that type, or the bags hold two versions of it.
         """
+        if msgtype in self._mixed:
+            raise BagError(f"{_list(self.paths)}: {two_versions(msgtype)}")
         try:
-            return self._reader.deserialize(data, msgtype)
+            return self._of_type[msgtype].deserialize(data, msgtype)
         except Exception as error:  # rosbags parses damaged bytes as they come
             raise BagError(f"{_list(self.paths)}: damaged: {error}") from None
+
+
+def two_versions(msgtype: str) -> str:
+    """What is wrong with bags from before and after a message type grew."""
+    return f"hold two versions of {msgtype}: give them one by one"
+
+
+def _mixed(readers: Iterable[AnyReader]) -> set[str]:
+    """The types of which bags hold two versions."""
+    versions: dict[str, str] = {}
+    mixed = set()
+    for reader in readers:
+        for c in reader.connections:
+            if c.msgdef.format is not MessageDefinitionFormat.NONE:
+                version = c.digest or reader.typestore.hash_rihs01(c.msgtype)
+                if versions.setdefault(c.msgtype, version) != version:
+                    mixed.add(c.msgtype)
+    return mixed
 
 
 def open_bags(paths: AnyPath | Iterable[AnyPath]) -> Bags:

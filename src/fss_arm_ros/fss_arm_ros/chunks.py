@@ -6,6 +6,7 @@ overlap in time, also between files: messages wait until no later chunk can have
 
 from bisect import bisect_left
 from collections.abc import Container, Iterable, Iterator
+from itertools import chain
 from math import inf
 from operator import itemgetter
 from struct import Struct
@@ -74,10 +75,10 @@ def records(data: bytes) -> Iterator[tuple[int, int, int]]:
         yield kind, at - length, at
 
 
-def indexed(reader: AnyReader) -> list[_Chunk] | None:
+def indexed(readers: Iterable[AnyReader]) -> list[_Chunk] | None:
     """The chunks of all files in order of their begin; None: not all messages are in such."""
     found = []
-    for bag in reader.readers:
+    for bag in chain.from_iterable(reader.readers for reader in readers):
         if not isinstance(bag, Reader) or bag.compression_mode == "message":
             return None
         inner = bag.storage

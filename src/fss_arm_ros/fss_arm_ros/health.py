@@ -7,7 +7,7 @@ from struct import Struct
 import numpy as np
 from rosbags.interfaces import QosReliability
 
-from .bags import Bags, Topic
+from .bags import Bags, Topic, two_versions
 from .convert import SECOND
 from .definitions import MEASUREMENTS, NotInstalledError, definition, extends
 
@@ -75,8 +75,9 @@ def remark(topic: Topic) -> str:
         present = definition(topic.msgtype).hash
     except NotInstalledError:
         return ""
-    grew = topic.hash not in ("", present) and extends(topic.msgtype, topic.definition)
-    return "is of an earlier version of its type; replay adds what it lacks" if grew else ""
+    if topic.mixed or topic.hash in ("", present) or not extends(topic.msgtype, topic.definition):
+        return ""
+    return "is of an earlier version of its type; replay adds what it lacks"
 
 
 def findings(topic: Topic, stream: Stream, begin: int) -> Iterator[str]:
@@ -100,7 +101,9 @@ def _of_type(topic: Topic) -> Iterator[str]:
     except NotInstalledError as error:
         yield f"{error}; replay leaves it out"
         return
-    if topic.hash not in ("", present) and not extends(topic.msgtype, topic.definition):
+    if topic.mixed:
+        yield f"the bags {two_versions(topic.msgtype)}"
+    elif topic.hash not in ("", present) and not extends(topic.msgtype, topic.definition):
         yield f"{topic.msgtype} is installed in another version; replay leaves it out"
 
 

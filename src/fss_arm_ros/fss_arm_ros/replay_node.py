@@ -14,7 +14,7 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
 
-from .bags import BagError, open_bags
+from .bags import BagError, open_bags, two_versions
 from .convert import SECOND, seconds, to_time
 from .definitions import NotInstalledError, definition, extends, message_class, upgrade
 from .diagnostics import OK, Diagnostics, Health
@@ -92,12 +92,14 @@ class ReplayNode(Node):
         for topic, name in choose(self.bags.topics, self.settings.topics).items():
             about = self.bags.topics[topic]
             try:
+                if about.mixed:
+                    raise BagError(f"the bags {two_versions(about.msgtype)}")
                 kind = message_class(about.msgtype)
                 if about.hash not in ("", definition(about.msgtype).hash):
                     if not extends(about.msgtype, about.definition):
                         raise NotInstalledError(f"{about.msgtype} is installed in another version")
                     self.upgraded[topic] = kind
-            except NotInstalledError as error:
+            except (BagError, NotInstalledError) as error:
                 self.get_logger().warning(f"{topic} is not played: {error}")
                 continue
             players[topic] = self.create_publisher(kind, name, profile(about))
