@@ -3,7 +3,8 @@
 arm, disarm: all links (arm/arm). stop: all links at once; those that are on hold, under power,
 until disarmed or armed anew (arm/stop). home: each armed link without a reference finds it, one
 after the other. clear: all links disarm and clear their drives' latched faults.
-solve: each calibration that runs closes its present datum and solves.
+solve: each calibration that runs closes its present datum and solves. forget: kinematic and
+dynamic drop all that they have observed.
 """
 
 import argparse
@@ -27,6 +28,7 @@ from fss_arm_ros.run import RCLError
 PATIENCE = 10.0  # for an answer [s]
 SETTLED = 1.0  # without a new one, all are known [s]
 LINKS = range(1, 13)  # numbers that a link may have
+WORDS = ("arm", "disarm", "stop", "home", "clear", "solve", "forget")
 CALIBRATIONS = ("kinematic", "dynamic", "float")
 LIVES = 2.0  # a HOME, so that the link holds soon after this has ended [s]
 
@@ -146,8 +148,8 @@ def clear(node: Node, wait: float) -> Answer:
     return together({name: call(node, Trigger, name, Trigger.Request(), wait) for name in names})
 
 
-def solve(node: Node, wait: float) -> Answer:
-    """Have all calibrations that run solve; each succeeds if it passes.
+def calibrations(node: Node, what: str, wait: float) -> Answer:
+    """Have all calibrations that run solve, which succeeds if they pass, or forget.
 
     Raises:
         NoAnswerError: none runs, or one is silent.
@@ -155,7 +157,7 @@ def solve(node: Node, wait: float) -> Answer:
 
     def offered() -> list[str]:
         here = {name for name, _ in node.get_service_names_and_types()}
-        names = [f"{kind}/solve" for kind in CALIBRATIONS]
+        names = [f"{kind}/{what}" for kind in CALIBRATIONS]
         return [name for name in names if node.resolve_service_name(name) in here]
 
     names = settled(node, offered, "no calibration runs", wait)
@@ -178,13 +180,15 @@ def tell(node: Node, what: str, wait: float, within: float) -> Answer:
         return home(node, wait, within)
     if what in ("arm", "disarm"):
         return call(node, SetBool, "arm/arm", SetBool.Request(data=what == "arm"), wait)
-    return {"stop": stop, "clear": clear, "solve": solve}[what](node, wait)
+    if what in ("stop", "clear"):
+        return {"stop": stop, "clear": clear}[what](node, wait)
+    return calibrations(node, what, wait)
 
 
 def main() -> int:
     """Run; the exit code is 0 if the arm did as told."""
     parser = argparse.ArgumentParser("fss_arm.sh", description=__doc__.replace("\n\n", "\n"))
-    parser.add_argument("what", choices=("arm", "disarm", "stop", "home", "clear", "solve"))
+    parser.add_argument("what", choices=WORDS)
     parser.add_argument("--wait", type=float, default=10.0, help="for somebody to be there [s]")
     parser.add_argument("--within", type=float, default=60.0, help="a link must be referenced [s]")
     options = parser.parse_args()

@@ -1,6 +1,6 @@
 #!/bin/sh
 # What a person tells the arm; by the ROS domain and the network of this shell, or of a configuration.
-# usage: fss_arm.sh arm | disarm | stop | home | clear | solve [CONFIG] [OPTION...]
+# usage: fss_arm.sh arm | disarm | stop | home | clear | solve | forget [CONFIG] [OPTION...]
 set -eu
 fss_scripts=$(CDPATH='' cd -- "$(dirname -- "$0")" && pwd -P)
 case ${2:-} in
