@@ -15,6 +15,7 @@ from fss_arm_model.description import from_yaml, load, paper_arm, save
 from fss_arm_msgs.msg import DynamicCalibration, LinkTelemetry, Maneuvers
 from fss_arm_ros.convert import stamp_ns
 from fss_arm_ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
+from fss_arm_ros.memory import give_back
 from fss_arm_ros.qos import LATCHED, subscribe_sensor
 from fss_arm_ros.run import run
 from fss_arm_ros.settings import declare
@@ -130,6 +131,7 @@ class DynamicNode(Node):
     def solve(self) -> None:
         """Calibrate from all maneuvers."""
         self.calibration = calibrate(self.maneuvers, self.arm, self.settings, self.finder.streams())
+        give_back()
 
     def publish(self) -> None:
         """Publish maneuvers and calibration; write the description if it passes."""

@@ -13,6 +13,7 @@ from std_srvs.srv import Trigger
 from fss_arm_model.description import from_yaml, load, paper_arm, save
 from fss_arm_msgs.msg import KinematicCalibration, KinematicObservations, LinkTelemetry
 from fss_arm_ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
+from fss_arm_ros.memory import give_back
 from fss_arm_ros.qos import LATCHED, subscribe_sensor
 from fss_arm_ros.run import run
 from fss_arm_ros.settings import declare
@@ -131,6 +132,7 @@ class KinematicNode(Node):
         """Calibrate from all observations."""
         s = self.settings
         self.calibration = calibrate(self.observations, self.arm, s, self.finder.streams())
+        give_back()
 
     def message(self) -> KinematicCalibration:
         """What is concluded by now."""

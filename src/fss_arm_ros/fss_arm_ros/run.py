@@ -1,9 +1,7 @@
 """What every node's `main` does: --help, start, spin, and an end that tells what went wrong."""
 
-import ctypes
 import sys
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import fields
 from inspect import getdoc
 from textwrap import indent
@@ -15,16 +13,11 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
 
+from . import memory
 from .executor import BatchExecutor
 
 # rclpy keeps these classes in its extension and offers no public names for them.
 from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError  # isort: skip
-
-
-# Of glibc's mallopt: the first size that is given back to the system when freed [bytes], and how
-# many heaps threads may have. Left alone, both grow with the largest message ever seen.
-M_MMAP_THRESHOLD, M_ARENA_MAX = -3, -8
-LARGE, HEAPS = 1 << 19, 2
 
 
 def run(
@@ -62,9 +55,7 @@ def run(
         return 0
     if plain and not takes:
         return _failed(name, f"{plain[0]!r} is not understood; try --help", 2)
-    with suppress(OSError, AttributeError):  # another C library
-        ctypes.CDLL(None).mallopt(M_MMAP_THRESHOLD, LARGE)
-        ctypes.CDLL(None).mallopt(M_ARENA_MAX, HEAPS)
+    memory.bound()
     nodes: Sequence[Node] = ()
     begun = False
     try:
