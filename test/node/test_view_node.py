@@ -9,11 +9,14 @@ from pathlib import Path
 import pytest
 import rerun_cli
 from conftest import wait_until
-from geometry_msgs.msg import PoseStamped
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import Point, PoseStamped
 from rclpy.parameter import Parameter
-from std_msgs.msg import Empty
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Empty, Header
 from view_bench import BEGIN, Bench
 from view_flight import Flight
+from visualization_msgs.msg import Marker, MarkerArray
 
 from fss_arm_model.description import paper_arm
 from fss_arm_msgs.msg import (
@@ -23,7 +26,7 @@ from fss_arm_msgs.msg import (
     LinkTelemetry,
     ThrusterCommand,
 )
-from fss_arm_ros.convert import pose_stamped
+from fss_arm_ros.convert import SECOND, pose_stamped, to_time
 from fss_arm_ros.diagnostics import ERROR, OK
 from fss_arm_ros.qos import LATCHED, SENSOR
 from fss_arm_view.view_node import ViewNode
@@ -87,6 +90,28 @@ def test_what_is_published_is_shown(spin, flight, tmp_path):
         assert entity in shown
     for entity in ("/table/centre_of_mass", "/table/target", "arm/stop", "too few", "no maneuvers"):
         assert entity in shown
+
+
+@pytest.mark.parametrize("measured", ["joints", "base"])
+def test_what_is_no_measurement_is_drawn_at_the_time_of_one(ros, tmp_path, measured):
+    """Its stamp may be of today beside a bag of yesterday, whose plots would be long over."""
+    node, drawn = view(mode="file", file=str(tmp_path / "view.rrd")), []
+    node.sink.put = lambda t, drawings: drawn.append((t, drawings[0][0]))
+    if measured == "joints":
+        stamp = to_time(5 * SECOND)
+        node.on_joints(JointState(header=Header(stamp=stamp), name=["joint_1"], position=[0.1]))
+    else:
+        node.on_base(pose_stamped(5 * SECOND, "world", (0.0, 0.0, 0.0)))
+    today = Header(stamp=to_time(1_800_000_000 * SECOND), frame_id="fss")
+    node.on_diagnostics(DiagnosticArray(header=today, status=[DiagnosticStatus(name="replay")]))
+    node.on_stop(Empty())
+    node.on_calibration("calibration/kinematic", KinematicCalibration(header=today))
+    line = Marker(header=today, type=Marker.LINE_STRIP, points=[Point(), Point(x=1.0)])
+    node.on_outlines(MarkerArray(markers=[line]))
+    assert [what for _, what in drawn].count("log") == 3
+    assert {t for t, what in drawn if "legend" not in what} == {5 * SECOND}
+    node.close()
+    node.destroy_node()
 
 
 def test_the_workspace_is_drawn_where_its_node_publishes_it(spin, flight, tmp_path):

@@ -64,9 +64,9 @@ class ViewNode(Node):
         self.sink = Sink(open_stream(s.mode, target, scene.blueprint()), s.rate, s.queue)
         n = self.known.arm.n
         self.q = [0.0] * n
-        self.valves_until = [0] * 8
         self.legend = [text for text, _ in scene.LEGEND]
-        self.t = 0
+        self.t = 0  # stamp of the newest measurement [ns]; 0: none yet
+        self.valves_until = [0] * 8
         self.difference: npt.NDArray[np.float64] | None = None  # measured less predicted base
         self.differs_until = 0  # when it is too old to be drawn
         self.trails: dict[str, deque[tuple[float, float]]] = {
@@ -111,9 +111,18 @@ class ViewNode(Node):
         if s.bind not in ("127.0.0.1", "localhost", "::1"):
             log.warning(f"whoever reaches {s.bind}:{s.port} may read and write: no authentication")
 
+    def measured(self, message: Any) -> int:
+        """A measurement's stamp [ns], which is the time of what happens until the next one.
+
+        Stamps of events may be of another clock, as beside a replayed bag or a simulator, and the
+        plots end at the newest drawing of all.
+        """
+        self.t = stamp_ns(message.header.stamp)
+        return self.t
+
     def on_joints(self, message: JointState) -> None:
         """Readings of one link or more."""
-        t = stamp_ns(message.header.stamp)
+        t = self.measured(message)
         drawings = []
         for i, q, _, effort in joint_readings(message):
             if 1 <= i <= self.known.arm.n and isfinite(q):
@@ -127,7 +136,7 @@ class ViewNode(Node):
 
     def on_base(self, message: PoseStamped) -> None:
         """A pose of the base: the whole arm is drawn with it."""
-        self.t = stamp_ns(message.header.stamp)
+        self.measured(message)
         if self.sink.due("base") and (pose := _pose(message)):
             valves = [self.t < until for until in self.valves_until]
             parts = [scene.plumes(pose, valves), *scene.arm(self.known.arm, pose, self.q)]
@@ -178,15 +187,14 @@ class ViewNode(Node):
 
     def on_diagnostics(self, message: DiagnosticArray) -> None:
         """Each node's state when it changes."""
-        t = stamp_ns(message.header.stamp)
         for status in message.status:
             if self.said.get(status.name) != status.level:
                 self.said[status.name] = status.level
-                self.say(t, f"{status.name}: {status.message}", LEVELS.get(status.level, "WARN"))
+                self.say(f"{status.name}: {status.message}", LEVELS.get(status.level, "WARN"))
 
     def on_stop(self, _: Empty) -> None:
         """Somebody stopped the arm."""
-        self.say(self.t, "arm/stop", "ERROR")
+        self.say("arm/stop", "ERROR")
 
     def on_calibration(self, topic: str, message: Any) -> None:
         """A verdict; the arm is drawn with a calibration that passed."""
@@ -195,7 +203,7 @@ class ViewNode(Node):
             self.known = known if known.arm.n == self.known.arm.n else self.known
         level = "INFO" if message.verdict == message.PASS else "WARN"
         text = f"{topic.rpartition('/')[2]}: {message.verdict}: {message.reason}"
-        self.say(stamp_ns(message.header.stamp), text, level)
+        self.say(text, level)
 
     def on_outlines(self, message: MarkerArray) -> None:
         """Boundaries of the workspace, by their names; what is new enters the legend."""
@@ -206,7 +214,7 @@ class ViewNode(Node):
             colour = round(255 * c.r), round(255 * c.g), round(255 * c.b)
             strips = [[(p.x, p.y) for p in marker.points] for marker in those]
             in_base = header.frame_id == self.settings.base_frame
-            self.sink.put(stamp_ns(header.stamp), scene.outline(strips, name, colour, in_base))
+            self.sink.put(self.t, scene.outline(strips, name, colour, in_base))
             self.explain(name, colour)
 
     def trace(
@@ -224,9 +232,9 @@ class ViewNode(Node):
             self.sink.put(None, [scene.legend(len(self.legend), name, colour)])
             self.legend.append(name)
 
-    def say(self, t: int, text: str, level: str) -> None:
+    def say(self, text: str, level: str) -> None:
         """A line in the view's log."""
-        self.sink.put(t, [scene.words(text, level)])
+        self.sink.put(self.t, [scene.words(text, level)])
 
     def health(self) -> Health:
         """For diagnostics."""
