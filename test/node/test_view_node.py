@@ -114,6 +114,25 @@ def test_what_is_no_measurement_is_drawn_at_the_time_of_one(ros, tmp_path, measu
     node.destroy_node()
 
 
+def test_what_was_drawn_is_forgotten_when_stamps_go_back(ros, tmp_path):
+    node = view(mode="file", file=str(tmp_path / "view.rrd"), rate=1e9)
+    for begin in (100, 0):
+        for k in range(30):
+            t = begin * SECOND + k * SECOND // 100
+            node.on_base(pose_stamped(t, "world", (0.0, 0.0, 0.0)))
+            node.on_tip(pose_stamped(t, "world", (begin + 0.1 * k, 0.0, 0.0)))
+        if begin:
+            node.on_reaction(BaseReaction(header=Header(stamp=to_time(t))))
+            node.on_thrust(ThrusterCommand(on_time=[9.0] * 8))
+    assert node.trails["tip_path"]
+    assert max(x for x, _ in node.trails["tip_path"]) < 10.0
+    assert not node.trails["com_path"]
+    assert node.difference is None
+    assert not any(node.valves_until)
+    node.close()
+    node.destroy_node()
+
+
 def test_the_workspace_is_drawn_where_its_node_publishes_it(spin, flight, tmp_path):
     file = tmp_path / "view.rrd"
     node, bench = view(mode="file", file=str(file)), Bench(flight)

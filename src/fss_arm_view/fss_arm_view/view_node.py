@@ -2,7 +2,7 @@
 
 import os
 import sys
-from collections import deque
+from collections import defaultdict, deque
 from contextlib import suppress
 from functools import partial
 from math import degrees, dist, isfinite
@@ -35,6 +35,7 @@ from fss_arm_ros.settings import declare
 from . import scene
 from .settings import ViewSettings
 from .sink import CONNECT, FILE, NATIVE, WEB, Sink, Viewer, new_file, open_stream
+from .stamps import Stamps
 
 LEAST_PLUME = 0.2  # a shorter pulse of a thruster is drawn so long [s]
 
@@ -66,12 +67,7 @@ class ViewNode(Node):
         self.q = [0.0] * n
         self.legend = [text for text, _ in scene.LEGEND]
         self.t = 0  # stamp of the newest measurement [ns]; 0: none yet
-        self.valves_until = [0] * 8
-        self.difference: npt.NDArray[np.float64] | None = None  # measured less predicted base
-        self.differs_until = 0  # when it is too old to be drawn
-        self.trails: dict[str, deque[tuple[float, float]]] = {
-            what: deque(maxlen=scene.TRAIL) for what in ("tip_path", "com_path")
-        }
+        self.forget()
         self.sequences: dict[int, int] = {}
         self.losses: dict[int, float] = {}
         self.said: dict[str, bytes] = {}
@@ -80,6 +76,16 @@ class ViewNode(Node):
         if s.mode == WEB:
             self._say_where()
         self.diagnostics = Diagnostics(self, self.health)
+
+    def forget(self) -> None:
+        """Begin anew: stamps were set back."""
+        self.stamps: dict[str, Stamps] = defaultdict(Stamps)  # of each stream
+        self.valves_until = [0] * 8
+        self.difference: npt.NDArray[np.float64] | None = None  # measured less predicted base
+        self.differs_until = 0  # when it is too old to be drawn
+        self.trails: dict[str, deque[tuple[float, float]]] = {
+            what: deque(maxlen=scene.TRAIL) for what in ("tip_path", "com_path")
+        }
 
     def _listen(self) -> None:
         s, quick = self.settings, sensor(best_effort=True)
@@ -111,18 +117,20 @@ class ViewNode(Node):
         if s.bind not in ("127.0.0.1", "localhost", "::1"):
             log.warning(f"whoever reaches {s.bind}:{s.port} may read and write: no authentication")
 
-    def measured(self, message: Any) -> int:
+    def measured(self, stream: str, message: Any) -> int:
         """A measurement's stamp [ns], which is the time of what happens until the next one.
 
         Stamps of events may be of another clock, as beside a replayed bag or a simulator, and the
         plots end at the newest drawing of all.
         """
         self.t = stamp_ns(message.header.stamp)
+        if self.stamps[stream].set_back(self.t):
+            self.forget()
         return self.t
 
     def on_joints(self, message: JointState) -> None:
         """Readings of one link or more."""
-        t = self.measured(message)
+        t = self.measured("joints", message)
         drawings = []
         for i, q, _, effort in joint_readings(message):
             if 1 <= i <= self.known.arm.n and isfinite(q):
@@ -136,7 +144,7 @@ class ViewNode(Node):
 
     def on_base(self, message: PoseStamped) -> None:
         """A pose of the base: the whole arm is drawn with it."""
-        self.measured(message)
+        self.measured("base", message)
         if self.sink.due("base") and (pose := _pose(message)):
             valves = [self.t < until for until in self.valves_until]
             parts = [scene.plumes(pose, valves), *scene.arm(self.known.arm, pose, self.q)]
