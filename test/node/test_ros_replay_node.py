@@ -70,6 +70,24 @@ def test_messages_are_byte_for_byte_those_recorded_and_at_their_pace(spin, tmp_p
     assert 0.24 < times[-1] - times[0] < 1.0  # 0.245 s, and what a busy machine adds
 
 
+def test_the_pause_between_two_sessions_is_skipped(spin, tmp_path):
+    hour = 360_000  # messages
+    make_bag(tmp_path, 10)
+    make_bag(tmp_path, 30, first=hour)
+    node, got, times = Node("reader"), [], []
+
+    def take(message):
+        got.append(number(message))
+        times.append(time.monotonic())
+
+    subscribe_sensor(node, JointState, "joint_states", take, keep_all=True)
+    player = replay(tmp_path, wait_for=["joint_states"])
+    assert ended(spin, [player, node]) == 0
+    spin(node, lambda: len(got) == 40)
+    assert got == [*range(10), *range(hour, hour + 30)]
+    assert times[-1] - times[10] > 0.1  # at its pace again: 0.29 s
+
+
 def test_latched_topics_are_latched_for_those_who_come_late(spin, tmp_path):
     recording = Recording(tmp_path)
     recording.add("/robot_description", "std_msgs/msg/String", [LATCHED])

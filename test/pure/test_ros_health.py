@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from ros_bags import FIRST, SECOND, START
+from ros_bags import FIRST, SECOND, START, make_bag
 from rosbags.interfaces import Qos
 
 from fss_arm_ros.bags import Topic, open_bags
@@ -72,6 +72,17 @@ def test_messages_that_were_held_up_are_no_jump_of_the_clock():
     for stall in (0.0, 2.5, 6.3):  # received all at once at its end, one of them at the begin
         held_up = np.where(abs(STEADY - stall - 0.45) <= 0.45, stall + 0.9, held_up)
     assert found(held_up, delay=held_up - STEADY) == []
+
+
+def test_the_pause_between_two_sessions_is_no_gap(tmp_path, capsys):
+    for first in (0, 360_000):  # an hour later
+        make_bag(tmp_path, 100, first=first)
+    with open_bags(tmp_path) as bags:
+        stream = streams(bags)["/joint_states"]
+    assert stream.rate == pytest.approx(100.0)
+    assert stream.longest_gap == pytest.approx(0.01)
+    assert doctor([str(tmp_path)]) == 0
+    assert "healthy" in capsys.readouterr().out
 
 
 def test_a_slow_topic_may_be_silent_for_longer():

@@ -124,10 +124,14 @@ class Bags:
     @property
     def span(self) -> tuple[int, int]:
         """Times of receipt of the first and the last message [ns]; (0, 0) if there is none."""
-        full = [reader for reader in self._readers if reader.message_count]
-        if not full:
+        if not self.begins:
             return 0, 0
-        return min(r.start_time for r in full), max(r.end_time for r in full) - 1
+        return self.begins[0], max(reader.end_time for reader in self._readers) - 1
+
+    @property
+    def begins(self) -> list[int]:
+        """Times of receipt of the first message of each bag that has one [ns], in order."""
+        return sorted(reader.start_time for reader in self._readers if reader.message_count)
 
     def raw(
         self,

@@ -1,7 +1,7 @@
 """How fit a bag is to calibrate from: gaps, clocks, types and QoS, topic by topic."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from struct import Struct
 
 import numpy as np
@@ -26,22 +26,28 @@ class Stream:
 
     receipts: np.ndarray  # [ns]
     stamps: np.ndarray  # [ns]; empty: they have none
+    begins: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))  # of the bags [ns]
+
+    @property
+    def within(self) -> np.ndarray:
+        """Of each message but the last, whether no bag begins between it and the next."""
+        return np.diff(np.searchsorted(self.begins, self.receipts, side="right")) == 0
 
     @property
     def rate(self) -> float:
         """Messages a second; NaN: fewer than two."""
-        if len(self.receipts) < 2 or self.receipts[-1] <= self.receipts[0]:
-            return float("nan")
-        return (len(self.receipts) - 1) * SECOND / float(self.receipts[-1] - self.receipts[0])
+        received = np.diff(self.receipts)[self.within]
+        return float(len(received) * SECOND / total) if (total := received.sum()) else np.nan
 
     @property
     def silences(self) -> np.ndarray:
         """From each message to the next [ns].
 
         By receipt and by stamp: a recorder that was held up received late, and lost nothing; a
-        clock that jumped forward did not make a pause.
+        clock that jumped forward did not make a pause. None from one bag to the next: nobody
+        recorded.
         """
-        received = np.diff(self.receipts)
+        received = np.diff(self.receipts) * self.within
         return np.minimum(received, np.diff(self.stamps)) if len(self.stamps) else received
 
     @property
@@ -63,8 +69,11 @@ def streams(bags: Bags) -> dict[str, Stream]:
         if msgtype in MEASUREMENTS:
             sec, nanosec = STAMP.unpack_from(data)
             stamps[topic].append(sec * SECOND + nanosec)
+    begins = np.array(bags.begins, np.int64)
     return {
-        topic: Stream(np.array(receipts[topic], np.int64), np.array(stamps[topic], np.int64))
+        topic: Stream(
+            np.array(receipts[topic], np.int64), np.array(stamps[topic], np.int64), begins
+        )
         for topic in receipts
     }
 

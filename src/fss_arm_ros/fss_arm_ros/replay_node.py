@@ -24,6 +24,7 @@ from .settings import declare, setting
 
 TICK = 0.002  # [s]
 STALL = 0.1  # longest step of bag time: after a pause the replay goes on, it does not catch up [s]
+SILENCE = 10 * SECOND  # of bag time; a longer one is skipped, as that between two sessions [ns]
 # At rate 0. Larger bursts overrun the transport's queue, and what is sent again comes late.
 BURST = 50  # messages between two acknowledgements
 PATIENCE = 0.05  # with an acknowledgement; it comes with a heartbeat, which may be slow [s]
@@ -57,9 +58,10 @@ class ReplayNode(Node):
     """Plays bags, or folders of bags, back as one, in order of receipt.
 
     Nothing is lost on the way: volatile topics are published reliably and keep all, so that a
-    slow subscriber that keeps all slows the replay. Latched topics are latched; after a start
-    within the bags they say first what they said last. Measurements are played in place, what was
-    computed under recorded/, commands never. A topic with another publisher ends the replay.
+    slow subscriber that keeps all slows the replay. Long silences are skipped. Latched topics are
+    latched; after a start within the bags they say first what they said last. Measurements are
+    played in place, what was computed under recorded/, commands never. A topic with another
+    publisher ends the replay.
     """
 
     def __init__(self, *bags: str, **options: Any) -> None:
@@ -182,9 +184,12 @@ class ReplayNode(Node):
         self.state = "playing"
 
     def pace(self, receipt: int) -> Iterator[None]:
-        """Until it is time for a message; tell the time on /clock."""
+        """Until it is time for a message, but not through a silence; tell the time on /clock."""
         rate = self.settings.rate
-        if rate == 0.0 or self.bag_time == 0:
+        silence = receipt - self.bag_time if self.bag_time and rate else 0
+        if silence > SILENCE:
+            self.get_logger().info(f"skips {seconds(silence):.0f} s of silence")
+        if rate == 0.0 or self.bag_time == 0 or silence > SILENCE:
             self.bag_time, self.turn = receipt, monotonic()
         while self.bag_time < receipt:
             self.tell(self.bag_time)
