@@ -25,7 +25,6 @@ def run(
     settings: type | None = None,
     args: Sequence[str] | None = None,
     takes: str = "",
-    executor: Callable[[], Any] = BatchExecutor,
 ) -> int:
     """Make a node, spin it until it is told to stop or ends by itself, and clean up.
 
@@ -38,7 +37,6 @@ def run(
         settings: the dataclass that the node declares itself from, for --help.
         args: the command line; sys.argv by default.
         takes: what the plain arguments are, as `BAG...`; without it there may be none.
-        executor: makes the executor to spin in.
 
     Returns:
         The exit code: 0 after SIGINT, SIGTERM or shutdown, 1 when the node cannot be made (its
@@ -63,7 +61,7 @@ def run(
         begun = True
         made = make_node(*plain)
         nodes = made if isinstance(made, Sequence) else [made]
-        spinner = executor()
+        spinner = BatchExecutor()
         for node in nodes:
             spinner.add_node(node)
         spinner.spin()
