@@ -35,7 +35,9 @@ $environment
 WorkingDirectory=$fss_root
 ExecStart=$fss_scripts/fss/node.sh $fss_config $1
 END
-    [ "$1" != arm ] || echo "ExecStop=-$fss_scripts/fss_arm.sh disarm"
+    # systemd runs this for a process that has ended by itself, too: nobody is left to be asked then.
+    disarm="[ -z \"\$\$MAINPID\" ] || exec $fss_scripts/fss_arm.sh disarm"
+    [ "$1" != arm ] || echo "ExecStop=-/bin/sh -c '$disarm'"
     # systemd puts the result in.
     cat <<END
 ExecStopPost=-$fss_scripts/fss/tell.sh $fss_config $1 \${SERVICE_RESULT}

@@ -2,6 +2,7 @@
 
 import os
 import re
+import shlex
 import shutil
 import subprocess
 from collections.abc import Callable, Mapping
@@ -151,6 +152,22 @@ def test_units_reach_the_nodes_and_leave_the_logs_to_their_user(tmp_path: Path) 
         assert sorted(given) == sorted(reach.items())
         assert f"StandardOutput=append:{tmp_path}/logs/{node}.log\n" in unit
         assert (tmp_path / f"logs/{node}.log").is_file()  # else systemd would make it as root
+
+
+@pytest.mark.parametrize(("process", "said"), [({"MAINPID": "7"}, "disarm\n"), ({}, "")])
+def test_systemd_disarms_by_the_arm_node_if_there_is_one_left(
+    tmp_path: Path, process: dict[str, str], said: str
+) -> None:
+    config = tmp_path / "lab.sh"
+    config.write_text(f"FSS_LOGS={tmp_path}/logs\nnode arm p x\nnode b p y\n")
+    run("scripts/fss_systemd.sh", tmp_path / "units", config, cwd=ROOT)
+    assert "ExecStop=" not in (tmp_path / "units/lab-b.service").read_text()
+    (command,) = re.findall(
+        r"^ExecStop=-(.*)$", (tmp_path / "units/lab-arm.service").read_text(), re.M
+    )
+    words = shlex.split(command.replace("$$", "$").replace(f"{ROOT}/scripts/fss_arm.sh", "echo"))
+    stopped = run(*words, env=BARE | process)
+    assert (stopped.returncode, stopped.stdout, stopped.stderr) == (0, said, "")
 
 
 @pytest.mark.parametrize("command", [["fss_status.sh"], ["fss_arm.sh", "stop"]])
