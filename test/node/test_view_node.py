@@ -29,7 +29,7 @@ from fss_arm_msgs.msg import (
 from fss_arm_ros.convert import SECOND, pose_stamped, to_time
 from fss_arm_ros.diagnostics import ERROR, OK
 from fss_arm_ros.qos import LATCHED, SENSOR
-from fss_arm_view.view_node import ViewNode
+from fss_arm_view.view_node import ViewNode, host
 from fss_arm_workspace.workspace_node import WorkspaceNode
 
 
@@ -178,7 +178,29 @@ def test_a_viewer_goes_with_its_owner_however_that_ends():
     wait_until(lambda: not viewer.exists(), 10.0, lambda: time.sleep(0.05))
 
 
-def test_an_open_address_is_warned_of(spin, capfd):
+def test_an_open_address_is_warned_of_and_told_as_others_reach_it(spin, capfd):
+    port, web_port, said = free_port(), free_port(), []
+    node = view(mode="web", bind="0.0.0.0", port=port, web_port=web_port)
+    name = socket.gethostname()
+
+    def told():
+        said.append(capfd.readouterr().err)
+        return f"whoever reaches {name}:{port}" in "".join(said)
+
+    spin(node, told)
+    assert f"open http://{name}:{web_port}/?url=rerun%2Bhttp://{name}:{port}/" in "".join(said)
+
+
+def test_drawings_get_to_the_address_that_the_viewer_is_bound_to(spin):
     port = free_port()
-    node = view(mode="web", bind="0.0.0.0", port=port, web_port=free_port())
-    spin(node, lambda: f"whoever reaches 0.0.0.0:{port}" in capfd.readouterr().err)
+    node = view(mode="web", bind="127.0.0.2", port=port, web_port=free_port())
+    established = f"0200007F:{port:04X} 01"  # as the kernel lists addresses and states
+    spin(node, lambda: established in Path("/proc/net/tcp").read_text())
+
+
+@pytest.mark.parametrize(
+    ("bind", "name"),
+    [("192.168.1.7", "192.168.1.7"), ("::1", "[::1]"), ("::", "x"), ("0.0.0.0", "x")],
+)
+def test_an_address_in_a_url(bind, name):
+    assert host(bind, "x") == name

@@ -149,6 +149,7 @@ def test_a_recording_of_the_view_can_be_read(tmp_path):
     [
         ({"mode": "file", "file": ""}, "file is empty, expected the name of the recording"),
         ({"mode": "tv"}, "mode is 'tv', expected 'native', 'web', 'file' or 'connect'"),
+        ({"bind": "localhost"}, "bind is 'localhost', expected an IP address"),
         ({"rate": 0.0}, "rate is 0.0, expected more than 0"),
         ({"queue": 0}, "queue is 0, expected 1 or more"),
     ],

@@ -1,6 +1,7 @@
 """The parameters of the nodes of this package."""
 
 from dataclasses import dataclass, field
+from ipaddress import ip_address
 from typing import Any
 
 
@@ -63,7 +64,7 @@ class ViewSettings:
     """The parameters of a ViewNode."""
 
     mode: str = setting("web", "native: a window; web: a page; file; connect: to a viewer")
-    bind: str = setting("127.0.0.1", "address that the page and its data are served on")
+    bind: str = setting("127.0.0.1", "IP address that the page and its data are served on")
     port: int = setting(9876, "of the data that the viewer listens to")
     web_port: int = setting(9090, "of the page")
     file: str = setting("view.rrd", "that mode file writes; if there, NAME_1, NAME_2, ...")
@@ -88,6 +89,12 @@ class ViewSettings:
             )
         if self.mode == "file" and not self.file:
             raise ValueError("file is empty, expected the name of the recording: -p file:=NAME")
+        try:
+            ip_address(self.bind)
+        except ValueError:
+            raise ValueError(
+                f"bind is {self.bind!r}, expected an IP address as 127.0.0.1; 0.0.0.0 for all"
+            ) from None
         if not self.rate > 0.0:
             raise ValueError(f"rate is {self.rate}, expected more than 0")
         if self.queue < 1:

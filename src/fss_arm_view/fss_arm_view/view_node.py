@@ -1,10 +1,12 @@
 """The node `view`: the test bed, live or replayed, in rerun."""
 
 import os
+import socket
 import sys
 from collections import defaultdict, deque
 from contextlib import suppress
 from functools import partial
+from ipaddress import ip_address
 from math import degrees, dist, isfinite
 from typing import Any
 
@@ -58,7 +60,8 @@ class ViewNode(Node):
         self.viewer = None
         if s.mode in (NATIVE, WEB):
             self.viewer = Viewer(s.mode, s.bind, s.port, s.web_port, s.memory)
-        target = s.url if s.mode == CONNECT else f"rerun+http://127.0.0.1:{s.port}/proxy"
+        here = f"rerun+http://{host(s.bind, '127.0.0.1')}:{s.port}/proxy"
+        target = s.url if s.mode == CONNECT else here
         if s.mode == FILE:
             target = new_file(s.file)
             self.get_logger().info(f"writes {target}")
@@ -112,10 +115,10 @@ class ViewNode(Node):
 
     def _say_where(self) -> None:
         s, log = self.settings, self.get_logger()
-        page = f"http://{s.bind}:{s.web_port}/?url=rerun%2Bhttp://{s.bind}:{s.port}/proxy"
-        log.info(f"open {page}")
-        if s.bind not in ("127.0.0.1", "localhost", "::1"):
-            log.warning(f"whoever reaches {s.bind}:{s.port} may read and write: no authentication")
+        name = host(s.bind, socket.gethostname())
+        log.info(f"open http://{name}:{s.web_port}/?url=rerun%2Bhttp://{name}:{s.port}/proxy")
+        if not ip_address(s.bind).is_loopback:
+            log.warning(f"whoever reaches {name}:{s.port} may read and write: no authentication")
 
     def measured(self, stream: str, message: Any) -> int:
         """A measurement's stamp [ns], which is the time of what happens until the next one.
@@ -255,6 +258,14 @@ class ViewNode(Node):
         self.sink.close()
         if self.viewer:
             self.viewer.close()
+
+
+def host(bind: str, of_all: str) -> str:
+    """An IP address as URLs have it; `of_all` for the one that stands for all of a computer's."""
+    address = ip_address(bind)
+    if address.is_unspecified:
+        return of_all
+    return f"[{address}]" if address.version == 6 else bind
 
 
 def _pose(message: PoseStamped) -> tuple[float, float, float] | None:
