@@ -4,6 +4,7 @@ import socket
 import subprocess
 import sys
 import time
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -27,7 +28,7 @@ from fss_arm_msgs.msg import (
     ThrusterCommand,
 )
 from fss_arm_ros.convert import SECOND, pose_stamped, to_time
-from fss_arm_ros.diagnostics import ERROR, OK
+from fss_arm_ros.diagnostics import ERROR, OK, WARN
 from fss_arm_ros.qos import LATCHED, SENSOR
 from fss_arm_view.view_node import ViewNode, host
 from fss_arm_workspace.workspace_node import WorkspaceNode
@@ -204,3 +205,15 @@ def test_drawings_get_to_the_address_that_the_viewer_is_bound_to(spin):
 )
 def test_an_address_in_a_url(bind, name):
     assert host(bind, "x") == name
+
+
+def test_a_viewer_that_takes_nothing_is_warned_of(ros, tmp_path):
+    node = view(mode="file", file=str(tmp_path / "view.rrd"))
+    node.sink.counts = Counter(shown=3)
+    assert node.health().level == OK
+    node.sink.counts = Counter(shown=3, dropped=1)
+    assert node.health().level == WARN
+    node.sink.counts = Counter(shown=4, dropped=2)
+    assert node.health().level == OK
+    node.close()
+    node.destroy_node()

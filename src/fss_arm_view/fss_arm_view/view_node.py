@@ -3,7 +3,7 @@
 import os
 import socket
 import sys
-from collections import defaultdict, deque
+from collections import Counter, defaultdict, deque
 from contextlib import suppress
 from functools import partial
 from ipaddress import ip_address
@@ -71,6 +71,7 @@ class ViewNode(Node):
         self.legend = [text for text, _ in scene.LEGEND]
         self.t = 0  # stamp of the newest measurement [ns]; 0: none yet
         self.forget()
+        self.reported: Counter[str] = Counter()  # of the sink's counts
         self.sequences: dict[int, int] = {}
         self.losses: dict[int, float] = {}
         self.said: dict[str, bytes] = {}
@@ -249,9 +250,13 @@ class ViewNode(Node):
 
     def health(self) -> Health:
         """For diagnostics."""
+        now, before = Counter(self.sink.counts), self.reported
+        self.reported = now
         if self.viewer and not self.viewer.alive():
-            return Health(ERROR, "the viewer has ended", self.sink.counts)
-        return Health(OK, f"shows in mode {self.settings.mode}", self.sink.counts)
+            return Health(ERROR, "the viewer has ended", now)
+        if now["dropped"] > before["dropped"] and now["shown"] == before["shown"]:
+            return Health(WARN, "the viewer takes no drawings", now)
+        return Health(OK, f"shows in mode {self.settings.mode}", now)
 
     def close(self) -> None:
         """Write what waits and end the viewer."""
