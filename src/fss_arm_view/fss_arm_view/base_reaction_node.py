@@ -64,6 +64,7 @@ class BaseReactionNode(Node):
         self.stamps: dict[str, Stamps] = defaultdict(Stamps)  # by topic
         self.filter = BaseFilter(self.settings)
         self.reaction = BaseReaction(self.known.arm, self.known.covariance, self.settings)
+        self.pose: tuple[float, float, float] | None = None  # the last one
 
     def stamp(self, topic: str, message: Any) -> int:
         """A message's stamp [ns]; where a topic's are set back, all begins anew."""
@@ -89,6 +90,10 @@ class BaseReactionNode(Node):
             self.occluded += 1
             return
         t = self.stamp(self.settings.base_topic, message)
+        if pose == self.pose and self.reaction.moving():
+            self.filter.refused["frozen"] += 1  # a receiver repeats its last pose
+            return
+        self.pose = pose
         self.take(self.filter.pose(t, *pose))
 
     def on_gyro(self, message: Imu) -> None:

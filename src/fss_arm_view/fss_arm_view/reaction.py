@@ -134,6 +134,10 @@ class BaseReaction:
         while self.past[0].t < estimate.t - _KEPT:
             self.past.popleft()
 
+    def moving(self) -> bool:
+        """Whether a joint moves, by its newest reading."""
+        return any(j.qd and abs(j.qd[-1]) > self.settings.still for j in self.joints)
+
     def known_until(self) -> int:
         """The last moment of which all is known [ns]; -1: none."""
         if not self.past or not all(joint.t for joint in self.joints):
