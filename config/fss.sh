@@ -1,6 +1,7 @@
 # What runs on the spacecraft, for scripts/fss_up.sh: settings, then a line for each node in the
 # order of their start: its name, and what `ros2 run` is to be told. They stop the other way round,
-# the recorder last. Plain sh; paths are relative to the top folder.
+# the recorder last. The name is that of a ROS node in the process, whose reports tell its health:
+# link_1 if one process hosts all links. Plain sh; paths are relative to the top folder.
 # shellcheck shell=sh
 
 export ROS_DOMAIN_ID=0

@@ -172,6 +172,8 @@ def nodes(processes: Processes, listener: Listener) -> Table:
         status = listener.report(name)
         word, tone = LEVELS[status.level] if status else ("", "")
         said = escape(status.message) if status else ""
+        if state == "up" and not status and name not in processes.mute:
+            said = "runs, but no node of this name reports"
         table.add_row(name, _in(shown, STATES.get(state, "")), _in(word, tone), said)
     return table
 

@@ -1,15 +1,22 @@
 """The shell scripts: what they leave in a shell, and the one line that every failure ends in."""
 
+import fcntl
 import os
 import re
+import runpy
 import shlex
 import shutil
 import subprocess
 from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from io import StringIO
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from rich.console import Console
 
 ROOT = Path(__file__).parents[2]
 STAND_IN = ROOT / "scripts/bin/ros2"
@@ -203,6 +210,23 @@ def test_a_wrong_configuration_ends_in_one_line(
     assert shown.stderr.startswith("fss_up.sh: ")
     assert words in shown.stderr
     assert shown.stderr.count("\n") == 1
+
+
+def test_a_process_with_no_node_of_its_name_is_told_from_one_that_is_mute(tmp_path: Path) -> None:
+    status = runpy.run_path(str(ROOT / "scripts/fss_status.py"))
+    processes = status["Processes"](tmp_path, ["links", "arm"], ["vicon"])
+    ok = DiagnosticStatus(name="arm", level=DiagnosticStatus.OK, message="all is well")
+    listener = SimpleNamespace(reports={"arm": ok}, report={"arm": ok}.get)
+    screen = StringIO()
+    console = Console(file=screen, width=120)
+    with ExitStack() as files:
+        for name in ("links", "arm", "vicon"):
+            fcntl.flock(files.enter_context((tmp_path / f"{name}.node").open("w")), fcntl.LOCK_EX)
+        console.print(status["nodes"](processes, listener))
+    shown = {line.split()[0]: line for line in screen.getvalue().splitlines() if line.strip()}
+    assert "runs, but no node of this name reports" in shown["links"]
+    assert shown["arm"].rstrip().endswith("all is well")
+    assert "runs, but" not in shown["vicon"]
 
 
 # --- the stand-in for ros2 -----------------------------------------------------------------------
