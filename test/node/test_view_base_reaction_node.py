@@ -12,10 +12,10 @@ from view_bench import BEGIN, Bench
 from view_flight import paper_flight
 
 from fss_arm_model.description import load, paper_arm, to_yaml
-from fss_arm_msgs.msg import KinematicCalibration
+from fss_arm_msgs.msg import DynamicCalibration, KinematicCalibration
 from fss_arm_ros.convert import SECOND, pose_stamped, stamp_ns, to_time
 from fss_arm_ros.diagnostics import OK
-from fss_arm_view.base_reaction_node import BaseReactionNode
+from fss_arm_view.base_reaction_node import DYNAMIC, KINEMATIC, BaseReactionNode
 
 
 @pytest.fixture(scope="module")
@@ -173,6 +173,29 @@ def test_a_pose_that_is_repeated_while_the_arm_moves_is_refused(ros):
     assert node.health().values["frozen refused"] == 20
     assert node.reaction.t > BEGIN + 2 * SECOND
     node.destroy_node()
+
+
+@pytest.mark.parametrize(("late", "gyro_too"), [(0.05, False), (0.05, True), (-0.05, True)])
+def test_the_clocks_offset_that_a_calibration_found_is_allowed_for(ros, flight, late, gyro_too):
+    kind, topic = (DynamicCalibration, DYNAMIC) if gyro_too else (KinematicCalibration, KINEMATIC)
+    worst = {}
+    for told in (0.0, late):
+        node, found = BaseReactionNode(), []
+        node.reacted.publish = found.append
+        description = to_yaml(paper_arm())
+        node.on_calibration(topic, kind(verdict="pass", description=description, time_offset=told))
+        for k in range(0, len(flight.t), 10):
+            t = 0.001 * k
+            names = [f"joint_{i + 1}" for i in range(4)]
+            joints = JointState(name=names, position=flight.q[k], velocity=flight.qd[k])
+            joints.header.stamp = to_time(BEGIN + int((t + late) * SECOND))
+            node.on_joints(joints)
+            node.on_gyro(turned(t + late * gyro_too, float(flight.twist[k, 2])))
+            node.on_pose(pose_stamped(BEGIN + k * 1_000_000, "world", tuple(flight.pose[k])))
+        worst[told] = max(abs(r.difference[2]) for r in found)
+        node.destroy_node()
+    assert worst[late] < 1e-3
+    assert worst[0.0] > 5e-3
 
 
 def test_a_gyro_ahead_of_the_poses_is_told_of(ros):

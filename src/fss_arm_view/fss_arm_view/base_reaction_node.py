@@ -35,6 +35,9 @@ from .reaction import BaseReaction, Reaction
 from .settings import BaseReactionSettings
 from .stamps import Stamps
 
+#: Topics of results; a kinematic one's time_offset is the joints', a dynamic one's the gyro's, too.
+KINEMATIC, DYNAMIC = "calibration/kinematic", "calibration/dynamic"
+
 
 class BaseReactionNode(Node):
     """Publishes base/state and base_reaction, with the newest calibration that passed."""
@@ -43,6 +46,7 @@ class BaseReactionNode(Node):
         super().__init__("base_reaction", **options)
         s = self.settings = declare(self, BaseReactionSettings)
         self.known = Calibrated(load(s.arm) if s.arm else paper_arm())
+        self.offsets: dict[str, int] = {}  # of clocks against motion capture's [ns], by calibration
         self.begin()
         self.occluded = 0
         self.told = monotonic()  # when the last reaction was
@@ -53,8 +57,8 @@ class BaseReactionNode(Node):
         subscribe_sensor(self, PoseStamped, s.base_topic, self.on_pose)
         subscribe_sensor(self, Imu, s.gyro_topic, self.on_gyro)
         for kind, topic in (
-            (KinematicCalibration, "calibration/kinematic"),
-            (DynamicCalibration, "calibration/dynamic"),
+            (KinematicCalibration, KINEMATIC),
+            (DynamicCalibration, DYNAMIC),
         ):
             self.create_subscription(kind, topic, partial(self.on_calibration, topic), LATCHED)
         self.diagnostics = Diagnostics(self, self.health)
@@ -77,6 +81,7 @@ class BaseReactionNode(Node):
     def on_joints(self, message: JointState) -> None:
         """Readings of one link or more; the reaction at all moments that are known now."""
         t = self.stamp(self.settings.joints_topic, message)
+        t -= self.offsets.get(KINEMATIC, self.offsets.get(DYNAMIC, 0))
         for i, q, qd, effort in joint_readings(message):
             if 1 <= i <= self.known.arm.n and isfinite(q) and isfinite(qd):
                 self.reaction.joint(i - 1, t, q, qd, effort)
@@ -98,7 +103,7 @@ class BaseReactionNode(Node):
 
     def on_gyro(self, message: Imu) -> None:
         """A sample of the base's rate."""
-        t = self.stamp(self.settings.gyro_topic, message)
+        t = self.stamp(self.settings.gyro_topic, message) - self.offsets.get(DYNAMIC, 0)
         self.take(self.filter.rate(t, message.angular_velocity.z))
 
     def on_calibration(self, topic: str, message: Any) -> None:
@@ -113,6 +118,8 @@ class BaseReactionNode(Node):
         if known is not self.known:
             self.known = known
             self.reaction.describe(known.arm, known.covariance)
+            if isfinite(message.time_offset):
+                self.offsets[topic] = round(message.time_offset * SECOND)
             self.get_logger().info(f"predicts with {topic} of {known.arm.name}")
 
     def take(self, estimates: list[Estimate]) -> None:
