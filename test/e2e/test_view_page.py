@@ -19,9 +19,9 @@ ADDRESS = re.compile(r"open (http://\S+)")
 TABLE, LINKS = (0.05, 0.28, 0.38, 0.75), (0.77, 0.1, 1.0, 0.8)
 HEADING, BAND = (0.42, 0.08, 0.75, 0.27), (0.42, 0.31, 0.75, 0.48)
 
-#: Pixels of a colour at least; an empty page has none, the legends' dots alone have 40.
+#: Pixels of a colour at least, after several moves; a plot without curves has 40, of its legend.
 WANTED = {
-    "arm": 150, "path of the end effector": 15, "band": 60, "prediction": 100, "links": 150,
+    "arm": 150, "path of the end effector": 120, "band": 350, "prediction": 300, "links": 300,
     "colours": 300,
 }  # fmt: skip
 
