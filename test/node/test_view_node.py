@@ -39,7 +39,7 @@ def view(**settings):
 
 
 def written(node, file):
-    """What a view has drawn into its file."""
+    """What a view has drawn into a file."""
     node.close()
     node.sink.stream.disconnect()
     rerun = Path(rerun_cli.__file__).parent / "rerun"
@@ -108,15 +108,19 @@ def test_what_is_no_measurement_is_drawn_at_the_time_of_one(ros, tmp_path, measu
     node.on_stop(Empty())
     node.on_calibration("calibration/kinematic", KinematicCalibration(header=today))
     line = Marker(header=today, type=Marker.LINE_STRIP, points=[Point(), Point(x=1.0)])
-    node.on_outlines(MarkerArray(markers=[line]))
+    node.on_outlines("workspace/markers", MarkerArray(markers=[line]))
     assert [what for _, what in drawn].count("log") == 3
     assert {t for t, what in drawn if "legend" not in what} == {5 * SECOND}
     node.close()
     node.destroy_node()
 
 
-def test_what_was_drawn_is_forgotten_when_stamps_go_back(ros, tmp_path):
+def test_stamps_that_go_back_begin_another_recording(ros, tmp_path):
+    """Or the viewer would stay with the newest drawing; what is told once is drawn again."""
     node = view(mode="file", file=str(tmp_path / "view.rrd"), rate=1e9)
+    line = Marker(ns="reach", type=Marker.LINE_STRIP, points=[Point(), Point(x=1.0)])
+    node.on_outlines("workspace/markers", MarkerArray(markers=[line]))
+    node.on_stop(Empty())
     for begin in (100, 0):
         for k in range(30):
             t = begin * SECOND + k * SECOND // 100
@@ -130,7 +134,12 @@ def test_what_was_drawn_is_forgotten_when_stamps_go_back(ros, tmp_path):
     assert not node.trails["com_path"]
     assert node.difference is None
     assert not any(node.valves_until)
-    node.close()
+    first, second = (written(node, tmp_path / name) for name in ("view.rrd", "view_1.rrd"))
+    assert "arm/stop" in first
+    assert "arm/stop" not in second
+    for entity in ("/table/edge", "/table/outlines/reach", "/table/legend/5", "/table/arm"):
+        assert entity in first
+        assert entity in second
     node.destroy_node()
 
 

@@ -23,9 +23,13 @@ PR_SET_PDEATHSIG = 1  # of prctl(2)
 
 NATIVE, WEB, FILE, CONNECT = "native", "web", "file", "connect"
 
+Work = tuple[rr.RecordingStream, int | None, list[Drawing]]  # where, when [ns] or always, what
+
 
 class Sink:
     """Takes drawings without ever waiting; a thread hands them to rerun.
+
+    `stream` may be another one from any moment on; the one before is ended.
 
     What comes faster than `rate` for one entity, but for bursts of a second's worth, or finds the
     queue full, is dropped and counted.
@@ -33,7 +37,7 @@ class Sink:
 
     def __init__(self, stream: rr.RecordingStream, rate: float, size: int) -> None:
         self.stream, self.rate = stream, rate
-        self.queue: Queue[tuple[int | None, list[Drawing]] | None] = Queue(size)
+        self.queue: Queue[Work | None] = Queue(size)
         self.left: dict[str, tuple[float, float]] = {}  # turns of each entity, and when [s]
         self.counts: Counter[str] = Counter()
         self.thread = Thread(target=self._run, daemon=True)
@@ -52,7 +56,7 @@ class Sink:
     def put(self, t: int | None, drawings: Iterable[Drawing]) -> bool:
         """Show drawings at time t [ns], or always; False if there is no room."""
         try:
-            self.queue.put_nowait((t, list(drawings)))
+            self.queue.put_nowait((self.stream, t, list(drawings)))
         except Full:
             self.counts["dropped"] += 1
             return False
@@ -67,16 +71,19 @@ class Sink:
         self.thread.join(patience)
 
     def _run(self) -> None:
+        stream = self.stream
         while (work := self.queue.get()) is not None:
-            t, drawings = work
+            before, (stream, t, drawings) = stream, work
+            if before is not stream:
+                before.disconnect()
             if t is not None:
-                self.stream.set_time(TIMELINE, timestamp=np.datetime64(t, "ns"))
+                stream.set_time(TIMELINE, timestamp=np.datetime64(t, "ns"))
             for entity, drawn in drawings:
                 parts = drawn if isinstance(drawn, list) else [drawn]
-                self.stream.log(entity, *parts, static=t is None)
+                stream.log(entity, *parts, static=t is None)
             self.counts["shown"] += 1
         with suppress(RuntimeError):  # nobody is there any more to take it
-            self.stream.flush()
+            stream.flush()
 
 
 class Viewer:

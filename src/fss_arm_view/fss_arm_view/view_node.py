@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import rerun as rr
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
@@ -60,29 +61,33 @@ class ViewNode(Node):
         self.viewer = None
         if s.mode in (NATIVE, WEB):
             self.viewer = Viewer(s.mode, s.bind, s.port, s.web_port, s.memory)
-        here = f"rerun+http://{host(s.bind, '127.0.0.1')}:{s.port}/proxy"
-        target = s.url if s.mode == CONNECT else here
-        if s.mode == FILE:
-            target = new_file(s.file)
-            self.get_logger().info(f"writes {target}")
-        self.sink = Sink(open_stream(s.mode, target, scene.blueprint()), s.rate, s.queue)
-        n = self.known.arm.n
-        self.q = [0.0] * n
-        self.legend = [text for text, _ in scene.LEGEND]
+        self.sink = Sink(self._recording(), s.rate, s.queue)
+        self.q = [0.0] * self.known.arm.n
         self.t = 0  # stamp of the newest measurement [ns]; 0: none yet
-        self.forget()
+        self.outlines: dict[str, MarkerArray] = {}  # the newest of each topic
         self.reported: Counter[str] = Counter()  # of the sink's counts
         self.sequences: dict[int, int] = {}
         self.losses: dict[int, float] = {}
         self.said: dict[str, bytes] = {}
-        self.sink.put(None, [*scene.ground(), *scene.styles(n)])
+        self.begin()
         self._listen()
         if s.mode == WEB:
             self._say_where()
         self.diagnostics = Diagnostics(self, self.health)
 
-    def forget(self) -> None:
-        """Begin anew: stamps were set back."""
+    def _recording(self) -> rr.RecordingStream:
+        s = self.settings
+        here = f"rerun+http://{host(s.bind, '127.0.0.1')}:{s.port}/proxy"
+        target = s.url if s.mode == CONNECT else here
+        if s.mode == FILE:
+            target = new_file(s.file)
+            self.get_logger().info(f"writes {target}")
+        return open_stream(s.mode, target, scene.blueprint())
+
+    def begin(self) -> None:
+        """Draw what does not change, and forget what was measured."""
+        self.sink.put(None, [*scene.ground(), *scene.styles(self.known.arm.n)])
+        self.legend = [text for text, _ in scene.LEGEND]
         self.stamps: dict[str, Stamps] = defaultdict(Stamps)  # of each stream
         self.valves_until = [0] * 8
         self.difference: npt.NDArray[np.float64] | None = None  # measured less predicted base
@@ -90,6 +95,8 @@ class ViewNode(Node):
         self.trails: dict[str, deque[tuple[float, float]]] = {
             what: deque(maxlen=scene.TRAIL) for what in ("tip_path", "com_path")
         }
+        for topic, message in self.outlines.items():
+            self.on_outlines(topic, message)
 
     def _listen(self) -> None:
         s, quick = self.settings, sensor(best_effort=True)
@@ -112,7 +119,8 @@ class ViewNode(Node):
         ):
             self.create_subscription(of, topic, partial(self.on_calibration, topic), LATCHED)
         for topic in s.outline_topics:
-            self.create_subscription(MarkerArray, topic, self.on_outlines, LATCHED)
+            take = partial(self.on_outlines, topic)
+            self.create_subscription(MarkerArray, topic, take, LATCHED)
 
     def _say_where(self) -> None:
         s, log = self.settings, self.get_logger()
@@ -124,12 +132,13 @@ class ViewNode(Node):
     def measured(self, stream: str, message: Any) -> int:
         """A measurement's stamp [ns], which is the time of what happens until the next one.
 
-        Stamps of events may be of another clock, as beside a replayed bag or a simulator, and the
-        plots end at the newest drawing of all.
+        Stamps of events may be of another clock, as beside a replayed bag or a simulator, and a
+        viewer stays with the newest drawing of a recording. So stamps that go back begin another.
         """
         self.t = stamp_ns(message.header.stamp)
         if self.stamps[stream].set_back(self.t):
-            self.forget()
+            self.sink.stream = self._recording()
+            self.begin()
         return self.t
 
     def on_joints(self, message: JointState) -> None:
@@ -217,8 +226,9 @@ class ViewNode(Node):
         text = f"{topic.rpartition('/')[2]}: {message.verdict}: {message.reason}"
         self.say(text, level)
 
-    def on_outlines(self, message: MarkerArray) -> None:
+    def on_outlines(self, topic: str, message: MarkerArray) -> None:
         """Boundaries of the workspace, by their names; what is new enters the legend."""
+        self.outlines[topic] = message
         lines = [marker for marker in message.markers if marker.type == Marker.LINE_STRIP]
         for name in dict.fromkeys(marker.ns for marker in lines):
             those = [marker for marker in lines if marker.ns == name]
