@@ -5,7 +5,9 @@ import subprocess
 import sys
 import time
 from collections import Counter
+from contextlib import suppress
 from pathlib import Path
+from urllib.request import Request, urlopen
 
 import pytest
 import rerun_cli
@@ -30,7 +32,8 @@ from fss_arm_msgs.msg import (
 from fss_arm_ros.convert import SECOND, pose_stamped, to_time
 from fss_arm_ros.diagnostics import ERROR, OK, WARN
 from fss_arm_ros.qos import LATCHED, SENSOR
-from fss_arm_view.view_node import ViewNode, host
+from fss_arm_view.sink import Viewer, host
+from fss_arm_view.view_node import ViewNode
 from fss_arm_workspace.workspace_node import WorkspaceNode
 
 
@@ -206,6 +209,28 @@ def test_drawings_get_to_the_address_that_the_viewer_is_bound_to(spin):
     node = view(mode="web", bind="127.0.0.2", port=port, web_port=free_port())
     established = f"0200007F:{port:04X} 01"  # as the kernel lists addresses and states
     spin(node, lambda: established in Path("/proc/net/tcp").read_text())
+
+
+@pytest.mark.parametrize(
+    ("bind", "name"), [("0.0.0.0", "lab"), ("127.0.0.2", "127.0.0.2"), ("127.0.0.1", "localhost")]
+)
+def test_the_page_may_read_the_data_by_whatever_name_it_was_opened(bind, name):
+    """A browser asks so before a page reads from another port than its own."""
+    port, web_port = free_port(), free_port()
+    viewer = Viewer("web", bind, port, web_port, "100MB")
+    origin = f"http://{name}:{web_port}"
+    headers = {"Origin": origin, "Access-Control-Request-Method": "POST"}
+    url = f"http://{host(bind, '127.0.0.1')}:{port}/"
+
+    def answer():
+        with suppress(OSError), urlopen(Request(url, method="OPTIONS", headers=headers)) as found:
+            return found.headers
+
+    try:
+        told = wait_until(answer, 10.0, lambda: time.sleep(0.05))
+    finally:
+        viewer.close()
+    assert told["Access-Control-Allow-Origin"] == origin
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ import time
 from collections import Counter
 from collections.abc import Iterable
 from contextlib import suppress
+from ipaddress import ip_address
 from itertools import count
 from pathlib import Path
 from queue import Full, Queue
@@ -96,7 +97,7 @@ class Viewer:
         command = [program, "--bind", bind, "--port", port, "--memory-limit", memory]
         if mode == WEB:
             command += ["--serve-web", "--web-viewer-port", web_port]
-            command += ["--server-memory-limit", memory]
+            command += ["--server-memory-limit", memory, *_for_pages(program, bind, web_port)]
         self.process = subprocess.Popen(
             [str(word) for word in [*command, "--hide-welcome-screen"]],
             stdin=subprocess.DEVNULL,
@@ -119,9 +120,28 @@ class Viewer:
             self.process.kill()
 
 
+def _for_pages(program: Path, bind: str, web_port: int) -> list[str]:
+    """Options that have the page's browser let it read the data, by whatever name it was opened.
+
+    By itself rerun allows that to localhost and 127.0.0.1; older versions allow all, and have no
+    such option.
+    """
+    option = "--cors-allow-origin"
+    known = subprocess.run([program, "--help"], capture_output=True, text=True, check=False).stdout
+    return [option, f"http://{host(bind, '*')}:{web_port}"] if option in known else []
+
+
 def _end_with_owner() -> None:
     """Have Linux end this process, too, when the one that started it is killed."""
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
+
+
+def host(bind: str, of_all: str) -> str:
+    """An IP address as URLs have it; `of_all` for the one that stands for all of a computer's."""
+    address = ip_address(bind)
+    if address.is_unspecified:
+        return of_all
+    return f"[{address}]" if address.version == 6 else bind
 
 
 def new_file(path: str) -> str:

@@ -37,7 +37,7 @@ from fss_arm_ros.settings import declare
 
 from . import scene
 from .settings import ViewSettings
-from .sink import CONNECT, FILE, NATIVE, WEB, Sink, Viewer, new_file, open_stream
+from .sink import CONNECT, FILE, NATIVE, WEB, Sink, Viewer, host, new_file, open_stream
 from .stamps import Stamps
 
 LEAST_PLUME = 0.2  # a shorter pulse of a thruster is drawn so long [s]
@@ -273,14 +273,6 @@ class ViewNode(Node):
         self.sink.close()
         if self.viewer:
             self.viewer.close()
-
-
-def host(bind: str, of_all: str) -> str:
-    """An IP address as URLs have it; `of_all` for the one that stands for all of a computer's."""
-    address = ip_address(bind)
-    if address.is_unspecified:
-        return of_all
-    return f"[{address}]" if address.version == 6 else bind
 
 
 def _pose(message: PoseStamped) -> tuple[float, float, float] | None:
