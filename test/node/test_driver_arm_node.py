@@ -80,7 +80,8 @@ def bench(spin, tmp_path):
     save(replace(arm, links=arm.links[:2]), tmp_path / "arm.yaml")
     bench = Bench(spin, tmp_path / "arm.yaml")
     yield bench
-    bench.mover.destroy()
+    if bench.mover:
+        bench.mover.destroy()
     bench.arm.mover.destroy()
 
 
@@ -139,6 +140,16 @@ def test_a_second_move_is_refused_and_the_first_can_be_cancelled(bench):
     bench.until(lambda: all(transport.link.speed == 0.0 for transport in bench.transports))
     assert bench.arm.links[1].armed
     assert bench.move(0.0, 0.0).result.reached
+
+
+def test_a_move_ends_when_whoever_asked_for_it_is_gone(bench):
+    bench.enable()
+    bench.begin(0.5, 0.5, duration=20.0)
+    bench.until(lambda: bench.feedback and any(t.link.speed for t in bench.transports))
+    bench.mover = bench.mover.destroy()
+    bench.until(lambda: not bench.arm.moving)
+    bench.until(lambda: all(transport.link.speed == 0.0 for transport in bench.transports))
+    assert all(abs(transport.link.position) < 10_000 for transport in bench.transports)
 
 
 def test_a_stop_ends_the_move_and_stops_all_links(bench):

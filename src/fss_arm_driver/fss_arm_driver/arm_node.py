@@ -29,6 +29,7 @@ from fss_arm_ros.run import run
 from fss_arm_ros.settings import declare
 
 ANSWER = 6.0  # a link's driver has answered by then [s]
+ASKING = "arm/move/_action/get_result"  # the service that whoever asked for a move is a client of
 
 
 @dataclass(frozen=True)
@@ -130,7 +131,7 @@ class ArmNode(Node):
         self.check(handle)
         goal = tuple(handle.request.q)
         move, begun = plan(self.arm, self.q(), goal, handle.request.duration), self.now()
-        self.moving = True
+        self.moving, asking = True, False
         try:
             while not self.reached(move):
                 elapsed = (self.now() - begun) / SECOND
@@ -141,6 +142,9 @@ class ArmNode(Node):
                 handle.publish_feedback(MoveArm.Feedback(q=self.q(), remaining=remaining))
                 await self.ticked
                 self.check(handle)
+                asked, asking = asking, self.count_clients(ASKING) > 0
+                if asked and not asking:
+                    raise MoveError("whoever asked for it is gone")
         except MoveError:
             if not self.stopped:
                 self.send([LinkCommand(mode=LinkCommand.VELOCITY)] * self.arm.n)  # come to rest
