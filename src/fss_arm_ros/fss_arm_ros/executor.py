@@ -7,18 +7,23 @@ is simulated, where /clock alone calls for up to thousands of turns a second, tu
 
 import time
 from collections.abc import Callable, Coroutine
+from itertools import chain
 from typing import Any
 
 from rclpy.executors import SingleThreadedExecutor
 
 BATCH = 64  # messages of one subscription in a turn, so that others have theirs
+QUEUE = 10_000  # before a request, which may be about all that has come by then
 PAUSE = 0.002  # from one turn to the next at least, in simulated time [s]
 
 Step = Callable[[], Coroutine[Any, Any, None]]
 
 
 class BatchExecutor(SingleThreadedExecutor):
-    """Hands over the messages of a subscription that have come, not one a turn."""
+    """Hands over the messages of a subscription that have come, not one a turn.
+
+    A request is answered after the messages that came before it.
+    """
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
@@ -35,10 +40,25 @@ class BatchExecutor(SingleThreadedExecutor):
         take = super()._take_subscription
 
         async def hand_over() -> None:
-            for _ in range(BATCH):
-                step = take(subscription)
-                if step is None:
-                    return
-                await step()
+            await _all(BATCH, take, subscription)
 
         return hand_over
+
+    def _take_service(self, service: Any) -> Step:
+        take, take_message = super()._take_service, super()._take_subscription
+
+        async def answer() -> None:
+            for subscription in chain(*(node.subscriptions for node in self.get_nodes())):
+                await _all(QUEUE, take_message, subscription)
+            await _all(1, take, service)
+
+        return answer
+
+
+async def _all(most: int, take: Callable[[Any], Step | None], of: Any) -> None:
+    """Hand over what has come of one entity, but not more than so much."""
+    for _ in range(most):
+        step = take(of)
+        if step is None:
+            return
+        await step()
