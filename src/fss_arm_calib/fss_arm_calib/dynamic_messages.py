@@ -40,6 +40,12 @@ def feed_gyro(finder: ManeuverFinder, message: Any) -> list[Maneuver]:
     return finder.rate(stamp_ns(message.header.stamp), float(message.angular_velocity.z))
 
 
+def feed_telemetry(finder: ManeuverFinder, message: Any) -> list[Maneuver]:
+    """Give a LinkTelemetry to the finder: whether its link is armed, and how often it was homed."""
+    t = stamp_ns(message.header.stamp)
+    return finder.telemetry(message.link, t, message.armed, message.boot, message.homings)
+
+
 def to_message(calibration: DynamicCalibration, frame_id: str) -> msg.DynamicCalibration:
     """What a calibration concludes, as it is published."""
     message = msg.DynamicCalibration()

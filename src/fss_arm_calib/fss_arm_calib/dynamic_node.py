@@ -13,7 +13,6 @@ from std_srvs.srv import Trigger
 
 from fss_arm_model.description import from_yaml, load, paper_arm, save
 from fss_arm_msgs.msg import DynamicCalibration, LinkTelemetry, Maneuvers
-from fss_arm_ros.convert import stamp_ns
 from fss_arm_ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
 from fss_arm_ros.memory import give_back
 from fss_arm_ros.qos import LATCHED, subscribe_sensor
@@ -24,6 +23,7 @@ from .dynamic_messages import (
     feed_gyro,
     feed_joints,
     feed_pose,
+    feed_telemetry,
     feed_tip,
     maneuvers_message,
     to_message,
@@ -35,7 +35,7 @@ from .judgement import PASS, count
 from .maneuvers import Maneuver, ManeuverFinder
 from .report import write
 from .settings import setting
-from .state import attempt
+from .state import Writes
 from .streams import newest
 
 
@@ -61,20 +61,19 @@ class DynamicNode(Node):
         self.arm = load(s.arm) if s.arm else paper_arm()
         self.maneuvers: list[Maneuver] = []
         self.finder = ManeuverFinder(self.arm.n, s)
-        self.trouble = ""
+        self.writes = Writes(self.get_logger())
         self.solve()
         self.seen = self.create_publisher(Maneuvers, "calibration/maneuvers", LATCHED)
         self.calibrated = self.create_publisher(DynamicCalibration, "calibration/dynamic", LATCHED)
+        links = [f"link_{i}/telemetry" for i in range(1, self.arm.n + 1)]
         for kind, topic, feed in (
             (JointState, s.joints_topic, feed_joints),
             (PoseStamped, s.base_topic, feed_pose),
             (PoseStamped, s.tip_topic, feed_tip),
             (Imu, s.gyro_topic, feed_gyro),
+            *((LinkTelemetry, topic, feed_telemetry) for topic in links),
         ):
             subscribe_sensor(self, kind, topic, partial(self.on_sample, feed), keep_all=True)
-        for i in range(1, self.arm.n + 1):
-            topic = f"link_{i}/telemetry"
-            subscribe_sensor(self, LinkTelemetry, topic, self.on_telemetry, keep_all=True)
         self.create_service(Trigger, "~/solve", self.on_solve)
         self.create_service(Trigger, "~/forget", self.on_forget)
         self.diagnostics = Diagnostics(self, self.health)
@@ -82,11 +81,6 @@ class DynamicNode(Node):
     def on_sample(self, feed: Callable[[ManeuverFinder, Any], list[Maneuver]], m: Any) -> None:
         """A message of a sensor."""
         self.take(feed(self.finder, m))
-
-    def on_telemetry(self, m: LinkTelemetry) -> None:
-        """Whether a link is armed, and how often it was homed."""
-        t = stamp_ns(m.header.stamp)
-        self.take(self.finder.telemetry(m.link, t, m.armed, m.boot, m.homings))
 
     def on_solve(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Close the present rest and solve; succeeds if the calibration passes."""
@@ -99,8 +93,7 @@ class DynamicNode(Node):
                 to_message(self.calibration, s.base_frame),
                 maneuvers=maneuvers_message(self.maneuvers, s.base_frame).maneuvers,
             )
-            trouble = attempt(self.get_logger(), lambda: write(s.report, told))
-            self.trouble = trouble or self.trouble
+            self.writes(lambda: write(s.report, told))
         response.success = self.calibration.verdict == PASS
         response.message = f"{self.calibration.verdict}: {self.calibration.reason}"
         return response
@@ -135,12 +128,12 @@ class DynamicNode(Node):
 
     def publish(self) -> None:
         """Publish maneuvers and calibration; write the description if it passes."""
-        s, self.trouble = self.settings, ""
+        s, self.writes.trouble = self.settings, ""
         self.seen.publish(maneuvers_message(self.maneuvers, s.base_frame))
         self.calibrated.publish(to_message(self.calibration, s.base_frame))
         if s.output and self.calibration.verdict == PASS:
             calibrated = from_yaml(self.calibration.description)
-            self.trouble = attempt(self.get_logger(), lambda: save(calibrated, s.output))
+            self.writes(lambda: save(calibrated, s.output))
 
     def health(self) -> Health:
         """For diagnostics."""
@@ -150,8 +143,8 @@ class DynamicNode(Node):
             "verdict": self.calibration.verdict,
             **{f"refused: {kind}": number for kind, number in streams.refused.items()},
         }
-        if self.trouble:
-            return Health(ERROR, self.trouble, values)
+        if trouble := self.writes.trouble:
+            return Health(ERROR, trouble, values)
         if streams.silent:
             return Health(WARN, f"waiting for {', '.join(streams.silent)}", values)
         if streams.strange:

@@ -18,7 +18,7 @@ from fss_arm_model.description import Arm, load, paper_arm
 from fss_arm_msgs.action import MoveArm
 from fss_arm_msgs.msg import KinematicObservations, Maneuvers
 from fss_arm_ros.convert import SECOND, stamp_ns
-from fss_arm_ros.diagnostics import OK, Diagnostics, Health
+from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.qos import LATCHED
 from fss_arm_ros.run import run
 from fss_arm_ros.settings import declare, setting
@@ -85,6 +85,7 @@ class ExperimentNode(Node):
         super().__init__("experiment", **options)
         s = self.settings = declare(self, ExperimentSettings)
         self.stops = stops(s)
+        self.writes = state.Writes(self.get_logger())
         self.progress = self.restore()
         self.progress.done = min(self.progress.done, len(self.stops))  # less what was repeated
         self.mover = ActionClient(self, MoveArm, "arm/move")
@@ -120,7 +121,8 @@ class ExperimentNode(Node):
     def save(self) -> None:
         """Keep the progress for a run after this one."""
         if path := self.settings.state_file:
-            state.attempt(self.get_logger(), lambda: state.write(path, asdict(self.progress)))
+            self.writes.trouble = ""
+            self.writes(lambda: state.write(path, asdict(self.progress)))
 
     def on_observations(self, message: KinematicObservations) -> None:
         """What has been observed so far."""
@@ -290,7 +292,8 @@ class ExperimentNode(Node):
 
     def health(self) -> Health:
         """For diagnostics."""
-        return Health(OK, self.said or "starting", {"postures done": self.progress.done})
+        trouble, values = self.writes.trouble, {"postures done": self.progress.done}
+        return Health(WARN if trouble else OK, trouble or self.said or "starting", values)
 
 
 def stops(settings: ExperimentSettings) -> list[Stop]:

@@ -23,7 +23,7 @@ from .drifts import DriftFinder
 from .judgement import PASS
 from .messages import feed_joints, float_message, seen_pose
 from .settings import setting
-from .state import attempt, write_text
+from .state import Writes, write_text
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class FloatNode(Node):
         self.arm = load(s.arm) if s.arm else paper_arm()
         self.finder = DriftFinder(self.arm.n, s)
         self.drifts: list[Drift] = []
-        self.trouble = ""
+        self.writes = Writes(self.get_logger())
         self.calibration = calibrate([], self.arm, s)
         self.publisher = self.create_publisher(FloatCalibration, "calibration/float", LATCHED)
         subscribe_sensor(self, JointState, s.joints_topic, self.on_joints, keep_all=True)
@@ -82,12 +82,12 @@ class FloatNode(Node):
 
     def solve(self) -> None:
         """Publish what all drifts tell; write the file if it passes."""
-        s, streams = self.settings, self.finder.streams()
+        s, streams, self.writes.trouble = self.settings, self.finder.streams(), ""
         self.calibration = calibrate(self.drifts, self.arm, s, streams)
         self.publisher.publish(float_message(self.calibration, s.world_frame))
         if s.output and self.calibration.verdict == PASS:
             told = parameters(self.calibration)
-            self.trouble = attempt(self.get_logger(), lambda: write_text(s.output, told))
+            self.writes(lambda: write_text(s.output, told))
 
     def health(self) -> Health:
         """For diagnostics."""
@@ -97,8 +97,8 @@ class FloatNode(Node):
             "arm rests for [s]": (end - begin) / SECOND,
             "verdict": self.calibration.verdict,
         }
-        if self.trouble:
-            return Health(ERROR, self.trouble, values)
+        if trouble := self.writes.trouble:
+            return Health(ERROR, trouble, values)
         if silent := self.finder.streams().silent:
             return Health(WARN, f"waiting for {', '.join(silent)}", values)
         return Health(OK, f"{len(self.drifts)} drifts", values)

@@ -14,7 +14,7 @@ from fss_arm_model.description import Arm, from_yaml, load, paper_arm, save
 from fss_arm_ros.bags import BagError, Bags, digest, open_bags
 from fss_arm_ros.bulk import pieces, poses, turn_rates
 from fss_arm_ros.command_line import USER_ERROR, Parser
-from fss_arm_ros.convert import SECOND, stamp_ns
+from fss_arm_ros.convert import SECOND
 
 from . import drift_verdict, dynamic_messages, dynamic_verdict, report
 from .drift_settings import DriftSettings
@@ -171,9 +171,7 @@ def maneuvers(
     span = round(PIECE * s.horizon * SECOND)
     for piece in pieces(bags.raw({joints, base, gyro, tip, *links}), span):
         for data in (data for link in links for data in piece.get(link, ())):
-            m = bags.deserialize(data, TELEMETRY)
-            t = stamp_ns(m.header.stamp)
-            found += finder.telemetry(m.link, t, m.armed, m.boot, m.homings)
+            found += dynamic_messages.feed_telemetry(finder, bags.deserialize(data, TELEMETRY))
         for data in piece.get(joints, ()):
             found += dynamic_messages.feed_joints(finder, bags.deserialize(data, JOINTS))
         found += finder.rates(*turn_rates(piece.get(gyro, ())))

@@ -36,18 +36,6 @@ def write(path: str | Path, state: Any) -> None:
     write_text(path, json.dumps(state, indent=1))
 
 
-def attempt(log: Any, write: Callable[[], object]) -> str:
-    """Write; return, and log, why it cannot be done: a full disk ends no calibration."""
-    try:
-        write()
-    except OSError as error:
-        where = f" {error.filename}" if error.filename else ""  # not of a write to an open file
-        trouble = f"cannot write{where}: {error.strerror}"
-        log.error(trouble)
-        return trouble
-    return ""
-
-
 class Writes:
     """Attempts to write; `trouble` is what could not be written since it was last cleared."""
 
@@ -55,8 +43,13 @@ class Writes:
         self.log, self.trouble = log, ""
 
     def __call__(self, write: Callable[[], object]) -> None:
-        """Write; what fails outlasts what succeeds after it."""
-        self.trouble = attempt(self.log, write) or self.trouble
+        """Write, or log why it cannot be done: a full disk ends no calibration."""
+        try:
+            write()
+        except OSError as error:
+            where = f" {error.filename}" if error.filename else ""  # not of a write to an open file
+            self.trouble = f"cannot write{where}: {error.strerror}"
+            self.log.error(self.trouble)
 
 
 def read(path: str | Path, default: Any) -> Any:
