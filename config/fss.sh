@@ -17,5 +17,9 @@ node arm fss_arm_driver arm --ros-args -p arm:=$arm
 # node vicon PACKAGE EXECUTABLE ...              # your VICON receiver
 node kinematic fss_arm_calib kinematic --ros-args -p arm:=$arm \
   -p output:=out/arm.yaml -p state_file:=out/observations.json
-node dynamic fss_arm_calib dynamic --ros-args -p arm:=$arm -p output:=out/arm_dynamic.yaml
+# When that has passed, the dynamic calibration can begin from its result, told its deviations
+# (docs/dynamic.md):
+# node dynamic fss_arm_calib dynamic --ros-args -p arm:=$arm -p output:=out/arm_dynamic.yaml \
+#   -p length_deviation:=0.0055 -p offset_deviation:=0.022 \
+#   -p mount_deviation:=0.005 -p mount_angle_deviation:=0.014
 node base_reaction fss_arm_view base_reaction --ros-args -p arm:=$arm

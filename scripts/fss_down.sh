@@ -43,7 +43,7 @@ done
 
 status=0
 if held arm.node; then
-  "$fss_scripts/fss_arm.sh" disarm || echo "the links' own watchdogs will disarm them" >&2
+  "$fss_scripts/fss_arm.sh" disarm || echo "joints that are on will be held, under power" >&2
 fi
 for name in $reversed; do stop "$name"; done
 exit $status

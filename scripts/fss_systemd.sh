@@ -11,7 +11,7 @@ folder=$(readlink -f -- "$1")
 read_config "${2:-}"
 
 # The nodes read the configuration again; what disarms the links does not.
-reach='DOMAIN_ID|AUTOMATIC_DISCOVERY_RANGE|STATIC_PEERS|DISCOVERY_SERVER|SUPER_CLIENT'
+reach='DOMAIN_ID|AUTOMATIC_DISCOVERY_RANGE|STATIC_PEERS|DISCOVERY_SERVER|SUPER_CLIENT|SECURITY_[A-Z_]*'
 environment=$(env | sed -nE "s/^ROS_($reach)=.*/Environment=\"&\"/p")
 
 # Services start one after the other and stop the other way round, as `After` has it.

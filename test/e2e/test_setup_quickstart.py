@@ -23,7 +23,7 @@ ROOT = Path(__file__).resolve().parents[2]
 def typed(page):
     """All that a page has one type."""
     blocks = re.findall(r"^```sh\n(.*?)^```", (ROOT / "docs" / page).read_text(), re.M | re.S)
-    return "".join(blocks)
+    return re.sub(r"\\\n *", "", "".join(blocks))
 
 
 def shell(text, timeout):
@@ -74,11 +74,11 @@ def test_without_hardware(tmp_path):
 def test_from_a_bag(tmp_path):
     shutil.copytree(ROOT / "test/data/first", tmp_path / "first")
     text = typed("bag.md").replace("test/data/first", str(tmp_path / "first"))
-    text = text.replace("out/", f"{tmp_path}/")
+    text = text.replace("out/", f"{tmp_path}/").replace("DOMAIN_ID=42", f"DOMAIN_ID={DOMAIN}")
     text = re.sub(r"(fss_arm_calib kinematic.*)", r"\1 & trap 'kill %1' EXIT", text)
     said = shell(text, 120)
     assert "pass" in said
-    assert load(tmp_path / "arm.yaml").n == 4
+    assert load(tmp_path / "first.yaml").n == 4
     assert list((tmp_path / "fit").glob("*.html"))
 
 
@@ -132,12 +132,15 @@ def test_by_hand(tmp_path):
 
 @pytest.mark.slow
 def test_dynamics(tmp_path):
+    calib_rig.record(tmp_path / "sunday", calib_rig.Rig(DEFAULT[:8], rate=50.0).samples())
     record(tmp_path / "monday", Float(postures(8)).samples(rate=20))
     text = typed("dynamic.md").replace("scripts/rehearse_dynamic.sh", ":")  # has a test of its own
     for old, new in (
         ("--report report", f"--report {tmp_path / 'report'} || [ $? = 2 ]"),
+        ("bags/sunday", str(tmp_path / "sunday")),
         ("bags/monday", str(tmp_path / "monday")),
         ("calibrated.yaml", str(tmp_path / "calibrated.yaml")),
+        ("kinematics.yaml", str(tmp_path / "kinematics.yaml")),
         ("plan.yaml", str(tmp_path / "plan.yaml")),
         ("=arm.yaml", "=config/arm.yaml"),
         (" arm.yaml", " config/arm.yaml"),

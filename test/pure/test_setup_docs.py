@@ -19,7 +19,7 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 #: Commands of the system and of ROS that the documentation may use.
 SYSTEM = {
     *(".", "cd", "cmake", "colcon", "cp", "export", "make", "python", "ssh", "sudo", "systemctl"),
-    *("arduino-cli", "fast-discovery-server", "build/firmware/fss_link"),
+    *("awk", "arduino-cli", "fast-discovery-server", "build/firmware/fss_link"),
 }
 
 

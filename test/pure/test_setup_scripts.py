@@ -118,7 +118,7 @@ def test_env_says_in_one_line_what_it_lacks(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "first", "last"),
     [
-        ("fss", ["record"], ["kinematic", "dynamic", "base_reaction"]),
+        ("fss", ["record"], ["kinematic", "base_reaction"]),
         ("fss_sim", ["record", "testbed"], ["kinematic", "base_reaction"]),
     ],
 )

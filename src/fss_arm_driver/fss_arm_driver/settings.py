@@ -20,7 +20,7 @@ class LinkSettings:
     urls: tuple[str, ...] = setting((), "urls of links 1, 2, ... to host all in one process")
     rate: float = setting(5.0, "command frames sent a second [1/s]")
     timeout: float = setting(1.0, "silence after which the link counts as lost [s]")
-    watchdog: float = setting(2.0, "silence after which the link disarms itself [s]")
+    watchdog: float = setting(2.0, "silence after which the link brakes and holds, disarmed [s]")
     empty: float = setting(12.0, "battery voltage at which a link must be switched off [V]")
     keys: str = setting("", "file of the links' keys; empty: frames are not signed")
     arm: str = setting("", "file of the arm's description; empty: the paper's arm")
