@@ -94,7 +94,7 @@ def test_setting_error_is_a_value_error():
         ("--ros-args -p rate:=[]", 1, "thing: rate is None, expected a number"),
         ("--ros-args -p names:=[] -p count:=0", 0, ""),
         ("--ros-args -p rate", 2, "thing: Failed to parse ROS arguments"),
-        ("--ros-args --no-such", 2, "thing: "),
+        ("--ros-args --no-such", 2, "thing: ['--no-such'] is not understood after --ros-args"),
         ("rate:=1", 2, "thing: 'rate:=1' is not understood"),
     ],
 )

@@ -46,7 +46,9 @@ def run(
     name = argv[0].rsplit("/", 1)[-1]
     try:
         plain = remove_ros_args(argv)[1:]
-    except (RCLError, UnknownROSArgsError) as error:
+    except UnknownROSArgsError as error:
+        return _failed(name, f"{error} is not understood after --ros-args", 2)
+    except RCLError as error:
         return _failed(name, str(error).split(", at /")[0], 2)  # the rest: places in rcl's source
     if {"-h", "--help"} & set(plain):
         print(usage(name, make_node, settings, takes))
