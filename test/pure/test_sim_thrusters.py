@@ -80,6 +80,29 @@ def test_a_new_command_prolongs_without_a_gap():
     assert not valves.open(95)[2]
 
 
+@pytest.mark.parametrize("delay", [0.0, 0.005, 0.05])
+def test_pulses_without_a_gap_are_one(delay):
+    valves, late = Thrusters(Propulsion(valve_delay=delay)), round(1000 * delay)
+    is_open = []
+    for now in range(2000):
+        if now % 200 == 0:
+            valves.command(pulse(4, seconds=0.2), now)
+        is_open.append(valves.open(now)[4])
+    assert is_open == [now >= late for now in range(2000)]
+
+
+def test_a_pulse_that_is_told_to_end_as_it_does_ends_no_earlier():
+    valves = Thrusters()
+    valves.command(pulse(3, seconds=0.1), now=0)
+    valves.command(pulse(), now=100)
+    assert [valves.open(t)[3] for t in (4, 5, 104, 105)] == [False, True, True, False]
+
+
+def test_more_used_than_a_tank_holds_is_an_empty_tank():
+    valves = Thrusters(Propulsion(tank_volume=1e-4), used=1.0)
+    assert (valves.pressure, valves.thrust) == (0.0, 0.0)
+
+
 def test_an_empty_tank_pushes_no_more():
     small = Propulsion(tank_volume=0.43e-5)  # 1 g
     bed = Plant(paper_arm(), np.zeros(7), None, World(propulsion=small))

@@ -61,7 +61,7 @@ class Thrusters:
         self.propulsion = p = propulsion or Propulsion()
         self.layout = layout(p.thrust, p.lever)
         self.tank = p.tank_pressure * p.tank_volume / (GAS * p.temperature)  # [kg]
-        self.used = used  # propellant [kg]
+        self.used = min(used, self.tank)  # propellant [kg]
         self._begin, self._end = np.zeros(COUNT), np.zeros(COUNT)  # of each pulse [step]
 
     @property
@@ -78,7 +78,7 @@ class Thrusters:
         """Open each valve for a time from now on [s]; 0 closes it.
 
         A pulse that is shorter than the minimum does not open a valve, and one that is open stays
-        so for the minimum.
+        so for the minimum. Told to open again before it has closed, it stays open.
 
         Raises:
             ValueError: there are not eight times, or one is not a number from 0 on.
@@ -88,11 +88,11 @@ class Thrusters:
             raise ValueError(f"on times are {times.tolist()}, expected {COUNT} from 0 on [s]")
         p = self.propulsion
         at, least = now + round(p.valve_delay / STEP), round(p.minimum_on_time / STEP)
-        is_open = (self._begin <= at) & (at < self._end)
+        is_open = self._end > now  # or is about to
         wanted = np.where(times >= p.minimum_on_time, np.round(times / STEP), 0.0)
-        kept = np.where(is_open, np.maximum(at, self._begin + least), at)
         self._begin = np.where(is_open, self._begin, at)
-        self._end = np.where(wanted > 0.0, at + wanted, kept)
+        kept = np.minimum(np.maximum(at, self._begin + least), self._end)
+        self._end = np.where(wanted > 0.0, at + wanted, np.where(is_open, kept, at))
 
     def valves(self, now: int) -> Floats:
         """Force and torque of each, and from and up to which step from now they act, (8, 5)."""
