@@ -176,6 +176,8 @@ class TestbedSettings(PlantSettings):
             raise ValueError(f"battery is {self.battery}, expected above 0 to 1")
         if not self.encoder_error <= 0.01:
             raise ValueError(f"encoder_error is {self.encoder_error} rad, expected at most 0.01")
+        if not self.vicon_latency <= 1.0:
+            raise ValueError(f"vicon_latency is {self.vicon_latency} s, expected at most 1")
         for name in ("base", "twist"):
             if len(getattr(self, name)) != 3:
                 raise ValueError(f"{name} has {len(getattr(self, name))} numbers, expected 3")
