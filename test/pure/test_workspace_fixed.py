@@ -9,6 +9,7 @@ from model_arms import random_arm
 from workspace_oracle import reachable, sampled, tips
 
 from fss_arm_model.description import paper_arm
+from fss_arm_workspace.arcs import Arcs, enclose
 from fss_arm_workspace.fixed import fixed_workspace, joint_limits
 
 FAR = 1e-6  # from the boundary, where membership must be right [m]
@@ -30,7 +31,13 @@ def polygon_area(region, spacing):
 
 
 def is_sound(region, arm, limits, rng, count=1000):
-    """Loops close, postures belong to their points, and samples and points tell the same."""
+    """It holds what is reached, and points tell the same."""
+    holds_what_is_reached(region, arm, limits, rng)
+    disagreements(region, arm, limits, count, rng)
+
+
+def holds_what_is_reached(region, arm, limits, rng):
+    """Loops close, postures belong to their points, and samples lie inside."""
     p = arm.vector()
     for loop in region.loops:
         assert np.abs(np.roll(loop.at(0.0), -1) - loop.at(1.0)).max() < 1e-12
@@ -40,7 +47,6 @@ def is_sound(region, arm, limits, rng, count=1000):
         assert (q <= limits[:, 1] + 1e-12).all()
     z = sampled(p, limits, 10_000, rng)[1]
     assert region.distance(z[~region.contains(z)]).max(initial=0.0) < 1e-12
-    disagreements(region, arm, limits, count, rng)
 
 
 def disagreements(region, arm, limits, count, rng):
@@ -110,6 +116,28 @@ def test_like_links_whose_arcs_touch_and_coincide(n, degrees):
     is_sound(region, arm, limits, np.random.default_rng(n))
     if degrees == 180.0:
         assert region.area == pytest.approx(math.pi * (0.4 * n) ** 2)
+
+
+@pytest.mark.parametrize(("n", "area"), [(11, 52.4834), (12, 62.7746)])
+def test_arcs_of_a_long_arm_touch_up_to_a_larger_rounding_error(n, area):
+    links = paper_arm().links
+    arm = replace(paper_arm(), links=(links[:3] * 4)[: n - 1] + links[3:])
+    region = fixed_workspace(arm)
+    assert region.area == pytest.approx(area, abs=1e-4)
+    holds_what_is_reached(region, arm, joint_limits(arm), np.random.default_rng(n))
+
+
+def test_arcs_that_barely_touch():
+    arm = replace(paper_arm(), links=(replace(paper_arm().links[0], a=0.4),) * 5)
+    limits = [(-1.236, 0.3), (-3.163, 0.05), (-2.5, 4.0), (-1.571, -0.124), (-0.05, 0.05)]
+    region = fixed_workspace(arm, limits)
+    holds_what_is_reached(region, arm, np.array(limits), np.random.default_rng(0))
+
+
+def test_a_boundary_that_does_not_close_is_refused():
+    half = Arcs(*(np.array([x]) for x in (0j, 1.0, 0.0, math.pi, 0)), np.zeros((1, 1)))
+    with pytest.raises(ValueError, match="boundary has a gap of 2 m, expected none"):
+        enclose(half, lambda points: np.abs(points) < 1.0)
 
 
 def test_two_links_without_limits_leave_a_hole():

@@ -1,5 +1,7 @@
 """The virtual manipulator against the real arm on a free base."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from model_arms import random_arm
@@ -48,6 +50,15 @@ def test_reach_is_that_of_brute_force(n):
     assert np.abs(tips).max() == pytest.approx(farthest, abs=0.02)
     assert np.abs(tips).min() == pytest.approx(nearest, abs=0.02)
     workspace = virtual.workspace()
+    assert workspace.distance(tips[~workspace.contains(tips)]).max(initial=0.0) < 1e-12
+
+
+def test_the_boundary_of_a_long_virtual_manipulator_closes():
+    links = paper_arm().links
+    arm, rng = replace(paper_arm(), links=(links[:3] * 3)[:8] + links[3:]), np.random.default_rng(9)
+    workspace = VirtualManipulator(arm).workspace()
+    assert workspace.area == pytest.approx(14.2806, abs=1e-4)
+    tips = from_com(arm, sampled(arm.vector(), joint_limits(arm), 10_000, rng)[0])
     assert workspace.distance(tips[~workspace.contains(tips)]).max(initial=0.0) < 1e-12
 
 

@@ -18,7 +18,8 @@ Inside = Callable[[Complexes], npt.NDArray[np.bool_]]
 
 CLOSE = 1e-9  # two points, circles or arcs closer than this are the same [m]
 _ANGLE = 1e-11  # an angle this far outside an arc still counts as on it [rad]
-_TOUCH = 1e-14  # square of half a chord that counts as a point [m^2]
+_TOUCH = 1e-13  # square of half a chord that counts as a point, over 1 m^2 and the radii's squares
+_GAP = 1e-6  # between consecutive arcs of a loop: more is no rounding error [m]
 _CHUNK = 2**20  # numbers in a temporary array
 
 
@@ -84,7 +85,8 @@ def crossings(
     with np.errstate(divide="ignore", invalid="ignore"):
         along = (d + (r - radius) * (r + radius) / d) / 2.0
         across = (r - along) * (r + along)
-        across = np.sqrt(np.where(np.abs(across) < _TOUCH, 0.0, across))
+        touch = _TOUCH * (1.0 + r**2 + radius**2)  # as rounding errors grow
+        across = np.sqrt(np.where(np.abs(across) < touch, 0.0, across))
         unit = np.where(d > CLOSE, between / d, np.nan)
         return c + unit * (along + 1j * across), c + unit * (along - 1j * across)
 
@@ -192,6 +194,9 @@ def enclose(candidates: Arcs, inside: Inside) -> Region:
     Args:
         candidates: arcs that cover the boundary; they may cross, touch and coincide.
         inside: tells of complex points (m,) which belong to the region.
+
+    Raises:
+        ValueError: what is found does not close.
     """
     whole = candidates[np.abs(candidates.sweep) * candidates.radius > CLOSE]
     pieces = _cut(_apart(_forward(whole)))
@@ -230,7 +235,7 @@ def _apart(arcs: Arcs) -> Arcs:
         middle = cuts + 0.5 * lengths
         for begin, length, angle in zip(cuts, lengths, middle, strict=True):
             covering = np.flatnonzero((angle - circle.start) % (2.0 * pi) < circle.sweep)
-            if covering.size:
+            if covering.size and length > _ANGLE:
                 arc = circle[covering[:1]]
                 offset = (begin - arc.start + _ANGLE) % (2.0 * pi) - _ANGLE
                 kept.append(arc.part(offset / arc.sweep, (offset + length) / arc.sweep))
@@ -260,7 +265,11 @@ def _cut(arcs: Arcs) -> Arcs:
 
 
 def _linked(arcs: Arcs) -> Region:
-    """The directed arcs as loops, consecutive pieces of one arc made one again."""
+    """The directed arcs as loops, consecutive pieces of one arc made one again.
+
+    Raises:
+        ValueError: a loop does not close.
+    """
     first, last = arcs.at(0.0), arcs.at(1.0)
     left = np.ones(len(arcs), dtype=bool)
     order, loop, number = [], [], 0
@@ -273,6 +282,8 @@ def _linked(arcs: Arcs) -> Region:
             gap = np.where(left, np.abs(first - last[k]), np.inf)
             gap[begin] = np.abs(first[begin] - last[k]) - CLOSE  # rather close than go on
             k = int(np.argmin(gap))
+            if gap[k] > _GAP:
+                raise ValueError(f"the boundary has a gap of {gap[k]:.3g} m, expected none")
         number += 1
     return _merged(Region(arcs[order], np.array(loop, dtype=np.intp)))
 
