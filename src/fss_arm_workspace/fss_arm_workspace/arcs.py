@@ -19,7 +19,9 @@ Inside = Callable[[Complexes], npt.NDArray[np.bool_]]
 CLOSE = 1e-9  # two points, circles or arcs closer than this are the same [m]
 _ANGLE = 1e-11  # an angle this far outside an arc still counts as on it [rad]
 _TOUCH = 1e-13  # square of half a chord that counts as a point, over 1 m^2 and the radii's squares
-_GAP = 1e-6  # between consecutive arcs of a loop: more is no rounding error [m]
+# Between consecutive arcs of a loop [m]. Where two run side by side closer than CLOSE, their pieces
+# may go amiss, which takes sqrt(2 r CLOSE) or so; a wider gap is no rounding error.
+_GAP = 1e-3
 _CHUNK = 2**20  # numbers in a temporary array
 
 
