@@ -118,6 +118,8 @@ def test_a_single_link_is_drawn_and_what_is_no_reading_is_left_out(ros, tmp_path
     assert node.posture() is None
     node.on_joints(JointState(name=["joint_1"], position=[0.3]))
     node.on_timer()
+    wait_until(lambda: not node.maps.busy, 10.0, lambda: None)
+    assert not node.maps.failure
     node.close()
     node.destroy_node()
 

@@ -21,6 +21,7 @@ from fss_arm_workspace.manipulability import (
     Search,
     ellipsoid,
     jacobian,
+    manipulability_map,
     measure,
     singularity,
 )
@@ -87,6 +88,18 @@ def test_other_numbers_of_links(n):
     z = tips(arm.vector(), q)
     best = search.at(np.stack([z.real, z.imag], axis=-1))
     assert (best.w > measure(arm, q, FLOATING) - 1e-6).all()
+
+
+def test_a_map_of_less_than_a_coarse_cell():
+    link = replace(paper_arm().links[0], a=0.05, b=0.025, q_min=-0.3, q_max=0.3)
+    arm = replace(paper_arm(), links=(link, link))
+    assert Search(arm).tree.n < 9
+    found = manipulability_map(arm, cell=0.005)
+    inside = found.region.contains(found.grid.centers)
+    assert inside.any()
+    assert np.array_equal(np.isfinite(found.w), inside)
+    with pytest.raises(ValueError, match="cell is 3 m, expected small enough for a centre"):
+        manipulability_map(arm, cell=3.0)
 
 
 def test_threads_change_nothing():

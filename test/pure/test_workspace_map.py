@@ -1,6 +1,7 @@
 """The command `map`: figures, numbers and complaints."""
 
 import struct
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -35,6 +36,17 @@ def test_it_draws_three_figures_and_keeps_their_numbers(tmp_path, capsys):
     said = capsys.readouterr().out
     assert "R = 1.1721 m" in said
     assert "17.07 kg" in said
+
+
+@pytest.mark.slow
+def test_a_single_link_has_all_but_maps(tmp_path, capsys):
+    save(replace(paper_arm(), links=paper_arm().links[:1]), tmp_path / "arm.yaml")
+    assert main([str(tmp_path / "arm.yaml"), "--output", str(tmp_path)]) == 0
+    assert sorted(path.stem for path in tmp_path.glob("*.png")) == ["figure_7", "figure_8"]
+    with np.load(tmp_path / "workspace.npz") as data:
+        assert data["area"] == pytest.approx(0.0, abs=1e-12)
+        assert data["reach"][1] == pytest.approx(data["radius"])
+    assert "largest w" not in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -32,7 +32,7 @@ class Analysis:
     radius: float  # R of Eq. 13 [m]
     radius_deviation: float  # [m]
     reach: tuple[float, float]  # least and greatest distance from the centre of mass [m]
-    maps: Mapping[str, Map]  # by "fixed" and "floating"
+    maps: Mapping[str, Map]  # by "fixed" and "floating"; none of a single link, whose w is 0
 
 
 @dataclass(frozen=True)
@@ -71,14 +71,14 @@ def analyse(
         progress: told what is being done and the share done; what it raises ends the work.
 
     Raises:
-        ValueError: the arm has a single link.
+        ValueError: no cell is small enough for its centre to be reached.
     """
     s, arm = settings or AnalysisSettings(), known.arm
     limits = joint_limits(arm, of_true_angle=s.of_true_angle)
     progress("boundary", 0.0)
     region, virtual = fixed_workspace(arm, limits), VirtualManipulator(arm)
-    maps = {}
-    for name, kind in (("fixed", FIXED), ("floating", FLOATING)):
+    maps, kinds = {}, {"fixed": FIXED, "floating": FLOATING}
+    for name, kind in kinds.items() if arm.n > 1 else ():
 
         def report(share: float, name: str = name) -> None:
             progress(f"manipulability, {name} base", share)

@@ -25,7 +25,7 @@ _SCALE = 0.25  # of ellipsoids as drawn
 def draw(
     analysis: Analysis, straight: Mapping[str, Paths], folder: str | PathLike[str]
 ) -> list[Path]:
-    """Write figure_6, figure_7 and figure_8, each as PNG and SVG; return their paths.
+    """Write figure_6 (if there are maps), figure_7 and figure_8 as PNG and SVG; return their paths.
 
     Raises:
         OSError: a file cannot be written.
@@ -34,11 +34,12 @@ def draw(
     from matplotlib.figure import Figure
 
     written = []
-    for name, size, paint in (
+    paints = [
         ("figure_6", (11.0, 5.2), _maps),
         ("figure_7", (8.0, 7.4), _straight),
         ("figure_8", (11.0, 4.0), _ellipsoids),
-    ):
+    ]
+    for name, size, paint in paints if analysis.maps else paints[1:]:
         figure = Figure(figsize=size, layout="constrained")
         paint(figure, analysis, straight)
         for kind in ("png", "svg"):
@@ -145,7 +146,7 @@ def _ellipsoids(figure: Any, a: Analysis, straight: Mapping[str, Paths]) -> None
         tip = joint_positions(a.arm.vector(), state)[-1]
         for kind, color, name in ((FIXED, "tab:red", "fixed"), (FLOATING, "tab:blue", "floating")):
             radii, directions = ellipsoid(jacobian(a.arm, q, kind))
-            line = tip[:, None] + _SCALE * directions.T @ (radii[:, None] * circle)
+            line = tip[:, None] + _SCALE * directions.T @ (radii[:, None] * circle[: len(radii)])
             label = f"{name}: w = {float(measure(a.arm, q, kind)):.3f} m²"
             axes.plot(*line, color=color, label=label)
         reach = 1.15 * float(sum(link.a for link in a.arm.links))

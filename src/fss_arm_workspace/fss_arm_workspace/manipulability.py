@@ -170,10 +170,10 @@ class Search:
     def at(self, points: npt.ArrayLike) -> Best:
         """The best postures at points (m, 2) of the base's frame [m]."""
         points = np.asarray(points, dtype=float)
-        seeds = [*self.coarse.q[self.tree.query(points, k=4)[1]].swapaxes(0, 1)]
+        seeds = [*self.coarse.q[_nearest(self.tree, points, 4)].swapaxes(0, 1)]
         if self.arm.n <= 3 or self.kind[1] == 3.0:
             # Where a branch can be so small that the grid misses it: try what reaches close by.
-            seeds += [*self.random[self.random_tree.query(points, k=8)[1]].swapaxes(0, 1)]
+            seeds += [*self.random[_nearest(self.random_tree, points, 8)].swapaxes(0, 1)]
         best = _nothing(len(points), self.p)
         guesses = [self._climb(seed, points, steps=0) for seed in seeds]
         order = np.argsort([-np.nan_to_num(guess.w, nan=-1.0) for guess in guesses], axis=0)
@@ -191,7 +191,7 @@ class Search:
         q = rng.uniform(self.limits[:, 0], self.limits[:, 1], (count, len(self.limits)))
         w, tip = measure(self.arm, q, self.kind), tip_in_base(self.p, q)[:, :2]
         self.random, self.random_tree = q, cKDTree(tip)
-        near = self.random_tree.query(points, k=16)[1]
+        near = _nearest(self.random_tree, points, 16)
         best = _nothing(len(points), self.p)
         order = np.argsort(-w[near], axis=1)[:, :3]
         for k in range(order.shape[1]):
@@ -204,7 +204,7 @@ class Search:
 
     def _exchange(self, points: Floats, best: Best) -> Best:
         """Let each point try its neighbours' postures until none gains."""
-        near = self.tree.query(points, k=9)[1][:, 1:]
+        near = _nearest(self.tree, points, 9)[:, 1:]
         changed = np.ones(len(points), dtype=bool)
         while changed.any():
             before = best.w
@@ -233,6 +233,11 @@ class Search:
 
         q, w = _in_parts(part, len(points), self.workers)
         return Best(w, q)
+
+
+def _nearest(tree: cKDTree, points: Floats, count: int) -> npt.NDArray[np.intp]:
+    """Indices of the points of a tree next to each of some, (m, count), or all if it has fewer."""
+    return np.asarray(tree.query(points, k=np.arange(1, min(count, tree.n) + 1))[1])
 
 
 def _in_parts(
@@ -325,7 +330,8 @@ def manipulability_map(
         progress: told the share that is done, now and then; what it raises ends the work.
 
     Raises:
-        ValueError: limits have the wrong shape or order, or the arm has a single link.
+        ValueError: limits have the wrong shape or order, the arm has a single link, or no cell's
+            centre is reached.
     """
     search = Search(arm, kind, limits, workers=workers)
     grid = Grid.around(search.region, cell)
@@ -334,11 +340,13 @@ def manipulability_map(
     points = _pairs(centers[inside])
     parts = []
     for k, part in enumerate(np.array_split(points, max(1, len(points) // 5000))):
-        progress(0.3 + 0.7 * 5000 * k / len(points))
+        progress(0.3 + 0.7 * 5000 * k / max(1, len(points)))
         parts.append(search.at(part))
     w = np.full(centers.shape, np.nan)
     q = np.full((*centers.shape, arm.n), np.nan)
     w[inside] = np.concatenate([part.w for part in parts])
+    if np.isnan(w).all():
+        raise ValueError(f"cell is {cell:g} m, expected small enough for a centre to be reached")
     q[inside] = np.concatenate([part.q for part in parts])
     progress(1.0)
     return Map(search.kind, grid, search.region, w, q)
