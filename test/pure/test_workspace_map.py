@@ -13,6 +13,7 @@ from fss_arm_ros.bags import BagError
 from fss_arm_ros.calibrated import Calibrated
 from fss_arm_ros.qos import LATCHED
 from fss_arm_ros.recording import Recording
+from fss_arm_workspace.analysis import load_kernels
 from fss_arm_workspace.fixed import fixed_workspace
 from fss_arm_workspace.map import calibrated, main
 
@@ -55,6 +56,8 @@ def test_a_single_link_has_all_but_maps(tmp_path, capsys):
         (["/no/such.yaml"], "No such file"),
         (["/no/such/bag"], "no such file or folder"),
         (["--cell", "0"], "cell is 0.0 m, expected 0.001 or more"),
+        (["--table", "1", "1", "0", "2"], "table is (1.0, 1.0, 0.0, 2.0), expected low x"),
+        (["--table", "5", "5", "6", "6"], "expected on the table"),
         (["--start", "10", "20"], "expected 7 finite numbers"),
         (["--start", "100", "0", "0", "0"], "joint 1 starts at 1.74533 rad"),
     ],
@@ -64,6 +67,17 @@ def test_what_a_user_gets_wrong_ends_in_one_line(tmp_path, capsys, args, complai
     said = capsys.readouterr().err
     assert complaint in said
     assert said.count("\n") == 1
+
+
+LINK = paper_arm().links[0]
+
+
+@pytest.mark.parametrize(
+    "links", [(LINK,), (LINK,) * 10, (replace(LINK, q_min=-1.0, q_max=-0.5),) * 3]
+)
+def test_kernels_are_loaded_for_any_arm(links):
+    """One of a single link, one that reaches beyond the table, one that cannot form an arch."""
+    load_kernels(replace(paper_arm(), links=links))
 
 
 def passed(kind, arm, names, deviation):

@@ -123,8 +123,9 @@ def straight_workspaces(
 def load_kernels(arm: Arm) -> None:
     """Load the kernels that the above call: the first call of a kernel holds up all threads."""
     start = arch(arm)
-    straight_paths(arm, start, 0.0)
+    limits = start[3:, None] + [-1.0, 1.0]  # and a table that refuse no arm
+    straight_paths(arm, start, 0.0, Rules(table=(-1e6, -1e6, 1e6, 1e6)), limits)
     tip = tip_in_base(arm.vector(), start[3:])[:2]
-    climb(arm.vector(), start[3:], tip, joint_limits(arm), FLOATING, steps=0)
+    climb(arm.vector(), start[3:], tip, limits, FLOATING, steps=0)
     for kind in (FIXED, FLOATING):
         jacobian(arm, start[3:], kind)

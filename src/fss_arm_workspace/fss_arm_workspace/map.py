@@ -42,6 +42,10 @@ def parser() -> argparse.ArgumentParser:
         "paths begin [deg] (default: an arch)",
     )  # fmt: skip
     p.add_argument(
+        "--table", type=float, nargs=4, default=Rules.table, metavar="M", help="on which straight "
+        "paths run: low x, low y, high x, high y (default: %(default)s)",
+    )  # fmt: skip
+    p.add_argument(
         "--true-angle", action="store_true", help="joint limits hold for q + theta_0, not for the "
         "encoder's reading q",
     )  # fmt: skip
@@ -111,7 +115,7 @@ def run(options: argparse.Namespace, console: Console) -> None:
         OSError: a file cannot be read or written.
     """
     known = calibrated(options.source)
-    rules = Rules(redundancy=options.rule)
+    rules = Rules(redundancy=options.rule, table=tuple(options.table))
     settings = AnalysisSettings(
         cell=options.cell, rules=rules, of_true_angle=options.true_angle, workers=options.workers
     )
