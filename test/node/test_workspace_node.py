@@ -124,6 +124,15 @@ def test_a_single_link_is_drawn_and_what_is_no_reading_is_left_out(ros, tmp_path
     node.destroy_node()
 
 
+def test_a_heading_of_half_a_turn_is_the_same_from_either_side(ros):
+    node = make_node()
+    node.shown = node.known, np.array([0.0, 0.0, 3.14, 0.1, 0.2, 0.3, 0.4])
+    assert node.is_shown(node.known, np.array([0.0, 0.0, -3.14, 0.1, 0.2, 0.3, 0.4]))
+    assert not node.is_shown(node.known, np.array([0.0, 0.0, -3.1, 0.1, 0.2, 0.3, 0.4]))
+    node.close()
+    node.destroy_node()
+
+
 def test_a_result_waits_for_who_comes_late(spin):
     node = make_node()
     spin(node, lambda: not node.maps.busy, 60.0)

@@ -2,7 +2,7 @@
 
 import sys
 from functools import partial
-from math import isfinite
+from math import isfinite, pi, remainder
 from typing import Any
 
 import numpy as np
@@ -124,7 +124,9 @@ class WorkspaceNode(Node):
         """Whether straight paths were begun from about there."""
         if self.shown is None or self.shown[0] is not known:
             return False
-        return bool((np.abs(state - self.shown[1]) <= self.settings.moved).all())
+        change = state - self.shown[1]
+        change[2] = remainder(change[2], 2.0 * pi)
+        return bool((np.abs(change) <= self.settings.moved).all())
 
     def find_maps(self, calibrations: dict[str, Any], progress: Progress) -> None:
         """In the worker's thread: compute and publish all that hangs on the arm alone."""
