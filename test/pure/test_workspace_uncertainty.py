@@ -56,6 +56,22 @@ def test_deviations_of_boundary_and_measure_are_those_of_a_monte_carlo():
     assert_allclose(np.std(w, axis=0), expected, rtol=0.25)
 
 
+def test_limits_of_the_true_angle_leave_the_boundary_where_it_is():
+    """It does not depend on theta_0 then, and on all else as before."""
+    arm = paper_arm()
+    region = fixed_workspace(arm, joint_limits(arm, of_true_angle=True))
+    offsets = vector_covariance(arm, ["theta_0_2", "theta_0_4"], np.diag([0.02**2] * 2))
+    length = vector_covariance(arm, ["a_2"], [[1e-6]])
+
+    def known(C, of_true_angle):
+        lines = boundary_deviation(arm, region, C, of_true_angle=of_true_angle)
+        return np.concatenate([deviation for _, deviation in lines])
+
+    assert known(offsets, False).max() > 5e-3
+    assert known(offsets, True).max() < 1e-9
+    assert_allclose(known(offsets + length, True), known(length, False), atol=1e-9)
+
+
 def test_deviation_of_the_radius_by_hand():
     """R grows with a length by the share of the mass before it."""
     arm = paper_arm()

@@ -90,7 +90,7 @@ def analyse(
         arm=arm,
         limits=limits,
         region=region,
-        known=boundary_deviation(arm, region, known.covariance),
+        known=boundary_deviation(arm, region, known.covariance, of_true_angle=s.of_true_angle),
         radius=virtual.radius,
         radius_deviation=radius_deviation(arm, known.covariance),
         reach=virtual.reach(limits),

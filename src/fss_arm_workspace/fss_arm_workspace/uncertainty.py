@@ -14,7 +14,7 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from fss_arm_model.description import Arm
+from fss_arm_model.description import BASE_SIZE, LINK_SIZE, Arm
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_model.manipulability import climb
 
@@ -47,7 +47,12 @@ def deviation(
 
 
 def boundary_deviation(
-    arm: Arm, region: Region, covariance: npt.ArrayLike, spacing: float = 0.01
+    arm: Arm,
+    region: Region,
+    covariance: npt.ArrayLike,
+    spacing: float = 0.01,
+    *,
+    of_true_angle: bool = False,
 ) -> list[tuple[Complexes, Floats]]:
     """Points of each loop of a fixed vehicle workspace, (m,) [m], and how well they are known.
 
@@ -56,6 +61,7 @@ def boundary_deviation(
         region: as from fixed_workspace.
         covariance: of Arm.vector().
         spacing: of the points, at most [m].
+        of_true_angle: the limits hold for q + theta_0, and not for the encoder's reading q.
 
     Returns:
         For each loop points and the standard deviation of the boundary there along its normal [m].
@@ -67,11 +73,16 @@ def boundary_deviation(
         normal /= np.abs(normal)
 
         def along(p: Floats, q: Floats = q, normal: Complexes = normal) -> Floats:
-            tip = tip_in_base(p, q)
+            tip = tip_in_base(p, q + of_true_angle * _given_way(arm, p))
             return tip[:, 0] * normal.real + tip[:, 1] * normal.imag
 
         lines.append((points, deviation(along, arm, covariance)))
     return lines
+
+
+def _given_way(arm: Arm, p: Floats) -> Floats:
+    """By how much readings (n,) give way so that q + theta_0 with p is that of the arm [rad]."""
+    return (arm.vector() - p)[BASE_SIZE + 1 :: LINK_SIZE]
 
 
 def radius_deviation(arm: Arm, covariance: npt.ArrayLike) -> float:
