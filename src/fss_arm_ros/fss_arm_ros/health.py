@@ -12,7 +12,7 @@ from .convert import SECOND
 from .definitions import MEASUREMENTS, NotInstalledError, definition, extends
 
 PERIODS = 5  # of a steady topic; a longer silence is a gap
-SHORTEST_GAP = SECOND // 5  # [ns]
+SHORTEST_GAP = 3 * SECOND // 10  # [ns]; one link alone is heard each 0.2 s
 JUMP = SECOND // 2  # of stamps against times of receipt [ns]
 WINDOW = 2 * SECOND  # within which one message at least was not held up [ns]
 APART = 2 * SECOND  # stamps that far from the times of receipt are of another clock [ns]
