@@ -8,7 +8,8 @@ from numpy.testing import assert_allclose
 
 from fss_arm_model.description import paper_arm
 from fss_arm_model.manipulability import climb
-from fss_arm_ros.calibrated import vector_covariance
+from fss_arm_ros.calibrated import Calibrated, vector_covariance
+from fss_arm_workspace.analysis import AnalysisSettings, analyse
 from fss_arm_workspace.fixed import fixed_workspace, joint_limits
 from fss_arm_workspace.manipulability import FIXED, FLOATING, Search
 from fss_arm_workspace.uncertainty import (
@@ -82,6 +83,19 @@ def test_deviation_of_the_radius_by_hand():
     bases = [replace(arm.base, mass=mass) for mass in (9.9, 10.1)]
     low, high = (VirtualManipulator(replace(arm, base=base)).radius for base in bases)
     assert radius_deviation(arm, heavier) == pytest.approx((high - low) / 2.0, rel=1e-3)
+
+
+def test_an_analysis_tells_how_well_the_largest_w_is_known():
+    """That of two links at right angles, w = a_1 a_2, which a_2 alone makes uncertain."""
+    arm = replace(paper_arm(), links=paper_arm().links[:2])
+    C = vector_covariance(arm, ["a_2", "theta_0_2"], np.diag([1e-6, 0.02**2]))
+    settings = AnalysisSettings(cell=0.02, of_true_angle=True)
+    found = analyse(Calibrated(arm, C), settings)
+    w, spread = found.largest["fixed"]
+    assert w == pytest.approx(0.3825**2, rel=0.01) == np.nanmax(found.maps["fixed"].w)
+    assert spread == pytest.approx(1e-3 * 0.3825, rel=0.05)
+    assert found.largest["floating"][1] > 0.0
+    assert max(deviation.max() for _, deviation in found.known) < 1.001e-3
 
 
 def test_names_that_links_share():

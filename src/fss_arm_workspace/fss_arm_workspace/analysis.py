@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from math import inf
 
+import numpy as np
 import numpy.typing as npt
 
 from fss_arm_model.description import Arm
@@ -13,9 +14,9 @@ from fss_arm_ros.calibrated import Calibrated
 
 from .arcs import Complexes, Floats, Region
 from .fixed import fixed_workspace, joint_limits
-from .manipulability import FIXED, FLOATING, Map, jacobian, manipulability_map
+from .manipulability import FIXED, FLOATING, Best, Map, jacobian, manipulability_map
 from .straight_path import BASES, Paths, Rules, arch, straight_paths, straight_workspace
-from .uncertainty import boundary_deviation, radius_deviation
+from .uncertainty import boundary_deviation, measure_deviation, radius_deviation
 from .virtual import VirtualManipulator
 
 Progress = Callable[[str, float], None]
@@ -33,6 +34,7 @@ class Analysis:
     radius_deviation: float  # [m]
     reach: tuple[float, float]  # least and greatest distance from the centre of mass [m]
     maps: Mapping[str, Map]  # by "fixed" and "floating"; none of a single link, whose w is 0
+    largest: Mapping[str, tuple[float, float]]  # w of each map, and its deviation [m^2]
 
 
 @dataclass(frozen=True)
@@ -95,7 +97,26 @@ def analyse(
         radius_deviation=radius_deviation(arm, known.covariance),
         reach=virtual.reach(limits),
         maps=maps,
+        largest={name: _largest(known, s, limits, found) for name, found in maps.items()},
     )
+
+
+def _largest(
+    known: Calibrated, settings: AnalysisSettings, limits: Floats, found: Map
+) -> tuple[float, float]:
+    """The largest w of a map, and its standard deviation [m^2]."""
+    at = np.unravel_index([np.nanargmax(found.w)], found.w.shape)
+    center, best = found.grid.centers[at], Best(found.w[at], found.q[at])
+    spread = measure_deviation(
+        known.arm,
+        best,
+        np.stack([center.real, center.imag], axis=-1),
+        limits,
+        found.kind,
+        known.covariance,
+        of_true_angle=settings.of_true_angle,
+    )
+    return float(best.w[0]), float(spread[0])
 
 
 def straight_workspaces(

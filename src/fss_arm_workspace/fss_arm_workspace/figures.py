@@ -68,6 +68,7 @@ def save(analysis: Analysis, straight: Mapping[str, Paths], path: str | PathLike
         data[f"boundary_{k}"] = _pairs(points)
         data[f"boundary_{k}_deviation"] = deviation
     for name, found in a.maps.items():
+        data[f"largest_w_{name}"], data[f"largest_w_{name}_deviation"] = a.largest[name]
         data[f"map_{name}"], data[f"map_{name}_q"] = found.w, found.q
         data["map_corner"], data["map_cell"] = (found.grid.x, found.grid.y), found.grid.cell
     for name, paths in straight.items():

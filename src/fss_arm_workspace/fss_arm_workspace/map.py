@@ -84,9 +84,9 @@ def report(analysis: Analysis, straight: Mapping[str, Paths], console: Console) 
         f"fixed vehicle workspace: {a.region.area:.4f} m^2 within {len(a.region.arcs)} arcs, "
         f"holes of {hole:.4f} m^2"
     )
-    spread = f" ± {a.radius_deviation:.4f}" if a.radius_deviation > 0.0 else ""
+    radius = _known(a.radius, a.radius_deviation)
     console.print(
-        f"maximum reachable workspace: R = {a.radius:.4f}{spread} m (Eq. 13); within the joint "
+        f"maximum reachable workspace: R = {radius} m (Eq. 13); within the joint "
         f"limits {a.reach[0]:.4f} to {a.reach[1]:.4f} m from the centre of mass"
     )
     try:
@@ -103,8 +103,13 @@ def report(analysis: Analysis, straight: Mapping[str, Paths], console: Console) 
             f"straight-path workspace, {base}: {paths.area:.4f} m^2, {len(paths.distance)} "
             f"directions ({grazing} graze a singularity), rule: {paths.redundancy}"
         )
-    for name, found in a.maps.items():
-        console.print(f"largest w, {name} base: up to {np.nanmax(found.w):.4f} m^2")
+    for name, (w, deviation) in a.largest.items():
+        console.print(f"largest w, {name} base: up to {_known(w, deviation)} m^2")
+
+
+def _known(value: float, deviation: float) -> str:
+    """A number and how well it is known, where that is told."""
+    return f"{value:.4f} ± {deviation:.4f}" if deviation > 0.0 else f"{value:.4f}"
 
 
 def run(options: argparse.Namespace, console: Console) -> None:

@@ -98,9 +98,11 @@ def measure_deviation(
     arm: Arm,
     best: Best,
     points: npt.ArrayLike,
-    limits: npt.ArrayLike,
+    limits: Floats,
     kind: npt.ArrayLike,
     covariance: npt.ArrayLike,
+    *,
+    of_true_angle: bool = False,
 ) -> Floats:
     """Standard deviation of the largest w at points (m, 2) of the base's frame, (m,).
 
@@ -111,9 +113,11 @@ def measure_deviation(
         limits: lowest and highest joint readings, (n, 2) [rad].
         kind: what is measured.
         covariance: of Arm.vector().
+        of_true_angle: the limits hold for q + theta_0, and not for the encoder's reading q.
     """
 
     def largest(p: Floats) -> Floats:
-        return climb(p, best.q, points, limits, kind)[1]
+        by = of_true_angle * _given_way(arm, p)
+        return climb(p, best.q + by, points, limits + by[:, None], kind)[1]
 
     return deviation(largest, arm, covariance)
