@@ -1,4 +1,4 @@
-"""How well the tip can be moved: measure, ellipsoid, singularities, and maps of the best posture.
+"""How well the tip can be moved: measure, ellipsoid, and maps of the best posture.
 
     w = sqrt(det(J J^T)) = product of J's singular values             (Yoshikawa 1985)
 
@@ -39,15 +39,11 @@ __all__ = [
     "Grid",
     "Map",
     "Search",
-    "Singularity",
     "ellipsoid",
     "jacobian",
     "manipulability_map",
     "measure",
-    "singularity",
 ]
-
-SINGULAR = 1e-6  # smallest singular value over the largest that counts as none
 
 
 def jacobian(arm: Arm, q_m: npt.ArrayLike, kind: npt.ArrayLike = FIXED) -> Floats:
@@ -85,35 +81,6 @@ def ellipsoid(J: npt.ArrayLike) -> Ellipsoid:
     """The manipulability ellipsoid of J (..., r, n): v^T (J J^T)^-1 v <= 1 (Yoshikawa 1985)."""
     U, radii, _ = np.linalg.svd(np.asarray(J, dtype=float), full_matrices=False)
     return Ellipsoid(radii, np.swapaxes(U, -1, -2))
-
-
-class Singularity(NamedTuple):
-    """In which sense the tip cannot be moved in some direction."""
-
-    kinematic: npt.NDArray[np.bool_]  # on a fixed base: geometry alone
-    dynamic: npt.NDArray[np.bool_]  # on a floating base: masses and inertias, too
-
-
-def singularity(arm: Arm, q_m: npt.ArrayLike, rows: int = 2) -> Singularity:
-    """Whether postures (..., n) are singular on a fixed and on a floating base.
-
-    A straight arm is singular on a fixed base. On a floating one in general it is not, unless the
-    base's centre of mass lies on the arm's line, too.
-
-    Args:
-        arm: the arm.
-        q_m: joint readings [rad].
-        rows: 2 for the tip's position, 3 for its pose.
-
-    Raises:
-        ValueError: shapes do not fit.
-    """
-
-    def lost(floating: float) -> npt.NDArray[np.bool_]:
-        radii = ellipsoid(jacobian(arm, q_m, np.array([floating, rows]))).radii
-        return np.asarray(radii[..., -1] < SINGULAR * radii[..., 0])
-
-    return Singularity(lost(0.0), lost(1.0))
 
 
 class Best(NamedTuple):
