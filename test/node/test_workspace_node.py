@@ -16,7 +16,13 @@ from sensor_msgs.msg import JointState
 from visualization_msgs.msg import MarkerArray
 
 from fss_arm_model.description import from_yaml, paper_arm, save, to_yaml
-from fss_arm_msgs.msg import KinematicCalibration, ManipulabilityMap, StraightPaths, Workspace
+from fss_arm_msgs.msg import (
+    DynamicCalibration,
+    KinematicCalibration,
+    ManipulabilityMap,
+    StraightPaths,
+    Workspace,
+)
 from fss_arm_ros.convert import pose_stamped, stamp_ns
 from fss_arm_ros.qos import LATCHED, SENSOR
 from fss_arm_workspace.fixed import fixed_workspace
@@ -129,6 +135,24 @@ def test_a_heading_of_half_a_turn_is_the_same_from_either_side(ros):
     node.shown = node.known, np.array([0.0, 0.0, 3.14, 0.1, 0.2, 0.3, 0.4])
     assert node.is_shown(node.known, np.array([0.0, 0.0, -3.14, 0.1, 0.2, 0.3, 0.4]))
     assert not node.is_shown(node.known, np.array([0.0, 0.0, -3.1, 0.1, 0.2, 0.3, 0.4]))
+    node.close()
+    node.destroy_node()
+
+
+def test_a_calibration_of_another_arm_is_left_out(ros):
+    """It neither ends up in what is known nor stands in the way of a later one."""
+    node, arm = make_node(), paper_arm()
+    shorter = replace(arm, links=arm.links[:3])
+    heavier = replace(arm, links=(*arm.links[:3], replace(arm.links[3], mass=3.0)))
+    node.on_calibration(
+        "calibration/kinematic",
+        KinematicCalibration(verdict="pass", description=to_yaml(shorter)),
+    )
+    assert not node.calibrations
+    node.on_calibration(
+        "calibration/dynamic", DynamicCalibration(verdict="pass", description=to_yaml(heavier))
+    )
+    wait_until(lambda: node.known.arm == heavier, 10.0, lambda: None)
     node.close()
     node.destroy_node()
 

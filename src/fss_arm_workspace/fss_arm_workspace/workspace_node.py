@@ -70,7 +70,7 @@ class WorkspaceNode(Node):
         }
         self.maps = Worker(self.find_maps)
         self.paths = Worker(self.find_paths)
-        self.maps.submit({})
+        self.maps.submit(self.described)
         for topic, kind in (
             ("calibration/kinematic", KinematicCalibration),
             ("calibration/dynamic", DynamicCalibration),
@@ -82,11 +82,18 @@ class WorkspaceNode(Node):
         self.diagnostics = Diagnostics(self, self.health)
 
     def on_calibration(self, topic: str, message: Any) -> None:
-        """Begin anew with what a calibration found."""
-        if message.verdict == message.PASS:
-            self.calibrations.pop(topic, None)
-            self.calibrations[topic] = message
-            self.maps.submit(dict(self.calibrations))
+        """Begin anew with what a calibration found, unless it is of another arm."""
+        if message.verdict != message.PASS:
+            return
+        calibrations = {k: v for k, v in self.calibrations.items() if k != topic}
+        calibrations[topic] = message
+        try:
+            known = self.after(calibrations)
+        except ValueError as error:
+            self.get_logger().warning(f"{topic} is left out: {error}")
+            return
+        self.calibrations = calibrations
+        self.maps.submit(known)
 
     def on_joints(self, message: JointState) -> None:
         """Readings of one link or more."""
@@ -128,15 +135,22 @@ class WorkspaceNode(Node):
         change[2] = remainder(change[2], 2.0 * pi)
         return bool((np.abs(change) <= self.settings.moved).all())
 
-    def find_maps(self, calibrations: dict[str, Any], progress: Progress) -> None:
-        """In the worker's thread: compute and publish all that hangs on the arm alone."""
-        known, settings = self.described, self.settings.analysis
+    def after(self, calibrations: dict[str, Any]) -> Calibrated:
+        """What is known of the described arm after calibrations.
+
+        Raises:
+            ValueError: one is not of this arm.
+        """
+        known = self.described
         for topic, message in calibrations.items():
             known = known.with_message(topic, message)
-            if known.arm.n != self.described.arm.n:
-                links = f"{known.arm.n} links, expected {self.described.arm.n}"
-                raise ValueError(f"{topic} is of {links}")
-        self.known = known
+        if known.arm.n != self.described.arm.n:
+            raise ValueError(f"it is of {known.arm.n} links, expected {self.described.arm.n}")
+        return known
+
+    def find_maps(self, known: Calibrated, progress: Progress) -> None:
+        """In the worker's thread: compute and publish all that hangs on the arm alone."""
+        self.known, settings = known, self.settings.analysis
         found = analyse(known, settings, progress)
         header = self.header(self.settings.base_frame)
         for base, one in found.maps.items():
