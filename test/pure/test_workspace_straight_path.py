@@ -32,6 +32,13 @@ ARM = paper_arm()
 AROUND = np.linspace(0.0, 2.0 * np.pi, 73)[:-1]
 
 
+def random_starts(arm, count, rng):
+    """Postures within 0.6 of the limits, (count, 3 + n), the base at the origin."""
+    limits = 0.6 * joint_limits(arm)
+    q = rng.uniform(limits[:, 0], limits[:, 1], (count, arm.n))
+    return np.concatenate([np.zeros((count, 3)), q], axis=1)
+
+
 def complex_tip(arm, q):
     tip = tip_pose(arm.vector(), q)
     return tip[..., 0] + 1j * tip[..., 1]
@@ -113,6 +120,44 @@ def test_no_path_leaves_what_can_be_reached_at_all(base):
     else:
         com = complex(*system_com(ARM.vector(), paths.start))
         assert (np.abs(inner - com) < VirtualManipulator(ARM).radius).all()
+
+
+@pytest.mark.parametrize("base", BASES)
+def test_no_path_runs_past_a_singularity(base):
+    rng, around = np.random.default_rng(5), AROUND[::3]
+    for start in random_starts(ARM, 8, rng):
+        paths = straight_paths(ARM, start, around, Rules(base=base))
+        assert_allclose(complex_tip(ARM, paths.last), paths.ends, atol=1e-6)
+        if base == FIXED:
+            inner = paths.tip + (1.0 - 1e-6) * (paths.ends - paths.tip)
+            assert fixed_workspace(ARM).contains(inner).all()
+
+
+@pytest.mark.parametrize(("n", "base"), [(2, FLOATING), (3, ZERO_REACTION)])
+def test_no_path_of_an_arm_without_redundancy_runs_past_a_singularity(n, base):
+    rules = Rules(base=base, table=(-9.0, -9.0, 9.0, 9.0))
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        arm = random_arm(n, rng)
+        for start in random_starts(arm, 2, rng):
+            paths = straight_paths(arm, start, AROUND[::3], rules)
+            assert_allclose(complex_tip(arm, paths.last), paths.ends, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("q", "direction", "base", "rule"),
+    [
+        ((1.3222, -0.1957, 0.3939, -0.0753), 0.17453, FIXED, AWAY_FROM_LIMITS),
+        ((0.0, 0.0, 0.0, 0.0), 1.93732, FIXED, WEIGHTED),
+    ],
+)
+def test_a_sudden_singularity_is_met_where_small_steps_meet_it(q, direction, base, rule):
+    start, rules = np.array([0.0, 0.0, 0.0, *q]), Rules(base=base, redundancy=rule)
+    path = straight_paths(ARM, start, direction, rules)
+    fine = straight_paths(ARM, start, direction, replace(rules, step=1e-4))
+    assert REASONS[path.reason[0]] == REASONS[fine.reason[0]] == "a singularity"
+    assert_allclose(path.distance, fine.distance, atol=1e-4)
+    assert_allclose(complex_tip(ARM, path.last), path.ends, atol=1e-6)
 
 
 def test_the_boundary_is_true_between_its_directions():

@@ -49,6 +49,7 @@ _NEARING = 0.1  # of a joint to a limit in a step, where weights grow without bo
 _SHORTEST = 1e-5  # step, unless a joint meets its limit within [m]
 _HEAVY = 1e-3  # distance from which on weights all but stop a joint, and it counts as held [rad]
 _MET = 1e-11  # distance from a limit that counts as none [rad]
+_ON_LINE = 1e-6  # distance of the tip from its line that counts as none [m]
 
 
 @helper
@@ -293,6 +294,7 @@ def _advance(
 @helper
 def _settle(
     p: Floats,
+    limits: Floats,
     base: float,
     com: complex,
     origin: complex,
@@ -304,12 +306,16 @@ def _settle(
     A: Floats,
     C: Floats,
     rates: Floats,
-) -> None:
-    """Put the base where the centre of mass (or the base itself) stays, and the tip on its line."""
+) -> bool:
+    """Put the base where the centre of mass (or the base itself) stays, and the tip on its line.
+
+    False if that takes more than a small correction, as it does past a singularity.
+    """
     rows = 3 if base == 2.0 else 2
     z, W, y, x = rates[0], rates[1], rates[2], rates[3]
     n = x.size - 3
-    for _ in range(2):
+    error = 0j
+    for corrections in range(4):
         _rows(p, q, base, d, e, A)
         place = origin if base == 0.0 else com - _com(p, d, e)
         q[0], q[1] = place.real, place.imag
@@ -319,11 +325,29 @@ def _settle(
         z[:] = 0.0
         W[:] = 1.0
         y[0], y[1], y[2] = error.real, error.imag, 0.0
-        if abs(error) < 1e-13 or not _least(A, rows, free, z[:n], W[:n], C, y, x[:n]):
-            return
+        if abs(error) < 1e-13 or corrections == 3:
+            break
+        if not _least(A, rows, free, z[:n], W[:n], C, y, x[:n]):
+            break
         for k in range(n):
-            q[3 + k] += x[k]
-            q[2] += A[2, k] * x[k]
+            if abs(x[k]) > _TURN:
+                return False
+            turn = min(max(q[3 + k] + x[k], limits[k, 0]), limits[k, 1]) - q[3 + k]
+            q[3 + k] += turn
+            q[2] += A[2, k] * turn
+    return abs(error) < _ON_LINE
+
+
+@helper
+def _within(limits: Floats, free: Floats, q: Floats, new: Floats) -> float:
+    """Share of the step from q to `new` after which the first of the free joints is at a limit."""
+    share = 1.0
+    for k in range(free.size):
+        bound = limits[k, 1] if new[3 + k] > q[3 + k] else limits[k, 0]
+        turn, room = abs(new[3 + k] - q[3 + k]), abs(bound - q[3 + k])
+        if free[k] > 0.0 and turn - room > _MET:
+            share = min(share, room / turn)
+    return share
 
 
 @helper
@@ -411,27 +435,23 @@ def _traced(
                 h = min(h, max(_NEARING * room / max(abs(x[k]), 1e-9), _SHORTEST))
         if options[3] == 3.0:
             h = max(min(h, segment * (math.floor(s / segment) + 1.0) - s), 1e-9)
-        good = True
+        good = False
         for _ in range(60):  # until the step ends where the first joint meets its limit
-            while not _advance(
+            fits = _advance(
                 p, limits, options, wish, direction, free, q, h, d, e, A, C, rates, stage, new
-            ):
-                h *= 0.5
-                if h < _SHORTEST:
-                    good = False
+            )
+            share = _within(limits, free, q, new) if fits else 0.5
+            if share == 1.0:
+                for k in range(n):
+                    new[3 + k] = min(max(new[3 + k], limits[k, 0]), limits[k, 1])
+                place = tip + (s + h) * direction
+                good = _settle(p, limits, base, com, origin, place, free, new, d, e, A, C, rates)
+                if good:
                     break
-            if not good:
-                break
-            share, over = 1.0, 0.0
-            for k in range(n):
-                bound = limits[k, 1] if new[3 + k] > q[3 + k] else limits[k, 0]
-                beyond = abs(new[3 + k] - q[3 + k]) - abs(bound - q[3 + k])
-                if free[k] > 0.0 and beyond > over:
-                    over = max(over, beyond)
-                    share = min(share, 1.0 - beyond / abs(new[3 + k] - q[3 + k]))
-            if over <= _MET:
-                break
+                fits, share = False, 0.5
             h *= share
+            if not fits and h < _SHORTEST:
+                break
         if not good:
             reason = _SINGULAR
             break
@@ -441,9 +461,6 @@ def _traced(
             break
         s += h
         q[:] = new
-        _settle(p, base, com, origin, tip + s * direction, free, q, d, e, A, C, rates)
-        for k in range(n):
-            q[3 + k] = min(max(q[3 + k], limits[k, 0]), limits[k, 1])
     result[0], result[1], result[2] = s, reason, peak
     # Near a singularity the rate grows as (s* - s)^-1/2, so that this much is left of the line.
     result[3] = 0.5 * rate / slope if reason == _SINGULAR and slope > 0.0 else 0.0
