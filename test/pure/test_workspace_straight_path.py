@@ -160,6 +160,16 @@ def test_a_sudden_singularity_is_met_where_small_steps_meet_it(q, direction, bas
     assert_allclose(complex_tip(ARM, path.last), path.ends, atol=1e-6)
 
 
+def test_the_weighted_rule_is_as_good_at_a_lower_limit_as_at_an_upper_one():
+    base = replace(ARM.base, mount=(0.2, 0.0, 0.0))
+    arm = replace(ARM, base=base, links=tuple(replace(link, theta_0=0.0) for link in ARM.links))
+    start = np.array([0.0, 0.0, 0.0, 0.5 * np.pi, -0.5, -0.5, -0.5])
+    rules, around = Rules(redundancy=WEIGHTED), AROUND[1:36:3]
+    upper = straight_paths(arm, start, around, rules)
+    lower = straight_paths(arm, -start, -around, rules)
+    assert_allclose(lower.distance, upper.distance, rtol=0.0, atol=1e-10)
+
+
 def test_the_boundary_is_true_between_its_directions():
     rules = Rules(base=FLOATING)
     paths = straight_workspace(ARM, arch(ARM), rules, count=90, tolerance=0.01)

@@ -431,6 +431,8 @@ def _traced(
             h = min(h, samples[sampled] - s)
         if options[3] == 2.0:  # its weights grow as fast as the room shrinks
             for k in range(n):
+                if free[k] == 0.0:
+                    continue
                 room = limits[k, 1] - q[3 + k] if x[k] > 0.0 else q[3 + k] - limits[k, 0]
                 h = min(h, max(_NEARING * room / max(abs(x[k]), 1e-9), _SHORTEST))
         if options[3] == 3.0:
