@@ -170,6 +170,14 @@ def test_the_weighted_rule_is_as_good_at_a_lower_limit_as_at_an_upper_one():
     assert_allclose(lower.distance, upper.distance, rtol=0.0, atol=1e-10)
 
 
+@pytest.mark.parametrize(("n", "base"), [(1, FIXED), (1, FLOATING), (2, ZERO_REACTION)])
+def test_too_few_joints_are_a_singularity(n, base):
+    arm = random_arm(n, np.random.default_rng(n))
+    paths = straight_paths(arm, arch(arm), AROUND, Rules(base=base))
+    assert (paths.distance == 0.0).all()
+    assert {REASONS[k] for k in paths.reason} == {"a singularity"}
+
+
 def test_the_boundary_is_true_between_its_directions():
     rules = Rules(base=FLOATING)
     paths = straight_workspace(ARM, arch(ARM), rules, count=90, tolerance=0.01)

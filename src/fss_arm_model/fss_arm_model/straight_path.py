@@ -410,7 +410,7 @@ def _traced(
         stuck = 0
         for k in range(n):
             stuck += int(_at_limit(limits, q, k, options[3]) != 0.0)
-        if left < rows:
+        if left < rows <= n:
             reason = _LIMITS if stuck >= n - 1 else _LIMIT
             break
         before, rate = rate, 0.0
