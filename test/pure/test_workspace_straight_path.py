@@ -178,6 +178,24 @@ def test_too_few_joints_are_a_singularity(n, base):
     assert {REASONS[k] for k in paths.reason} == {"a singularity"}
 
 
+@pytest.mark.parametrize(
+    "limits", [(-np.pi / 2, np.pi / 2), (-np.pi / 3, np.pi / 3), (0.2, 0.3), (-3.0, -1.0)]
+)
+@pytest.mark.parametrize("n", [1, 2, 4, 10])
+def test_the_arch_is_within_the_limits(n, limits):
+    low, high = limits
+    links = tuple(replace(ARM.links[0], q_min=low, q_max=high) for _ in range(n))
+    q = arch(replace(ARM, links=links))[3:]
+    assert (low < q).all()
+    assert (q < high).all()
+
+
+@pytest.mark.parametrize("n", range(1, 13))
+def test_the_arch_of_a_long_arm_is_on_the_table(n):
+    arm = replace(ARM, links=(replace(ARM.links[0], a=0.3825),) * n)
+    straight_paths(arm, arch(arm), 0.0)
+
+
 def test_the_boundary_is_true_between_its_directions():
     rules = Rules(base=FLOATING)
     paths = straight_workspace(ARM, arch(ARM), rules, count=90, tolerance=0.01)

@@ -17,7 +17,7 @@ from fss_arm_model.kinematics import tip_pose
 from fss_arm_model.straight_path import BASES, RULES, trace
 
 from .arcs import Floats
-from .fixed import checked_limits
+from .fixed import checked_limits, joint_limits
 
 FIXED, FLOATING, ZERO_REACTION = BASES
 MINIMUM_NORM, AWAY_FROM_LIMITS, WEIGHTED, PREFERRED = RULES
@@ -89,10 +89,16 @@ class Paths:
 
 
 def arch(arm: Arm) -> Floats:
-    """A start state: the base at the table's middle, joints bent by up to 45 degrees, tip ahead."""
-    bend = min(pi / 4, 0.75 * pi / max(arm.n - 1, 1))
+    """A start state: the base at the table's middle, joints bent by up to 45 degrees, tip ahead.
+
+    In all they turn by three quarters of a circle at most, so that the tip of a long arm stays on
+    the table; and each keeps off the outer eighths of its range, where paths would end at once.
+    """
+    bend = min(pi / 4, 1.5 * pi / max(arm.n - 1, 1))
     q = np.full(3 + arm.n, bend)
     q[:3], q[3] = 0.0, -(arm.n - 1) * bend / 2.0
+    low, high = joint_limits(arm).T
+    q[3:] = q[3:].clip(low + (high - low) / 8.0, high - (high - low) / 8.0)
     return q
 
 
