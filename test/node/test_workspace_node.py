@@ -148,11 +148,12 @@ def test_a_calibration_of_another_arm_is_left_out(ros):
         "calibration/kinematic",
         KinematicCalibration(verdict="pass", description=to_yaml(shorter)),
     )
-    assert not node.calibrations
     node.on_calibration(
         "calibration/dynamic", DynamicCalibration(verdict="pass", description=to_yaml(heavier))
     )
-    wait_until(lambda: node.known.arm == heavier, 10.0, lambda: None)
+    wait_until(lambda: node.calibrations, 10.0, lambda: None)
+    assert list(node.calibrations) == ["calibration/dynamic"]
+    assert node.known.arm == heavier
     node.close()
     node.destroy_node()
 

@@ -1,6 +1,7 @@
 """The node `workspace`: workspace and manipulability of the arm as it is calibrated and stands."""
 
 import sys
+from collections import deque
 from functools import partial
 from math import isfinite, pi, remainder
 from typing import Any
@@ -52,7 +53,8 @@ class WorkspaceNode(Node):
         super().__init__("workspace", **options)
         s = self.settings = declare(self, WorkspaceSettings)
         self.described = self.known = Calibrated(load(s.arm) if s.arm else paper_arm())
-        self.calibrations: dict[str, Any] = {}  # the last of each kind that passed, the newest last
+        self.arrived: deque[tuple[str, Any]] = deque()  # calibrations that passed, by topic
+        self.calibrations: dict[str, Any] = {}  # the last taken of each kind, the newest last
         load_kernels(self.known.arm)
         self.readings: dict[int, float] = {}  # of joints, by number
         self.pose: tuple[float, float, float] | None = None
@@ -70,7 +72,7 @@ class WorkspaceNode(Node):
         }
         self.maps = Worker(self.find_maps)
         self.paths = Worker(self.find_paths)
-        self.maps.submit(self.described)
+        self.maps.submit("description")
         for topic, kind in (
             ("calibration/kinematic", KinematicCalibration),
             ("calibration/dynamic", DynamicCalibration),
@@ -82,18 +84,10 @@ class WorkspaceNode(Node):
         self.diagnostics = Diagnostics(self, self.health)
 
     def on_calibration(self, topic: str, message: Any) -> None:
-        """Begin anew with what a calibration found, unless it is of another arm."""
-        if message.verdict != message.PASS:
-            return
-        calibrations = {k: v for k, v in self.calibrations.items() if k != topic}
-        calibrations[topic] = message
-        try:
-            known = self.after(calibrations)
-        except ValueError as error:
-            self.get_logger().warning(f"{topic} is left out: {error}")
-            return
-        self.calibrations = calibrations
-        self.maps.submit(known)
+        """Begin anew with what a calibration found."""
+        if message.verdict == message.PASS:
+            self.arrived.append((topic, message))
+            self.maps.submit(topic)
 
     def on_joints(self, message: JointState) -> None:
         """Readings of one link or more."""
@@ -135,6 +129,16 @@ class WorkspaceNode(Node):
         change[2] = remainder(change[2], 2.0 * pi)
         return bool((np.abs(change) <= self.settings.moved).all())
 
+    def take(self, topic: str, message: Any) -> None:
+        """In the worker's thread: know the arm by a calibration, too, unless it is of another."""
+        calibrations = {k: v for k, v in self.calibrations.items() if k != topic}
+        calibrations[topic] = message
+        try:
+            self.known = self.after(calibrations)
+            self.calibrations = calibrations
+        except ValueError as error:
+            self.get_logger().warning(f"{topic} is left out: {error}")
+
     def after(self, calibrations: dict[str, Any]) -> Calibrated:
         """What is known of the described arm after calibrations.
 
@@ -148,9 +152,11 @@ class WorkspaceNode(Node):
             raise ValueError(f"it is of {known.arm.n} links, expected {self.described.arm.n}")
         return known
 
-    def find_maps(self, known: Calibrated, progress: Progress) -> None:
+    def find_maps(self, _: str, progress: Progress) -> None:
         """In the worker's thread: compute and publish all that hangs on the arm alone."""
-        self.known, settings = known, self.settings.analysis
+        while self.arrived:
+            self.take(*self.arrived.popleft())
+        known, settings = self.known, self.settings.analysis
         found = analyse(known, settings, progress)
         header = self.header(self.settings.base_frame)
         for base, one in found.maps.items():
