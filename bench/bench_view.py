@@ -148,7 +148,7 @@ class Ear(Node):
 def flood(folder: Path, over: Event) -> None:
     """Publish in a process of its own what only the view listens to."""
     code = (  # as the view does, it gives way: what it costs by itself is not the question
-        "import os; os.nice(10)\n"
+        "import os; os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))\n"
         "import time, rclpy\n"
         "from fss_arm_msgs.msg import BaseReaction\n"
         "from fss_arm_ros.qos import SENSOR\n"
