@@ -24,8 +24,9 @@ from rclpy.parameter import Parameter
 from std_srvs.srv import SetBool
 
 from fss_arm_msgs.action import MoveArm
-from fss_arm_ros.bags import find, is_sound, open_bags
+from fss_arm_ros.bags import find, open_bags
 from fss_arm_ros.health import findings, streams
+from fss_arm_ros.recovery import is_sound
 
 MODULES |= {
     "dynamic": "fss_arm_calib.dynamic_node",

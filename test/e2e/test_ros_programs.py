@@ -15,8 +15,9 @@ from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import ByteMultiArray
 
 from fss_arm_msgs.msg import LinkTelemetry
-from fss_arm_ros.bags import find, is_sound, open_bags
+from fss_arm_ros.bags import find, open_bags
 from fss_arm_ros.qos import SENSOR, subscribe_sensor
+from fss_arm_ros.recovery import is_sound
 
 RATES = {
     "vicon/fss/fss": (PoseStamped, 100),

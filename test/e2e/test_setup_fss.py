@@ -16,7 +16,8 @@ import pytest
 from conftest import DOMAIN, wait_until
 
 from fss_arm_model.description import paper_arm, save
-from fss_arm_ros.bags import find, is_sound, open_bags
+from fss_arm_ros.bags import find, open_bags
+from fss_arm_ros.recovery import is_sound
 
 SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 PAUSE = partial(Event().wait, 0.05)

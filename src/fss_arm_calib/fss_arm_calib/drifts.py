@@ -11,9 +11,9 @@ import numpy as np
 from .drift import Drift
 from .drift_settings import DriftSettings
 from .least_squares import Floats
-from .maneuvers import Samples
 from .poses import FROZEN, SECOND, Poses
 from .rests import BASE
+from .samples import Samples
 from .streams import Merge, Streams
 
 _FEWEST = 10  # averaged poses of a drift

@@ -16,30 +16,27 @@ passed the moment in question: what is found is a function of the data alone. Gy
 telemetry may be absent; if they fall silent, they are waited for up to half of `horizon`.
 """
 
-from array import array
-from bisect import bisect_left, bisect_right
 from collections import deque
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from math import isfinite, pi
-from operator import itemgetter
+from math import pi
 from typing import NamedTuple
 
 import numpy as np
 
 from fss_arm_model.base_motion import Path, path, sampled
 
-from .alignment import NEWEST, Offset, mean_offset, offset_of_move
+from .alignment import NEWEST, WORST, Offset, mean_offset, offset_of_move
 from .dynamic_settings import ManeuverSettings
 from .kinematic import wrap
 from .least_squares import Floats
 from .poses import FROZEN, SECOND, Hole, Poses, mean_pose, seen_from
 from .rests import BASE, TIP
-from .streams import Joint, Merge, Stream, Streams
+from .samples import Gyro, Link, Samples, Told
+from .streams import Merge, Stream, Streams
 
 SEARCH = 0.5  # for an offset, about the one allowed for [s]
 PATIENCE = 0.5  # of the horizon, for what may be absent
-WORST = 0.05  # an offset known no better tells nothing [s]
 
 _Looks = tuple[tuple[int, int], tuple[int, int]]  # begin and end, before and after [ns]
 
@@ -83,116 +80,6 @@ class _Rest(NamedTuple):
     moved: int  # a moment just before, at which some joint was moving; -1: none is known
 
 
-class Samples(Joint):
-    """One joint's samples, and its present run of still ones."""
-
-    def __init__(self, name: str) -> None:
-        super().__init__(name)
-        self.t, self.q, self.qd = array("q"), array("d"), array("d")
-        self.start = self.last = -1  # of the run
-        self.moved = -1  # the last sample before it
-        self.low = self.high = 0.0
-
-    def take(self, still: float) -> bool:
-        """Merge the oldest sample that waits; return whether it ended a run."""
-        t, q, qd = self.waiting.popleft()
-        self.t.append(t)
-        self.q.append(q)
-        self.qd.append(qd)
-        ends = self.start >= 0 and max(self.high, q) - min(self.low, q) > still
-        if ends or self.start < 0:
-            self.moved = self.last
-            self.start, self.low, self.high = t, q, q
-        else:
-            self.low, self.high = min(self.low, q), max(self.high, q)
-        self.last = t
-        return ends
-
-    def within(self, begin: int, end: int) -> tuple[np.ndarray, Floats, Floats]:
-        """Stamps, readings and rates from `begin` to `end`, both included."""
-        a, b = bisect_left(self.t, begin), bisect_right(self.t, end)
-        return np.array(self.t[a:b]), np.array(self.q[a:b]), np.array(self.qd[a:b])
-
-    def forget(self, before: int) -> None:
-        """Drop all but the last one of what is older."""
-        k = max(bisect_left(self.t, before) - 1, 0)
-        del self.t[:k], self.q[:k], self.qd[:k]
-
-
-class _Gyro:
-    """The base's turn rates by stamp."""
-
-    def __init__(self) -> None:
-        self.newest = -1
-        self.t, self.rate = array("q"), array("d")
-
-    def append(self, t: int, rate: float) -> None:
-        if t > self.newest and isfinite(rate):
-            self.newest = t
-            self.t.append(t)
-            self.rate.append(rate)
-
-    def turn(self, begin: int, end: int, gap: float) -> float | None:
-        """Angle turned in an interval [rad]; None if there is a longer gap [ns] in the rates."""
-        found = self.angles(begin, end, gap)
-        return None if found is None else float(np.diff(np.interp([begin, end], *found))[0])
-
-    def angles(self, begin: int, end: int, gap: float) -> tuple[np.ndarray, Floats] | None:
-        """Stamps and angles turned since the first of them [rad]; None: there is a longer gap."""
-        a, b = max(bisect_right(self.t, begin) - 1, 0), bisect_left(self.t, end) + 1
-        t, rate = np.array(self.t[a:b]), np.array(self.rate[a:b])
-        if len(t) < 2 or t[0] > begin or t[-1] < end or np.diff(t).max() > gap:
-            return None
-        steps = 0.5 * (rate[1:] + rate[:-1]) * np.diff(t) / SECOND
-        return t, np.concatenate([[0.0], np.cumsum(steps)])
-
-    def forget(self, before: int) -> None:
-        k = max(bisect_right(self.t, before) - 1, 0)
-        del self.t[:k], self.rate[:k]
-
-
-class _Told(NamedTuple):
-    """What a link tells of itself, from a moment on."""
-
-    t: int  # [ns]
-    armed: bool
-    reference: tuple[int, int]  # start of its electronics, and homings since; 0 homings: not told
-
-
-class _Link:
-    """A link's telemetry, wherever it changed."""
-
-    def __init__(self) -> None:
-        self.newest = -1
-        self.told: list[_Told] = []
-
-    def append(self, told: _Told) -> None:
-        if told.t > self.newest:
-            self.newest = told.t
-            if not self.told or self.told[-1][1:] != told[1:]:
-                self.told.append(told)
-
-    def within(self, begin: int, end: int) -> list[_Told]:
-        """What held at the begin of an interval, and what was told until its end."""
-        a, b = (bisect_right(self.told, t, key=itemgetter(0)) for t in (begin, end))
-        return self.told[max(a - 1, 0) : b]
-
-    def disarmed(self, begin: int, end: int) -> list[tuple[int, int]]:
-        """The parts of an interval, both ends included, in which it was not armed."""
-        told = self.within(begin, end)
-        edges = [*(max(begin, one.t) for one in told), end + 1]
-        parts = zip(told, pairwise(edges), strict=True)
-        return [(a, b - 1) for one, (a, b) in parts if not one.armed]
-
-    def homed(self, begin: int, end: int) -> bool:
-        """Whether it was referenced anew meanwhile, or restarted, the drive perhaps with it."""
-        told = self.within(begin, end)
-        return len({one.reference for one in told if one.reference[1]}) > 1
-
-    def forget(self, before: int) -> None:
-        del self.told[: max(bisect_right(self.told, before, key=itemgetter(0)) - 1, 0)]
-
-
 class ManeuverFinder:
     """Fed samples of n joints, the base and its gyro, returns the maneuvers that they complete.
 
@@ -207,8 +94,8 @@ class ManeuverFinder:
         self.base = Poses(BASE, s.max_speed, s.max_turn)
         self.tip = Poses(TIP, s.max_speed, s.max_turn)
         self._lag(round(s.time_offset * SECOND))
-        self.gyro = _Gyro()
-        self.links = [_Link() for _ in self.joints]
+        self.gyro = Gyro()
+        self.links = [Link() for _ in self.joints]
         self.offset = Offset()  # between the clocks
         self._offsets: deque[Offset] = deque(maxlen=NEWEST)  # by each maneuver
         self._merge = Merge(self.joints, s.horizon)
@@ -256,7 +143,7 @@ class ManeuverFinder:
     def telemetry(self, i: int, t: int, armed: bool, boot: int, homings: int) -> list[Maneuver]:
         """What link i, 1 to n, tells: whether it is armed, its start, and its homings since."""
         if 1 <= i <= len(self.links):
-            self.links[i - 1].append(_Told(t, armed, (boot, homings)))
+            self.links[i - 1].append(Told(t, armed, (boot, homings)))
         return self._collect()
 
     def close(self) -> list[Maneuver]:

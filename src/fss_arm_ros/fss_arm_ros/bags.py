@@ -8,35 +8,24 @@ chunk of a bag that has both is met only when it is read; `repair` leaves it out
 
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass
-from fcntl import LOCK_NB, LOCK_SH, flock
 from hashlib import sha256
 from heapq import merge
 from itertools import chain
 from operator import itemgetter
-from os import SEEK_END, PathLike, link
+from os import PathLike
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, BinaryIO, NamedTuple, cast
+from typing import Any, NamedTuple, cast
 
-from mcap.exceptions import InvalidMagic
-from mcap.reader import make_reader
-from mcap.records import Channel, Chunk, ChunkIndex, McapRecord, Message, Schema
-from mcap.stream_reader import StreamReader, breakup_chunk, get_chunk_data_stream
-from mcap.summary import Summary
 from rosbags.highlevel import AnyReader, AnyReaderError
-from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefinitionFormat, Qos
-from rosbags.rosbag2 import Reader, StoragePlugin, Writer
-from rosbags.rosbag2.metadata import parse_qos
-from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
+from rosbags.interfaces import ConnectionExtRosbag2, MessageDefinitionFormat, Qos
 
-from .chunks import CRC, RECORD, Received, in_order, indexed, records
+from .chunks import Received, in_order, indexed
+from .recovery import BagError, Recovered, is_sound, recover, storage_files
+
+__all__ = ["BagError", "Bags", "Topic", "digest", "find", "open_bags", "two_versions"]
 
 AnyPath = str | PathLike[str]
-
-
-class BagError(ValueError):
-    """A bag cannot be read; the message names the file and what is wrong with it."""
 
 
 class Topic(NamedTuple):
@@ -48,21 +37,6 @@ class Topic(NamedTuple):
     hash: str  # RIHS01 of the type; empty: not known
     definition: str  # of the type, as in the bag
     mixed: bool = False  # the bags hold the type in two versions
-
-
-@dataclass(frozen=True)
-class Recovered:
-    """What could be saved of a damaged bag."""
-
-    path: Path
-    messages: int
-    lost: int  # bytes that belong to no whole record, or to messages of an unknown type
-
-    def __str__(self) -> str:
-        return (
-            f"{self.path}: {self.messages} messages recovered, "
-            f"{self.lost} bytes at damaged places lost"
-        )
 
 
 class Bags:
@@ -234,10 +208,10 @@ def find(path: Path) -> list[Path]:
     """
     if not path.exists():
         raise BagError(f"{path}: no such file or folder")
-    if path.is_file() or (path / "metadata.yaml").exists() or _storage_files(path):
+    if path.is_file() or (path / "metadata.yaml").exists() or storage_files(path):
         return [path]
     inner = [p for p in path.iterdir() if p.is_dir() and not p.name.startswith(".")]
-    bags = [p for p in inner if (p / "metadata.yaml").exists() or _storage_files(p)]
+    bags = [p for p in inner if (p / "metadata.yaml").exists() or storage_files(p)]
     if not bags:
         raise BagError(f"{path}: holds no bag")
     return sorted(bags, key=lambda p: (len(p.name), p.name))
@@ -250,237 +224,11 @@ def digest(path: Path) -> str:
         OSError: a file cannot be read.
     """
     hashed = sha256()
-    for file in _storage_files(path):
+    for file in storage_files(path):
         with file.open("rb") as stream:
             while block := stream.read(1 << 20):
                 hashed.update(block)
     return hashed.hexdigest()
-
-
-def is_sound(path: Path) -> bool:
-    """Whether a bag has its index and metadata; its chunks are not looked at.
-
-    Raises:
-        BagError: it is of a kind that cannot be told, or of which nothing can be recovered.
-    """
-    try:
-        with Reader(path):
-            return True
-    except Exception as error:  # rosbags parses damaged bytes as they come
-        files = _storage_files(path)
-        if not files or any(file.suffix != ".mcap" for file in files):
-            raise BagError(f"{path}: {error}") from None
-        return False
-
-
-def recover(path: Path, copy: Path) -> Recovered:
-    """Write the whole chunks of a damaged MCAP bag to `copy`, a sound bag.
-
-    Raises:
-        BagError: a file is not MCAP or has a definition that is not understood.
-    """
-    messages = lost = 0
-    with Writer(copy, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        connections: dict[tuple[str, str], Connection] = {}
-        for file in _storage_files(path):
-            found = _Records(file)
-            schemas: dict[int, Schema] = {}
-            channels: dict[int, Connection] = {}
-            for record in found:
-                if isinstance(record, Schema):
-                    schemas[record.id] = record
-                elif isinstance(record, Channel) and record.schema_id in schemas:
-                    schema = schemas[record.schema_id]
-                    key = (record.topic, schema.name)
-                    if key not in connections:
-                        connections[key] = _connect(writer, file, record, schema)
-                    channels[record.id] = connections[key]
-                elif isinstance(record, Message) and record.channel_id in channels:
-                    writer.write(channels[record.channel_id], record.log_time, record.data)
-                    messages += 1
-                elif isinstance(record, Message):  # what tells its type was in a damaged chunk
-                    lost += len(record.data)
-            lost += found.lost
-    return Recovered(path, messages, lost)
-
-
-def repair(path: Path) -> Recovered | None:
-    """Replace a damaged bag by what can be recovered of it; None: it was sound.
-
-    The damaged files stay beside it with `.damaged` appended to their names.
-
-    Raises:
-        BagError: nothing can be recovered, or the bag is being recorded.
-        OSError: the result cannot be written.
-    """
-    if is_sound(path) and _reads_through(path):
-        return None
-    files = _storage_files(path)
-    if not files or any(file.suffix != ".mcap" for file in files):
-        raise BagError(f"{path}: damaged; only MCAP files can be repaired")
-    first, *others = files
-    if any(map(_locked, files)):
-        raise BagError(f"{path}: is being recorded; stop the recorder first")
-    with TemporaryDirectory(dir=first.parent, prefix=".repair_") as folder:
-        copy = Path(folder, first.stem)  # its file has the name of the first, and takes its place
-        recovered = recover(path, copy)
-        metadata = path / "metadata.yaml"
-        if metadata.exists() and not _kept(first).exists():  # else of an interrupted repair
-            _keep(metadata)
-        for file in files:
-            _keep(file)
-        if path.is_dir():  # metadata.yaml first: until the file follows, the bag shows its damage
-            (copy / "metadata.yaml").replace(metadata)
-        (copy / first.name).replace(first)
-        for file in others:
-            file.unlink(missing_ok=True)
-    return recovered
-
-
-def _reads_through(path: Path) -> bool:
-    """Whether no chunk of a bag that has its index is damaged."""
-    try:
-        with open_bags(path) as bags:
-            for _ in bags.raw():
-                pass
-    except BagError:
-        return False
-    return True
-
-
-def _locked(file: Path) -> bool:
-    """Whether a recorder has it open."""
-    with file.open("rb") as stream:
-        try:
-            flock(stream, LOCK_SH | LOCK_NB)
-        except BlockingIOError:
-            return True
-        except OSError:  # a file system without locks
-            pass
-    return False
-
-
-def _keep(file: Path) -> None:
-    """Let a damaged file be found beside what takes its place."""
-    kept = _kept(file)
-    try:
-        link(file, kept)
-    except FileExistsError:
-        if not kept.samefile(file):  # else of a repair that was interrupted
-            raise
-    except OSError:  # a file system without second names, as exFAT
-        file.rename(kept)
-
-
-def _kept(file: Path) -> Path:
-    """Where a damaged file is kept."""
-    return file.with_name(f"{file.name}.damaged")
-
-
-class _Records:
-    """The schemas, channels and messages in the whole chunks of an MCAP file."""
-
-    def __init__(self, file: Path) -> None:
-        self.file = file
-        self.lost = 0  # bytes met that belong to no whole record
-
-    def __iter__(self) -> Iterator[McapRecord]:
-        with self.file.open("rb") as stream:
-            summary = _summary(stream)
-            if summary:  # the chunk that has them may be damaged
-                yield from summary.schemas.values()
-                yield from summary.channels.values()
-            if summary and summary.chunk_indexes:
-                yield from self._indexed(stream, summary.chunk_indexes)
-            else:
-                yield from self._in_turn(stream)
-
-    def _indexed(self, stream: BinaryIO, chunks: Iterable[ChunkIndex]) -> Iterator[McapRecord]:
-        """Those in the chunks that the index knows, whatever lies between them."""
-        for index in chunks:
-            stream.seek(index.chunk_start_offset + RECORD.size + 24)
-            crc = int.from_bytes(stream.read(CRC.size), "little")
-            stream.seek(index.chunk_start_offset + index.chunk_length - index.compressed_size)
-            chunk = Chunk(
-                compression=index.compression,
-                data=stream.read(index.compressed_size),
-                message_start_time=index.message_start_time,
-                message_end_time=index.message_end_time,
-                uncompressed_crc=crc,
-                uncompressed_size=index.uncompressed_size,
-            )
-            yield from self._within(chunk, index.chunk_length)
-
-    def _in_turn(self, stream: BinaryIO) -> Iterator[McapRecord]:
-        """One after the other, up to the first place from which nothing leads on."""
-        size = stream.seek(0, SEEK_END)
-        stream.seek(0)
-        end = 0  # of the last whole record
-        found = iter(StreamReader(stream, emit_chunks=True, record_size_limit=size).records)
-        while True:
-            try:
-                record = next(found)
-            except (StopIteration, InvalidMagic) as stop:
-                if isinstance(stop, InvalidMagic) and end == 0:
-                    raise BagError(f"{self.file}: is not an MCAP file") from None
-                break
-            except OSError:
-                raise
-            except Exception:  # the parser takes damaged bytes as they come
-                break
-            start, end = end, stream.tell()
-            if isinstance(record, Chunk):
-                yield from self._within(record, end - start)
-            else:
-                yield record
-        self.lost += size - end
-
-    def _within(self, chunk: Chunk, size: int) -> list[McapRecord]:
-        """Those in a chunk of so many bytes; none if it is damaged."""
-        try:
-            unpacked, length = get_chunk_data_stream(chunk, validate_crc=True)
-            for _ in records(unpacked.read(length)):  # of which breakup_chunk is not so sure
-                pass
-            return breakup_chunk(chunk)
-        except Exception:  # the parsers take damaged bytes as they come
-            self.lost += size
-            return []
-
-
-def _summary(stream: BinaryIO) -> Summary | None:
-    """The summary at the end of an MCAP file, if it is whole."""
-    try:
-        return make_reader(stream).get_summary()
-    except Exception:  # the parser takes damaged bytes as they come
-        return None
-
-
-def _connect(writer: Writer, file: Path, channel: Channel, schema: Schema) -> Connection:
-    """Begin a topic in `writer` as it was in `file`."""
-    try:
-        if schema.encoding != "ros2msg":
-            raise TypesysError(f"definition in {schema.encoding!r} is not understood")
-        text = schema.data.decode()
-        store = get_typestore(Stores.EMPTY)
-        store.register(get_types_from_msg(text, schema.name))
-        digest = store.hash_rihs01(schema.name)
-    except (TypesysError, UnicodeDecodeError) as error:
-        raise BagError(f"{file}: {channel.topic} of type {schema.name}: {error}") from None
-    return writer.add_connection(
-        channel.topic,
-        schema.name,
-        msgdef=text,
-        rihs01=digest,
-        offered_qos_profiles=parse_qos(channel.metadata.get("offered_qos_profiles", "")),
-    )
-
-
-def _storage_files(path: Path) -> list[Path]:
-    """The storage files of a bag, in the order in which they were written."""
-    if path.is_file():
-        return [path]
-    files = [p for p in path.iterdir() if p.suffix in (".mcap", ".db3")]
-    return sorted(files, key=lambda p: (len(p.name), p.name))
 
 
 def _list(paths: Iterable[Path]) -> str:

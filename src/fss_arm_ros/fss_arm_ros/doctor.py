@@ -11,10 +11,11 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from .bags import BagError, Bags, find, open_bags, repair
+from .bags import BagError, Bags, find, open_bags
 from .command_line import Parser
 from .convert import seconds
 from .health import Stream, findings, remark, streams
+from .repair import repair
 
 HEALTHY, UNREADABLE, ILL = 0, 1, 2
 
