@@ -286,7 +286,8 @@ def _pose(message: PoseStamped) -> tuple[float, float, float] | None:
 def main() -> int:
     """Run as `ros2 run fss_arm_view view`."""
     # With its viewer it has only the time that nothing else wants: drivers never wait for it.
-    os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+    with suppress(OSError):  # a container may forbid it
+        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
     return run(ViewNode, ViewSettings)
 
 
