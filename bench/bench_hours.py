@@ -36,7 +36,7 @@ MODULES |= {
 }
 PAGE = os.sysconf("SC_PAGE_SIZE")
 REST = Duration(seconds=6)
-VIEWED = "50MB"  # that the viewer keeps: full within the first hour
+VIEWED = "20MB"  # that the viewer keeps: full well within the first hour
 MOST = 0.05  # growth after the first hour
 
 
@@ -123,7 +123,7 @@ def operate(graph: Graph, hours: float) -> tuple[dict[str, float], dict[str, flo
             took = (time.monotonic() - begin) / 3600
             print(f"{now:6.2f} {took:6.2f} " + " ".join(f"{mb:9.1f}" for mb in held.values())
                   + f"  {operator.moves} moves", flush=True)  # fmt: skip
-            if now >= 1.0 and not first:
+            if told > 1.0 and not first:  # the least from the end of the first hour on
                 first = held
             last, held, told = held, {}, told + 0.25
     if not rclpy.ok():
