@@ -11,7 +11,7 @@ import yaml
 from rich.console import Console
 from rich.progress import Progress
 
-from fss_arm_model.description import Arm, load, paper_arm
+from fss_arm_model.description import Arm, described
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_ros.bags import BagError, open_bags
 from fss_arm_ros.command_line import USER_ERROR, Parser
@@ -156,7 +156,7 @@ def propose(options: argparse.Namespace, console: Console) -> None:
     settings = DynamicCalibrationSettings(
         **{f.name: getattr(options, f.name) for f in fields(DynamicCalibrationSettings)}
     )
-    arm = load(settings.arm) if settings.arm else paper_arm()
+    arm = described(settings.arm)
     if options.kinematic:
         propose_postures(options, arm, console)
         return

@@ -11,7 +11,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import Imu, JointState
 from std_srvs.srv import Trigger
 
-from fss_arm_model.description import from_yaml, load, paper_arm, save
+from fss_arm_model.description import described, from_yaml, save
 from fss_arm_msgs.msg import DynamicCalibration, LinkTelemetry, Maneuvers
 from fss_arm_ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
 from fss_arm_ros.memory import give_back
@@ -58,7 +58,7 @@ class DynamicNode(Node):
     def __init__(self, **options: Any) -> None:
         super().__init__("dynamic", **options)
         s = self.settings = declare(self, DynamicSettings)
-        self.arm = load(s.arm) if s.arm else paper_arm()
+        self.arm = described(s.arm)
         self.maneuvers: list[Maneuver] = []
         self.finder = ManeuverFinder(self.arm.n, s)
         self.writes = Writes(self.get_logger())

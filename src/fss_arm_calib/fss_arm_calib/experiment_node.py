@@ -14,7 +14,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.task import Future
 
-from fss_arm_model.description import Arm, load, paper_arm
+from fss_arm_model.description import Arm, described
 from fss_arm_msgs.action import MoveArm
 from fss_arm_msgs.msg import KinematicObservations, Maneuvers
 from fss_arm_ros.convert import SECOND, stamp_ns
@@ -304,7 +304,7 @@ def stops(settings: ExperimentSettings) -> list[Stop]:
         OSError: a file cannot be read.
     """
     s = settings
-    arm = load(s.arm) if s.arm else paper_arm()
+    arm = described(s.arm)
     if s.maneuvers:
         found = through(from_yaml(Path(s.maneuvers).read_text(encoding="utf-8"), arm.n), s.pause)
         check(np.array([stop.q for stop in found]), arm)

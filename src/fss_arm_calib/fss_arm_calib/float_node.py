@@ -8,7 +8,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from fss_arm_model.description import load, paper_arm
+from fss_arm_model.description import described
 from fss_arm_msgs.msg import FloatCalibration
 from fss_arm_ros.convert import SECOND
 from fss_arm_ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
@@ -44,7 +44,7 @@ class FloatNode(Node):
     def __init__(self, **options: object) -> None:
         super().__init__("float", **options)
         s = self.settings = declare(self, FloatSettings)
-        self.arm = load(s.arm) if s.arm else paper_arm()
+        self.arm = described(s.arm)
         self.finder = DriftFinder(self.arm.n, s)
         self.drifts: list[Drift] = []
         self.writes = Writes(self.get_logger())

@@ -10,7 +10,7 @@ from typing import Any
 
 from rich.console import Console
 
-from fss_arm_model.description import Arm, from_yaml, load, paper_arm, save
+from fss_arm_model.description import Arm, described, from_yaml, load, save
 from fss_arm_ros.bags import BagError, Bags, digest, open_bags
 from fss_arm_ros.bulk import pieces, poses, turn_rates
 from fss_arm_ros.command_line import USER_ERROR, Parser
@@ -55,7 +55,7 @@ def solve_bag(
         OSError: a file cannot be read.
     """
     settings = settings or CalibrationSettings()
-    arm = load(settings.arm) if settings.arm else paper_arm()
+    arm = described(settings.arm)
     finder = RestFinder(arm.n, settings)
     with open_bags(paths) as bags:
         found = newest(observations(bags, finder, settings), settings.kept)
@@ -82,7 +82,7 @@ def solve_dynamic_bag(
         OSError: a file cannot be read.
     """
     settings = settings or DynamicCalibrationSettings()
-    arm = load(settings.arm) if settings.arm else paper_arm()
+    arm = described(settings.arm)
     finder = ManeuverFinder(arm.n, settings)
     with open_bags(paths) as bags:
         found = newest(maneuvers(bags, finder, settings), settings.kept)
@@ -102,7 +102,7 @@ def solve_float_bag(
         OSError: a file cannot be read.
     """
     s = settings or DriftSettings()
-    arm = load(s.arm) if s.arm else paper_arm()
+    arm = described(s.arm)
     finder, found = DriftFinder(arm.n, s), []
     with open_bags(paths) as bags:
         joints, base = topics(bags, {s.joints_topic: JOINTS, s.base_topic: POSES}, 2)

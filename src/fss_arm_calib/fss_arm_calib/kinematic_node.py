@@ -10,7 +10,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from fss_arm_model.description import from_yaml, load, paper_arm, save
+from fss_arm_model.description import described, from_yaml, save
 from fss_arm_msgs.msg import KinematicCalibration, KinematicObservations, LinkTelemetry
 from fss_arm_ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
 from fss_arm_ros.memory import give_back
@@ -55,7 +55,7 @@ class KinematicNode(Node):
     def __init__(self, **options: Any) -> None:
         super().__init__("kinematic", **options)
         s = self.settings = declare(self, KinematicSettings)
-        self.arm = load(s.arm) if s.arm else paper_arm()
+        self.arm = described(s.arm)
         kept = read_observations(s.state_file, self.arm.n) if s.state_file else []
         self.observations: list[Observation] = newest(kept, s.kept)
         resting_at = kept[-1].q if kept and kept[-1].used else None

@@ -12,7 +12,7 @@ from pathlib import Path
 from fss_arm_driver.protocol import load_keys
 from fss_arm_driver.transport import open_transport
 from fss_arm_driver.trials import COMPLETE, FAIL, NOT_TRIED, PASS, Finding, Rig, trials
-from fss_arm_model.description import Arm, load, paper_arm
+from fss_arm_model.description import Arm, described
 from fss_arm_ros.command_line import Parser
 
 SEARCH = 3.0  # for each link's number at a URL [s]
@@ -78,7 +78,7 @@ def run(given: argparse.Namespace) -> int:
         ValueError: a URL, the description or the keys are wrong.
         OSError: a file cannot be read or written.
     """
-    arm = load(given.arm) if given.arm else paper_arm()
+    arm = described(given.arm)
     keys = load_keys(given.keys) if given.keys else {}
     findings: list[Finding] = []
     places: dict[int, str] = {}

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from urllib.parse import urlsplit
 
 from fss_arm_driver.protocol import load_keys
-from fss_arm_model.description import Arm, Link, load, paper_arm
+from fss_arm_model.description import Arm, Link, described
 from fss_arm_ros.settings import setting
 
 
@@ -46,7 +46,7 @@ class LinkSettings:
         Raises:
             ValueError: the arm has no such link.
         """
-        arm = load(self.arm) if self.arm else paper_arm()
+        arm = described(self.arm)
         if self.link > arm.n:
             raise ValueError(f"link is {self.link}, expected 1 to {arm.n}, as arm {arm.name!r} has")
         return arm.links[self.link - 1]
@@ -87,4 +87,4 @@ class ArmSettings:
 
     def description(self) -> Arm:
         """The arm to move."""
-        return load(self.arm) if self.arm else paper_arm()
+        return described(self.arm)

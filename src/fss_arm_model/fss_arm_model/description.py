@@ -382,6 +382,11 @@ def load(path: str | os.PathLike[str]) -> Arm:
         return from_yaml(text)
 
 
+def described(path: str) -> Arm:
+    """The arm that a setting names; empty: the paper's. Raises as `load`."""
+    return load(path) if path else paper_arm()
+
+
 def _scalar(value: Any) -> str:
     """YAML of a value, exact: the shortest decimals that read back as the same float."""
     if isinstance(value, tuple):

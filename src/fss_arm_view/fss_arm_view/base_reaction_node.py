@@ -13,7 +13,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import Imu, JointState
 from tf2_msgs.msg import TFMessage
 
-from fss_arm_model.description import load, paper_arm
+from fss_arm_model.description import described
 from fss_arm_msgs.msg import BaseReaction as BaseReactionMessage
 from fss_arm_msgs.msg import DynamicCalibration, KinematicCalibration
 from fss_arm_ros.calibrated import Calibrated
@@ -45,7 +45,7 @@ class BaseReactionNode(Node):
     def __init__(self, **options: Any) -> None:
         super().__init__("base_reaction", **options)
         s = self.settings = declare(self, BaseReactionSettings)
-        self.known = Calibrated(load(s.arm) if s.arm else paper_arm())
+        self.known = Calibrated(described(s.arm))
         self.offsets: dict[str, int] = {}  # of clocks against motion capture's [ns], by calibration
         self.begin()
         self.occluded = 0

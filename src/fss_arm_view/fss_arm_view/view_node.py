@@ -20,7 +20,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Empty
 from visualization_msgs.msg import Marker, MarkerArray
 
-from fss_arm_model.description import load, paper_arm
+from fss_arm_model.description import described
 from fss_arm_msgs.msg import (
     BaseReaction,
     DynamicCalibration,
@@ -57,7 +57,7 @@ class ViewNode(Node):
     def __init__(self, **options: Any) -> None:
         super().__init__("view", **options)
         s = self.settings = declare(self, ViewSettings)
-        self.known = Calibrated(load(s.arm) if s.arm else paper_arm())
+        self.known = Calibrated(described(s.arm))
         self.viewer = None
         if s.mode in (NATIVE, WEB):
             self.viewer = Viewer(s.mode, s.bind, s.port, s.web_port, s.memory)

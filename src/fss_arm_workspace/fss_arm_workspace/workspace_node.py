@@ -14,7 +14,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 from visualization_msgs.msg import MarkerArray
 
-from fss_arm_model.description import load, paper_arm
+from fss_arm_model.description import described
 from fss_arm_model.straight_path import BASES
 from fss_arm_msgs.msg import (
     DynamicCalibration,
@@ -52,7 +52,7 @@ class WorkspaceNode(Node):
     def __init__(self, **options: Any) -> None:
         super().__init__("workspace", **options)
         s = self.settings = declare(self, WorkspaceSettings)
-        self.described = self.known = Calibrated(load(s.arm) if s.arm else paper_arm())
+        self.described = self.known = Calibrated(described(s.arm))
         self.arrived: deque[tuple[str, Any]] = deque()  # calibrations that passed, by topic
         self.calibrations: dict[str, Any] = {}  # the last taken of each kind, the newest last
         load_kernels(self.known.arm)

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
-from fss_arm_model.description import Arm, load, paper_arm
+from fss_arm_model.description import Arm, described
 from fss_arm_model.simulation import Surroundings
 from fss_arm_ros.settings import setting
 from fss_sim.noise import PRESETS, Noise
@@ -184,7 +184,7 @@ class TestbedSettings(PlantSettings):
 
     def description(self) -> Arm:
         """The true arm."""
-        return load(self.arm) if self.arm else paper_arm()
+        return described(self.arm)
 
     def noise(self) -> Noise:
         """The preset's deviations, with those given in their places."""
