@@ -423,6 +423,16 @@ def test_signed_frames_are_believed_and_answered(spin, tmp_path):
     assert not any(node.session.counts[name] for name in ("signature", "unproven"))
 
 
+def test_a_battery_that_ends_soon_is_a_warning(bench):
+    node, user, _, until = bench
+    assert "battery lasts" not in user.health[-1].status[0].message
+    now = time.time_ns()
+    for age in range(600, 0, -10):  # 12.5 V in the end, 5 minutes above 12.0 V
+        node.session.battery.take(12.5 + age / 600.0, now - age * SECOND)
+    until(lambda: "the battery lasts 5 min" in user.health[-1].status[0].message)
+    assert user.level() == DiagnosticStatus.WARN
+
+
 def test_one_process_hosts_all_links_and_is_up_soon(start, spin):
     user = Node("user")
     heard = {}

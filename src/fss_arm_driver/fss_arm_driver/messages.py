@@ -16,6 +16,7 @@ from fss_arm_ros.convert import SECOND, to_time
 from fss_arm_ros.diagnostics import ERROR, OK, WARN, Health
 
 MILLISECOND = 1_000_000  # [ns]
+SHORT = 600.0  # that a battery lasts, to be warned of [s]
 #: What a LinkTelemetry has as the frame has it, and what took turns in the frames.
 REPORTED = (
     *("boot", "sequence", "clock", "position", "velocity", "current"),
@@ -116,6 +117,8 @@ class LinkHealth:
             return Health(ERROR, f"link_{session.number} is lost{': ' * bool(why)}{why}", values)
         if session.faults:
             return Health(ERROR, words, values)
+        if (left := session.battery.time_left()) < SHORT:
+            return Health(WARN, f"{words}; the battery lasts {left / 60.0:.0f} min", values)
         if any(grown[name] for name in TROUBLES):
             return Health(WARN, f"{words}; frames were lost or refused", values)
         return Health(OK if session.referenced else WARN, words, values)
