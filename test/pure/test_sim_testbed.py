@@ -95,6 +95,15 @@ def test_it_resumes_after_all_that_was_reported_with_its_links_started_again(tmp
     assert decode(report.telemetry[0][0].data).boot == 2
 
 
+def test_a_link_whose_battery_was_empty_starts_again_when_charged():
+    bed = testbed.Testbed(paper_arm(), PRESETS["ideal"], 1, BEGIN, charge=1e-4)  # 2 s at rest
+    run(bed, 300)
+    assert not any(link.electronics for link in bed.links)
+    bed.charge()
+    reports = run(bed, 100)
+    assert {decode(r.telemetry[3][0].data).boot for r in reports if r.telemetry[3]} == {5}
+
+
 @pytest.mark.parametrize("text", ["", "{}", "[1]", '{"frame": 1, "boots": 1, "rests": 0, "q": [0],'
                                   ' "qd": [0]}'])  # fmt: skip
 def test_a_file_that_is_no_state_is_refused_by_name(tmp_path, text):

@@ -9,7 +9,7 @@ from fss_sim.noise import Noise
 
 RIPPLE = 60  # periods a turn of the encoder's error: two a turn of the wave generator, at 30 : 1
 
-FULL, EMPTY = 16.8, 13.2  # of the battery, without load [V]
+FULL, EMPTY = 16.8, 12.0  # of the battery, without load [V]
 RESISTANCE = 0.1  # [ohm]
 CAPACITY = 2.2 * 3600.0  # [A s]
 IDLE = 0.4  # drawn by the electronics [A]

@@ -156,6 +156,11 @@ class Testbed:
         """
         self.links[link].put(data, peer, self.now + late, self.faults.links[link])
 
+    def charge(self) -> None:
+        """Make all batteries full; a link whose battery was empty starts again."""
+        for link in self.links:
+            link.instruments.battery.charge = 1.0
+
     def _supply(self) -> None:
         """Take power from links, or give it back; a link that starts has never started so."""
         for link, faults in zip(self.links, self.faults.links, strict=True):

@@ -1,6 +1,7 @@
 """The simulated test bed as a node: VICON and FOG on topics, links on UDP, time on request.
 
-Its services are for whoever keeps the clock: `sim/pause`, `sim/step` while paused, `sim/reset`.
+Its services are for whoever keeps the clock: `sim/pause`, `sim/step` while paused, `sim/reset`;
+`sim/charge` is the charger of the batteries.
 Time passes in a thread of its own; callbacks of the executor hold the lock.
 """
 
@@ -15,7 +16,7 @@ from rclpy.node import Node
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import Imu
 from std_msgs.msg import Bool
-from std_srvs.srv import SetBool
+from std_srvs.srv import SetBool, Trigger
 
 from fss_arm_driver.protocol import load_keys
 from fss_arm_msgs.msg import GripperState, SimFaults, SimTruth, ThrusterCommand
@@ -73,6 +74,7 @@ class TestbedNode(Node):
         self.create_service(SetBool, "sim/pause", self.on_pause)
         self.create_service(StepTime, "sim/step", self.on_step)
         self.create_service(ResetTestbed, "sim/reset", self.on_reset)
+        self.create_service(Trigger, "sim/charge", self.on_charge)
         self._counted = self.testbed.frame, time.monotonic()
         self.diagnostics = Diagnostics(self, self.health)
         self.ticker = Ticker(self.tick, self.create_guard_condition(self.on_failure))
@@ -198,6 +200,13 @@ class TestbedNode(Node):
                 wire.reset()
             self.begin(self.settings.fresh(self.arm.n))
         response.success, response.message = True, f"begun with seed {self.seed}"
+        return response
+
+    def on_charge(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Charge the links' batteries, at once."""
+        with self.lock:
+            self.testbed.charge()
+        response.success, response.message = True, "all batteries are full"
         return response
 
     def stamp(self) -> int:
