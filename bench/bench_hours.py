@@ -21,7 +21,7 @@ from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from std_srvs.srv import SetBool
+from std_srvs.srv import SetBool, Trigger
 
 from fss_arm_msgs.action import MoveArm
 from fss_arm_ros.bags import find, open_bags
@@ -36,7 +36,7 @@ MODULES |= {
 }
 PAGE = os.sysconf("SC_PAGE_SIZE")
 REST = Duration(seconds=6)
-VIEWED = "20MB"  # that the viewer keeps: full well within the first hour
+VIEWED = "5MB"  # that the viewer keeps: full early in the first hour
 MOST = 0.05  # growth after the first hour
 
 
@@ -48,6 +48,7 @@ class Operator(Node):
         self.random = np.random.default_rng(1)
         self.pause = self.create_client(SetBool, "sim/pause")
         self.arm = self.create_client(SetBool, "arm/arm")
+        self.charge = self.create_client(Trigger, "sim/charge")
         self.mover = ActionClient(self, MoveArm, "arm/move")
         self.moves = 0
         self.spinner = SingleThreadedExecutor()
@@ -112,6 +113,7 @@ def operate(graph: Graph, hours: float) -> tuple[dict[str, float], dict[str, flo
             raise RuntimeError(f"the view does not come up, see {graph.folder}")
         time.sleep(0.1)
     operator.wait(operator.pause.call_async(SetBool.Request(data=False)), 10.0)
+    moves = -1  # at the row before
     first: dict[str, float] = {}
     held: dict[str, float] = {}  # the least of a quarter of an hour: without what work takes
     begin, told = time.monotonic(), 0.0
@@ -120,6 +122,10 @@ def operate(graph: Graph, hours: float) -> tuple[dict[str, float], dict[str, flo
         operator.move()
         held = {name: min(mb, held.get(name, mb)) for name, mb in memory(graph).items()}
         if now >= told:
+            if operator.moves == moves:
+                raise RuntimeError(f"no move is reached any more, see {graph.folder}/arm.log")
+            moves = operator.moves
+            operator.wait(operator.charge.call_async(Trigger.Request()), 10.0)
             took = (time.monotonic() - begin) / 3600
             print(f"{now:6.2f} {took:6.2f} " + " ".join(f"{mb:9.1f}" for mb in held.values())
                   + f"  {operator.moves} moves", flush=True)  # fmt: skip
