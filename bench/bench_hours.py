@@ -72,11 +72,16 @@ class Operator(Node):
         self.thread.join()
         self.destroy_node()
 
+    async def ask(self, goal: MoveArm.Goal):  # type: ignore[no-untyped-def]
+        """The result of a move; None: it was refused."""
+        handle = await self.mover.send_goal_async(goal)
+        return await handle.get_result_async() if handle.accepted else None
+
     def move(self) -> None:
         """One move, perhaps a rest; if it fails, arm again."""
         goal = MoveArm.Goal(q=self.random.uniform(-1.4, 1.4, LINKS).tolist())
-        handle = self.wait(self.mover.send_goal_async(goal), 10.0)
-        answer = handle and handle.accepted and self.wait(handle.get_result_async(), 60.0)
+        # Asked in the spinner's thread: rclpy fails if an answer comes while it is still asking.
+        answer = self.wait(self.spinner.create_task(self.ask(goal)), 70.0)
         if answer and answer.result.reached:
             self.moves += 1
             if self.moves % 4 == 0:
