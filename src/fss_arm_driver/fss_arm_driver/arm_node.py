@@ -1,6 +1,7 @@
 """The node of the whole arm: moves of all joints together, and one answer for all links."""
 
 import sys
+import time
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
@@ -30,6 +31,7 @@ from fss_arm_ros.settings import declare
 
 ANSWER = 6.0  # a link's driver has answered by then [s]
 ASKING = "arm/move/_action/get_result"  # the service that whoever asked for a move is a client of
+DISCOVERY = 3.0  # by then ROS knows of a client that has asked already [s]
 
 
 @dataclass(frozen=True)
@@ -131,7 +133,7 @@ class ArmNode(Node):
         self.check(handle)
         goal = tuple(handle.request.q)
         move, begun = plan(self.arm, self.q(), goal, handle.request.duration), self.now()
-        self.moving, asking = True, False
+        self.moving, unseen = True, time.monotonic() + DISCOVERY
         try:
             while not self.reached(move):
                 elapsed = (self.now() - begun) / SECOND
@@ -142,8 +144,9 @@ class ArmNode(Node):
                 handle.publish_feedback(MoveArm.Feedback(q=self.q(), remaining=remaining))
                 await self.ticked
                 self.check(handle)
-                asked, asking = asking, self.count_clients(ASKING) > 0
-                if asked and not asking:
+                if self.count_clients(ASKING):
+                    unseen = 0.0  # from now on it is missed at once
+                elif time.monotonic() > unseen:
                     raise MoveError("whoever asked for it is gone")
         except MoveError:
             if not self.stopped:
