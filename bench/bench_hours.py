@@ -12,6 +12,7 @@ import time
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from threading import Event, Thread
+from typing import Any
 
 import numpy as np
 import rclpy
@@ -21,6 +22,7 @@ from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
 
 from fss_arm_msgs.action import MoveArm
@@ -60,7 +62,7 @@ class Operator(Node):
         """Simulated time."""
         return float(self.get_clock().now().nanoseconds / 3.6e12)
 
-    def wait(self, future, seconds: float):  # type: ignore[no-untyped-def]
+    def wait(self, future: Future, seconds: float) -> Any:
         """The answer; None: not in time."""
         over = Event()
         future.add_done_callback(lambda _: over.set())
@@ -72,7 +74,7 @@ class Operator(Node):
         self.thread.join()
         self.destroy_node()
 
-    async def ask(self, goal: MoveArm.Goal):  # type: ignore[no-untyped-def]
+    async def ask(self, goal: MoveArm.Goal) -> Any:
         """The result of a move; None: it was refused."""
         handle = await self.mover.send_goal_async(goal)
         return await handle.get_result_async() if handle.accepted else None
