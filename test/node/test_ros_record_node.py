@@ -78,19 +78,24 @@ def test_a_looser_publisher_that_comes_later_is_heard(spin, tmp_path):
     spin([node, record], lambda: record.counts["/topic"] > 2)
 
 
-def test_simulated_time_is_the_time_of_receipt_and_nothing_comes_before_it(spin, tmp_path):
+def test_simulated_time_is_the_time_of_receipt_and_only_latched_messages_come_before_it(
+    spin, tmp_path
+):
     node = Node("source")
-    data, clock = (
+    data, latched, clock = (
         node.create_publisher(Int64, "data", 10),
+        node.create_publisher(Int64, "latched", LATCHED),
         node.create_publisher(Clock, "/clock", 1),
     )
-    record = recorder(tmp_path, use_sim_time=True, topics=["data"])
+    latched.publish(Int64(data=3))
+    record = recorder(tmp_path, use_sim_time=True, topics=["data", "latched"])
     got = []
     node.create_subscription(Int64, "data", got.append, 10)
     spin([node, record], lambda: data.get_subscription_count() == 2)
     assert record.health().message == "waiting for /clock"
     data.publish(Int64(data=1))
-    spin([node, record], lambda: got)
+    spin([node, record], lambda: got and record.early)
+    assert not record.counts
     now = Clock()
     now.clock.sec = 100
 
@@ -103,7 +108,8 @@ def test_simulated_time_is_the_time_of_receipt_and_nothing_comes_before_it(spin,
     spin([node, record], lambda: record.counts["/data"])
     record.close()
     with open_bags(tmp_path) as bags:
-        assert [(t, m.data) for _, _, t, m in bags.messages()] == [(100 * 10**9, 2)]
+        kept = [(topic, t, m.data) for topic, _, t, m in bags.messages()]
+    assert sorted(kept) == [("/data", 100 * 10**9, 2), ("/latched", 100 * 10**9, 3)]
 
 
 def test_a_type_that_is_not_installed_is_said_once(spin, tmp_path, monkeypatch):

@@ -1,6 +1,6 @@
 """Records every topic into a rosbag2 (MCAP) bag."""
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -22,6 +22,7 @@ from .run import run
 from .settings import declare, setting
 
 MEGABYTE = 1_000_000
+EARLY = 1000  # latched messages kept until there is a time of receipt
 
 
 @dataclass(frozen=True)
@@ -50,8 +51,9 @@ class RecordNode(Node):
     """Records topics, as they come up, into the next bags of a folder.
 
     Hidden topics (a part of the name begins with `_`, as those of actions) are left out.
-    At most the last second is lost when it is killed. The time of receipt is the node's:
-    with use_sim_time it is /clock's, and nothing is recorded before the first /clock.
+    At most the last second is lost when it is killed. The time of receipt is the node's: with
+    use_sim_time it is /clock's; of what comes before the first /clock only latched messages are
+    recorded, as received with the first message after it.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -62,6 +64,7 @@ class RecordNode(Node):
         self.heard: dict[str, Subscription] = {}
         self.refused: set[str] = set()
         self.counts: Counter[str] = Counter()
+        self.early: deque[tuple[str, bytes]] = deque(maxlen=EARLY)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(0.2, self.discover, clock=steady)
         self.create_timer(0.5, partial(self.attempt, self.recording.flush), clock=steady)
@@ -96,9 +99,18 @@ class RecordNode(Node):
     def take(self, topic: str, data: bytes) -> None:
         """Keep one serialized message."""
         receipt = self.get_clock().now().nanoseconds
-        if receipt > 0:  # simulated time stands at 0 before the first /clock
-            self.attempt(self.recording.write, topic, receipt, data)
-            self.counts[topic] += 1
+        if receipt == 0:  # simulated time before the first /clock
+            if self.heard[topic].qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL:
+                self.early.append((topic, data))
+            return
+        while self.early:
+            self.write(receipt, *self.early.popleft())
+        self.write(receipt, topic, data)
+
+    def write(self, receipt: int, topic: str, data: bytes) -> None:
+        """Write one serialized message."""
+        self.attempt(self.recording.write, topic, receipt, data)
+        self.counts[topic] += 1
 
     def attempt(self, step: Callable[..., None], *args: Any) -> None:
         """Do a step of the recording; end the process if the disk refuses it."""
