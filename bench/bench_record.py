@@ -7,12 +7,14 @@ rosbags' writer alone writes the same messages from memory.
 """
 
 import argparse
+import json
 import os
 import sys
 import time
 from collections import Counter
 from itertools import islice
 from pathlib import Path
+from statistics import fmean, median
 from tempfile import TemporaryDirectory
 
 import rclpy
@@ -85,6 +87,23 @@ def lost(bags: Bags) -> dict[str, int]:
     return telemetry | {t: n[-1] - n[0] + 1 - len(n) for t, n in stamps.items()}
 
 
+def links_rates(bags: Bags) -> list[float]:
+    """Telemetry of a link in each real second that the test bed ran [1/s], as it says itself."""
+    rates = []
+    for _, _, _, message in bags.messages({"/diagnostics"}):
+        for status in message.status:
+            if status.name == "testbed" and not status.message.startswith("paused"):
+                values = {pair.key: pair.value for pair in status.values}
+                rates.append(RATE * float(values["speed"]))
+    return rates[1:-1]  # whole seconds
+
+
+def stolen() -> float:
+    """Time that other machines on this host have taken from all cores [s]."""
+    fields = Path("/proc/stat").read_text().split("\n", 1)[0].split()
+    return int(fields[8]) / os.sysconf("SC_CLK_TCK")
+
+
 def write_alone(bags: Bags, path: Path) -> float:
     """Time of rosbags' writer for a message [s], many of them in memory before."""
     messages = list(islice(bags.raw(), 300_000))
@@ -106,20 +125,26 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=600.0, help="of real time")
     options = parser.parse_args()
-    load = os.getloadavg()[0]
+    load, steal = os.getloadavg()[0], stolen()
     with TemporaryDirectory(prefix="bench_record_") as name:
         folder = Path(name)
         cpu, took = run_graph(folder, options.seconds)
+        steal = (stolen() - steal) / took
         with open_bags(folder / "bag") as bags:
-            count = sum(topic.messages for topic in bags.topics.values())
-            rates = Counter({n: t.messages / took for n, t in bags.topics.items()})
-            missing = lost(bags)
+            counts = Counter({name: topic.messages for name, topic in bags.topics.items()})
+            missing, seconds = lost(bags), sorted(links_rates(bags))
             alone = write_alone(bags, folder / "alone")
         size = sum(file.stat().st_size for file in (folder / "bag").rglob("*.mcap"))
-        counted = int((folder / "count.log").read_text().split()[-1])
-    print(f"{os.cpu_count()} cores, load {load:.1f} before; {took:.0f} s")
+        others = Counter(json.loads((folder / "count.log").read_text().splitlines()[-1]))
+    print(f"{os.cpu_count()} cores, load {load:.1f} before, {steal:.2f} stolen; {took:.0f} s")
+    print(f"each link by the second, asked {SPEED * RATE:.0f}/s: mean {fmean(seconds):.0f}/s, "
+          f"half above {median(seconds):.0f}/s, slowest {seconds[0]:.0f}/s")  # fmt: skip
+    count, counted = counts.total(), others.total()
     print(f"{count} messages ({count / took:.0f}/s, {size / 1e6:.0f} MB), {counted} counted")
-    print("most: " + ", ".join(f"{topic} {rate:.0f}/s" for topic, rate in rates.most_common(8)))
+    print("counted, not recorded (before the first /clock):", dict(others - counts))
+    print("recorded, not counted:", dict(counts - others))
+    most = counts.most_common(8)
+    print("most: " + ", ".join(f"{topic} {number / took:.0f}/s" for topic, number in most))
     print(f"missing: {sum(missing.values())} of telemetry and poses {missing}")
     ours, bare = cpu["record"] / count, cpu["count"] / counted
     print(f"processor time a message: record {1e6 * ours:.1f} us, bare raw subscription "

@@ -1,5 +1,6 @@
 """The peer of the recorder: subscribes to everything as it does, serialized, and only counts."""
 
+import json
 import sys
 from functools import partial
 
@@ -33,8 +34,8 @@ class CounterNode(Node):
         self.counts[topic] += 1
 
     def close(self) -> None:
-        """Say how many."""
-        print(sum(self.counts.values()), flush=True)
+        """Say how many, by topic."""
+        print(json.dumps(self.counts), flush=True)
 
 
 def main() -> int:
