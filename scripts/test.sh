@@ -7,6 +7,8 @@ root=$(cd -- "$(dirname -- "${BASH_SOURCE[0]}")/.." && pwd -P)
 # shellcheck source=scripts/env.sh
 . "$root/scripts/env.sh"
 
+said=$(mktemp)
+trap 'rm -f "$said"' EXIT
 summary=() status=0
 step() {   # step NAME COMMAND...
   local name=$1 start=$SECONDS verdict=passed
@@ -15,6 +17,17 @@ step() {   # step NAME COMMAND...
   "$@" || { verdict=FAILED; status=1; }
   summary+=("$(printf '%-8s %-7s %4d s' "$name" "$verdict" $((SECONDS - start)))")
 }
+
+# A test that lacks its tool is skipped. Of the slow ones none is to be, where apt can help.
+if [[ " $* " == *" --slow "* && $(id -u) == 0 ]] && command -v apt-get >/dev/null; then
+  tools=(chromium zsh iproute2 systemd qemu-system-arm gcc-arm-none-eabi libnewlib-arm-none-eabi
+    libstdc++-arm-none-eabi-newlib)
+  if ! dpkg -s "${tools[@]}" >/dev/null 2>&1; then
+    echo "test: installing for the slow tests: ${tools[*]}" >&2
+    { apt-get update && DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends \
+      "${tools[@]}"; } >"$said" 2>&1 || tail -n 3 "$said" >&2
+  fi
+fi
 
 # Options may choose tests (-k) of which one step has none: pytest's code 5.
 chosen=$*
@@ -28,8 +41,6 @@ tests() {
 export OPENBLAS_NUM_THREADS=1
 at_once=$([[ " $* " == *" --slow "* ]] && echo 0 || echo 2)
 cd "$root"
-said=$(mktemp)
-trap 'rm -f "$said"' EXIT
 mypy src/*/fss_*/ >"$said" 2>&1 &
 checker=$!
 types() {
