@@ -12,7 +12,7 @@ import os
 import sys
 import time
 from collections import Counter
-from itertools import islice
+from itertools import islice, pairwise
 from pathlib import Path
 from statistics import fmean, median
 from tempfile import TemporaryDirectory
@@ -24,8 +24,10 @@ from std_srvs.srv import SetBool
 
 from fss_arm_ros.bags import Bags, open_bags
 from fss_arm_ros.convert import stamp_ns
+from fss_sim.testbed_node import TOGETHER
 
 SPEED, RATE = 5.0, 100.0
+STEADY = [*VICON, "/fog/imu"]  # a message each frame
 os.environ["PYTHONPATH"] = f"{Path(__file__).parent}:{os.environ.get('PYTHONPATH', '')}"
 MODULES |= {"count": "raw_counter", "arm": "fss_arm_driver.arm_node"}
 
@@ -65,7 +67,7 @@ def run_graph(folder: Path, seconds: float) -> tuple[dict[str, float], float]:
 
 
 def lost(bags: Bags) -> dict[str, int]:
-    """What is missing of the telemetry that the drivers say they published, and of steady poses.
+    """What is missing of what the drivers say they published, and of steady topics by their stamps.
 
     Frames that were lost on the wire, or came to a driver that had lost the link, no recorder has.
     """
@@ -78,13 +80,21 @@ def lost(bags: Bags) -> dict[str, int]:
                 said[f"/{status.name}/telemetry"] = int(values["believed"])
                 missed[status.name] = int(values.get("missed", 0))
     print("missed by the drivers, on the wire:", missed.total())
-    stamps: dict[str, list[int]] = {topic: [] for topic in VICON}
-    for topic, _, _, message in bags.messages(set(VICON)):
-        stamps[topic].append(stamp_ns(message.header.stamp) // 10_000_000)
     if silent := set(TELEMETRY) - set(said):
         raise RuntimeError(f"no diagnostics of {', '.join(sorted(silent))}")
-    telemetry = {t: max(0, said[t] - bags.topics[t].messages) for t in TELEMETRY}
-    return telemetry | {t: n[-1] - n[0] + 1 - len(n) for t, n in stamps.items()}
+    said["/joint_states"] = said.total()
+    missing = {
+        topic: max(0, number - bags.topics[topic].messages) for topic, number in said.items()
+    }
+    stamps: dict[str, list[int]] = {topic: [] for topic in STEADY}
+    for topic, _, _, message in bags.messages(set(STEADY)):
+        stamps[topic].append(stamp_ns(message.header.stamp) // 10_000_000)
+    missing |= {topic: n[-1] - n[0] + 1 - len(n) for topic, n in stamps.items()}
+    clock = [
+        stamp_ns(message.clock) // 10_000_000 for _, _, _, message in bags.messages({"/clock"})
+    ]
+    missing["/clock"] = sum((b - a - 1) // TOGETHER for a, b in pairwise(clock))  # at least
+    return missing
 
 
 def links_rates(bags: Bags) -> list[float]:
@@ -142,10 +152,10 @@ def main() -> int:
     count, counted = counts.total(), others.total()
     print(f"{count} messages ({count / took:.0f}/s, {size / 1e6:.0f} MB), {counted} counted")
     print("counted, not recorded (before the first /clock):", dict(others - counts))
-    print("recorded, not counted:", dict(counts - others))
+    print("recorded, not counted (after the counter ended, or lost by it):", dict(counts - others))
     most = counts.most_common(8)
     print("most: " + ", ".join(f"{topic} {number / took:.0f}/s" for topic, number in most))
-    print(f"missing: {sum(missing.values())} of telemetry and poses {missing}")
+    print(f"missing: {sum(missing.values())} {missing}")
     ours, bare = cpu["record"] / count, cpu["count"] / counted
     print(f"processor time a message: record {1e6 * ours:.1f} us, bare raw subscription "
           f"{1e6 * bare:.1f} us, rosbags' writer alone {1e6 * alone:.1f} us")  # fmt: skip
