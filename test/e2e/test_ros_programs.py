@@ -4,6 +4,7 @@ import resource
 import signal
 from collections import Counter
 from functools import partial
+from itertools import pairwise
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
@@ -16,8 +17,11 @@ from std_msgs.msg import ByteMultiArray
 
 from fss_arm_msgs.msg import LinkTelemetry
 from fss_arm_ros.bags import find, open_bags
+from fss_arm_ros.convert import SECOND, stamp_ns
 from fss_arm_ros.qos import SENSOR, subscribe_sensor
 from fss_arm_ros.recovery import is_sound
+from fss_sim.testbed import FRAME
+from fss_sim.testbed_node import TOGETHER
 
 RATES = {
     "vicon/fss/fss": (PoseStamped, 100),
@@ -83,6 +87,44 @@ def test_a_killed_recorder_loses_at_most_the_last_second_and_the_next_goes_on(
         assert [path.name for path in bags.paths] == ["bag_0", "bag_1"]
         receipts = [t for _, _, t, _ in bags.raw()]
     assert receipts == sorted(receipts)
+
+
+def test_a_recorder_that_stands_still_for_a_while_loses_nothing(spin, start, tmp_path):
+    bed = ("-p", "keep_clock:=true", "-p", "speed:=5.0")
+    record = start("fss_arm_ros.record_node", "--ros-args", "-p", f"output:={tmp_path / 'bags'}")
+    start("fss_sim.testbed_node", "--ros-args", *bed)
+    node, now, heard = Node("operator"), [0], []
+
+    def on_clock(message):
+        now[0] = message.clock.sec
+
+    node.create_subscription(Clock, "/clock", on_clock, 1)
+    node.create_subscription(DiagnosticArray, "/diagnostics", heard.append, 10)
+
+    def pass_time(seconds):
+        then = now[0] + seconds
+        spin(node, lambda: now[0] >= then, 20.0)
+
+    def recorded():
+        """Whether the recorder tells of its messages, and so has come to the present."""
+        told = [v.key for m in heard for s in m.status if s.name == "record" for v in s.values]
+        return "/clock" in told
+
+    spin(node, recorded, 20.0)
+    pass_time(3)
+    record.process.send_signal(signal.SIGSTOP)
+    pass_time(5)  # simulated: one second, 1,600 messages
+    record.process.send_signal(signal.SIGCONT)
+    heard.clear()
+    pass_time(10)
+    spin(node, recorded, 20.0)
+    assert record.stop() == 0, record.output
+    with open_bags(tmp_path / "bags") as bags:
+        clock = [stamp_ns(m.clock) for *_, m in bags.messages({"/clock"})]
+        poses = [stamp_ns(m.header.stamp) for *_, m in bags.messages({"/vicon/fss/fss"})]
+    assert max(b - a for a, b in pairwise(clock)) <= TOGETHER * FRAME
+    assert {b - a for a, b in pairwise(poses)} == {FRAME}
+    assert poses[-1] - poses[0] > 17 * SECOND
 
 
 @pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGINT])

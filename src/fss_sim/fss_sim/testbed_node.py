@@ -61,7 +61,7 @@ class TestbedNode(Node):
         self.truth = self.create_publisher(SimTruth, "sim/truth", SENSOR)
         self.gripper = self.create_publisher(GripperState, "gripper/state", SENSOR)
         if settings.keep_clock:
-            self.clock = self.create_publisher(ClockMessage, "/clock", 10)
+            self.clock = self.create_publisher(ClockMessage, "/clock", SENSOR)
         self.clock_image, self.pose_image = ClockImage(), PoseImage(settings.world_frame)
         self.gyro_image = GyroImage(settings.base_frame, settings.noise().gyro_noise)
         self.seed, self.paused = settings.seed, settings.paused
