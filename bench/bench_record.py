@@ -145,14 +145,15 @@ def main() -> int:
             missing, seconds = lost(bags), sorted(links_rates(bags))
             alone = write_alone(bags, folder / "alone")
         size = sum(file.stat().st_size for file in (folder / "bag").rglob("*.mcap"))
-        others = Counter(json.loads((folder / "count.log").read_text().splitlines()[-1]))
+        said = json.loads((folder / "count.log").read_text().splitlines()[-1])
+        others, early = map(Counter, said)
     print(f"{os.cpu_count()} cores, load {load:.1f} before, {steal:.2f} stolen; {took:.0f} s")
     print(f"each link by the second, asked {SPEED * RATE:.0f}/s: mean {fmean(seconds):.0f}/s, "
           f"half above {median(seconds):.0f}/s, slowest {seconds[0]:.0f}/s")  # fmt: skip
     count, counted = counts.total(), others.total()
     print(f"{count} messages ({count / took:.0f}/s, {size / 1e6:.0f} MB), {counted} counted")
-    print("counted, not recorded (before the first /clock):", dict(others - counts))
-    print("recorded, not counted (after the counter ended, or lost by it):", dict(counts - others))
+    print(f"counted since the first /clock, not recorded: {dict(others - early - counts)}; "
+          f"recorded, not counted: {dict(counts - others)}")  # fmt: skip
     most = counts.most_common(8)
     print("most: " + ", ".join(f"{topic} {number / took:.0f}/s" for topic, number in most))
     print(f"missing: {sum(missing.values())} {missing}")
