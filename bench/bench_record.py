@@ -24,6 +24,7 @@ from std_srvs.srv import SetBool
 
 from fss_arm_ros.bags import Bags, open_bags
 from fss_arm_ros.convert import stamp_ns
+from fss_sim.testbed import FRAME
 from fss_sim.testbed_node import TOGETHER
 
 SPEED, RATE = 5.0, 100.0
@@ -88,11 +89,9 @@ def lost(bags: Bags) -> dict[str, int]:
     }
     stamps: dict[str, list[int]] = {topic: [] for topic in STEADY}
     for topic, _, _, message in bags.messages(set(STEADY)):
-        stamps[topic].append(stamp_ns(message.header.stamp) // 10_000_000)
+        stamps[topic].append(stamp_ns(message.header.stamp) // FRAME)
     missing |= {topic: n[-1] - n[0] + 1 - len(n) for topic, n in stamps.items()}
-    clock = [
-        stamp_ns(message.clock) // 10_000_000 for _, _, _, message in bags.messages({"/clock"})
-    ]
+    clock = [stamp_ns(message.clock) // FRAME for *_, message in bags.messages({"/clock"})]
     missing["/clock"] = sum((b - a - 1) // TOGETHER for a, b in pairwise(clock))  # at least
     return missing
 

@@ -112,6 +112,26 @@ def test_simulated_time_is_the_time_of_receipt_and_only_latched_messages_come_be
     assert sorted(kept) == [("/data", 100 * 10**9, 2), ("/latched", 100 * 10**9, 3)]
 
 
+def test_a_latched_message_of_before_the_clock_waits_for_no_other(spin, tmp_path):
+    node = Node("source")
+    latched = node.create_publisher(Int64, "latched", LATCHED)
+    clock = node.create_publisher(Clock, "/clock", 1)
+    latched.publish(Int64(data=3))
+    record = recorder(tmp_path, use_sim_time=True, topics=["latched"])
+    spin([node, record], lambda: record.early)
+    now = Clock()
+    now.clock.sec = 100
+
+    def kept():
+        clock.publish(now)
+        return record.counts["/latched"]
+
+    spin([node, record], kept)
+    record.close()
+    with open_bags(tmp_path) as bags:
+        assert [(t, m.data) for _, _, t, m in bags.messages()] == [(100 * 10**9, 3)]
+
+
 def test_a_type_that_is_not_installed_is_said_once(spin, tmp_path, monkeypatch):
     from fss_arm_ros import record_node
     from fss_arm_ros.definitions import NotInstalledError

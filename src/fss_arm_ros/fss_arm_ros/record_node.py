@@ -53,7 +53,7 @@ class RecordNode(Node):
     Hidden topics (a part of the name begins with `_`, as those of actions) are left out.
     At most the last second is lost when it is killed. The time of receipt is the node's: with
     use_sim_time it is /clock's; of what comes before the first /clock only latched messages are
-    recorded, as received with the first message after it.
+    recorded, as received after it.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -67,7 +67,7 @@ class RecordNode(Node):
         self.early: deque[tuple[str, bytes]] = deque(maxlen=EARLY)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(0.2, self.discover, clock=steady)
-        self.create_timer(0.5, partial(self.attempt, self.recording.flush), clock=steady)
+        self.create_timer(0.5, self.flush, clock=steady)
         self.get_logger().info(f"recording to {self.recording.path}")
         Diagnostics(self, self.health)
 
@@ -98,19 +98,26 @@ class RecordNode(Node):
 
     def take(self, topic: str, data: bytes) -> None:
         """Keep one serialized message."""
-        receipt = self.get_clock().now().nanoseconds
-        if receipt == 0:  # simulated time before the first /clock
-            if self.heard[topic].qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL:
-                self.early.append((topic, data))
-            return
-        while self.early:
+        if receipt := self.get_clock().now().nanoseconds:
+            self.write_early(receipt)
+            self.write(receipt, topic, data)
+        elif self.heard[topic].qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL:
+            self.early.append((topic, data))
+
+    def write_early(self, receipt: int) -> None:
+        """Write what came before the first /clock, once there is a time of receipt."""
+        while receipt and self.early:
             self.write(receipt, *self.early.popleft())
-        self.write(receipt, topic, data)
 
     def write(self, receipt: int, topic: str, data: bytes) -> None:
         """Write one serialized message."""
         self.attempt(self.recording.write, topic, receipt, data)
         self.counts[topic] += 1
+
+    def flush(self) -> None:
+        """Hand what there is to the operating system."""
+        self.write_early(self.get_clock().now().nanoseconds)
+        self.attempt(self.recording.flush)
 
     def attempt(self, step: Callable[..., None], *args: Any) -> None:
         """Do a step of the recording; end the process if the disk refuses it."""
@@ -135,6 +142,7 @@ class RecordNode(Node):
 
     def close(self) -> None:
         """End the bag."""
+        self.write_early(self.get_clock().now().nanoseconds)
         self.attempt(self.recording.close)
 
 
