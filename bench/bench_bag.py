@@ -15,15 +15,15 @@ from time import process_time
 import numpy as np
 from rosbags.highlevel import AnyReader
 
-from fss_arm_calib.dynamic_settings import DynamicCalibrationSettings
+from fss_arm_bags.recording import Recording
+from fss_arm_calib.dynamic.settings import DynamicCalibrationSettings
+from fss_arm_calib.experiment.postures import DEFAULT
 from fss_arm_calib.from_bag import solve_bag, solve_dynamic_bag
-from fss_arm_calib.postures import DEFAULT
-from fss_arm_calib.settings import CalibrationSettings
+from fss_arm_calib.kinematic.settings import CalibrationSettings
 from fss_arm_model.base_motion import base_poses, path
 from fss_arm_model.description import paper_arm
 from fss_arm_model.kinematics import tip_pose
 from fss_arm_ros.qos import SENSOR
-from fss_arm_ros.recording import Recording
 
 SECOND = 1_000_000_000
 START = 1_700_000_000 * SECOND

@@ -17,8 +17,8 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
-from fss_arm_calib.dynamic import DynamicProblem, solve
-from fss_arm_calib.dynamic_parameters import Choice
+from fss_arm_calib.dynamic.parameters import Choice
+from fss_arm_calib.dynamic.problem import DynamicProblem, solve
 from fss_arm_model import base_motion, dynamics
 from fss_arm_model.description import paper_arm
 

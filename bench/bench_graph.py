@@ -14,7 +14,7 @@ import time
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from fss_arm_ros.bags import open_bags
+from fss_arm_bags.reader import open_bags
 from fss_arm_ros.convert import stamp_ns
 
 LINKS = 4
@@ -24,7 +24,7 @@ MODULES = {
     "testbed": "fss_sim.testbed_node",
     "link": "fss_arm_driver.link_node",
     "kinematic": "fss_arm_calib.kinematic_node",
-    "record": "fss_arm_ros.record_node",
+    "record": "fss_arm_bags.record_node",
 }
 
 

@@ -25,10 +25,10 @@ from rclpy.parameter import Parameter
 from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
 
+from fss_arm_bags.health import findings, streams
+from fss_arm_bags.reader import find, open_bags
+from fss_arm_bags.recovery import is_sound
 from fss_arm_msgs.action import MoveArm
-from fss_arm_ros.bags import find, open_bags
-from fss_arm_ros.health import findings, streams
-from fss_arm_ros.recovery import is_sound
 
 MODULES |= {
     "dynamic": "fss_arm_calib.dynamic_node",

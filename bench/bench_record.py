@@ -22,7 +22,7 @@ from bench_graph import LINKS, MODULES, TELEMETRY, VICON, Graph
 from rosbags.rosbag2 import StoragePlugin, Writer
 from std_srvs.srv import SetBool
 
-from fss_arm_ros.bags import Bags, open_bags
+from fss_arm_bags.reader import Bags, open_bags
 from fss_arm_ros.convert import stamp_ns
 from fss_sim.testbed import FRAME
 from fss_sim.testbed_node import TOGETHER

@@ -7,8 +7,8 @@ from functools import partial
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
-from fss_arm_ros.definitions import message_class
-from fss_arm_ros.record_node import match
+from fss_arm_bags.definitions import message_class
+from fss_arm_bags.record_node import match
 from fss_arm_ros.run import run
 
 

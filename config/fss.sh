@@ -8,7 +8,7 @@ export ROS_DOMAIN_ID=0
 # export ROS_STATIC_PEERS="192.168.1.10;192.168.1.20"    # the ground's computer too: docs/network.md
 arm=config/arm.yaml    # your own; not out/arm.yaml, which the calibration writes anew
 
-node record fss_arm_ros record --ros-args -p output:=bags
+node record fss_arm_bags record --ros-args -p output:=bags
 for i in 1 2 3 4; do
   node "link_$i" fss_arm_driver link --ros-args -p arm:=$arm -p link:=$i \
     -p "url:=udp://192.168.1.1$i:5001?bind=600$i"

@@ -4,7 +4,7 @@
 export ROS_DOMAIN_ID=0
 arm=config/truth.yaml
 
-node record fss_arm_ros record --ros-args -p output:=out/fss_sim/bags
+node record fss_arm_bags record --ros-args -p output:=out/fss_sim/bags
 node testbed fss_sim testbed --ros-args -p arm:=$arm -p preset:=paper
 for i in 1 2 3 4; do
   node "link_$i" fss_arm_driver link --ros-args -p arm:=$arm -p link:=$i \

@@ -27,10 +27,10 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from std_srvs.srv import SetBool, Trigger
 
 from fss_arm_calib import report
+from fss_arm_calib.experiment.postures import DEFAULT
 from fss_arm_calib.from_bag import solve_bag
-from fss_arm_calib.kinematic_report import kinematic_report
-from fss_arm_calib.postures import DEFAULT
-from fss_arm_calib.settings import CalibrationSettings
+from fss_arm_calib.kinematic.report import kinematic_report
+from fss_arm_calib.kinematic.settings import CalibrationSettings
 from fss_arm_model import description
 from fss_arm_msgs.msg import KinematicCalibration, LinkTelemetry
 from fss_arm_ros.qos import LATCHED, SENSOR
@@ -204,7 +204,7 @@ def start_all(nodes: Nodes, options: argparse.Namespace, out: Path) -> None:
         ports=ports[:LINKS], keep_clock=True, speed=options.speed, paused=True,
         state_file=out / "testbed.json",
     )  # fmt: skip
-    nodes.start("record", "fss_arm_ros", "record", output=out / "bag", **clock)
+    nodes.start("record", "fss_arm_bags", "record", output=out / "bag", **clock)
     for i in range(1, LINKS + 1):
         url = f"udp://127.0.0.1:{ports[i - 1]}?bind={ports[LINKS + i - 1]}"
         nodes.start(

@@ -24,8 +24,8 @@ from rich.live import Live
 from rich.markup import escape
 from rich.table import Table
 
+from fss_arm_bags.definitions import MEASUREMENTS, NotInstalledError, message_class
 from fss_arm_msgs.msg import LinkTelemetry
-from fss_arm_ros.definitions import MEASUREMENTS, NotInstalledError, message_class
 from fss_arm_ros.executor import BatchExecutor
 from fss_arm_ros.qos import LATCHED
 

@@ -9,6 +9,8 @@ from inspect import getdoc
 from pathlib import Path
 from typing import Any, get_type_hints
 
+from fss_arm_model.settings import meaning
+
 ROOT = Path(__file__).resolve().parents[1]
 MESSAGES = ROOT / "src/fss_arm_msgs"
 NOTE = "Made by `scripts/make_docs.py`; do not edit it by hand."
@@ -105,7 +107,7 @@ def _parameters(settings: type) -> str:
         if kind == "tuple":
             kind = f"list of {hints[f.name].__args__[0].__name__}"
         default = _shown(f.default)
-        rows.append(_row(f"`{f.name}`", kind, default and f"`{default}`", f.metadata["about"]))
+        rows.append(_row(f"`{f.name}`", kind, default and f"`{default}`", meaning(f)))
     return "\n".join(rows)
 
 

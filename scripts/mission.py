@@ -22,11 +22,11 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
 from std_srvs.srv import SetBool
 
+from fss_arm_bags.reader import open_bags
 from fss_arm_model.description import Arm, load
 from fss_arm_model.kinematics import joint_positions
 from fss_arm_msgs.msg import GripperState, LinkCommand, LinkTelemetry, ThrusterCommand
 from fss_arm_msgs.srv import StepTime
-from fss_arm_ros.bags import open_bags
 from fss_arm_ros.convert import SECOND, planar_pose, stamp_ns
 from fss_arm_ros.qos import COMMAND, SENSOR
 from fss_sim.mission import PERIOD, Guidance
@@ -178,7 +178,7 @@ def start_all(nodes: Nodes, arm: Path, out: Path, seed: int) -> None:
     ports = free_ports(2 * LINKS)
     urls = [f"udp://127.0.0.1:{ports[i]}?bind={ports[LINKS + i]}" for i in range(LINKS)]
     clock = {"use_sim_time": True}
-    nodes.start("record", "fss_arm_ros", "record", output=out / "bag", **clock)
+    nodes.start("record", "fss_arm_bags", "record", output=out / "bag", **clock)
     nodes.start(
         "testbed", "fss_sim", "testbed", arm=arm, seed=seed, ports=ports[:LINKS], keep_clock=True,
         paused=True, truth_rate=50.0, **BEGIN,

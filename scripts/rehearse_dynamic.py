@@ -24,14 +24,21 @@ from rich.console import Console
 from std_srvs.srv import SetBool
 
 from fss_arm_calib import report
-from fss_arm_calib.design import Conditions, Planned, design, expected, from_yaml, to_yaml
+from fss_arm_calib.dynamic.checks import DynamicCalibration, calibrate
+from fss_arm_calib.dynamic.parameters import values
+from fss_arm_calib.dynamic.report import dynamic_report
+from fss_arm_calib.dynamic.settings import DynamicCalibrationSettings
 from fss_arm_calib.dynamic_messages import maneuvers_message
-from fss_arm_calib.dynamic_parameters import values
-from fss_arm_calib.dynamic_report import dynamic_report
-from fss_arm_calib.dynamic_settings import DynamicCalibrationSettings
-from fss_arm_calib.dynamic_verdict import DynamicCalibration, calibrate
+from fss_arm_calib.experiment.design import (
+    Conditions,
+    Planned,
+    design,
+    expected,
+    from_yaml,
+    to_yaml,
+)
 from fss_arm_calib.from_bag import EXIT_CODES, solve_dynamic_bag
-from fss_arm_calib.maneuvers import Maneuver
+from fss_arm_calib.segments.maneuvers import Maneuver
 from fss_arm_model.description import Arm, load, paper_arm, save
 from fss_arm_msgs.msg import LinkTelemetry
 from fss_arm_ros.qos import SENSOR
@@ -117,7 +124,7 @@ def start_all(
         vicon_hold=cameras.hold, tilt=[options.tilt, -0.5 * options.tilt], twist=twist,
         base=[0.0, 0.0, rng.uniform(-3.0, 3.0)], q=first.waypoints[0].tolist(),
     )  # fmt: skip
-    nodes.start("record", "fss_arm_ros", "record", output=out / "bags")
+    nodes.start("record", "fss_arm_bags", "record", output=out / "bags")
     for i in range(1, LINKS + 1):
         url = f"udp://127.0.0.1:{ports[i - 1]}?bind={ports[LINKS + i - 1]}"
         nodes.start(f"link_{i}", "fss_arm_driver", "link", link=i, url=url)

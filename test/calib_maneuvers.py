@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from fss_arm_calib.dynamic import DynamicProblem
-from fss_arm_calib.dynamic_parameters import Choice, Knowledge, to_vector
+from fss_arm_calib.dynamic.parameters import Choice, Knowledge, to_vector
+from fss_arm_calib.dynamic.problem import DynamicProblem
 from fss_arm_model import base_motion
 from fss_arm_model.description import paper_arm
 

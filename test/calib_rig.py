@@ -8,12 +8,12 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 
-from fss_arm_calib.rests import BASE, TIP
+from fss_arm_bags.recording import Recording
+from fss_arm_calib.segments.rests import BASE, TIP
 from fss_arm_model.description import paper_arm
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_ros.convert import SECOND, pose_stamped, to_time
 from fss_arm_ros.qos import SENSOR
-from fss_arm_ros.recording import Recording
 
 START = 1_700_000_000 * SECOND
 ARM = paper_arm()

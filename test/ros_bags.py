@@ -9,10 +9,10 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
+from fss_arm_bags.recording import Recording
 from fss_arm_msgs.msg import KinematicCalibration
 from fss_arm_ros.convert import stamp_ns
 from fss_arm_ros.qos import LATCHED, SENSOR
-from fss_arm_ros.recording import Recording
 
 SECOND = 1_000_000_000
 START = 1_700_000_000 * SECOND

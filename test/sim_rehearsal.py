@@ -10,13 +10,13 @@ from math import pi, radians
 
 import numpy as np
 
-from fss_arm_calib import dynamic_verdict
-from fss_arm_calib.dynamic_settings import DynamicCalibrationSettings
-from fss_arm_calib.maneuvers import ManeuverFinder
-from fss_arm_calib.postures import DEFAULT
-from fss_arm_calib.rests import BASE, TIP, RestFinder, spoiled
-from fss_arm_calib.settings import CalibrationSettings
-from fss_arm_calib.verdict import calibrate
+from fss_arm_calib.dynamic import checks as dynamic_verdict
+from fss_arm_calib.dynamic.settings import DynamicCalibrationSettings
+from fss_arm_calib.experiment.postures import DEFAULT
+from fss_arm_calib.kinematic.checks import calibrate
+from fss_arm_calib.kinematic.settings import CalibrationSettings
+from fss_arm_calib.segments.maneuvers import ManeuverFinder
+from fss_arm_calib.segments.rests import BASE, TIP, RestFinder, spoiled
 from fss_arm_driver.link import Arming, LinkSession
 from fss_arm_driver.move import plan
 from fss_arm_driver.scale import CommandError

@@ -1,9 +1,9 @@
-from setuptools import setup
+from setuptools import find_packages, setup
 
 setup(
     name="fss_arm_calib",
     version="0.1.0",
-    packages=["fss_arm_calib"],
+    packages=find_packages(),
     package_data={"fss_arm_calib": ["py.typed"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/fss_arm_calib"]),
@@ -14,10 +14,10 @@ setup(
     entry_points={
         "console_scripts": [
             "kinematic = fss_arm_calib.kinematic_node:main",
-            "design = fss_arm_calib.design_command:main",
+            "design = fss_arm_calib.experiment.design_command:main",
             "dynamic = fss_arm_calib.dynamic_node:main",
-            "experiment = fss_arm_calib.experiment_node:main",
-            "float = fss_arm_calib.float_node:main",
+            "experiment = fss_arm_calib.experiment.experiment_node:main",
+            "float = fss_arm_calib.drift_node:main",
             "from_bag = fss_arm_calib.from_bag:main",
             "recompute = fss_arm_calib.recompute:main",
         ],

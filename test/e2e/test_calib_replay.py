@@ -6,7 +6,7 @@ from calib_float import ARM, TYPES, Float, postures, record
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
-from fss_arm_calib.dynamic_settings import DynamicCalibrationSettings
+from fss_arm_calib.dynamic.settings import DynamicCalibrationSettings
 from fss_arm_calib.from_bag import solve_dynamic_bag
 from fss_arm_calib.recompute import KINDS, recompute
 from fss_arm_msgs.msg import DynamicCalibration, Maneuvers
@@ -42,7 +42,7 @@ def test_the_result_is_that_of_the_bag(bag, start, spin, rate):
     node.create_subscription(Maneuvers, "calibration/maneuvers", told.append, LATCHED)
     client = node.create_client(Trigger, "dynamic/solve")
     replay = start(
-        "fss_arm_ros.replay_node", bag, "--ros-args", "-p", f"rate:={rate}",
+        "fss_arm_bags.replay_node", bag, "--ros-args", "-p", f"rate:={rate}",
         "-p", f"wait_for:={list(TYPES)}", "-p", "deadline:=60.0",
     )  # fmt: skip
     assert replay.wait(240) == 0, replay.output

@@ -14,20 +14,20 @@ from conftest import wait_until
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
+from fss_arm_bags.reader import open_bags
 from fss_arm_calib.from_bag import solve_bag
-from fss_arm_calib.kinematic import KinematicProblem, quantization_bound, solve
-from fss_arm_calib.settings import CalibrationSettings
+from fss_arm_calib.kinematic.problem import KinematicProblem, quantization_bound, solve
+from fss_arm_calib.kinematic.settings import CalibrationSettings
 from fss_arm_calib.state import read_observations
 from fss_arm_model.description import kinematic_index, load
 from fss_arm_msgs.msg import KinematicCalibration
-from fss_arm_ros.bags import open_bags
 from fss_arm_ros.qos import LATCHED
 
 ROOT = Path(__file__).resolve().parents[2]
 SENSORS = "['/joint_states','/vicon/fss/fss','/vicon/end_effector/end_effector']"
 NODES = {  # name in the demo: a word of its process's command line
     "testbed": "fss_sim/testbed",
-    "record": "fss_arm_ros/record",
+    "record": "fss_arm_bags/record",
     "link_2": "link:=2",
     "arm": "fss_arm_driver/arm",
     "kinematic": "fss_arm_calib/kinematic",
@@ -106,7 +106,7 @@ def replayed_is_offline(bag, start, spin):
         "fss_arm_calib.kinematic_node", "--ros-args", "-p", f"arm:={ROOT / 'config/cad.yaml'}"
     )  # fmt: skip
     replay = start(
-        "fss_arm_ros.replay_node", bag, "--ros-args", "-p", "rate:=0.0",
+        "fss_arm_bags.replay_node", bag, "--ros-args", "-p", "rate:=0.0",
         "-p", f"wait_for:={SENSORS}",
     )  # fmt: skip
     assert replay.wait(120) == 0, replay.output

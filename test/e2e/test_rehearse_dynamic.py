@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fss_arm_calib.dynamic_parameters import parameter_names, values
-from fss_arm_calib.dynamic_settings import DynamicCalibrationSettings
+from fss_arm_calib.dynamic.parameters import parameter_names, values
+from fss_arm_calib.dynamic.settings import DynamicCalibrationSettings
 from fss_arm_calib.from_bag import solve_dynamic_bag
 from fss_arm_calib.recompute import main as recompute
 from fss_arm_model.description import load

@@ -15,9 +15,9 @@ from threading import Event
 import pytest
 from conftest import DOMAIN, wait_until
 
+from fss_arm_bags.reader import find, open_bags
+from fss_arm_bags.recovery import is_sound
 from fss_arm_model.description import paper_arm, save
-from fss_arm_ros.bags import find, open_bags
-from fss_arm_ros.recovery import is_sound
 
 SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 PAUSE = partial(Event().wait, 0.05)
@@ -84,7 +84,7 @@ def test_nodes_outlive_the_line_are_started_again_and_stop_in_order(laboratory, 
     ports = free_ports(2)
     names = ["record", "testbed", "link_1", "link_2", "arm"]
     lab = laboratory(
-        f"node record fss_arm_ros record --ros-args -p output:={tmp_path / 'bags'}",
+        f"node record fss_arm_bags record --ros-args -p output:={tmp_path / 'bags'}",
         f"node testbed fss_sim testbed --ros-args -p arm:={arm} -p ports:=[{ports[0]},{ports[1]}]",
         *(
             f"node link_{i} fss_arm_driver link --ros-args -p arm:={arm} -p link:={i} "
@@ -130,7 +130,7 @@ def test_nodes_outlive_the_line_are_started_again_and_stop_in_order(laboratory, 
 
 
 def test_a_node_that_keeps_failing_is_given_up_and_the_operator_told(laboratory):
-    lab = laboratory("node record fss_arm_ros record")  # without the folder that it needs
+    lab = laboratory("node record fss_arm_bags record")  # without the folder that it needs
     up = lab.run("up")
     assert up.returncode == 1
     assert re.search(r"record +failed", up.stdout)
@@ -142,7 +142,7 @@ def test_a_node_that_keeps_failing_is_given_up_and_the_operator_told(laboratory)
 
 @pytest.mark.slow
 def test_a_node_that_ends_well_is_not_missed(laboratory):
-    lab = laboratory("node record fss_arm_ros record --help")
+    lab = laboratory("node record fss_arm_bags record --help")
     assert lab.run("up").returncode == 0
     shown = lab.run("status")
     assert shown.returncode == 0
@@ -153,7 +153,7 @@ def test_a_node_that_ends_well_is_not_missed(laboratory):
 @pytest.mark.slow
 def test_a_node_that_does_not_stop_is_killed(laboratory, tmp_path):
     lab = laboratory(
-        "FSS_PATIENCE=1", f"node record fss_arm_ros record --ros-args -p output:={tmp_path}/bags"
+        "FSS_PATIENCE=1", f"node record fss_arm_bags record --ros-args -p output:={tmp_path}/bags"
     )
     assert lab.run("up").returncode == 0
     pid = lab.pid("record")
@@ -166,7 +166,7 @@ def test_a_node_that_does_not_stop_is_killed(laboratory, tmp_path):
 
 @pytest.mark.slow
 def test_a_node_that_lost_its_keeper_is_stopped_all_the_same(laboratory, tmp_path):
-    lab = laboratory(f"node record fss_arm_ros record --ros-args -p output:={tmp_path}/bags")
+    lab = laboratory(f"node record fss_arm_bags record --ros-args -p output:={tmp_path}/bags")
     assert lab.run("up").returncode == 0
     os.kill(int((lab.logs / "record.keep").read_text()), signal.SIGKILL)
     pid = lab.pid("record")

@@ -10,7 +10,7 @@ from threading import Event
 import pytest
 from conftest import DOMAIN, wait_until
 
-from fss_arm_ros.bags import BagError, open_bags
+from fss_arm_bags.reader import BagError, open_bags
 
 ROOT = Path(__file__).resolve().parents[2]
 HOSTS = {"fss": "10.77.0.1", "ground": "10.77.0.2", "stranger": "10.77.0.3"}
@@ -101,7 +101,7 @@ def test_two_computers_hear_each_other_and_a_stranger_neither(run, tmp_path, how
         run("fss", {}, f"fast-discovery-server -i 0 -l {HOSTS['fss']} -p 11811")
     run("fss", settings, "ros2 run fss_sim testbed")
     for host, reach in (("ground", settings), ("fss", settings), ("stranger", subnet)):
-        run(host, reach, f"ros2 run fss_arm_ros record --ros-args -p output:={tmp_path / host}")
+        run(host, reach, f"ros2 run fss_arm_bags record --ros-args -p output:={tmp_path / host}")
     for host in ("ground", "fss"):
         wait_until(lambda host=host: poses(tmp_path / host) > 200, 60, PAUSE)
     # The stranger has listened as long as they.

@@ -13,9 +13,9 @@ from calib_float import Float, postures, record
 from conftest import DOMAIN
 from test_setup_fss import free_ports
 
-from fss_arm_calib.postures import DEFAULT
+from fss_arm_bags.reader import open_bags
+from fss_arm_calib.experiment.postures import DEFAULT
 from fss_arm_model.description import load
-from fss_arm_ros.bags import open_bags
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fss_arm_ros.bags import open_bags
+from fss_arm_bags.reader import open_bags
 
 ROOT = Path(__file__).resolve().parents[2]
 

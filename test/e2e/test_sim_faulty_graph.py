@@ -9,9 +9,9 @@ from conftest import wait_until
 from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
+from fss_arm_bags.reader import open_bags
 from fss_arm_model.description import kinematic_index, load
 from fss_arm_msgs.msg import KinematicCalibration, LinkTelemetry, SimFaults
-from fss_arm_ros.bags import open_bags
 from fss_arm_ros.convert import stamp_ns
 from fss_arm_ros.qos import LATCHED, SENSOR
 
@@ -78,7 +78,7 @@ def graph(start, tmp_path):
         urls = [f"serial://{path}?baud=115200" for path in terminals]
         start("fss_arm_driver.link_node", *parameters(urls=urls, use_sim_time=True))
         return start(
-            "fss_arm_ros.record_node", *parameters(output=tmp_path / "bag", use_sim_time=True)
+            "fss_arm_bags.record_node", *parameters(output=tmp_path / "bag", use_sim_time=True)
         )
 
     return begin
@@ -119,7 +119,7 @@ def test_the_experiment_ends_well_under_faults(graph, start, spin):
     clock = {"use_sim_time": True}
     start("fss_arm_driver.arm_node", *parameters(**clock))
     start("fss_arm_calib.kinematic_node", *parameters(arm=ROOT / "config/cad.yaml", **clock))
-    experiment = start("fss_arm_calib.experiment_node", *parameters(**clock))
+    experiment = start("fss_arm_calib.experiment.experiment_node", *parameters(**clock))
     operator = Operator()
 
     def ended():

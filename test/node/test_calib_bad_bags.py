@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from calib_rig import ARM, TOPICS, TYPES, Rig, at, record
 
+from fss_arm_bags.reader import BagError
+from fss_arm_calib.experiment.postures import DEFAULT
 from fss_arm_calib.from_bag import main as from_bag
 from fss_arm_calib.from_bag import solve_bag
-from fss_arm_calib.kinematic import OFFSETS
-from fss_arm_calib.postures import DEFAULT
-from fss_arm_calib.rests import BASE, TIP
-from fss_arm_calib.settings import CalibrationSettings
-from fss_arm_calib.verdict import FAIL, NOT_EVALUATED, PASS
+from fss_arm_calib.kinematic.checks import FAIL, NOT_EVALUATED, PASS
+from fss_arm_calib.kinematic.problem import OFFSETS
+from fss_arm_calib.kinematic.settings import CalibrationSettings
+from fss_arm_calib.segments.rests import BASE, TIP
 from fss_arm_model.description import save
-from fss_arm_ros.bags import BagError
 from fss_arm_ros.convert import SECOND
 
 

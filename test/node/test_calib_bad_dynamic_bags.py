@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from calib_float import ARM, TYPES, Float, at, postures, record
 
-from fss_arm_calib.design_command import main as design
-from fss_arm_calib.dynamic_settings import DynamicCalibrationSettings
+from fss_arm_bags.reader import BagError
+from fss_arm_calib.dynamic.settings import DynamicCalibrationSettings
+from fss_arm_calib.experiment.design_command import main as design
 from fss_arm_calib.from_bag import main as from_bag
 from fss_arm_calib.from_bag import solve_dynamic_bag
-from fss_arm_calib.verdict import FAIL, NOT_EVALUATED, PASS
+from fss_arm_calib.kinematic.checks import FAIL, NOT_EVALUATED, PASS
 from fss_arm_model.description import save
-from fss_arm_ros.bags import BagError
 from fss_arm_ros.convert import SECOND
 
 PRECISE = {"position_deviation": 0.0005, "heading_deviation": 0.001, "max_relative": 2.0}

@@ -10,18 +10,18 @@ from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
 from std_srvs.srv import Trigger
 
+from fss_arm_bags.recording import Recording
+from fss_arm_calib.acceptance import settings_of
+from fss_arm_calib.dynamic.checks import calibrate
+from fss_arm_calib.dynamic.settings import DynamicCalibrationSettings
 from fss_arm_calib.dynamic_messages import maneuvers_of
 from fss_arm_calib.dynamic_node import DynamicNode, DynamicSettings
-from fss_arm_calib.dynamic_settings import DynamicCalibrationSettings
-from fss_arm_calib.dynamic_verdict import calibrate
 from fss_arm_calib.from_bag import main as from_bag
 from fss_arm_calib.from_bag import parser, solve_dynamic_bag
-from fss_arm_calib.judgement import settings_of
 from fss_arm_model.description import from_yaml, load, save
 from fss_arm_msgs.msg import DynamicCalibration, LinkTelemetry, Maneuvers
 from fss_arm_ros.convert import to_time
 from fss_arm_ros.qos import LATCHED, SENSOR, sensor
-from fss_arm_ros.recording import Recording
 
 STATE = np.array([0.1, 0.2, 3.0, 0.1, -0.1, 0.02, 0.0002, -0.0001])
 PRECISE = {"position_deviation": 0.0005, "heading_deviation": 0.001, "max_relative": 2.0}

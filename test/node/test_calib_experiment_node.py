@@ -10,7 +10,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.task import Future
 
-from fss_arm_calib.experiment_node import ExperimentNode
+from fss_arm_calib.experiment.experiment_node import ExperimentNode
 from fss_arm_msgs.action import MoveArm
 from fss_arm_msgs.msg import KinematicObservation, KinematicObservations, Maneuver, Maneuvers
 from fss_arm_ros.qos import LATCHED

@@ -8,13 +8,13 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
-from fss_arm_calib.drift_settings import DriftSettings
-from fss_arm_calib.drift_verdict import calibrate
-from fss_arm_calib.drifts import DriftFinder
+from fss_arm_calib.drift.checks import calibrate
+from fss_arm_calib.drift.settings import DriftSettings
+from fss_arm_calib.drift_node import FloatNode
 from fss_arm_calib.dynamic_node import DynamicNode
-from fss_arm_calib.float_node import FloatNode
 from fss_arm_calib.from_bag import main as from_bag
 from fss_arm_calib.from_bag import solve_float_bag
+from fss_arm_calib.segments.drifts import DriftFinder
 from fss_arm_model.simulation import GRAVITY
 from fss_arm_msgs.msg import FloatCalibration
 from fss_arm_ros.qos import LATCHED, sensor

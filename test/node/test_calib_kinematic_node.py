@@ -11,25 +11,25 @@ from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
 from std_srvs.srv import Trigger
 
+from fss_arm_bags.reader import BagError
+from fss_arm_bags.recording import Recording
+from fss_arm_bags.replay_node import ReplayNode
+from fss_arm_calib.acceptance import settings_of
+from fss_arm_calib.experiment.postures import DEFAULT
 from fss_arm_calib.from_bag import main as from_bag
 from fss_arm_calib.from_bag import parser, solve_bag
-from fss_arm_calib.judgement import settings_of
-from fss_arm_calib.kinematic import FULL, KinematicProblem, quantization_bound, solve
+from fss_arm_calib.kinematic.checks import calibrate
+from fss_arm_calib.kinematic.problem import FULL, KinematicProblem, quantization_bound, solve
+from fss_arm_calib.kinematic.settings import CalibrationSettings
 from fss_arm_calib.kinematic_node import KinematicNode
 from fss_arm_calib.messages import observations_of, to_message
-from fss_arm_calib.postures import DEFAULT
-from fss_arm_calib.rests import TIP, Observation
-from fss_arm_calib.settings import CalibrationSettings
-from fss_arm_calib.verdict import calibrate
+from fss_arm_calib.segments.rests import TIP, Observation
 from fss_arm_model.description import from_yaml, load, paper_arm, save
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_msgs.msg import KinematicCalibration, KinematicObservations, LinkTelemetry
-from fss_arm_ros.bags import BagError
 from fss_arm_ros.convert import to_time
 from fss_arm_ros.diagnostics import ERROR, OK, WARN
 from fss_arm_ros.qos import LATCHED, SENSOR, sensor
-from fss_arm_ros.recording import Recording
-from fss_arm_ros.replay_node import ReplayNode
 
 
 class Bed(Node):

@@ -11,21 +11,21 @@ from rclpy.serialization import serialize_message
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from fss_arm_bags.definitions import definition
+from fss_arm_bags.recording import Recording
+from fss_arm_calib.dynamic.checks import calibrate as calibrate_dynamics
 from fss_arm_calib.dynamic_messages import maneuvers_message
 from fss_arm_calib.dynamic_messages import to_message as dynamic_message
 from fss_arm_calib.dynamic_node import DynamicSettings
-from fss_arm_calib.dynamic_verdict import calibrate as calibrate_dynamics
-from fss_arm_calib.maneuvers import ManeuverFinder
+from fss_arm_calib.experiment.postures import DEFAULT
+from fss_arm_calib.kinematic.checks import calibrate
+from fss_arm_calib.kinematic.settings import CalibrationSettings
 from fss_arm_calib.messages import observations_message, observations_of, to_message
-from fss_arm_calib.postures import DEFAULT
 from fss_arm_calib.recompute import main
-from fss_arm_calib.rests import TIP, Observation
-from fss_arm_calib.settings import CalibrationSettings
-from fss_arm_calib.verdict import calibrate
+from fss_arm_calib.segments.maneuvers import ManeuverFinder
+from fss_arm_calib.segments.rests import TIP, Observation
 from fss_arm_model.kinematics import tip_in_base
-from fss_arm_ros.definitions import definition
 from fss_arm_ros.qos import LATCHED
-from fss_arm_ros.recording import Recording
 
 KINEMATIC = "/calibration/observations", "/calibration/kinematic"
 DYNAMIC = "/calibration/maneuvers", "/calibration/dynamic"

@@ -10,10 +10,10 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Int64, String
 
-from fss_arm_ros.bags import open_bags
-from fss_arm_ros.definitions import definition
+from fss_arm_bags.definitions import definition
+from fss_arm_bags.reader import open_bags
+from fss_arm_bags.record_node import RecordNode, match
 from fss_arm_ros.qos import LATCHED, SENSOR
-from fss_arm_ros.record_node import RecordNode, match
 
 BEST_EFFORT = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
 
@@ -133,8 +133,8 @@ def test_a_latched_message_of_before_the_clock_waits_for_no_other(spin, tmp_path
 
 
 def test_a_type_that_is_not_installed_is_said_once(spin, tmp_path, monkeypatch):
-    from fss_arm_ros import record_node
-    from fss_arm_ros.definitions import NotInstalledError
+    from fss_arm_bags import record_node
+    from fss_arm_bags.definitions import NotInstalledError
 
     asked = []
 
@@ -168,7 +168,7 @@ def test_an_output_that_cannot_be_is_refused(ros, tmp_path, output):
 
 def test_a_split_that_another_recorder_forestalls_is_told(ros, tmp_path, monkeypatch):
     record = recorder(tmp_path)
-    monkeypatch.setattr("fss_arm_ros.recording.next_bag", lambda folder: folder / "bag_0")
+    monkeypatch.setattr("fss_arm_bags.recording.next_bag", lambda folder: folder / "bag_0")
     record.close()
     with pytest.raises(SystemExit, match=r"cannot write .*bag_0: File exists; what it has is kept"):
         record.attempt(record.recording._open)

@@ -21,11 +21,11 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Empty, String
 
+from fss_arm_bags.reader import open_bags
+from fss_arm_bags.recording import Recording
+from fss_arm_bags.replay_node import ReplayNode
 from fss_arm_msgs.msg import KinematicCalibration
-from fss_arm_ros.bags import open_bags
 from fss_arm_ros.qos import LATCHED, SENSOR, subscribe_sensor
-from fss_arm_ros.recording import Recording
-from fss_arm_ros.replay_node import ReplayNode
 
 
 def replay(*bags, **values):

@@ -6,8 +6,9 @@ import pytest
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from fss_arm_model.settings import SettingError, setting
+from fss_arm_ros.parameters import declare
 from fss_arm_ros.run import run
-from fss_arm_ros.settings import SettingError, declare, setting
 
 
 @dataclass(frozen=True)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from calib_rig import ARM, POSTURES, SECOND, Rig
 
-from fss_arm_calib.alignment import Alignment, Offset, mean_offset, offset_of_move
-from fss_arm_calib.postures import DEFAULT
-from fss_arm_calib.rests import RestFinder
+from fss_arm_calib.experiment.postures import DEFAULT
+from fss_arm_calib.segments.alignment import Alignment, Offset, mean_offset, offset_of_move
+from fss_arm_calib.segments.rests import RestFinder
 from fss_arm_model.kinematics import tip_in_base
 
 SPEED, ACCELERATION = 0.5, 1.0

@@ -6,7 +6,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from fss_arm_calib.design import (
+from fss_arm_calib.dynamic.problem import information
+from fss_arm_calib.dynamic.settings import DynamicCalibrationSettings
+from fss_arm_calib.experiment.design import (
     LOOP,
     PAUSE,
     RAMP,
@@ -25,9 +27,7 @@ from fss_arm_calib.design import (
     to_yaml,
     torques,
 )
-from fss_arm_calib.design_command import main
-from fss_arm_calib.dynamic import information
-from fss_arm_calib.dynamic_settings import DynamicCalibrationSettings
+from fss_arm_calib.experiment.design_command import main
 from fss_arm_model import dynamics
 from fss_arm_model.base_motion import base_poses, path
 from fss_arm_model.description import Link, paper_arm

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from calib_drift import ARM, SHARED, drifts, problem
 
-from fss_arm_calib.drift import rigid_body, solve
+from fss_arm_calib.drift.problem import rigid_body, solve
 from fss_arm_model.dynamics import kinetic_energy
 from fss_arm_model.momentum import momentum
 

@@ -9,8 +9,8 @@ from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
-from fss_arm_calib.dynamic import solve
-from fss_arm_calib.dynamic_parameters import Choice, Knowledge, to_vector, values
+from fss_arm_calib.dynamic.parameters import Choice, Knowledge, to_vector, values
+from fss_arm_calib.dynamic.problem import solve
 from fss_arm_model import dynamics
 from fss_arm_model.base_motion import stack
 from fss_arm_model.description import DescriptionError, paper_arm

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from calib_float import ARM, Float, feed, postures
 
+from fss_arm_calib.acceptance import FAIL, NOT_EVALUATED, PASS, settings_of
+from fss_arm_calib.dynamic.checks import calibrate
+from fss_arm_calib.dynamic.settings import HEADING, DynamicCalibrationSettings
 from fss_arm_calib.dynamic_messages import maneuvers_message, maneuvers_of, to_message
-from fss_arm_calib.dynamic_settings import HEADING, DynamicCalibrationSettings
-from fss_arm_calib.dynamic_verdict import calibrate
-from fss_arm_calib.judgement import FAIL, NOT_EVALUATED, PASS, settings_of
-from fss_arm_calib.maneuvers import ManeuverFinder
-from fss_arm_calib.streams import Streams
+from fss_arm_calib.segments.maneuvers import ManeuverFinder
+from fss_arm_calib.segments.streams import Streams
 from fss_arm_model.description import BASE_SIZE, LINK_SIZE, from_yaml
 from fss_arm_ros.calibrated import Calibrated
 

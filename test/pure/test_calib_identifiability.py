@@ -7,9 +7,7 @@ import pytest
 from calib_maneuvers import ARM, observe, problem, several
 from numpy.testing import assert_allclose
 
-from fss_arm_calib.dynamic import solve
-from fss_arm_calib.dynamic_parameters import Choice, Knowledge
-from fss_arm_calib.identifiability import (
+from fss_arm_calib.dynamic.identifiability import (
     HARDLY,
     INVISIBLE,
     SEEN,
@@ -18,6 +16,8 @@ from fss_arm_calib.identifiability import (
     directions,
     invisible,
 )
+from fss_arm_calib.dynamic.parameters import Choice, Knowledge
+from fss_arm_calib.dynamic.problem import solve
 from fss_arm_model.description import Link
 
 KNOWN = Knowledge()

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fss_arm_calib.kinematic import (
+from fss_arm_calib.experiment.postures import DEFAULT
+from fss_arm_calib.kinematic.problem import (
     CAUCHY,
     EQUAL,
     FULL,
@@ -18,7 +19,6 @@ from fss_arm_calib.kinematic import (
     solve,
     wrap,
 )
-from fss_arm_calib.postures import DEFAULT
 from fss_arm_model.description import Arm, Link, kinematic_names, paper_arm
 from fss_arm_model.kinematics import tip_in_base
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from calib_float import COUNT
 
-from fss_arm_calib.design import Conditions, design, marks, problem
-from fss_arm_calib.dynamic import solve
-from fss_arm_calib.dynamic_parameters import to_vector, values
-from fss_arm_calib.dynamic_settings import DynamicCalibrationSettings
+from fss_arm_calib.dynamic.parameters import to_vector, values
+from fss_arm_calib.dynamic.problem import solve
+from fss_arm_calib.dynamic.settings import DynamicCalibrationSettings
+from fss_arm_calib.experiment.design import Conditions, design, marks, problem
 from fss_arm_model.base_motion import base_poses, path, sampled, stack
 from fss_arm_model.description import paper_arm
 

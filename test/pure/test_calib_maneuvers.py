@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from calib_float import ARM, SECOND, Float, Sample, at, feed, postures
 
-from fss_arm_calib.dynamic_settings import DynamicCalibrationSettings, ManeuverSettings
-from fss_arm_calib.kinematic import wrap
-from fss_arm_calib.maneuvers import ManeuverFinder
+from fss_arm_calib.dynamic.settings import DynamicCalibrationSettings, ManeuverSettings
+from fss_arm_calib.kinematic.problem import wrap
+from fss_arm_calib.segments.maneuvers import ManeuverFinder
 from fss_arm_model import base_motion
 from fss_arm_model.kinematics import tip_in_base
 

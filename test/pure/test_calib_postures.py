@@ -6,8 +6,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from fss_arm_calib.kinematic import FULL, KinematicProblem, solve
-from fss_arm_calib.postures import APART, DEFAULT, MARGIN, clearance, default, design
+from fss_arm_calib.experiment.postures import APART, DEFAULT, MARGIN, clearance, default, design
+from fss_arm_calib.kinematic.problem import FULL, KinematicProblem, solve
 from fss_arm_model.description import Arm, paper_arm
 from fss_arm_model.kinematics import tip_in_base
 

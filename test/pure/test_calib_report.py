@@ -11,19 +11,19 @@ from calib_float import Float, feed, postures
 from calib_rig import ARM
 
 from fss_arm_calib import report
+from fss_arm_calib.dynamic.checks import calibrate as calibrate_dynamics
+from fss_arm_calib.dynamic.report import dynamic_report
+from fss_arm_calib.dynamic.settings import DynamicCalibrationSettings
 from fss_arm_calib.dynamic_messages import maneuvers_message
 from fss_arm_calib.dynamic_messages import to_message as dynamic_message
-from fss_arm_calib.dynamic_report import dynamic_report
-from fss_arm_calib.dynamic_settings import DynamicCalibrationSettings
-from fss_arm_calib.dynamic_verdict import calibrate as calibrate_dynamics
-from fss_arm_calib.kinematic import OFFSETS
-from fss_arm_calib.kinematic_report import kinematic_report
-from fss_arm_calib.maneuvers import ManeuverFinder
+from fss_arm_calib.experiment.postures import DEFAULT
+from fss_arm_calib.kinematic.checks import calibrate
+from fss_arm_calib.kinematic.problem import OFFSETS
+from fss_arm_calib.kinematic.report import kinematic_report
+from fss_arm_calib.kinematic.settings import CalibrationSettings
 from fss_arm_calib.messages import to_message
-from fss_arm_calib.postures import DEFAULT
-from fss_arm_calib.rests import Observation
-from fss_arm_calib.settings import CalibrationSettings
-from fss_arm_calib.verdict import calibrate
+from fss_arm_calib.segments.maneuvers import ManeuverFinder
+from fss_arm_calib.segments.rests import Observation
 from fss_arm_model.kinematics import joint_positions, tip_in_base
 
 SETTINGS = CalibrationSettings(max_outliers=1)

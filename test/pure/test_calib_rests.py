@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from calib_rig import ARM, COUNT, POSTURES, START, Rig, Sample, at
 
-from fss_arm_calib.postures import DEFAULT
-from fss_arm_calib.rests import (
+from fss_arm_calib.experiment.postures import DEFAULT
+from fss_arm_calib.segments.rests import (
     BASE,
     TIP,
     Observation,
@@ -18,7 +18,7 @@ from fss_arm_calib.rests import (
     since_homed,
     spoiled,
 )
-from fss_arm_calib.streams import newest
+from fss_arm_calib.segments.streams import newest
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_ros.convert import SECOND
 

@@ -7,14 +7,14 @@ from math import isnan, nan
 import numpy as np
 import pytest
 
-from fss_arm_calib.judgement import settings_of
-from fss_arm_calib.kinematic import EQUAL, FULL, OFFSETS, KinematicProblem, inverse, solve
-from fss_arm_calib.postures import DEFAULT
-from fss_arm_calib.rests import Observation
-from fss_arm_calib.settings import CalibrationSettings, Criteria
+from fss_arm_calib.acceptance import settings_of
+from fss_arm_calib.experiment.postures import DEFAULT
+from fss_arm_calib.kinematic.checks import FAIL, NOT_EVALUATED, PASS, calibrate
+from fss_arm_calib.kinematic.problem import EQUAL, FULL, OFFSETS, KinematicProblem, inverse, solve
+from fss_arm_calib.kinematic.settings import CalibrationSettings, Criteria
+from fss_arm_calib.segments.rests import Observation
+from fss_arm_calib.segments.streams import Streams
 from fss_arm_calib.state import StateError, read_observations, write_observations
-from fss_arm_calib.streams import Streams
-from fss_arm_calib.verdict import FAIL, NOT_EVALUATED, PASS, calibrate
 from fss_arm_model.description import from_yaml, paper_arm
 from fss_arm_model.kinematics import tip_in_base
 

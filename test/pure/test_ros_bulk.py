@@ -8,7 +8,7 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import Imu
 
-from fss_arm_ros.bulk import SerializedError, pieces, poses, turn_rates
+from fss_arm_bags.bulk import SerializedError, pieces, poses, turn_rates
 from fss_arm_ros.convert import SECOND, PoseError, planar_pose, stamp_ns, to_time
 
 FRAMES = "", "w", "map", "world", "vicon/world"

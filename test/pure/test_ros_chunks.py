@@ -6,9 +6,9 @@ from mcap.writer import CompressionType, Writer
 from ros_bags import START, joint_state
 from rosbags.highlevel import AnyReader
 
-from fss_arm_ros.bags import BagError, open_bags
-from fss_arm_ros.chunks import indexed
-from fss_arm_ros.definitions import definition
+from fss_arm_bags.chunks import indexed
+from fss_arm_bags.definitions import definition
+from fss_arm_bags.reader import BagError, open_bags
 
 TYPE = "sensor_msgs/msg/JointState"
 

@@ -3,7 +3,7 @@
 import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from fss_arm_ros.definitions import NotInstalledError, definition, message_class
+from fss_arm_bags.definitions import NotInstalledError, definition, message_class
 
 JAZZY = get_typestore(Stores.ROS2_JAZZY)
 

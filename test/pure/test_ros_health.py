@@ -5,12 +5,12 @@ import pytest
 from ros_bags import FIRST, SECOND, START, make_bag
 from rosbags.interfaces import Qos
 
-from fss_arm_ros.bags import Topic, open_bags
-from fss_arm_ros.definitions import definition
-from fss_arm_ros.doctor import main as doctor
-from fss_arm_ros.health import Stream, findings, remark, streams
+from fss_arm_bags.definitions import definition
+from fss_arm_bags.doctor import main as doctor
+from fss_arm_bags.health import Stream, findings, remark, streams
+from fss_arm_bags.reader import Topic, open_bags
+from fss_arm_bags.recording import bag_qos
 from fss_arm_ros.qos import LATCHED, SENSOR, sensor
-from fss_arm_ros.recording import bag_qos
 
 JOINTS = "sensor_msgs/msg/JointState"
 

@@ -7,11 +7,11 @@ import pytest
 from ros_bags import FIRST, make_before_and_after
 from rosbags.rosbag2 import Reader
 
+from fss_arm_bags.definitions import definition, extends, message_class, upgrade
+from fss_arm_bags.doctor import main as doctor
+from fss_arm_bags.reader import BagError, find, open_bags
 from fss_arm_calib.from_bag import solve_bag
-from fss_arm_calib.settings import CalibrationSettings
-from fss_arm_ros.bags import BagError, find, open_bags
-from fss_arm_ros.definitions import definition, extends, message_class, upgrade
-from fss_arm_ros.doctor import main as doctor
+from fss_arm_calib.kinematic.settings import CalibrationSettings
 
 
 def test_all_of_the_first_bag_is_read_and_is_of_types_that_only_grew():

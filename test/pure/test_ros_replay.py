@@ -3,10 +3,10 @@
 import pytest
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, ReliabilityPolicy
 
-from fss_arm_ros.bags import Topic
-from fss_arm_ros.playlist import choose, played_as, profile
+from fss_arm_bags.playlist import choose, played_as, profile
+from fss_arm_bags.reader import Topic
+from fss_arm_bags.recording import bag_qos
 from fss_arm_ros.qos import LATCHED, SENSOR
-from fss_arm_ros.recording import bag_qos
 
 
 @pytest.mark.parametrize(

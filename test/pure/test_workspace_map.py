@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from rclpy.serialization import serialize_message
 
+from fss_arm_bags.reader import BagError
+from fss_arm_bags.recording import Recording
 from fss_arm_model.description import from_yaml, paper_arm, save, to_yaml
 from fss_arm_msgs.msg import DynamicCalibration, KinematicCalibration
-from fss_arm_ros.bags import BagError
 from fss_arm_ros.calibrated import Calibrated
 from fss_arm_ros.qos import LATCHED
-from fss_arm_ros.recording import Recording
 from fss_arm_workspace.analysis import load_kernels
 from fss_arm_workspace.fixed import fixed_workspace
 from fss_arm_workspace.map import calibrated, main

@@ -7,12 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from fss_arm_calib.dynamic.checks import DynamicCalibration
+from fss_arm_calib.messages import plain, provenance_message, seen_pose, stage_message
+from fss_arm_calib.segments.maneuvers import Maneuver, ManeuverFinder
 from fss_arm_msgs import msg
 from fss_arm_ros.convert import joint_readings, stamp_ns, to_time
-
-from .dynamic_verdict import DynamicCalibration
-from .maneuvers import Maneuver, ManeuverFinder
-from .messages import plain, provenance_message, seen_pose, stage_message
 
 _ROWS = ("times", "q", "qd")  # of a Maneuver: one for each joint
 

@@ -11,15 +11,11 @@ from rclpy.node import Node
 from sensor_msgs.msg import Imu, JointState
 from std_srvs.srv import Trigger
 
-from fss_arm_model.description import described, from_yaml, save
-from fss_arm_msgs.msg import DynamicCalibration, LinkTelemetry, Maneuvers
-from fss_arm_ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
-from fss_arm_ros.memory import give_back
-from fss_arm_ros.qos import LATCHED, subscribe_sensor
-from fss_arm_ros.run import run
-from fss_arm_ros.settings import declare
-
-from .dynamic_messages import (
+from fss_arm_calib.acceptance import PASS, count
+from fss_arm_calib.dynamic.checks import calibrate
+from fss_arm_calib.dynamic.report import dynamic_report
+from fss_arm_calib.dynamic.settings import DynamicCalibrationSettings
+from fss_arm_calib.dynamic_messages import (
     feed_gyro,
     feed_joints,
     feed_pose,
@@ -28,15 +24,18 @@ from .dynamic_messages import (
     maneuvers_message,
     to_message,
 )
-from .dynamic_report import dynamic_report
-from .dynamic_settings import DynamicCalibrationSettings
-from .dynamic_verdict import calibrate
-from .judgement import PASS, count
-from .maneuvers import Maneuver, ManeuverFinder
-from .report import write
-from .settings import setting
-from .state import Writes
-from .streams import newest
+from fss_arm_calib.report import write
+from fss_arm_calib.segments.maneuvers import Maneuver, ManeuverFinder
+from fss_arm_calib.segments.streams import newest
+from fss_arm_calib.state import Writes
+from fss_arm_model.description import described, from_yaml, save
+from fss_arm_model.settings import setting
+from fss_arm_msgs.msg import DynamicCalibration, LinkTelemetry, Maneuvers
+from fss_arm_ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
+from fss_arm_ros.memory import give_back
+from fss_arm_ros.parameters import declare
+from fss_arm_ros.qos import LATCHED, subscribe_sensor
+from fss_arm_ros.run import run
 
 
 @dataclass(frozen=True)

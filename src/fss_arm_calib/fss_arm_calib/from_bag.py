@@ -10,27 +10,29 @@ from typing import Any
 
 from rich.console import Console
 
+from fss_arm_bags.bulk import pieces, poses, turn_rates
+from fss_arm_bags.reader import BagError, Bags, digest, open_bags
+from fss_arm_calib import dynamic_messages, report
+from fss_arm_calib.drift import checks as drift_verdict
+from fss_arm_calib.drift.checks import FloatCalibration, float_report, parameters
+from fss_arm_calib.drift.settings import DriftSettings
+from fss_arm_calib.dynamic import checks as dynamic_verdict
+from fss_arm_calib.dynamic.checks import DynamicCalibration
+from fss_arm_calib.dynamic.report import dynamic_report
+from fss_arm_calib.dynamic.settings import DynamicCalibrationSettings
+from fss_arm_calib.kinematic.checks import FAIL, NOT_EVALUATED, PASS, Calibration, calibrate
+from fss_arm_calib.kinematic.report import kinematic_report
+from fss_arm_calib.kinematic.settings import CalibrationSettings
+from fss_arm_calib.messages import feed_joints, feed_telemetry
+from fss_arm_calib.segments.drifts import DriftFinder
+from fss_arm_calib.segments.maneuvers import Maneuver, ManeuverFinder
+from fss_arm_calib.segments.rests import BASE, TIP, Observation, RestFinder
+from fss_arm_calib.segments.streams import newest
+from fss_arm_calib.state import write_text
 from fss_arm_model.description import Arm, described, from_yaml, load, save
-from fss_arm_ros.bags import BagError, Bags, digest, open_bags
-from fss_arm_ros.bulk import pieces, poses, turn_rates
+from fss_arm_model.settings import meaning
 from fss_arm_ros.command_line import USER_ERROR, Parser
 from fss_arm_ros.convert import SECOND
-
-from . import drift_verdict, dynamic_messages, dynamic_verdict, report
-from .drift_settings import DriftSettings
-from .drift_verdict import FloatCalibration, float_report, parameters
-from .drifts import DriftFinder
-from .dynamic_report import dynamic_report
-from .dynamic_settings import DynamicCalibrationSettings
-from .dynamic_verdict import DynamicCalibration
-from .kinematic_report import kinematic_report
-from .maneuvers import Maneuver, ManeuverFinder
-from .messages import feed_joints, feed_telemetry
-from .rests import BASE, TIP, Observation, RestFinder
-from .settings import CalibrationSettings
-from .state import write_text
-from .streams import newest
-from .verdict import FAIL, NOT_EVALUATED, PASS, Calibration, calibrate
 
 EXIT_CODES = {PASS: 0, FAIL: 2, NOT_EVALUATED: 3}
 
@@ -210,7 +212,7 @@ def parser(
 def add_settings(p: argparse.ArgumentParser, kind: type[Any]) -> None:
     """An option for each setting of a dataclass."""
     for f in fields(kind):
-        flag, about = f"--{f.name.replace('_', '-')}", f.metadata["about"]
+        flag, about = f"--{f.name.replace('_', '-')}", meaning(f)
         if isinstance(f.default, bool):
             p.add_argument(flag, action=BooleanOptionalAction, default=f.default, help=about)
             continue

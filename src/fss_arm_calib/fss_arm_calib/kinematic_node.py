@@ -10,29 +10,29 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from fss_arm_model.description import described, from_yaml, save
-from fss_arm_msgs.msg import KinematicCalibration, KinematicObservations, LinkTelemetry
-from fss_arm_ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
-from fss_arm_ros.memory import give_back
-from fss_arm_ros.qos import LATCHED, subscribe_sensor
-from fss_arm_ros.run import run
-from fss_arm_ros.settings import declare
-
-from .judgement import clocks_kept, count
-from .kinematic_report import kinematic_report
-from .messages import (
+from fss_arm_calib.acceptance import clocks_kept, count
+from fss_arm_calib.kinematic.checks import PASS, calibrate
+from fss_arm_calib.kinematic.report import kinematic_report
+from fss_arm_calib.kinematic.settings import CalibrationSettings
+from fss_arm_calib.messages import (
     feed_joints,
     feed_pose,
     feed_telemetry,
     observations_message,
     to_message,
 )
-from .report import write
-from .rests import BASE, TIP, Observation, RestFinder, homed
-from .settings import CalibrationSettings, setting
-from .state import Writes, read_observations, write_observations
-from .streams import newest
-from .verdict import PASS, calibrate
+from fss_arm_calib.report import write
+from fss_arm_calib.segments.rests import BASE, TIP, Observation, RestFinder, homed
+from fss_arm_calib.segments.streams import newest
+from fss_arm_calib.state import Writes, read_observations, write_observations
+from fss_arm_model.description import described, from_yaml, save
+from fss_arm_model.settings import setting
+from fss_arm_msgs.msg import KinematicCalibration, KinematicObservations, LinkTelemetry
+from fss_arm_ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
+from fss_arm_ros.memory import give_back
+from fss_arm_ros.parameters import declare
+from fss_arm_ros.qos import LATCHED, subscribe_sensor
+from fss_arm_ros.run import run
 
 
 @dataclass(frozen=True)

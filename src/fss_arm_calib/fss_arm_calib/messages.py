@@ -6,6 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from fss_arm_calib import acceptance as judgement
+from fss_arm_calib.drift import checks as drift_verdict
+from fss_arm_calib.kinematic.checks import Calibration
+from fss_arm_calib.segments.rests import Observation, RestFinder
 from fss_arm_msgs.msg import (
     FloatCalibration,
     KinematicCalibration,
@@ -15,10 +19,6 @@ from fss_arm_msgs.msg import (
     Stage,
 )
 from fss_arm_ros.convert import PoseError, joint_readings, planar_pose, stamp_ns, to_time
-
-from . import drift_verdict, judgement
-from .rests import Observation, RestFinder
-from .verdict import Calibration
 
 
 def feed_joints(finder: Any, message: Any) -> list[Any]:

@@ -11,18 +11,17 @@ from pathlib import Path
 
 import numpy as np
 
+from fss_arm_calib.dynamic.checks import known_beforehand
+from fss_arm_calib.dynamic.problem import DynamicProblem, DynamicResult
+from fss_arm_calib.dynamic.problem import solve as solve_dynamics
+from fss_arm_calib.dynamic.settings import DynamicCalibrationSettings
+from fss_arm_calib.experiment.design import Conditions, Planned, design, expected, timed
+from fss_arm_calib.experiment.postures import DEFAULT
+from fss_arm_calib.kinematic.problem import EQUAL, KinematicProblem
+from fss_arm_calib.kinematic.problem import solve as solve_kinematics
 from fss_arm_model.base_motion import base_poses, path, stack
 from fss_arm_model.description import paper_arm
 from fss_arm_model.kinematics import tip_in_base
-
-from .design import Conditions, Planned, design, expected, timed
-from .dynamic import DynamicProblem, DynamicResult
-from .dynamic import solve as solve_dynamics
-from .dynamic_settings import DynamicCalibrationSettings
-from .dynamic_verdict import known_beforehand
-from .kinematic import EQUAL, KinematicProblem
-from .kinematic import solve as solve_kinematics
-from .postures import DEFAULT
 
 ARM, INERTIA = paper_arm(), 0.034
 TURN_NOISE = float(np.radians(1.54))  # of a maneuver's turn, section 4.2

@@ -8,17 +8,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from fss_arm_bags.reader import BagError, Bags, open_bags
+from fss_arm_calib import dynamic_messages, messages
+from fss_arm_calib.acceptance import settings_of
+from fss_arm_calib.dynamic import checks as dynamic_verdict
+from fss_arm_calib.dynamic.settings import DynamicCalibrationSettings
+from fss_arm_calib.kinematic import checks as verdict
+from fss_arm_calib.kinematic.settings import CalibrationSettings
+from fss_arm_calib.segments.maneuvers import Maneuver
+from fss_arm_calib.segments.rests import Observation, since_homed
 from fss_arm_model.description import Arm, from_yaml
-from fss_arm_ros.bags import BagError, Bags, open_bags
 from fss_arm_ros.command_line import USER_ERROR, Parser
 from fss_arm_ros.convert import stamp_ns
-
-from . import dynamic_messages, dynamic_verdict, messages, verdict
-from .dynamic_settings import DynamicCalibrationSettings
-from .judgement import settings_of
-from .maneuvers import Maneuver
-from .rests import Observation, since_homed
-from .settings import CalibrationSettings
 
 LARGEST = 1e-9  # difference of any number, in its unit
 

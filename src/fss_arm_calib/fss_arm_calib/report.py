@@ -15,7 +15,7 @@ from rich.console import Console, Group
 from rich.table import Table as PrintedTable
 from rich.text import Text
 
-from .state import write_text
+from fss_arm_calib.state import write_text
 
 STYLE = {"pass": "bold green", "fail": "bold red", "not_evaluated": "bold yellow"}
 

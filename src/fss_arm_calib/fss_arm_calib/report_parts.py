@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from .least_squares import Floats
-from .report import Table
+from fss_arm_calib.estimation.least_squares import Floats
+from fss_arm_calib.report import Table
 
 
 def origin(c: Any) -> str:

@@ -7,7 +7,7 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
-from .rests import Observation
+from fss_arm_calib.segments.rests import Observation
 
 
 class StateError(ValueError):

@@ -25,9 +25,9 @@ from fss_arm_msgs.msg import LinkCommand, LinkTelemetry
 from fss_arm_ros.convert import SECOND
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.pace import pace
+from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED, command, subscribe_sensor
 from fss_arm_ros.run import run
-from fss_arm_ros.settings import declare
 
 ANSWER = 6.0  # a link's driver has answered by then [s]
 ASKING = "arm/move/_action/get_result"  # the service that whoever asked for a move is a client of

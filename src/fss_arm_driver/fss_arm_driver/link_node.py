@@ -35,9 +35,9 @@ from fss_arm_msgs.msg import CommandStatus, LinkCommand, LinkTelemetry
 from fss_arm_ros.convert import stamp_ns
 from fss_arm_ros.diagnostics import Diagnostics, Health
 from fss_arm_ros.pace import pace
+from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import COMMAND, SENSOR
 from fss_arm_ros.run import RCLError, run
-from fss_arm_ros.settings import declare
 
 SIMULATED_STEP = 0.01  # of /clock [s]
 

@@ -5,7 +5,7 @@ from urllib.parse import urlsplit
 
 from fss_arm_driver.protocol import load_keys
 from fss_arm_model.description import Arm, Link, described
-from fss_arm_ros.settings import setting
+from fss_arm_model.settings import setting
 
 
 @dataclass(frozen=True)

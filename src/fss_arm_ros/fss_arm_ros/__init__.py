@@ -1,1 +1,1 @@
-"""What every node needs and no node owns: settings, QoS, conversions, bags."""
+"""What every node needs and no node owns: parameters, QoS, conversions, running."""

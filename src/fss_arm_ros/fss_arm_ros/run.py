@@ -13,8 +13,9 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
 
-from . import memory
-from .executor import BatchExecutor
+from fss_arm_model.settings import meaning
+from fss_arm_ros import memory
+from fss_arm_ros.executor import BatchExecutor
 
 # rclpy keeps these classes in its extension and offers no public names for them.
 from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError  # isort: skip
@@ -98,7 +99,7 @@ def usage(name: str, make_node: Callable[..., Any], settings: type | None, takes
     lines += [getdoc(make_node) or "", ""]
     for f in fields(settings) if settings else ():
         lines.append(f"  {f.name} (default {_shown(f.default)})")
-        lines.append(indent(f.metadata["about"], "      "))
+        lines.append(indent(meaning(f), "      "))
     return "\n".join(lines).rstrip()
 
 

@@ -26,9 +26,9 @@ from fss_arm_ros.convert import (
     to_time,
 )
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
+from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED, SENSOR, subscribe_sensor
 from fss_arm_ros.run import run
-from fss_arm_ros.settings import declare
 
 from .base_filter import BaseFilter, Estimate
 from .reaction import BaseReaction, Reaction

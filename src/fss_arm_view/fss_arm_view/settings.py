@@ -1,13 +1,9 @@
 """The parameters of the nodes of this package."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from ipaddress import ip_address
-from typing import Any
 
-
-def setting(default: Any, about: str) -> Any:
-    """A settings field: its default, and the sentence that help and `ros2 param` show."""
-    return field(default=default, metadata={"about": about})
+from fss_arm_model.settings import setting
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,9 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
+from fss_arm_bags.reader import BagError, open_bags
 from fss_arm_model.description import load, paper_arm
 from fss_arm_model.straight_path import RULES
-from fss_arm_ros.bags import BagError, open_bags
 from fss_arm_ros.calibrated import TOPICS, Calibrated
 from fss_arm_ros.command_line import Parser
 

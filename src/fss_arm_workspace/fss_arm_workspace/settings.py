@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from fss_arm_ros.settings import setting
+from fss_arm_model.settings import setting
 
 from .analysis import AnalysisSettings
 from .straight_path import Rules

@@ -27,9 +27,9 @@ from fss_arm_ros.calibrated import Calibrated
 from fss_arm_ros.convert import PoseError, joint_readings, planar_pose
 from fss_arm_ros.diagnostics import ERROR, OK, Diagnostics, Health
 from fss_arm_ros.pace import pace
+from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED, subscribe_sensor
 from fss_arm_ros.run import run
-from fss_arm_ros.settings import declare
 
 from . import messages
 from .analysis import analyse, load_kernels, straight_workspaces

@@ -9,29 +9,31 @@ fss, end_effector or fog; `value` 1 by default.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from math import inf, isfinite, pi
 from typing import Any
 
 import yaml
+
+from fss_arm_model.settings import SettingError, Settings, between, setting
 
 
 class FaultError(ValueError):
     """There is no such fault, or not of this size; the message says what there is."""
 
 
-def fault(about: str, least: float = 0.0, most: float = 1.0) -> Any:
-    """A field of a class of faults: what it means, and its range; 0 is no fault."""
-    return field(default=0.0, metadata={"about": about, "range": (least, most)})
+def fault(about: str, unit: str = "", least: float = 0.0, most: float = 1.0) -> Any:
+    """A field of a class of faults; 0 is no fault."""
+    return setting(0.0, about, unit=unit, check=between(least, most))
 
 
 @dataclass(frozen=True)
-class LinkFaults:
+class LinkFaults(Settings):
     """Between a link and its driver, each way alike, and its power."""
 
     loss: float = fault("share of the datagrams that are lost")
-    delay: float = fault("of every datagram [s]", most=10.0)
-    jitter: float = fault("most that the delay is longer or shorter by, evenly [s]", most=10.0)
+    delay: float = fault("delay of every datagram", "s", most=10.0)
+    jitter: float = fault("most that the delay is longer or shorter by, evenly", "s", most=10.0)
     duplication: float = fault("share of the datagrams that come twice")
     reordering: float = fault("share of the datagrams that come after the next one")
     corruption: float = fault("share of the datagrams with a bit flipped")
@@ -39,23 +41,23 @@ class LinkFaults:
 
 
 @dataclass(frozen=True)
-class SubjectFaults:
+class SubjectFaults(Settings):
     """Of a VICON subject."""
 
     dropout: float = fault("share of the frames that are not published")
     occlusion: float = fault("share of the frames without the subject: pose and quaternion zero")
     swap: float = fault("share of the frames in which it is taken for the other subject")
-    turn: float = fault("markers are taken for each other: turned by [rad]", -pi, pi)
+    turn: float = fault("markers are taken for each other: turned by", "rad", -pi, pi)
     frozen: float = fault("1: the last pose is repeated with fresh stamps")
-    latency: float = fault("how much older than their stamps the poses are [s]")
+    latency: float = fault("how much older than their stamps the poses are", "s")
 
 
 @dataclass(frozen=True)
-class GyroFaults:
+class GyroFaults(Settings):
     """Of the FOG."""
 
     dropout: float = fault("share of the samples that are not published")
-    bias: float = fault("step of the bias [rad/s]", -1.0, 1.0)
+    bias: float = fault("step of the bias", "rad/s", -1.0, 1.0)
 
 
 Groups = dict[str, Any]  # LinkFaults, SubjectFaults or GyroFaults, by part
@@ -157,13 +159,13 @@ class Faults:
     def _changed(groups: Groups, part: str, name: str, value: float) -> Groups:
         if part not in groups:
             raise FaultError(f"no faults of {part!r}, expected one of {', '.join(groups)}")
-        known = {f.name: f.metadata["range"] for f in fields(groups[part])}
+        known = [f.name for f in fields(groups[part])]
         if name not in known:
             raise FaultError(f"{part} has no fault {name!r}, expected one of {', '.join(known)}")
-        low, high = known[name]
-        if not low <= value <= high:
-            raise FaultError(f"{part}.{name} is {value:g}, expected {low:.4g} to {high:.4g}")
-        return {**groups, part: replace(groups[part], **{name: float(value)})}
+        try:
+            return {**groups, part: replace(groups[part], **{name: float(value)})}
+        except SettingError as error:
+            raise FaultError(f"{part}.{error}") from None
 
 
 def read_script(text: str) -> list[Event]:

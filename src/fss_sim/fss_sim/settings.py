@@ -4,8 +4,8 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 from fss_arm_model.description import Arm, described
+from fss_arm_model.settings import setting
 from fss_arm_model.simulation import Surroundings
-from fss_arm_ros.settings import setting
 from fss_sim.noise import PRESETS, Noise
 from fss_sim.plant import Joints, World
 from fss_sim.pty import LinkTerminal

@@ -23,9 +23,9 @@ from fss_arm_msgs.msg import GripperState, SimFaults, SimTruth, ThrusterCommand
 from fss_arm_msgs.srv import ResetTestbed, StepTime
 from fss_arm_ros.convert import SECOND, to_time
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
+from fss_arm_ros.parameters import declare, declare_live
 from fss_arm_ros.qos import COMMAND, LATCHED, SENSOR
 from fss_arm_ros.run import run
-from fss_arm_ros.settings import declare, declare_live
 from fss_sim.faults import kinds, read_script
 from fss_sim.messages import ClockImage, GyroImage, PoseImage, gripper_state, truth
 from fss_sim.pace import Clocked, FlatOut, Pace

@@ -1,0 +1,115 @@
+"""Many serialized messages of one type as arrays: hours of motion capture in seconds.
+
+A message is plain CDR behind four bytes that tell its byte order; numbers are aligned to their
+size, a string is its length and its bytes with a zero at the end. All poses of a topic are laid
+out alike, unless its frame id changes, so that they can be taken apart together.
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import groupby
+from math import atan2
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from fss_arm_ros.convert import SECOND
+
+LITTLE = b"\1"  # the second byte of a message with the low byte first
+
+
+Stamps = npt.NDArray[np.int64]
+
+
+class SerializedError(ValueError):
+    """A message is not of the type it is said to be."""
+
+
+class Poses(NamedTuple):
+    """Planar poses of k messages."""
+
+    stamp: Stamps  # (k,) [ns]
+    pose: npt.NDArray[np.float64]  # (k, 3) x [m], y [m], heading [rad]; NaN: nothing was seen
+
+
+def poses(messages: Sequence[bytes]) -> Poses:
+    """The planar poses in serialized geometry_msgs/PoseStamped, as `planar_pose` gives them.
+
+    Raises:
+        SerializedError: a message is something else.
+    """
+    stamp, numbers = _taken_apart(messages, 7, "geometry_msgs/PoseStamped")
+    return Poses(stamp, planar(numbers))
+
+
+def turn_rates(messages: Sequence[bytes]) -> tuple[Stamps, npt.NDArray[np.float64]]:
+    """Stamps [ns] and turn rates about z [rad/s] in serialized sensor_msgs/Imu, (k,) each.
+
+    Raises:
+        SerializedError: a message is something else.
+    """
+    stamp, numbers = _taken_apart(messages, 37, "sensor_msgs/Imu")
+    return stamp, numbers[:, 15]  # after the orientation, its covariance, and those about x and y
+
+
+def _taken_apart(
+    messages: Sequence[bytes], count: int, kind: str
+) -> tuple[Stamps, npt.NDArray[np.float64]]:
+    """Stamps and the numbers that follow the header, (k,) and (k, count)."""
+    groups = groupby(messages, key=_layout)
+    parts = [_alike(list(group), count, kind) for _, group in groups]
+    none = np.empty(0, np.int64), np.empty((0, count))
+    stamps, numbers = zip(none, *parts, strict=True)
+    return np.concatenate(stamps), np.concatenate(numbers)
+
+
+def _layout(message: bytes) -> bytes:
+    """What messages that are laid out alike have in common: byte order, lengths."""
+    return b"%d" % len(message) + message[1:2] + message[12:16]
+
+
+def _alike(messages: list[bytes], count: int, kind: str) -> tuple[Stamps, npt.NDArray[np.float64]]:
+    size = len(messages[0])
+    little = messages[0][1:2] == LITTLE
+    text = int.from_bytes(messages[0][12:16], "little" if little else "big")
+    first = -(-(12 + text) // 8) * 8  # of the numbers
+    if size < 4 + first + 8 * count:
+        raise SerializedError(f"{size} bytes are no {kind}")
+    rows = np.frombuffer(b"".join(messages), dtype=np.uint8).reshape(-1, size)[:, 4:]
+
+    def column(begin: int, end: int, code: str) -> npt.NDArray[np.generic]:
+        return np.ascontiguousarray(rows[:, begin:end]).view(f"{'<' if little else '>'}{code}")
+
+    time = column(0, 8, "u4").astype(np.int64)  # both parts of it are positive
+    numbers = column(first, first + 8 * count, "f8").astype(np.float64)
+    return time[:, 0] * SECOND + time[:, 1], numbers
+
+
+def planar(numbers: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Poses x, y, z [m] and quaternion x, y, z, w, (k, 7), seen from above as by `planar_pose`.
+
+    Returns:
+        (k, 3) x [m], y [m], heading [rad]; NaN where the subject was occluded.
+    """
+    x, y, z, w = numbers[:, 3:].T
+    # math's, as numpy's differs from it in the last bit.
+    heading = map(atan2, (2.0 * (w * z + x * y)).tolist(), (w * w + x * x - y * y - z * z).tolist())
+    seen = np.isfinite(numbers).all(axis=1) & (x * x + y * y + z * z + w * w >= 0.25)
+    found = np.column_stack([numbers[:, :2], np.fromiter(heading, np.float64, len(numbers))])
+    return np.where(seen[:, None], found, np.nan)
+
+
+def pieces(
+    messages: Iterable[tuple[str, str, int, bytes]], span: int
+) -> Iterator[dict[str, list[bytes]]]:
+    """Messages as `Bags.raw` gives them by topic, `span` [ns] of receipt at a time."""
+    piece: dict[str, list[bytes]] = {}
+    until = -1
+    for topic, _, receipt, data in messages:
+        if receipt > until:
+            if piece:
+                yield piece
+            piece, until = {}, receipt + span
+        piece.setdefault(topic, []).append(data)
+    if piece:
+        yield piece

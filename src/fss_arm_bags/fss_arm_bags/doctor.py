@@ -1,0 +1,97 @@
+"""Tells what bags hold and how healthy they are; repairs damage on request."""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from math import isnan
+from pathlib import Path
+
+from rich import box
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from fss_arm_bags.health import Stream, findings, remark, streams
+from fss_arm_bags.reader import BagError, Bags, find, open_bags
+from fss_arm_bags.repair import repair
+from fss_arm_ros.command_line import Parser
+from fss_arm_ros.convert import seconds
+
+HEALTHY, UNREADABLE, ILL = 0, 1, 2
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    p = Parser(
+        prog="doctor",
+        description=f"{__doc__} Exit code 0: healthy, or repaired to be so; 1: not readable; "
+        "2: damaged, or with findings.",
+    )
+    p.add_argument(
+        "bags", metavar="BAG", nargs="+", type=Path, help="a bag, or a folder of bags, taken as one"
+    )
+    p.add_argument(
+        "--repair",
+        action="store_true",
+        help="replace damaged bags by what can be recovered (not while they are recorded); "
+        "the damaged files are kept as *.damaged",
+    )
+    return p
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Entry point.
+
+    Returns:
+        0: the bags are whole and nothing is wrong with them; 1: not readable; 2: damaged, or
+        something is wrong.
+    """
+    options = parser().parse_args(args)
+    console = Console(highlight=False, soft_wrap=True, width=None if sys.stdout.isatty() else 120)
+    try:
+        healthy = [examine(path, options.repair, console) for path in options.bags]
+        return HEALTHY if all(healthy) else ILL
+    except (BagError, OSError) as error:
+        print(f"doctor: {error}", file=sys.stderr)
+        return UNREADABLE
+
+
+def examine(path: Path, mend: bool, console: Console) -> bool:
+    """Print what the bags of a path hold and what is wrong, and repair them if asked to."""
+    for bag in find(path) if mend else ():
+        if recovered := repair(bag):
+            console.print(f"repaired: {escape(str(recovered))}")
+    with open_bags(path) as bags:
+        heard = streams(bags)
+        console.print(table(path, bags, heard))
+        wrong = [f"damaged: {damage}; doctor --repair makes it whole" for damage in bags.recovered]
+        for name, topic in bags.topics.items():
+            wrong += [f"{name}: {what}" for what in findings(topic, heard[name], bags.span[0])]
+            if said := remark(topic):
+                console.print(f"{name} {said}")
+    for line in wrong:
+        console.print(escape(line), style="red")
+    console.print("[red]not healthy[/]" if wrong else "[green]healthy[/]")
+    return not wrong
+
+
+def table(path: Path, bags: Bags, heard: dict[str, Stream]) -> Table:
+    """Topics, their types, counts, rates and longest gaps."""
+    begin, end = bags.span
+    count = sum(topic.messages for topic in bags.topics.values())
+    span = f"{seconds(end - begin):.3f} s" if count else "empty"
+    several = f" in {len(bags.paths)} bags" if len(bags.paths) > 1 else ""
+    rows = Table(
+        title=escape(f"{path}: {count} messages, {span}{several}"),
+        box=box.SIMPLE,
+        title_justify="left",
+    )
+    rows.add_column("topic", overflow="fold")
+    rows.add_column("type", overflow="fold")
+    for heading in ("messages", "rate [Hz]", "longest gap [s]"):
+        rows.add_column(escape(heading), justify="right")
+    for name, topic in bags.topics.items():
+        rate, gap = heard[name].rate, heard[name].longest_gap
+        numbers = ("-" if isnan(rate) else f"{rate:.2f}", "-" if isnan(gap) else f"{gap:.3f}")
+        rows.add_row(name, topic.msgtype.replace("/msg/", "/"), str(topic.messages), *numbers)
+    return rows

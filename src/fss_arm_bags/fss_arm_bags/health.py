@@ -1,0 +1,154 @@
+"""How fit a bag is to calibrate from: gaps, clocks, types and QoS, topic by topic."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from struct import Struct
+
+import numpy as np
+from rosbags.interfaces import QosReliability
+
+from fss_arm_bags.definitions import MEASUREMENTS, NotInstalledError, definition, extends
+from fss_arm_bags.reader import Bags, Topic, two_versions
+from fss_arm_ros.convert import SECOND
+
+PERIODS = 5  # of a steady topic; a longer silence is a gap
+SHORTEST_GAP = 3 * SECOND // 10  # [ns]; one link alone is heard each 0.2 s
+JUMP = SECOND // 2  # of stamps against times of receipt [ns]
+WINDOW = 2 * SECOND  # within which one message at least was not held up [ns]
+APART = 2 * SECOND  # stamps that far from the times of receipt are of another clock [ns]
+
+STAMP = Struct("<4xiI")  # of a message that begins with a header, little-endian as DDS writes it
+
+
+@dataclass(frozen=True)
+class Stream:
+    """When the messages of a topic came, and when they say they were measured."""
+
+    receipts: np.ndarray  # [ns]
+    stamps: np.ndarray  # [ns]; empty: they have none
+    begins: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))  # of the bags [ns]
+
+    @property
+    def within(self) -> np.ndarray:
+        """Of each message but the last, whether no bag begins between it and the next."""
+        return np.diff(np.searchsorted(self.begins, self.receipts, side="right")) == 0
+
+    @property
+    def rate(self) -> float:
+        """Messages a second; NaN: fewer than two."""
+        received = np.diff(self.receipts)[self.within]
+        return float(len(received) * SECOND / total) if (total := received.sum()) else np.nan
+
+    @property
+    def silences(self) -> np.ndarray:
+        """From each message to the next [ns].
+
+        By receipt and by stamp: a recorder that was held up received late, and lost nothing; a
+        clock that jumped forward did not make a pause. None from one bag to the next: nobody
+        recorded.
+        """
+        received = np.diff(self.receipts) * self.within
+        return np.minimum(received, np.diff(self.stamps)) if len(self.stamps) else received
+
+    @property
+    def longest_gap(self) -> float:
+        """The longest silence [s]; NaN: fewer than two messages."""
+        return float(self.silences.max() / SECOND) if len(self.receipts) > 1 else np.nan
+
+
+def streams(bags: Bags) -> dict[str, Stream]:
+    """The times of all messages, by topic.
+
+    Raises:
+        BagError: damage is met on the way.
+    """
+    receipts: dict[str, list[int]] = {topic: [] for topic in bags.topics}
+    stamps: dict[str, list[int]] = {topic: [] for topic in bags.topics}
+    for topic, msgtype, receipt, data in bags.raw():
+        receipts[topic].append(receipt)
+        if msgtype in MEASUREMENTS:
+            sec, nanosec = STAMP.unpack_from(data)
+            stamps[topic].append(sec * SECOND + nanosec)
+    begins = np.array(bags.begins, np.int64)
+    return {
+        topic: Stream(
+            np.array(receipts[topic], np.int64), np.array(stamps[topic], np.int64), begins
+        )
+        for topic in receipts
+    }
+
+
+def remark(topic: Topic) -> str:
+    """What is worth knowing of a topic, though nothing is wrong; empty: nothing."""
+    try:
+        present = definition(topic.msgtype).hash
+    except NotInstalledError:
+        return ""
+    if topic.mixed or topic.hash in ("", present) or not extends(topic.msgtype, topic.definition):
+        return ""
+    return "is of an earlier version of its type; replay adds what it lacks"
+
+
+def findings(topic: Topic, stream: Stream, begin: int) -> Iterator[str]:
+    """What is wrong with a topic, a sentence each; times count from `begin` [ns]."""
+    yield from _of_type(topic)
+    if topic.msgtype not in MEASUREMENTS:
+        return
+    if not len(stream.receipts):
+        yield "has no messages"
+        return
+    if any(qos.reliability == QosReliability.BEST_EFFORT for qos in topic.qos):
+        yield "was published best effort: messages may have been lost"
+    yield from _gaps(stream, begin)
+    yield from _clocks(stream, begin)
+
+
+def _of_type(topic: Topic) -> Iterator[str]:
+    """Whether the type is installed in a version that the bag's can be read as."""
+    try:
+        present = definition(topic.msgtype).hash
+    except NotInstalledError as error:
+        yield f"{error}; replay leaves it out"
+        return
+    if topic.mixed:
+        yield f"the bags {two_versions(topic.msgtype)}"
+    elif topic.hash not in ("", present) and not extends(topic.msgtype, topic.definition):
+        yield f"{topic.msgtype} is installed in another version; replay leaves it out"
+
+
+def _gaps(stream: Stream, begin: int) -> Iterator[str]:
+    """Silences that are long for a steady topic."""
+    silences = stream.silences
+    if not len(silences):
+        return
+    gaps = np.flatnonzero(silences > max(PERIODS * np.median(silences), SHORTEST_GAP))
+    if len(gaps):
+        worst = gaps[np.argmax(silences[gaps])]
+        yield (
+            f"{_count(len(gaps), 'gap')}, the longest of {silences[worst] / SECOND:.3f} s "
+            f"at {(stream.receipts[worst] - begin) / SECOND:.3f} s"
+        )
+
+
+def _clocks(stream: Stream, begin: int) -> Iterator[str]:
+    """Stamps that jump against the times of receipt, or are of another clock."""
+    delays = stream.receipts - stream.stamps
+    # The least delay of some time, as a message that was held up tells nothing of its clock.
+    starts = np.flatnonzero(np.diff((stream.receipts - stream.receipts[0]) // WINDOW, prepend=-1))
+    steps = np.diff(np.minimum.reduceat(delays, starts))
+    jumps = np.flatnonzero(np.abs(steps) > JUMP)
+    if len(jumps):
+        around = slice(starts[jumps[0]], np.append(starts, len(delays))[jumps[0] + 2])
+        place = around.start + np.argmax(np.abs(np.diff(delays[around]))) + 1
+        yield (
+            f"{_count(len(jumps), 'jump')} of its clock, the first by "
+            f"{-steps[jumps[0]] / SECOND:+.3f} s "
+            f"at {(stream.receipts[place] - begin) / SECOND:.3f} s"
+        )
+    delay = float(np.median(delays)) / SECOND
+    if abs(delay) * SECOND > APART:
+        yield f"its stamps are {abs(delay):.3f} s {'before' if delay > 0 else 'after'} the receipt"
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}{'s' * (number != 1)}"

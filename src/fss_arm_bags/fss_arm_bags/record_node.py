@@ -1,0 +1,163 @@
+"""Records every topic into a rosbag2 (MCAP) bag."""
+
+from collections import Counter, deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from math import inf
+from pathlib import Path
+from shutil import disk_usage
+from typing import Any
+
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
+
+from fss_arm_bags.definitions import NotInstalledError, message_class
+from fss_arm_bags.recording import Limits, Recording
+from fss_arm_model.settings import setting
+from fss_arm_ros.convert import SECOND
+from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
+from fss_arm_ros.parameters import declare
+from fss_arm_ros.run import run
+
+MEGABYTE = 1_000_000
+EARLY = 1000  # latched messages kept until there is a time of receipt
+
+
+@dataclass(frozen=True)
+class RecordSettings:
+    """The parameters of a RecordNode."""
+
+    output: str = setting("", "folder of the bags; the next of bag_0, bag_1, ... is written")
+    topics: tuple[str, ...] = setting((), "names of the topics to record; none: all there are")
+    split_size: float = setting(2000.0, "a larger bag is ended and the next begun [MB]; 0: never")
+    split_time: float = setting(3600.0, "likewise a longer one [s]; 0: never")
+    reserve: float = setting(1000.0, "warn if less is left on the disk [MB]")
+
+    def __post_init__(self) -> None:
+        if not self.output:
+            raise ValueError("output is empty, expected the folder of the bags: -p output:=DIR")
+        for name in ("split_size", "split_time", "reserve"):
+            if not 0.0 <= getattr(self, name) < inf:
+                raise ValueError(f"{name} is {getattr(self, name)}, must not be negative")
+
+    def limits(self) -> Limits:
+        """When the next bag is begun."""
+        return Limits(round(self.split_size * MEGABYTE), round(self.split_time * SECOND))
+
+
+class RecordNode(Node):
+    """Records topics, as they come up, into the next bags of a folder.
+
+    Hidden topics (a part of the name begins with `_`, as those of actions) are left out.
+    At most the last second is lost when it is killed. The time of receipt is the node's: with
+    use_sim_time it is /clock's; of what comes before the first /clock only latched messages are
+    recorded, as received after it.
+    """
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__("record", **options)
+        settings = self.settings = declare(self, RecordSettings)
+        self.topics = {self.resolve_topic_name(topic) for topic in settings.topics}
+        self.recording = Recording(Path(settings.output), settings.limits())
+        self.heard: dict[str, Subscription] = {}
+        self.refused: set[str] = set()
+        self.counts: Counter[str] = Counter()
+        self.early: deque[tuple[str, bytes]] = deque(maxlen=EARLY)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(0.2, self.discover, clock=steady)
+        self.create_timer(0.5, self.flush, clock=steady)
+        self.get_logger().info(f"recording to {self.recording.path}")
+        Diagnostics(self, self.health)
+
+    def discover(self) -> None:
+        """Listen to topics that are new, or whose publishers ask for another subscription."""
+        for topic, (msgtype, *_) in self.get_topic_names_and_types():
+            if topic in self.refused or "/_" in topic or (self.topics and topic not in self.topics):
+                continue
+            offered = [info.qos_profile for info in self.get_publishers_info_by_topic(topic)]
+            present = [self.heard[topic].qos_profile] if topic in self.heard else []
+            if offered and match(offered + present) not in present:
+                self.listen(topic, msgtype, offered + present)
+
+    def listen(self, topic: str, msgtype: str, offered: list[QoSProfile]) -> None:
+        """Subscribe to a topic, in place of a subscription that not all publishers match."""
+        try:
+            kind = message_class(msgtype)
+            if topic not in self.recording.topics:
+                self.recording.add(topic, msgtype, offered)
+        except NotInstalledError as error:
+            self.refused.add(topic)
+            self.get_logger().warning(f"{topic} is not recorded: {error}")
+            return
+        if topic in self.heard:
+            self.destroy_subscription(self.heard[topic])
+        take = partial(self.take, topic)
+        self.heard[topic] = self.create_subscription(kind, topic, take, match(offered), raw=True)
+
+    def take(self, topic: str, data: bytes) -> None:
+        """Keep one serialized message."""
+        if receipt := self.get_clock().now().nanoseconds:
+            self.write_early(receipt)
+            self.write(receipt, topic, data)
+        elif self.heard[topic].qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL:
+            self.early.append((topic, data))
+
+    def write_early(self, receipt: int) -> None:
+        """Write what came before the first /clock, once there is a time of receipt."""
+        while receipt and self.early:
+            self.write(receipt, *self.early.popleft())
+
+    def write(self, receipt: int, topic: str, data: bytes) -> None:
+        """Write one serialized message."""
+        self.attempt(self.recording.write, topic, receipt, data)
+        self.counts[topic] += 1
+
+    def flush(self) -> None:
+        """Hand what there is to the operating system."""
+        self.write_early(self.get_clock().now().nanoseconds)
+        self.attempt(self.recording.flush)
+
+    def attempt(self, step: Callable[..., None], *args: Any) -> None:
+        """Do a step of the recording; end the process if the disk refuses it."""
+        try:
+            step(*args)
+        except OSError as error:
+            self.recording.abort()
+            raise SystemExit(
+                f"cannot write {self.recording.path}: {error.strerror}; what it has is kept"
+            ) from None
+
+    def health(self) -> Health:
+        """Where the recording goes and how much it has, by topic."""
+        free = disk_usage(self.recording.folder).free / MEGABYTE
+        values = {"bag": self.recording.path, "free [MB]": free}
+        values |= {"messages": self.counts.total(), **self.counts}
+        if self.get_clock().now().nanoseconds == 0:
+            return Health(WARN, "waiting for /clock", values)
+        if free < self.settings.reserve:
+            return Health(WARN, f"only {free:.0f} MB are left on the disk", values)
+        return Health(OK, f"recording {len(self.recording.topics)} topics", values)
+
+    def close(self) -> None:
+        """End the bag."""
+        self.write_early(self.get_clock().now().nanoseconds)
+        self.attempt(self.recording.close)
+
+
+def match(offered: list[QoSProfile]) -> QoSProfile:
+    """The most that all of them grant; KEEP_ALL, so that a replay waits for the recorder."""
+    latched = all(o.durability == DurabilityPolicy.TRANSIENT_LOCAL for o in offered)
+    reliable = all(o.reliability == ReliabilityPolicy.RELIABLE for o in offered)
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_ALL,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+    )
+
+
+def main() -> int:
+    """Entry point."""
+    return run(RecordNode, RecordSettings)

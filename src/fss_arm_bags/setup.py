@@ -1,0 +1,21 @@
+from setuptools import setup
+
+setup(
+    name="fss_arm_bags",
+    version="0.1.0",
+    packages=["fss_arm_bags"],
+    package_data={"fss_arm_bags": ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/fss_arm_bags"]),
+        ("share/fss_arm_bags", ["package.xml"]),
+    ],
+    description="Bags: reading, recording, replaying and repairing them.",
+    license="Apache-2.0",
+    entry_points={
+        "console_scripts": [
+            "record = fss_arm_bags.record_node:main",
+            "replay = fss_arm_bags.replay_node:main",
+            "doctor = fss_arm_bags.doctor:main",
+        ],
+    },
+)

@@ -1,0 +1,1 @@
+"""Drift calibration: tilt, hose torque and drag."""

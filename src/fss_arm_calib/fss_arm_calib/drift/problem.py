@@ -1,0 +1,246 @@
+"""What acts on the base from outside: the table's tilt and the hose, while base and arm drift.
+
+With the arm at rest they are one rigid body of mass M and inertia K about its centre of mass, which
+lies at c in the base's frame. With the base's origin at x, its heading theta, z = x + R(theta) c,
+
+    M z'' = M g - d x',        K theta'' = tau - kappa theta' + (x - z) x (-d x')
+
+g is the acceleration of a free body down the table (its tilt), tau the hose's torque when it is at
+rest, kappa and d what it resists turning and moving with. Those are shared by all drifts; pose and
+twist at its start, and c, each drift has for its own. The masses' errors scale torque and momentum.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from fss_arm_calib.estimation.least_squares import Floats, Linear, Minimum, minimize
+from fss_arm_model.description import Arm
+from fss_arm_model.dynamics import inertia_matrix
+from fss_arm_model.momentum import system_com
+
+NAMES = ("g_x", "g_y", "torque", "twist_damping", "drag")
+UNITS = ("m/s^2", "m/s^2", "N m", "N m s", "N s/m")
+OWN = 8  # unknowns of each drift: pose, twist, centre of mass in the base
+
+#: Half the differences that derivatives are taken over: far above rounding, far below curvature.
+_STEPS = np.array([1e-5, 1e-5, 3e-7, 1e-5, 1e-4, *[1e-3] * 3, 1e-4, 1e-4, 1e-5, *[1e-3] * 2])
+MAX_CONDITION = 1e6
+TOLERANCE = 1e-4  # of the last update [deviations]; integration errs by less
+
+
+class Drift(NamedTuple):
+    """The base's averaged poses while the arm rests."""
+
+    start: int  # [ns]
+    end: int
+    q: tuple[float, ...]  # (n) joint readings [rad]
+    times: tuple[float, ...]  # (m) of the poses, from `start` on [s]
+    poses: tuple[tuple[float, float, float], ...]  # (m) [m, m, rad], headings counting turns
+    frames: tuple[int, ...]  # (m) averaged
+    seconds: tuple[float, ...]  # (m) over which [s]
+
+
+class Body(NamedTuple):
+    """Base and arm as one."""
+
+    mass: float  # [kg]
+    inertia: float  # about the centre of mass [kg m^2]
+    com: complex  # in the base's frame [m]
+
+
+def rigid_body(arm: Arm, q: Sequence[float]) -> Body:
+    """The floating body that an arm is at joint readings q."""
+    p, state = arm.vector(), np.concatenate([np.zeros(3), q])
+    H, com = inertia_matrix(p, state), complex(*system_com(p, state))
+    return Body(H[0, 0], H[2, 2] - H[0, 0] * abs(com) ** 2, com)
+
+
+@dataclass(frozen=True)
+class DriftProblem:
+    """Drifts, and what is known beforehand; deviations are 1 sigma, about 0, 0: it is 0."""
+
+    drifts: Sequence[Drift]
+    bodies: Sequence[Body]
+    sigma: Sequence[Floats]  # (m, 3) of each drift's poses
+    torque: float = 0.05  # of the hose at rest [N m]
+    twist_damping: float = 0.01  # of its resistance to turning [N m s]
+    drag: float = 0.05  # and to moving [N s/m]
+    com: float = 0.01  # of the centre of mass, each axis, about the description's [m]
+    mass: float = 0.05  # of mass and inertia, relative
+
+    @cached_property
+    def start(self) -> Floats:
+        """All unknowns at the begin: nothing acts, and each drift has its mean twist."""
+        parts: list[Floats] = [np.zeros(len(NAMES))]
+        for drift, body in zip(self.drifts, self.bodies, strict=True):
+            first, last = np.array(drift.poses[0]), np.array(drift.poses[-1])
+            twist = (last - first) / (drift.times[-1] - drift.times[0])
+            parts += [first, twist, np.array([body.com.real, body.com.imag])]
+        return np.concatenate(parts)
+
+    def motion(self, k: int, shared: Floats, own: Floats) -> tuple[Floats, Floats]:
+        """Poses (m, 3, c) of drift k, and its gain of spin K (omega_end - omega_start) (c,).
+
+        Args:
+            k: the drift.
+            shared: (5, c), a column for each set of unknowns.
+            own: (8, c).
+        """
+        body, times = self.bodies[k], np.array(self.drifts[k].times)
+        g, (tau, kappa, d) = shared[0] + 1j * shared[1], shared[2:]
+        lever = own[6] + 1j * own[7]
+        turn = np.exp(1j * own[2])
+        v = own[3] + 1j * own[4]
+        z = own[0] + 1j * own[1] + turn * lever
+        u = v + 1j * own[5] * turn * lever
+        columns = len(tau)
+
+        def rate(_: float, y: Floats) -> Floats:
+            ux, uy, theta, omega = y.reshape(6, columns)[2:]
+            arm = np.exp(1j * theta) * lever
+            velocity = ux + 1j * uy - 1j * omega * arm  # of the base's origin
+            acceleration = g - d / body.mass * velocity
+            torque = tau - kappa * omega + d * (arm.conj() * velocity).imag
+            parts = ux, uy, acceleration.real, acceleration.imag, omega, torque / body.inertia
+            return np.concatenate(parts)
+
+        begin = np.concatenate([z.real, z.imag, u.real, u.imag, own[2], own[5]])
+        path = solve_ivp(
+            rate, (0.0, times[-1]), begin, "DOP853", times, rtol=1e-10, atol=1e-12
+        ).y.reshape(6, columns, -1)
+        x = path[0] + 1j * path[1] - np.exp(1j * path[4]) * lever[:, None]
+        poses = np.stack([x.real, x.imag, path[4]])
+        return poses.transpose(2, 0, 1), body.inertia * (path[5, :, -1] - own[5])
+
+    def derivatives(self, unknowns: Floats) -> list[tuple[Floats, Floats, float, Floats]]:
+        """Of each drift: poses (m, 3) and their derivatives (m, 3, 13); likewise gains of spin."""
+        found = []
+        steps = _STEPS[:, None] * np.hstack([np.zeros((13, 1)), np.eye(13), -np.eye(13)])
+        for k in range(len(self.drifts)):
+            own = unknowns[5 + OWN * k : 5 + OWN * (k + 1)]
+            moved = np.concatenate([unknowns[:5], own])[:, None] + steps
+            poses, gains = self.motion(k, moved[:5], moved[5:])
+            by = (poses[..., 1:14] - poses[..., 14:]) / (2.0 * _STEPS)
+            gains_by = (gains[1:14] - gains[14:]) / (2.0 * _STEPS)
+            found.append((poses[..., 0], by, float(gains[0]), gains_by))
+        return found
+
+    def linearize(self, unknowns: Floats) -> Linear:
+        """Observations and priors near some values, divided by their deviations."""
+        residuals, rows = [], []
+        for k, (poses, by, _, _) in enumerate(self.derivatives(unknowns)):
+            weight = 1.0 / self.sigma[k].ravel()
+            off = (np.array(self.drifts[k].poses) - poses).ravel() * weight
+            every = np.column_stack([by.reshape(-1, 13) * weight[:, None], off])
+            few: Floats = np.linalg.qr(every)[1]  # as many rows as columns tell the same
+            residuals.append(few[:, -1])
+            J = np.zeros((len(few), len(unknowns)))
+            J[:, :5] = few[:, :5]
+            J[:, 5 + OWN * k : 5 + OWN * (k + 1)] = few[:, 5:13]
+            rows.append(J)
+        J, r = np.concatenate(rows), np.concatenate(residuals)
+        known = self._known
+        J[:, known == 0.0] = 0.0
+        believed = np.flatnonzero((known > 0.0) & np.isfinite(known))
+        expected = np.concatenate([np.zeros(5), self.start[5:]])
+        off = (expected - unknowns)[believed] / known[believed]
+        J = np.concatenate([J, np.eye(len(unknowns))[believed] / known[believed, None]])
+        r = np.concatenate([r, off])
+        return Linear(r, J, float(r @ r))
+
+    @cached_property
+    def _known(self) -> Floats:
+        """Deviations of all unknowns before anything is observed; inf: nothing known."""
+        none = [np.inf] * 6
+        shared = [np.inf, np.inf, self.torque, self.twist_damping, self.drag]
+        return np.array([*shared, *[*none, self.com, self.com] * len(self.drifts)])
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Observed coordinates less the unknowns of which nothing was known."""
+        seen = sum(sigma.size for sigma in self.sigma)
+        return seen - int(np.count_nonzero(np.isinf(self._known)))
+
+
+@dataclass(frozen=True)
+class DriftResult:
+    """What acts from outside, and the momentum that each drift began with; 1 sigma beside each."""
+
+    problem: DriftProblem
+    minimum: Minimum
+    scatter: Floats = field(repr=False)  # covariance of all unknowns
+
+    @property
+    def values(self) -> Floats:
+        """(5,) NAMES in UNITS."""
+        return self.minimum.x[:5]
+
+    @cached_property
+    def covariance(self) -> Floats:
+        """(5, 5) with the error of mass and inertia, which forces and torques scale with."""
+        scaled = np.concatenate([np.zeros(2), self.values[2:]]) * self.problem.mass
+        return np.asarray(self.scatter[:5, :5] + np.outer(scaled, scaled))
+
+    @cached_property
+    def _told(self) -> list[tuple[Floats, Floats, float, Floats]]:
+        return self.problem.derivatives(self.minimum.x)
+
+    @cached_property
+    def residuals(self) -> list[Floats]:
+        """(m, 3) of each drift, observed less predicted [m, m, rad]."""
+        pairs = zip(self.problem.drifts, self._told, strict=True)
+        return [np.array(drift.poses) - poses for drift, (poses, *_) in pairs]
+
+    @cached_property
+    def hose_torque(self) -> tuple[float, float]:
+        """Mean torque on the whole about its centre of mass while it drifted [N m], and 1 sigma.
+
+        What of it depends on the motion need not be told apart from what does not.
+        """
+        total = sum(drift.times[-1] for drift in self.problem.drifts)
+        by, mean = np.zeros(len(self.minimum.x)), 0.0
+        for k, (_, _, gain, gain_by) in enumerate(self._told):
+            mean += gain / total
+            by[:5] += gain_by[:5] / total
+            by[5 + OWN * k : 5 + OWN * (k + 1)] += gain_by[5:] / total
+        variance = float(by @ self.scatter @ by) + (self.problem.mass * mean) ** 2
+        return mean, float(np.sqrt(variance))
+
+    @cached_property
+    def momenta(self) -> tuple[Floats, Floats]:
+        """(s, 3) linear [N s] and, about the centre of mass, angular [N m s]; and 1 sigma."""
+        values, deviations = np.empty((2, len(self.problem.drifts), 3))
+        for k, body in enumerate(self.problem.bodies):
+            at = slice(5 + OWN * k, 5 + OWN * (k + 1))
+            _, _, theta, vx, vy, omega, cx, cy = self.minimum.x[at]
+            turn = np.exp(1j * theta)
+            lever = turn * complex(cx, cy)
+            P = body.mass * (complex(vx, vy) + 1j * omega * lever)
+            values[k] = P.real, P.imag, body.inertia * omega
+            J = np.zeros((3, OWN))
+            by = [-omega * lever, 1.0, 1j, 1j * lever, 1j * omega * turn, -omega * turn]
+            J[:2, 2:] = body.mass * np.array([np.real(by), np.imag(by)])
+            J[2, 5] = body.inertia
+            variance = np.diag(J @ self.scatter[at, at] @ J.T)
+            deviations[k] = np.sqrt(variance + (self.problem.mass * values[k]) ** 2)
+        return values, deviations
+
+
+def solve(problem: DriftProblem) -> DriftResult:
+    """Least squares of what acts on the base; what resists motion is never below 0.
+
+    It is left out at first, so that the steps from a rough start are short.
+    """
+    plain = replace(problem, twist_damping=0.0, drag=0.0, com=0.0)
+    x = problem.start
+    for stage in (plain, problem):
+        low, high = np.full(len(x), -np.inf), np.full(len(x), np.inf)
+        low[3:5] = 0.0
+        minimum = minimize(stage.linearize, x, (low, high), TOLERANCE, max_condition=MAX_CONDITION)
+        x = minimum.x
+    return DriftResult(problem, minimum, minimum.basis.covariance())

@@ -1,0 +1,1 @@
+"""Dynamic calibration: masses, centres of mass and inertias."""

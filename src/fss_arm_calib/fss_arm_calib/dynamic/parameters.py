@@ -1,0 +1,150 @@
+"""What a dynamic calibration may estimate or assume, by name, and how well it was known before.
+
+The parameters of an arm of n links are, in this order,
+
+    m_0, I_0, x_com, y_com        the base: mass, inertia, centre of mass in its frame
+    kinematic_names(n)            a_i, theta_0_i, x_BJ1, y_BJ1, theta_BJ1
+    m_i, b_i, I_i                 the links: mass, centre of mass to the next joint, inertia
+
+A choice of them is written as words: a name; `b_i` for that of each link; `I` for one value that
+all links share; `com_0` and `mount` for the base's centre of mass and for the first joint's place.
+"""
+
+from dataclasses import dataclass, fields
+from functools import cache
+from math import inf, radians
+
+import numpy as np
+import numpy.typing as npt
+
+from fss_arm_calib.estimation.least_squares import Floats
+from fss_arm_model.description import (
+    BASE_SIZE,
+    LINK_SIZE,
+    Arm,
+    kinematic_index,
+    kinematic_names,
+)
+from fss_arm_model.settings import setting
+
+GROUPS = {
+    "com_0": ("x_com", "y_com"),
+    "mount": ("x_BJ1", "y_BJ1", "theta_BJ1"),
+}
+
+
+@dataclass(frozen=True)
+class Knowledge:
+    """How well each kind of value of a description is known, 1 sigma.
+
+    Raises:
+        ValueError: a deviation is negative or not finite.
+    """
+
+    mass_deviation: float = setting(0.005, "of a link's mass, as by a scale [kg]")
+    b_deviation: float = setting(0.02, "of a link's centre of mass, as by geometry [m]")
+    inertia_deviation: float = setting(0.02, "of a link's inertia [kg m^2]")
+    base_mass_deviation: float = setting(0.05, "of the base's mass, propellant included [kg]")
+    base_inertia_deviation: float = setting(0.025, "of the base's inertia [kg m^2]")
+    base_com_deviation: float = setting(0.01, "of the base's centre of mass, each axis [m]")
+    length_deviation: float = setting(0.0005, "of a link's length [m]")
+    offset_deviation: float = setting(radians(0.1), "of an encoder's offset [rad]")
+    mount_deviation: float = setting(0.0005, "of the first joint's place, each axis [m]")
+    mount_angle_deviation: float = setting(radians(0.1), "of the first joint's heading [rad]")
+
+    def __post_init__(self) -> None:
+        for f in fields(Knowledge):
+            if not 0.0 <= getattr(self, f.name) < inf:
+                raise ValueError(
+                    f"{f.name} is {getattr(self, f.name)}, expected a deviation of 0 or more"
+                )
+
+    def deviations(self, n: int) -> Floats:
+        """(5 n + 6,) of all parameters."""
+        com = self.base_com_deviation
+        base = [self.base_mass_deviation, self.base_inertia_deviation, com, com]
+        angles = [self.offset_deviation] * (n - 1)
+        mount = [self.mount_deviation] * 2 + [self.mount_angle_deviation]
+        links = [self.mass_deviation] * n + [self.b_deviation] * n + [self.inertia_deviation] * n
+        return np.array([*base, *[self.length_deviation] * n, *angles, *mount, *links])
+
+
+def parameter_names(n: int) -> tuple[str, ...]:
+    """The names of all 5 n + 6 parameters."""
+    links = (f"{kind}_{i}" for kind in "mbI" for i in range(1, n + 1))
+    return ("m_0", "I_0", "x_com", "y_com", *kinematic_names(n), *links)
+
+
+def unit(name: str) -> str:
+    """Unit of a parameter."""
+    kinds = {"m": "kg", "I": "kg m^2", "g": "m/s^2", "theta": "rad"}
+    return kinds.get(name.split("_")[0], "m")
+
+
+@cache
+def to_vector(n: int) -> Floats:
+    """(8 + 6 n, 5 n + 6): how a change of the parameters changes Arm.vector(); g = a - b."""
+    T = np.zeros((BASE_SIZE + LINK_SIZE * n, 5 * n + 6))
+    T[range(4), range(4)] = 1.0
+    T[kinematic_index(n), range(4, 2 * n + 6)] = 1.0
+    links, first = BASE_SIZE + LINK_SIZE * np.arange(n), 2 * n + 6 + np.arange(n)
+    T[links + 2, first] = 1.0  # m_i
+    T[links + 4, first + n] = -1.0  # g_i by b_i
+    T[links + 4, 4 + np.arange(n)] = 1.0  # g_i by a_i
+    T[links + 3, first + 2 * n] = 1.0  # I_i
+    return T
+
+
+def values(arm: Arm) -> Floats:
+    """(5 n + 6,) the parameters of an arm."""
+    vector, links = arm.vector(), arm.links
+    own = [[k.mass for k in links], [k.b for k in links], [k.inertia for k in links]]
+    return np.concatenate([vector[:4], vector[kinematic_index(arm.n)], *own])
+
+
+@dataclass(frozen=True)
+class Choice:
+    """p parameters to estimate; a parameter of the arm is basis @ x where it is one of them."""
+
+    names: tuple[str, ...]
+    basis: Floats  # (5 n + 6, p) of 0 and 1
+
+    @classmethod
+    def of(cls, words: str, n: int) -> "Choice":
+        """Read a choice.
+
+        Raises:
+            ValueError: a word names nothing, or a parameter is named twice.
+        """
+        every = parameter_names(n)
+        names: list[str] = []
+        columns: list[Floats] = []
+        for word in words.split():
+            for name, members in _members(word, n):
+                column = np.isin(every, members).astype(float)
+                if not column.any():
+                    raise ValueError(f"estimate has {word!r}, expected words as b_i I_0 or a name")
+                names.append(name)
+                columns.append(column)
+        basis = np.array(columns).reshape(-1, len(every)).T
+        if not names or (twice := basis.sum(axis=1) > 1.0).any():
+            what = ", ".join(np.array(every)[twice]) + " twice" if names else "no parameter"
+            raise ValueError(f"estimate {words!r} names {what}, expected each once")
+        return cls(tuple(names), basis)
+
+    @property
+    def indices(self) -> npt.NDArray[np.intp]:
+        """Of the chosen among all parameters."""
+        return np.flatnonzero(self.basis.any(axis=1))
+
+
+def _members(word: str, n: int) -> list[tuple[str, list[str]]]:
+    """The values that a word of a choice stands for: name, and parameters that have it."""
+    every = parameter_names(n)
+    if word in GROUPS:
+        return [(name, [name]) for name in GROUPS[word]]
+    stem = word.removesuffix("_i")
+    own = [name for name in every if name.rpartition("_")[0] == stem and name[-2:] != "_0"]
+    if word != stem:
+        return [(name, [name]) for name in own] or [(word, [])]
+    return [(word, [word] if word in every else own)]

@@ -1,0 +1,419 @@
+"""Dynamic calibration: masses, centres of mass and inertias from how the base reacts (Eq. 6-10).
+
+A maneuver is a path of the joints and the base's poses at some marks before and after it. With d of
+Eq. 6 (fss_arm_model.base_motion),
+
+    Delta q_0f = q_0f observed - d(b, m, I, theta(t))                         (Eq. 7)
+    Delta q_0f = Phi_d Delta xi_d                                             (Eq. 8)
+    Delta xi_d = (Phi_d' W Phi_d)^-1 Phi_d' W Delta q_0f                      (Eq. 9)
+
+is iterated. Each maneuver has unknowns of its own, the pose and momentum that it begins with, which
+are eliminated from its rows; the tilt of the table is one of the shared parameters. Headings are
+not wrapped: a maneuver may turn the base by more than half a turn.
+
+What is known beforehand enters in two ways. Of estimated parameters it may be an observation of its
+own (a prior). Of those that are not estimated it is an assumption: with C their regressor, an error
+dc of theirs moves the estimate by P Phi_d' W C dc, which the covariance includes.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import inf
+
+import numpy as np
+import numpy.typing as npt
+
+from fss_arm_calib.dynamic.parameters import Choice, parameter_names, to_vector, unit, values
+from fss_arm_calib.estimation.least_squares import (
+    Decomposition,
+    Floats,
+    Linear,
+    Mask,
+    Minimum,
+    eliminate,
+    minimize,
+)
+from fss_arm_model.base_motion import Path, base_pose_sensitivities, base_poses
+from fss_arm_model.description import Arm, Base
+
+TILT = ("g_x", "g_y")  # acceleration of a free body down the table, world axes
+
+#: Beyond this condition number of the column-scaled regressor rounding has the say.
+MAX_CONDITION = 1e6
+
+FIRST = 2  # iterations of the maneuvers' own unknowns alone
+
+
+@dataclass(frozen=True)
+class DynamicProblem:
+    """M maneuvers with m marks each, and what is known beforehand; deviations are 1 sigma.
+
+    Raises:
+        ValueError: an array has the wrong shape, or nothing is observed.
+    """
+
+    path: Path  # of the joints, M of them
+    poses: Floats  # (M, m, 3) of the base at the marks [m, m, rad], headings counting turns
+    sigma: Floats  # (M, m, 3) their deviations; inf: not observed
+    arm: Arm  # the initial guess, and the values of what is assumed
+    choice: Choice  # what is estimated
+    prior: Floats  # (c,) deviations of the guess of what is estimated; inf: nothing known
+    assumed: Floats  # (5 n + 6, 5 n + 6) covariance of all parameters, of which those estimated
+    #                  do not matter
+    momentum: Floats  # (3,) of the momentum at the start, about 0 [N s, N s, N m s]; 0: at rest
+    tilt: float = 0.0  # of the table's tilt, about 0 [m/s^2]; 0: level
+
+    def __post_init__(self) -> None:
+        count = len(self.path.nodes)
+        shape = (count, self.path.marks.shape[-2], 3)
+        for name in ("poses", "sigma"):
+            if getattr(self, name).shape != shape:
+                raise ValueError(f"{name} has shape {getattr(self, name).shape}, expected {shape}")
+        if not np.isfinite(self.poses[np.isfinite(self.sigma)]).all():
+            raise ValueError("a pose is not finite")
+        if count and not np.isfinite(self.sigma[..., 2]).any():
+            raise ValueError("no heading is observed")
+
+    def only(self, which: npt.NDArray[np.bool_] | npt.NDArray[np.intp]) -> "DynamicProblem":
+        """The same with some of the maneuvers."""
+        path = Path(*(part[which] for part in self.path))
+        return replace(self, path=path, poses=self.poses[which], sigma=self.sigma[which])
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The p parameters estimated: those chosen, and the tilt if the table may have one."""
+        return self.choice.names + (TILT if self.tilt > 0.0 else ())
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Unit of each parameter."""
+        return tuple(unit(name) for name in self.names)
+
+    @cached_property
+    def own(self) -> npt.NDArray[np.intp]:
+        """(k,) which of pose and momentum at its start, 0 to 5, each maneuver has as unknowns."""
+        seen = np.isfinite(self.sigma).any(axis=(0, 1))
+        return np.flatnonzero(np.concatenate([seen, seen & (self.momentum > 0.0)]))
+
+    @cached_property
+    def known(self) -> Floats:
+        """(p,) deviations of the initial values; inf: nothing known."""
+        return np.concatenate([self.prior, np.full(len(self.names) - len(self.prior), self.tilt)])
+
+    @cached_property
+    def guess(self) -> Floats:
+        """(p,) initial values; unlike ones averaged where they count as one, a level table."""
+        basis = self.choice.basis
+        x = basis.T @ values(self.arm) / basis.sum(axis=0)
+        return np.concatenate([x, np.zeros(len(self.names) - len(x))])
+
+    @cached_property
+    def bounds(self) -> tuple[Floats, Floats]:
+        """Least and largest values, (p,) each.
+
+        Masses, inertias and lengths are above 0, centres of mass between the link's joints.
+        """
+        low = np.array([1e-6 if name[0] in "mIa" else -inf for name in self.names])
+        high = np.full(len(low), inf)
+        n, lengths = self.arm.n, np.array([link.a for link in self.arm.links])
+        places = self.choice.basis[3 * n + 6 : 4 * n + 6].T  # (p, n) whose b each one is
+        for k in np.flatnonzero(places.any(axis=1)):
+            low[k], high[k] = 0.0, lengths[places[k] > 0.0].min()
+        return low, high
+
+    @cached_property
+    def start(self) -> Floats:
+        """All unknowns at the begin: the guess, and for each maneuver its first pose, at rest."""
+        first = np.concatenate([self.poses[:, 0], np.zeros_like(self.poses[:, 0])], axis=1)
+        return np.concatenate([self.guess, first[:, self.own].ravel()])
+
+    @cached_property
+    def to_model(self) -> Floats:
+        """(8 + 6 n + 8, p): how the p parameters change Arm.vector() and base_motion's state."""
+        chosen = to_vector(self.arm.n) @ self.choice.basis
+        p = len(self.names)
+        columns = np.zeros((len(chosen) + 8, p))
+        columns[: len(chosen), : chosen.shape[1]] = chosen
+        if self.tilt > 0.0:
+            columns[-2:, -2:] = np.eye(2)
+        return columns
+
+    @cached_property
+    def origin(self) -> Floats:
+        """(8 + 6 n,) Arm.vector() with the estimated parameters at 0."""
+        chosen = self.choice.basis.any(axis=1) * values(self.arm)
+        return self.arm.vector() - to_vector(self.arm.n) @ chosen
+
+    def vector(self, unknowns: Floats) -> Floats:
+        """Arm.vector() with the estimated parameters in place of the guess, (8 + 6 n,)."""
+        size = len(self.origin)
+        return self.origin + self.to_model[:size] @ unknowns[: self.to_model.shape[1]]
+
+    def states(self, unknowns: Floats) -> Floats:
+        """(M, 8) of base_motion: pose and momentum at the start, the table's tilt."""
+        p = len(self.names)
+        states = np.zeros((len(self.poses), 8))
+        states[:, :3] = self.poses[:, 0]
+        states[:, self.own] = unknowns[p:].reshape(len(states), -1)
+        if self.tilt > 0.0:
+            states[:, 6:] = unknowns[p - 2 : p]
+        return states
+
+    def predicted(self, unknowns: Floats) -> Floats:
+        """Poses at the marks, (M, m, 3)."""
+        return base_poses(self.vector(unknowns), self.path, self.states(unknowns))
+
+    @cached_property
+    def looked_at(self) -> npt.NDArray[np.intp]:
+        """Which of the 3 m coordinates of poses are observed in any maneuver."""
+        return np.flatnonzero(np.isfinite(self.sigma).any(axis=0))
+
+    @cached_property
+    def weight(self) -> Floats:
+        """1 / sigma of those, (M, rows)."""
+        return 1.0 / self.sigma.reshape(len(self.sigma), -1)[:, self.looked_at]
+
+    @cached_property
+    def believed(self) -> npt.NDArray[np.intp]:
+        """Which components of the momentum are unknowns about which something is known."""
+        momenta = self.own[self.own >= 3] - 3
+        return momenta[np.isfinite(self.momentum[momenta])]
+
+    def reduced(self, unknowns: Floats, columns: Floats) -> Linear:
+        """The observations near some values, each maneuver's own unknowns eliminated.
+
+        Args:
+            unknowns: all of them.
+            columns: (8 + 6 n + 8, c) what the regressor is by, as to_model.
+        """
+        states = self.states(unknowns)
+        poses, J = base_pose_sensitivities(self.vector(unknowns), self.path, states)
+        count = len(poses)
+        rows = J.reshape(count, -1, J.shape[-1])[:, self.looked_at] * self.weight[..., None]
+        away = (self.poses - poses).reshape(count, -1)[:, self.looked_at]
+        r = np.where(self.weight > 0.0, away, 0.0) * self.weight
+        A, B = rows @ columns, rows[..., len(self.origin) : -2][..., self.own]
+        if self.believed.size:
+            sigma = self.momentum[self.believed]
+            r = np.concatenate([r, -states[:, 3 + self.believed] / sigma], axis=1)
+            A = np.pad(A, ((0, 0), (0, sigma.size), (0, 0)))
+            prior = np.eye(6)[3 + self.believed][:, self.own] / sigma[:, None]
+            B = np.concatenate([B, np.broadcast_to(prior, (count, *prior.shape))], axis=1)
+        return eliminate(A, B, r)
+
+    def linearize(self, unknowns: Floats) -> Linear:
+        """The problem of the p parameters near some values, priors included."""
+        linear = self.reduced(unknowns, self.to_model)
+        believed = np.flatnonzero(np.isfinite(self.known))
+        if not believed.size:
+            return linear
+        off = (self.guess - unknowns[: len(self.guess)])[believed] / self.known[believed]
+        rows = np.eye(len(self.guess))[believed] / self.known[believed, None]
+        return linear._replace(
+            residuals=np.concatenate([linear.residuals, off]),
+            regressor=np.concatenate([linear.regressor, rows]),
+            cost=linear.cost + float(off @ off),
+        )
+
+    @property
+    def free(self) -> npt.NDArray[np.intp]:
+        """(M,) observations of each maneuver, less its own unknowns."""
+        seen = np.isfinite(self.sigma).sum(axis=(1, 2))
+        return np.asarray(seen + self.believed.size - self.own.size)
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """Observations and priors less the unknowns."""
+        known = np.count_nonzero(np.isfinite(self.known))
+        return int(self.free.sum() + known - len(self.names))
+
+
+@dataclass(frozen=True)
+class DynamicResult:
+    """p parameters from M maneuvers, and how far to believe them."""
+
+    problem: DynamicProblem
+    minimum: Minimum
+
+    @property
+    def values(self) -> Floats:
+        """(p,) in the order and units of problem.names and problem.units."""
+        return self.minimum.x[: len(self.problem.names)]
+
+    @cached_property
+    def random(self) -> Floats:
+        """(p, p) covariance by the errors of observations and priors alone."""
+        return self.minimum.basis.covariance()
+
+    @cached_property
+    def assumed(self) -> npt.NDArray[np.intp]:
+        """(c,) indices, in parameter_names(n), of those assumed and not known exactly."""
+        uncertain = np.diag(self.problem.assumed) > 0.0
+        return np.flatnonzero(uncertain & ~self.problem.choice.basis.any(axis=1))
+
+    @property
+    def assumed_names(self) -> tuple[str, ...]:
+        """Their names."""
+        names = parameter_names(self.problem.arm.n)
+        return tuple(names[k] for k in self.assumed)
+
+    @cached_property
+    def by_assumed(self) -> Floats:
+        """(rows, c) regressor C of the assumed parameters, weighted and reduced as the others."""
+        columns = np.pad(to_vector(self.problem.arm.n)[:, self.assumed], ((0, 8), (0, 0)))
+        return self.problem.reduced(self.minimum.x, columns).regressor
+
+    @cached_property
+    def influence(self) -> Floats:
+        """(p, c) shift of the estimate by an error of each assumed parameter, true less assumed."""
+        Phi = self.minimum.linear.regressor[: len(self.by_assumed)]
+        return np.asarray(self.random @ (Phi.T @ self.by_assumed))
+
+    @cached_property
+    def bias(self) -> Floats:
+        """(p, c) shift of the estimate if a true value is 1 sigma above the one assumed."""
+        return self.influence * np.sqrt(np.diag(self.problem.assumed)[self.assumed])
+
+    @cached_property
+    def covariance(self) -> Floats:
+        """(p, p) with the uncertainty of what is assumed."""
+        assumed = self.problem.assumed[np.ix_(self.assumed, self.assumed)]
+        return np.asarray(self.random + self.influence @ assumed @ self.influence.T)
+
+    @cached_property
+    def undetermined(self) -> Mask:
+        """(p,) which parameters the data cannot tell from others."""
+        return self.minimum.basis.undetermined() > 1e-6
+
+    @cached_property
+    def deviations(self) -> Floats:
+        """(p,) 1 sigma of each parameter; inf where it is not determined."""
+        return np.where(self.undetermined, inf, np.sqrt(np.diag(self.covariance)))
+
+    @property
+    def prior_share(self) -> Floats:
+        """(p,) how much of each estimate came from what was known beforehand, 0 to 1.
+
+        The diagonal of P Lambda_prior, 1 less the resolution of the data.
+        """
+        return np.diag(self.random) / self.problem.known**2
+
+    @property
+    def at_bound(self) -> tuple[str, ...]:
+        """Names of parameters that the data would move out of their bounds."""
+        pairs = zip(self.problem.names, self.minimum.held, strict=True)
+        return tuple(name for name, held in pairs if held)
+
+    @cached_property
+    def residuals(self) -> Floats:
+        """(M, m, 3) observed less predicted poses [m, m, rad]; NaN where not observed."""
+        away = self.problem.poses - self.problem.predicted(self.minimum.x)
+        return np.where(np.isfinite(self.problem.sigma), away, np.nan)
+
+    @property
+    def momenta(self) -> Floats:
+        """(M, 3) momentum at each maneuver's start [N s, N s, N m s]."""
+        return self.problem.states(self.minimum.x)[:, 3:6]
+
+    @cached_property
+    def _explained(self) -> tuple[Floats, Floats, Decomposition]:
+        """Residuals and regressor with the assumed parameters free within their deviations.
+
+        To first order; rows of the priors follow those of the maneuvers.
+        """
+        linear, C = self.minimum.linear, self.by_assumed
+        w, V = np.linalg.eigh(self.problem.assumed[np.ix_(self.assumed, self.assumed)])
+        C = C @ (V * np.sqrt(np.maximum(w, 0.0)))
+        rows = len(linear.residuals) - len(C)
+        upper = np.concatenate([linear.regressor, np.pad(C, ((0, rows), (0, 0)))], axis=1)
+        lower = np.eye(C.shape[1], upper.shape[1], len(self.values))
+        A = np.concatenate([upper, lower])
+        r = np.pad(linear.residuals, (0, len(lower)))
+        basis = Decomposition.of(A, MAX_CONDITION)
+        return r - A @ basis.step(r), A, basis
+
+    @property
+    def chi_square(self) -> float:
+        """Weighted sum of squares, priors included, less what errors of assumed values explain."""
+        return float(np.sum(self._explained[0] ** 2))
+
+    @cached_property
+    def checks(self) -> tuple[Floats, Floats]:
+        """Leverage and error of each maneuver, (M,) each, against what the others say.
+
+        With the maneuver's part H of the hat matrix, r' (1 - H)^-1 r is the sum of squares of its
+        errors if it is held out and predicted from the others, in the deviations of that
+        prediction. Its root mean square is about 1.
+        """
+        count, rows = len(self.problem.poses), len(self.by_assumed)
+        r, A, basis = self._explained
+        A, r = A[:rows].reshape(count, -1, A.shape[1]), r[:rows].reshape(count, -1, 1)
+        H = A @ basis.covariance() @ np.swapaxes(A, 1, 2)
+        squares = (np.swapaxes(r, 1, 2) @ np.linalg.solve(np.eye(H.shape[1]) - H, r)).ravel()
+        return np.trace(H, axis1=1, axis2=2), np.sqrt(squares / np.maximum(self.problem.free, 1))
+
+    def calibrated(self) -> Arm:
+        """The initial arm with the estimated parameters.
+
+        Raises:
+            DescriptionError: a value cannot be right.
+        """
+        arm, basis = self.problem.arm, self.problem.choice.basis
+        x = basis @ self.values[: basis.shape[1]]
+        v = np.where(basis.any(axis=1), x, values(arm)).tolist()
+        n = arm.n
+        arm = arm.with_kinematics(v[4 : 2 * n + 6])
+        m, b, inertia = (v[2 * n + 6 + k * n : 3 * n + 6 + k * n] for k in range(3))
+        links = tuple(
+            replace(link, mass=m[i], b=b[i], inertia=inertia[i]) for i, link in enumerate(arm.links)
+        )
+        base: Base = replace(arm.base, mass=v[0], inertia=v[1], com=(v[2], v[3]))
+        return replace(arm, base=base, links=links)
+
+
+def underway(problem: DynamicProblem) -> Floats:
+    """The unknowns to begin with: the guess, and what each maneuver then must have begun with.
+
+    The guess of a momentum is rest. Were the base to turn by radians more than that, the first step
+    of the parameters would lead far astray.
+    """
+    x, hold = problem.start, np.zeros(len(problem.names))
+    for _ in range(FIRST if (problem.own >= 3).any() else 0):
+        extend = problem.linearize(x).extend
+        x = x + extend(hold) if extend else x
+    return x
+
+
+def solve(problem: DynamicProblem, bounded: bool = True, tolerance: float = 1e-7) -> DynamicResult:
+    """Iterate Eq. 9 from the guess.
+
+    Parameters that the data cannot tell apart stay as near to the guess as the others allow; the
+    result names them.
+
+    Args:
+        problem: the maneuvers and what is known.
+        bounded: keep to problem.bounds; deviations are true where none is active.
+        tolerance: the update below which it has converged, in the parameter's deviations.
+    """
+    return DynamicResult(
+        problem,
+        minimize(
+            problem.linearize,
+            underway(problem),
+            problem.bounds if bounded else None,
+            tolerance=tolerance,
+            max_condition=MAX_CONDITION,
+        ),
+    )
+
+
+def information(problem: DynamicProblem, unknowns: npt.ArrayLike | None = None) -> Floats:
+    """Phi' W Phi of the observations alone, priors left out, each maneuver's own unknowns gone.
+
+    Returns:
+        (M, p, p), one for each maneuver: they add up.
+    """
+    x = problem.start if unknowns is None else np.asarray(unknowns, dtype=float)
+    Phi = problem.reduced(x, problem.to_model).regressor
+    Phi = Phi.reshape(len(problem.poses), -1, len(problem.names))
+    return np.asarray(np.swapaxes(Phi, 1, 2) @ Phi)

@@ -1,0 +1,1 @@
+"""Estimation: nonlinear least squares and its statistics."""

@@ -1,0 +1,1 @@
+"""The experiment: which postures and maneuvers, and the node that makes them."""

@@ -1,0 +1,334 @@
+"""Maneuvers worth making: those that tell most about chosen parameters, before the arm moves.
+
+A maneuver is a sequence of straight moves in joint space, each from rest to rest with the trapezoid
+of the drives. Candidates stay within joint limits and torque, off the table's edge and the arm's
+own links, and within a time. One after the other, that one is taken which shrinks the volume of the
+chosen parameters' uncertainty most (D-optimality). Each maneuver has its start's pose and momentum
+as unknowns, and the table may be tilted: what counts is what a drifting base leaves visible.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from math import ceil, inf, sqrt
+
+import numpy as np
+import yaml
+
+from fss_arm_calib.dynamic.checks import known_beforehand
+from fss_arm_calib.dynamic.problem import DynamicProblem, DynamicResult, information, solve
+from fss_arm_calib.dynamic.settings import HEADING, DynamicCalibrationSettings
+from fss_arm_calib.estimation.least_squares import Floats
+from fss_arm_calib.experiment.postures import MARGIN, clearance
+from fss_arm_model.base_motion import Law, Path, base_poses, path, stack
+from fss_arm_model.description import Arm
+from fss_arm_model.dynamics import bias, inertia_matrix
+from fss_arm_model.kinematics import joint_positions
+
+SINGLE, SWEEP, LOOP = "single", "sweep", "loop"
+KINDS = (SINGLE, SWEEP, LOOP)
+
+RAMP = 1.0 / 3.0  # share of a move's time in which it accelerates, and again decelerates
+PAUSE = 0.5  # between two moves of a maneuver, in which the arm is found to have arrived [s]
+STRENGTH = 0.7  # of the drives' torque, to leave them some to correct with
+EDGE = 0.1  # that links keep off the table's edge [m]
+STEP = np.radians(5.0)  # joint angles are multiples of it
+
+
+@dataclass(frozen=True)
+class Planned:
+    """A maneuver to make."""
+
+    kind: str
+    waypoints: Floats  # (w + 1, n) joint readings, the first is where it begins [rad]
+    durations: Floats  # (w,) of each move [s]
+
+    @property
+    def length(self) -> float:
+        """How long it takes [s]."""
+        return float(self.durations.sum() + PAUSE * (len(self.durations) - 1))
+
+    def law(self) -> tuple[Law, Floats]:
+        """Angles and rates over time, and the times between which they are smooth."""
+        way = np.diff(self.waypoints, axis=0)
+        begins = np.concatenate([[0.0], np.cumsum(self.durations + PAUSE)[:-1]])
+
+        def law(t: Floats) -> tuple[Floats, Floats]:
+            k = np.clip(np.searchsorted(begins, t, "right") - 1, 0, len(way) - 1)
+            s, rate, _ = profile((t - begins[k]) / self.durations[k])
+            step = way[k]
+            rate = rate / self.durations[k]
+            return self.waypoints[k] + step * s[:, None], step * rate[:, None]
+
+        corners = np.array([0.0, RAMP, 1.0 - RAMP, 1.0])
+        return law, (begins[:, None] + self.durations[:, None] * corners).ravel()
+
+
+def profile(x: Floats) -> tuple[Floats, Floats, Floats]:
+    """Way from 0 to 1 of a move, its rate and acceleration, over the share x of its time."""
+    x = np.clip(x, 0.0, 1.0)
+    top = 1.0 / (1.0 - RAMP)
+    y = np.minimum(x, 1.0 - x)
+    ramp = y < RAMP
+    way = np.where(ramp, 0.5 * top / RAMP * y**2, top * (y - 0.5 * RAMP))
+    rate = np.where(ramp, top / RAMP * y, top)
+    acceleration = np.where(ramp, np.where(x < 0.5, top / RAMP, -top / RAMP), 0.0)
+    return np.where(x < 0.5, way, 1.0 - way), rate, acceleration
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What a maneuver must keep to.
+
+    Raises:
+        ValueError: a condition is impossible.
+    """
+
+    duration: float = 8.0  # of a maneuver, at most [s]
+    rest: float = 5.0  # before and after [s]
+    table: float = 4.0  # length of its sides; the base begins at its centre [m]
+    repeats: int = 3  # of a closed loop, at most
+    total: float = inf  # of all maneuvers and rests, at most [s]
+    kinds: tuple[str, ...] = KINDS
+
+    def __post_init__(self) -> None:
+        for name in ("duration", "rest", "table", "repeats", "total"):
+            if not getattr(self, name) > 0.0:
+                raise ValueError(f"{name} is {getattr(self, name)}, must be positive")
+        if not self.kinds or not set(self.kinds) <= set(KINDS):
+            raise ValueError(f"kinds is {self.kinds}, expected some of {', '.join(KINDS)}")
+
+
+class NoManeuver(ValueError):  # noqa: N818
+    """No maneuver keeps to the conditions."""
+
+
+def torques(arm: Arm, q: Floats, qd: Floats, qdd: Floats) -> Floats:
+    """Joint torques of the floating arm without momentum, (k, n) each [N m].
+
+    With no force on the base, H_b a_b = -(H_bm qdd + h_b).
+    """
+    p, held = arm.vector(), np.zeros((len(q), 3))
+    state = np.concatenate([held, q], axis=1)
+    H = inertia_matrix(p, state)
+    base, coupling = H[:, :3, :3], H[:, :3, 3:]
+    twist = -np.linalg.solve(base, coupling @ qd[..., None])[..., 0]
+    h = bias(p, state, np.concatenate([twist, qd], axis=1))
+    force = coupling @ qdd[..., None] + h[:, :3, None]
+    a_b = -np.linalg.solve(base, force)
+    return np.asarray((H[:, 3:, :3] @ a_b + H[:, 3:, 3:] @ qdd[..., None])[..., 0] + h[:, 3:])
+
+
+def timed(arm: Arm, begin: Floats, end: Floats) -> float:
+    """The shortest time for a move that speed, acceleration and torque of the drives allow [s].
+
+    Without momentum the torques of a path scale with the inverse square of its time.
+    """
+    drives = [link.drive for link in arm.links]
+    way = end - begin
+    top = 1.0 / (1.0 - RAMP)
+    speed = max(top * abs(d) / k.max_velocity for d, k in zip(way, drives, strict=True))
+    gain = max(top / RAMP * abs(d) / k.max_acceleration for d, k in zip(way, drives, strict=True))
+    least = max(speed, sqrt(gain), 0.1)
+    s, rate, acceleration = profile(np.linspace(0.0, 1.0, 31) + 1e-9)
+    needed = np.abs(
+        torques(arm, begin + s[:, None] * way, rate[:, None] * way, acceleration[:, None] * way)
+    )
+    limits = np.array([STRENGTH * k.torque_constant * k.max_current for k in drives])
+    return max(least, float(np.sqrt((needed / limits).max())))
+
+
+def candidates(
+    arm: Arm, begin: Floats, count: int, conditions: Conditions, rng: np.random.Generator
+) -> list[Planned]:
+    """Random maneuvers from a posture that keep to the conditions, at most so many."""
+    low = np.ceil(np.array([k.q_min for k in arm.links]) / STEP * 0.95)
+    high = np.floor(np.array([k.q_max for k in arm.links]) / STEP * 0.95)
+    found: list[Planned] = []
+    for _ in range(3 * count):
+        if len(found) == count:
+            break
+        kind = conditions.kinds[rng.integers(len(conditions.kinds))]
+        ways = STEP * rng.integers(low, high, (int(rng.integers(1, 4)), arm.n), endpoint=True)
+        if kind == SINGLE:
+            joint = rng.integers(arm.n)
+            ways = np.where(np.arange(arm.n) == joint, ways[:1], begin)
+        elif kind == LOOP:
+            corners = np.concatenate([ways[:2], begin[None]])
+            ways = np.tile(corners, (int(rng.integers(1, conditions.repeats + 1)), 1))
+        planned = within(arm, kind, np.concatenate([begin[None], ways]), conditions)
+        if planned:
+            found.append(planned)
+    return found
+
+
+def within(arm: Arm, kind: str, waypoints: Floats, conditions: Conditions) -> Planned | None:
+    """The maneuver through the waypoints, if it keeps to the conditions."""
+    pairs = list(pairwise(waypoints))
+    if any(np.abs(b - a).max() < 2.0 * STEP for a, b in pairs):
+        return None
+    durations: list[float] = []
+    for a, b in pairs:
+        durations.append(timed(arm, a, b))
+        if sum(durations) + PAUSE * (len(durations) - 1) > conditions.duration:
+            return None
+    planned = Planned(kind, waypoints, np.array(durations))
+    law, edges = planned.law()
+    t = np.linspace(0.0, planned.length, ceil(planned.length / 0.2) + 1)
+    q = law(t)[0]
+    if clearance(arm, q).min() < MARGIN:
+        return None
+    poses = base_poses(arm.vector(), path(law, edges, t), np.zeros(8))
+    places = joint_positions(arm.vector(), np.concatenate([poses, q], axis=1))
+    reach = max(np.abs(places).max(), np.abs(poses[:, :2]).max())
+    return planned if reach <= 0.5 * conditions.table - EDGE else None
+
+
+def marks(
+    planned: Planned, settings: DynamicCalibrationSettings, rest: float
+) -> tuple[Path, Floats]:
+    """The path with marks in the looks before and after it, and how often each is seen anew."""
+    look = min(settings.longest, (rest - settings.settle) / 2.0)
+    bins = max(1, round(look / settings.bin))
+    middles = look / bins * (np.arange(bins) + 0.5)
+    law, edges = planned.law()
+    times = np.concatenate([middles - look, planned.length + settings.settle + middles])
+    return path(law, edges, times), np.full(2 * bins, max(1.0, settings.fresh_rate * look / bins))
+
+
+def problem(
+    arm: Arm, plan: Sequence[Planned], settings: DynamicCalibrationSettings, rest: float
+) -> DynamicProblem:
+    """What would be solved after a plan, its poses those predicted for an arm as described."""
+    paths, fresh = zip(*(marks(one, settings, rest) for one in plan), strict=True)
+    deviations = np.array([settings.position_deviation] * 2 + [settings.heading_deviation])
+    if settings.residuals == HEADING:
+        deviations[:2] = inf
+    batch = stack(paths)
+    return DynamicProblem(
+        path=batch,
+        poses=base_poses(arm.vector(), batch, np.zeros(8)),
+        sigma=deviations / np.sqrt(np.array(fresh))[..., None],
+        arm=arm,
+        **known_beforehand(settings, arm.n),
+    )
+
+
+def expected(
+    arm: Arm, plan: Sequence[Planned], settings: DynamicCalibrationSettings, rest: float
+) -> DynamicResult:
+    """The result to expect of a plan if the arm is as described: its deviations are what counts."""
+    return solve(problem(arm, plan, settings, rest), bounded=False)
+
+
+def design(
+    arm: Arm,
+    count: int,
+    settings: DynamicCalibrationSettings,
+    conditions: Conditions | None = None,
+    chosen: Sequence[str] = (),
+    known: Floats | None = None,
+    begin: Floats | None = None,
+    seed: int = 0,
+    tried: int = 200,
+    progress: Callable[[int], None] = lambda _: None,
+) -> list[Planned]:
+    """Maneuvers, each beginning where the last one ended.
+
+    Args:
+        arm: as far as it is known.
+        count: how many, at most.
+        settings: what will be estimated and what is known beforehand.
+        conditions: what maneuvers keep to.
+        chosen: names of the parameters that matter; all that are estimated by default.
+        known: (p, p) information of maneuvers made before.
+        begin: (n) where the arm is [rad]; 0 by default.
+        seed: of the candidates.
+        tried: candidates for each maneuver.
+        progress: told the number of maneuvers found.
+
+    Raises:
+        NoManeuver: nothing keeps to the conditions.
+        ValueError: a name is not estimated.
+    """
+    conditions, rng = conditions or Conditions(), np.random.default_rng(seed)
+    place = np.zeros(arm.n) if begin is None else np.asarray(begin, dtype=float)
+    plan: list[Planned] = []
+    total = np.zeros(()) if known is None else known
+    elapsed = conditions.rest
+    while len(plan) < count:
+        options = candidates(arm, place, tried, conditions, rng)
+        if not options:
+            raise NoManeuver(
+                f"none of {3 * tried} maneuvers keeps to {conditions.duration:g} s, the joints' "
+                f"torque and a table of {conditions.table:g} m"
+            )
+        model = problem(arm, options, settings, conditions.rest)
+        if strange := set(chosen) - set(model.names):
+            raise ValueError(f"{', '.join(sorted(strange))} is not estimated")
+        which = [k for k, name in enumerate(model.names) if not chosen or name in chosen]
+        each = information(model)
+        before = _before(model, settings)
+        best = int(np.argmin([_volume(before + total + one, which) for one in each]))
+        elapsed += options[best].length + conditions.rest
+        if elapsed > conditions.total:
+            break
+        plan.append(options[best])
+        total = total + each[best]
+        place = options[best].waypoints[-1]
+        progress(len(plan))
+    return plan
+
+
+def _before(model: DynamicProblem, settings: DynamicCalibrationSettings) -> Floats:
+    """Information (p, p) of the priors, and where there are none of what is vaguely known.
+
+    Without the latter the first few maneuvers, which cannot tell all parameters, had no order.
+    """
+    basis = model.choice.basis
+    vague = basis.T @ settings.deviations(model.arm.n) / basis.sum(axis=0)
+    vague = np.concatenate([vague, model.known[len(vague) :]])
+    return np.diag(np.where(np.isfinite(model.known), model.known, vague) ** -2.0)
+
+
+def _volume(total: Floats, which: Sequence[int]) -> float:
+    """Logarithm of the determinant of the chosen parameters' covariance."""
+    covariance = np.linalg.inv(total)
+    return float(np.linalg.slogdet(covariance[np.ix_(which, which)])[1])
+
+
+def to_yaml(plan: Sequence[Planned]) -> str:
+    """A plan as `experiment` reads it."""
+    rows = [
+        {
+            "kind": one.kind,
+            "q": np.round(one.waypoints, 6).tolist(),
+            "durations": np.round(one.durations, 3).tolist(),
+        }
+        for one in plan
+    ]
+    head = "# Maneuvers: joint readings, the first is where it begins [rad]; times of moves [s].\n"
+    return head + yaml.safe_dump({"maneuvers": rows}, sort_keys=False, default_flow_style=None)
+
+
+def from_yaml(text: str, n: int) -> list[Planned]:
+    """The plan that to_yaml wrote.
+
+    Raises:
+        ValueError: it is something else, or for another number of joints.
+    """
+    try:
+        rows = yaml.safe_load(text)["maneuvers"]
+        plan = [
+            Planned(str(row["kind"]), np.array(row["q"], float), np.array(row["durations"], float))
+            for row in rows
+        ]
+    except (yaml.YAMLError, TypeError, KeyError, ValueError) as error:
+        raise ValueError(f"not a plan of maneuvers: {error}") from None
+    for k, one in enumerate(plan, 1):
+        if one.waypoints.shape != (len(one.durations) + 1, n) or not (one.durations > 0.0).all():
+            raise ValueError(
+                f"maneuver {k} has waypoints {one.waypoints.shape} and {len(one.durations)} "
+                f"durations, expected (w + 1, {n}) and w of them, above 0"
+            )
+    return plan

@@ -1,0 +1,204 @@
+"""Propose maneuvers, or postures, and what to expect of them: the command `design`."""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import yaml
+from rich.console import Console
+from rich.progress import Progress
+
+from fss_arm_bags.reader import BagError, open_bags
+from fss_arm_calib import report
+from fss_arm_calib.dynamic.checks import problem_of
+from fss_arm_calib.dynamic.problem import DynamicResult, information
+from fss_arm_calib.dynamic.settings import DynamicCalibrationSettings
+from fss_arm_calib.estimation.least_squares import Floats
+from fss_arm_calib.experiment import postures
+from fss_arm_calib.experiment.design import (
+    KINDS,
+    Conditions,
+    Planned,
+    design,
+    expected,
+    to_yaml,
+)
+from fss_arm_calib.from_bag import add_settings, maneuvers
+from fss_arm_calib.kinematic.problem import FULL, KinematicProblem, solve
+from fss_arm_calib.segments.maneuvers import ManeuverFinder
+from fss_arm_model.description import Arm, described
+from fss_arm_model.kinematics import tip_in_base
+from fss_arm_ros.command_line import USER_ERROR, Parser
+
+MANY = 1000  # maneuvers, more than time allows
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    p = Parser("design", description=__doc__)
+    p.add_argument("--kinematic", action="store_true", help="propose postures to rest in instead")
+    p.add_argument("--count", type=int, default=16, help="how many (default: 16)")
+    p.add_argument("--chosen", default="", help="names that matter most, as 'b_1 b_2'; empty: all")
+    p.add_argument("--bag", default="", help="maneuvers made before, to add to")
+    p.add_argument("--output", metavar="YAML", help="write the plan, for `experiment` to run")
+    p.add_argument("--seed", type=int, default=0, help="of the candidates (default: 0)")
+    p.add_argument(
+        "--compare", action="store_true", help="compare the kinds at equal floating time, too"
+    )
+    p.add_argument("--kinds", default=" ".join(KINDS), help=f"of {', '.join(KINDS)}")
+    for f in fields(Conditions):
+        if f.name in HELP:
+            p.add_argument(
+                f"--{f.name}", type=type(f.default), default=f.default, help=HELP[f.name]
+            )
+    add_settings(p, DynamicCalibrationSettings)
+    return p
+
+
+HELP = {
+    "duration": "longest maneuver [s] (default: 8)",
+    "rest": "between maneuvers [s] (default: 5)",
+    "table": "length of the table's sides [m] (default: 4)",
+    "repeats": "of a closed loop, at most (default: 3)",
+}
+
+
+def known_before(bag: str, arm: Arm, settings: DynamicCalibrationSettings) -> Floats | None:
+    """Information of the maneuvers in a bag.
+
+    Raises:
+        BagError: it cannot be read, or none of them can be used.
+    """
+    if not bag:
+        return None
+    with open_bags(bag) as bags:
+        found = maneuvers(bags, ManeuverFinder(arm.n, settings), settings)
+    used = [one for one in found if one.used]
+    if not used:
+        why = f": {found[0].reason}" if found else ", it has none"
+        raise BagError(f"no maneuver of {bag} can be used{why}")
+    return np.asarray(information(problem_of(used, arm, settings)).sum(0))
+
+
+def table(plan: Sequence[Planned]) -> report.Table:
+    """The maneuvers of a plan."""
+    rows = [
+        [str(k), one.kind, f"{one.length:.1f}", "  ".join(
+            str(np.degrees(q).round().astype(int).tolist()) for q in one.waypoints[1:])]
+        for k, one in enumerate(plan, 1)
+    ]  # fmt: skip
+    return report.Table("Maneuvers", ["", "kind", "time [s]", "to [deg]"], rows, words=2)
+
+
+def outlook(result: DynamicResult) -> report.Table:
+    """The deviations to expect."""
+    names, units = result.problem.names, result.problem.units
+    random = np.sqrt(np.diag(result.random))
+    rows = [
+        [name, unit, f"{value:.5g}", f"{total:.2g}", f"{part:.2g}", f"{100 * share:.0f} %"]
+        for name, unit, value, total, part, share in zip(
+            names, units, result.values, result.deviations, random, result.prior_share, strict=True
+        )
+    ]
+    head = ["parameter", "unit", "assumed", "± 1 sigma", "random part", "from prior"]
+    return report.Table("To expect", head, rows, words=2)
+
+
+def comparison(
+    arm: Arm, settings: DynamicCalibrationSettings, given: Conditions, count: int
+) -> report.Table:
+    """Each kind alone, in as much floating time as `count` of the longest maneuvers take."""
+    total = count * (given.duration + given.rest)
+    names: tuple[str, ...] = ()
+    columns, head = [], ["parameter"]
+    for kind in KINDS:
+        conditions = replace(given, kinds=(kind,), total=total)
+        plan = design(arm, MANY, settings, conditions, tried=100)
+        result = expected(arm, plan, settings, given.rest)
+        floating = sum(one.length + given.rest for one in plan)
+        head.append(f"{len(plan)} of kind {kind}, {floating:.0f} s")
+        columns.append(result.deviations)
+        names = result.problem.names
+    rows = [[name, *(f"{d:.2g}" for d in row)] for name, *row in zip(names, *columns, strict=True)]
+    return report.Table("Deviations of each kind of maneuvers at equal floating time", head, rows)
+
+
+def propose_postures(options: argparse.Namespace, arm: Arm, console: Console) -> None:
+    """Postures for the kinematic calibration."""
+    q = postures.design(arm, options.count, options.seed)
+    result = solve(KinematicProblem(q, tip_in_base(arm.vector(), q), arm, FULL))
+    rows = [
+        [name, unit, f"{value:.5g}", f"{deviation:.2g}"]
+        for name, unit, value, deviation in zip(
+            result.problem.names, result.problem.units, result.values, result.deviations,
+            strict=True,
+        )
+    ]  # fmt: skip
+    steps = [
+        [str(k), str(np.degrees(row).round().astype(int).tolist())] for k, row in enumerate(q, 1)
+    ]
+    _show(
+        console,
+        report.Table("Postures", ["", "q [deg]"], steps),
+        report.Table("To expect", ["parameter", "unit", "assumed", "± 1 sigma"], rows, words=2),
+    )
+    if options.output:
+        text = yaml.safe_dump({"postures": q.ravel().round(6).tolist()}, default_flow_style=None)
+        Path(options.output).write_text(f"# Joint readings, row after row [rad].\n{text}")
+        console.print(f"postures written to {options.output}", soft_wrap=True)
+
+
+def propose(options: argparse.Namespace, console: Console) -> None:
+    """Find maneuvers, say what to expect of them, and write them."""
+    settings = DynamicCalibrationSettings(
+        **{f.name: getattr(options, f.name) for f in fields(DynamicCalibrationSettings)}
+    )
+    arm = described(settings.arm)
+    if options.kinematic:
+        propose_postures(options, arm, console)
+        return
+    given = {f.name: getattr(options, f.name) for f in fields(Conditions) if f.name in HELP}
+    conditions = Conditions(kinds=tuple(options.kinds.split()), **given)
+    before = known_before(options.bag, arm, settings)
+    with Progress(console=console, transient=True) as bar:
+        task = bar.add_task("choosing maneuvers", total=options.count)
+        plan = design(
+            arm,
+            options.count,
+            settings,
+            conditions,
+            options.chosen.split(),
+            before,
+            seed=options.seed,
+            progress=lambda k: bar.update(task, completed=k),
+        )
+    tables = [table(plan), outlook(expected(arm, plan, settings, conditions.rest))]
+    if options.compare:
+        tables.append(comparison(arm, settings, conditions, options.count))
+    _show(console, *tables)
+    if options.output:
+        Path(options.output).write_text(to_yaml(plan), encoding="utf-8")
+        console.print(f"plan written to {options.output}", soft_wrap=True)
+
+
+def _show(console: Console, *tables: report.Table) -> None:
+    for one in tables:
+        console.print(report.shown(one))
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run as `ros2 run fss_arm_calib design`."""
+    options = parser().parse_args(args)
+    try:
+        propose(options, report.console())
+    except (ValueError, OSError) as error:
+        print(f"design: {' '.join(str(error).split())}", file=sys.stderr)
+        return USER_ERROR
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

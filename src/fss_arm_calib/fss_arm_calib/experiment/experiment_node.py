@@ -1,0 +1,356 @@
+"""The node `experiment`: moves the arm through postures to be observed, or through maneuvers."""
+
+import sys
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from rclpy.action import ActionClient
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.task import Future
+
+from fss_arm_calib import state
+from fss_arm_calib.experiment.design import Planned, from_yaml
+from fss_arm_calib.experiment.postures import default
+from fss_arm_calib.kinematic.problem import Floats
+from fss_arm_model.description import Arm, described
+from fss_arm_model.settings import setting
+from fss_arm_msgs.action import MoveArm
+from fss_arm_msgs.msg import KinematicObservations, Maneuvers
+from fss_arm_ros.convert import SECOND, stamp_ns
+from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
+from fss_arm_ros.parameters import declare
+from fss_arm_ros.qos import LATCHED
+from fss_arm_ros.run import run
+
+ROUNDS = 3  # of repeating the rests that gaps spoiled, or a maneuver, at most
+
+
+@dataclass(frozen=True)
+class ExperimentSettings:
+    """The parameters of an ExperimentNode."""
+
+    arm: str = setting("", "description YAML of the arm; empty: the paper's arm")
+    postures: tuple[float, ...] = setting(
+        (), "joint readings of each posture, row after row [rad]; empty: chosen for the arm"
+    )
+    maneuvers: str = setting(
+        "", "file of maneuvers to make instead, as `design` writes it; empty: postures"
+    )
+    pause: float = setting(5.2, "rest before and after a maneuver [s]")
+    tolerance: float = setting(0.0175, "a posture observed this close is the one wanted [rad]")
+    rest: float = setting(3.0, "rest at each posture if nobody observes [s]")
+    patience: float = setting(20.0, "longest wait for an observation [s]")
+    retry: float = setting(1.0, "wait before a move that failed is asked for again [s]")
+    silence: float = setting(3.0, "a move without feedback for this long is lost [s]")
+    state_file: str = setting("", "progress is kept here across restarts; empty: nowhere")
+
+    def __post_init__(self) -> None:
+        for name in ("pause", "tolerance", "rest", "patience", "retry", "silence"):
+            if not getattr(self, name) > 0.0:
+                raise ValueError(f"{name} is {getattr(self, name)}, must be positive")
+
+
+@dataclass
+class Progress:
+    """How far the experiment is."""
+
+    begun: int = 0  # stamp [ns], 0: not yet; what was observed before does not count
+    done: int = 0  # postures
+
+
+class Stop(NamedTuple):
+    """Where the arm is to go."""
+
+    q: Floats  # (n) [rad]
+    duration: float = 0.0  # of the move there [s]; 0: as fast as the arm's limits allow
+    pause: float = -1.0  # rest there [s]; < 0: until it has been observed
+
+
+class ExperimentNode(Node):
+    """Takes the arm through a list of postures, or of maneuvers, and ends when all are done.
+
+    Each posture is left when it has been observed, or after a rest if nobody observes; a maneuver
+    goes from one posture to the next at once, and ends with a pause. If somebody observes, what a
+    gap spoiled is repeated; a maneuver after going back the way it came. It never arms a link:
+    until somebody has, as after any failed or lost move, it asks for the move again.
+    """
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__("experiment", **options)
+        s = self.settings = declare(self, ExperimentSettings)
+        self.stops = stops(s)
+        self.writes = state.Writes(self.get_logger())
+        self.progress = self.restore()
+        self.progress.done = min(self.progress.done, len(self.stops))  # less what was repeated
+        self.mover = ActionClient(self, MoveArm, "arm/move")
+        self.observed: list[tuple[int, tuple[float, ...]]] = []  # end [ns], readings [rad]
+        self.spoiled: list[Floats] = []  # readings [rad]
+        self.rounds = 0  # of repeating all spoiled rests, or the present maneuver
+        self.observer = False  # somebody observes
+        self.seen: list[tuple[int, str]] = []  # maneuvers' ends [ns], and what spoiled them
+        self.departed = 0  # end of the last pause, or when it began [ns]
+        self.way_back: deque[Stop] = deque()  # to where a maneuver began that is to be repeated
+        self.create_subscription(
+            KinematicObservations, "calibration/observations", self.on_observations, LATCHED
+        )
+        self.create_subscription(Maneuvers, "calibration/maneuvers", self.on_maneuvers, LATCHED)
+        self.phase: Callable[[int], None] = self.go
+        self.since = 0  # start of the phase, or of the last sign of life in it [ns]
+        self.goal, self.outcome = Future(), Future()
+        self.said = ""
+        self.create_timer(0.1, self.tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.diagnostics = Diagnostics(self, self.health)
+
+    def restore(self) -> Progress:
+        """Where a run before this one came to."""
+        path = self.settings.state_file
+        try:
+            progress = Progress(**state.read(path, {})) if path else Progress()
+        except TypeError as error:
+            raise state.StateError(f"{path} holds no progress: {error}") from None
+        if progress.done:
+            self.get_logger().info(f"goes on after {progress.done} postures")
+        return progress
+
+    def save(self) -> None:
+        """Keep the progress for a run after this one."""
+        if path := self.settings.state_file:
+            self.writes.trouble = ""
+            self.writes(lambda: state.write(path, asdict(self.progress)))
+
+    def on_observations(self, message: KinematicObservations) -> None:
+        """What has been observed so far."""
+        self.observed = [(stamp_ns(o.end), tuple(o.q)) for o in message.observations if o.used]
+        self.spoiled = [
+            np.array(o.q)
+            for o in message.observations
+            if not o.used and stamp_ns(o.end) >= self.progress.begun and np.isfinite(o.q).all()
+        ]
+
+    def on_maneuvers(self, message: Maneuvers) -> None:
+        """What has been observed so far of maneuvers."""
+        self.seen = [(stamp_ns(m.end), "" if m.used else m.reason) for m in message.maneuvers]
+
+    @property
+    def stop(self) -> Stop:
+        """Where it goes, or is."""
+        return self.way_back[0] if self.way_back else self.stops[self.progress.done]
+
+    def tick(self) -> None:
+        """Ten times a second, go on with whatever is next."""
+        now = self.now()
+        if not now:
+            return  # simulated time has not begun
+        if not self.progress.begun:
+            self.progress.begun = now
+            self.save()
+        self.departed = self.departed or now
+        topic = "maneuvers" if self.settings.maneuvers else "observations"
+        self.observer = self.observer or bool(self.count_publishers(f"calibration/{topic}"))
+        if self.progress.done < len(self.stops):
+            self.phase(now)
+        elif not self.repeat():
+            self.get_logger().info(f"all {len(self.stops)} postures done")
+            raise SystemExit(0)
+
+    def repeat(self) -> bool:
+        """Go again to where a gap in the data spoiled a rest, as the verdict asks for it."""
+        missing = [
+            spoiled
+            for spoiled in self.spoiled
+            if not any(
+                np.abs(spoiled - q).max() <= self.settings.tolerance for _, q in self.observed
+            )
+        ]
+        if not missing or self.rounds >= ROUNDS or self.settings.maneuvers:
+            return False
+        self.rounds += 1
+        self.stops += [Stop(q) for q in missing]
+        self.say(f"repeating rests that gaps spoiled: {len(missing)}")
+        return True
+
+    def go(self, now: int) -> None:
+        """Ask for the move to the next posture."""
+        if not self.waited(now, self.settings.retry):
+            return
+        if not self.mover.server_is_ready():
+            self.say("waiting for arm/move")
+            return
+        q, duration, _ = self.stop
+        goal = MoveArm.Goal(q=q.tolist(), duration=duration)
+        self.goal = self.mover.send_goal_async(goal, feedback_callback=self.on_feedback)
+        self.goal.add_done_callback(self.on_answer)
+        self.outcome = Future()
+        self.enter(self.move, now)
+
+    def on_answer(self, answer: Future) -> None:
+        """The goal is accepted: its result will come."""
+        if answer is self.goal and answer.result().accepted:
+            self.outcome = answer.result().get_result_async()
+
+    def on_feedback(self, _: Any) -> None:
+        """The move is under way, unless it is one given up before."""
+        if self.phase != self.move:
+            return
+        self.since = self.now()
+        degrees = np.degrees(self.stop.q).round().astype(int)
+        self.say(f"{self.title}: moving to {degrees.tolist()} degrees")
+
+    def move(self, now: int) -> None:
+        """Await the end of the move."""
+        if self.outcome.done():
+            result = self.outcome.result().result
+            if result.reached:
+                self.enter(self.watch, now)
+            else:
+                self.say(f"waiting to move: {result.message}")
+                self.enter(self.go, now)
+        elif self.waited(now, self.settings.silence):
+            self.say("the move is lost, asking again")
+            self.enter(self.go, now)
+
+    def watch(self, now: int) -> None:
+        """Await the observation."""
+        posture, _, pause = self.stop
+        if pause >= 0.0:
+            if self.waited(now, pause):
+                self.judge(now)
+        elif any(
+            end >= self.progress.begun and np.abs(posture - q).max() <= self.settings.tolerance
+            for end, q in self.observed
+        ):
+            self.leave("observed")
+        elif self.observer and self.waited(now, self.settings.patience):
+            self.get_logger().warning(f"{self.title}: not observed")
+            self.leave("left")
+        elif not self.observer and self.waited(now, self.settings.rest):
+            self.leave("done, nobody observes")
+
+    def judge(self, now: int) -> None:
+        """Go on if the maneuver that ends here has been observed, back if a gap spoiled it."""
+        stop, first = self.stop, self.began
+        planned = stop.pause > 0.0 and self.progress.done > 0 and not self.way_back
+        told = [spoiled for end, spoiled in self.seen if end >= self.departed]
+        if not planned or not self.observer or (told and not any(told)):
+            self.leave("done")
+        elif told and self.rounds < ROUNDS:
+            self.say(f"{self.title}: {max(told)}, so going back to repeat it")
+            self.way_back = back(self.stops[first : self.progress.done + 1])
+            self.rounds, self.progress.done, self.departed = self.rounds + 1, first + 1, now
+            self.save()
+            self.enter(self.go, 0)
+        elif told or self.waited(now, stop.pause + self.settings.patience):
+            self.get_logger().warning(f"{self.title}: not observed")
+            self.leave("left")
+
+    @property
+    def began(self) -> int:
+        """Where the present maneuver began: the last posture before it with a pause."""
+        return max((k for k in range(self.progress.done) if self.stops[k].pause), default=0)
+
+    def leave(self, how: str) -> None:
+        """Go on to the next posture."""
+        self.say(f"{self.title}: {how}")
+        if self.stop.pause:
+            self.departed = self.now()
+        if self.way_back:
+            self.way_back.popleft()
+        else:
+            self.rounds = 0 if self.stop.pause > 0.0 else self.rounds
+            self.progress.done += 1
+        self.save()
+        self.enter(self.go, 0)
+
+    def enter(self, phase: Callable[[int], None], now: int) -> None:
+        """Begin a phase; a start of 0 makes any wait be over."""
+        self.phase, self.since = phase, now
+
+    def waited(self, now: int, seconds: float) -> bool:
+        """Whether the phase lasts longer than that, or time has jumped back."""
+        return not 0 <= now - self.since < seconds * SECOND
+
+    def now(self) -> int:
+        """The node's clock [ns]; 0 before simulated time begins."""
+        return int(self.get_clock().now().nanoseconds)
+
+    @property
+    def title(self) -> str:
+        """Which posture it is."""
+        return f"posture {self.progress.done + 1} of {len(self.stops)}"
+
+    def say(self, text: str) -> None:
+        """Log what is new."""
+        if text != self.said:
+            self.said = text
+            self.get_logger().info(text)
+
+    def health(self) -> Health:
+        """For diagnostics."""
+        trouble, values = self.writes.trouble, {"postures done": self.progress.done}
+        return Health(WARN if trouble else OK, trouble or self.said or "starting", values)
+
+
+def stops(settings: ExperimentSettings) -> list[Stop]:
+    """Where to go, one after the other.
+
+    Raises:
+        ValueError: they do not suit the arm.
+        OSError: a file cannot be read.
+    """
+    s = settings
+    arm = described(s.arm)
+    if s.maneuvers:
+        found = through(from_yaml(Path(s.maneuvers).read_text(encoding="utf-8"), arm.n), s.pause)
+        check(np.array([stop.q for stop in found]), arm)
+        return found
+    if not s.postures:
+        return [Stop(q) for q in default(arm)]
+    if len(s.postures) % arm.n:
+        raise ValueError(f"postures has {len(s.postures)} numbers, expected {arm.n} a row")
+    q = np.array(s.postures).reshape(-1, arm.n)
+    check(q, arm)
+    return [Stop(row) for row in q]
+
+
+def through(plan: Sequence[Planned], pause: float) -> list[Stop]:
+    """The postures of maneuvers: a pause before the first and after each."""
+    found = [Stop(plan[0].waypoints[0], 0.0, pause)] if plan else []
+    for one in plan:
+        moves = zip(one.waypoints[1:], one.durations.tolist(), strict=True)
+        found += [Stop(q, duration, 0.0) for q, duration in moves]
+        found[-1] = found[-1]._replace(pause=pause)
+    return found
+
+
+def back(stops: Sequence[Stop]) -> deque[Stop]:
+    """From the last of some postures to the first, as one went from the first to the last."""
+    found = deque(Stop(a.q, b.duration, 0.0) for a, b in pairwise(stops))
+    found.reverse()
+    found[-1] = found[-1]._replace(pause=stops[0].pause)
+    return found
+
+
+def check(q: Floats, arm: Arm) -> None:
+    """Raise ValueError if a posture is beyond a limit."""
+    for i, link in enumerate(arm.links):
+        outside = (q[:, i] < link.q_min) | (q[:, i] > link.q_max) | ~np.isfinite(q[:, i])
+        if outside.any():
+            raise ValueError(
+                f"postures: joint {i + 1} at {q[outside, i][0]:.4g} rad, "
+                f"expected {link.q_min:.4g} to {link.q_max:.4g}"
+            )
+
+
+def main() -> int:
+    """Run as `ros2 run fss_arm_calib experiment`."""
+    return run(ExperimentNode, ExperimentSettings)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""Kinematic calibration: lengths, joint offsets and the arm's mount."""

@@ -1,0 +1,491 @@
+"""Kinematic calibration: the arm's lengths and angles from end-effector poses (Eq. 1-5).
+
+An observation is a joint reading q (n,) and the end effector's pose seen from the base, (3,) x, y
+[m], heading [rad]. With the difference of observed and predicted poses, headings wrapped,
+
+    Delta x_EE = x_observed - k(q, xi)                                        (Eq. 2)
+    Delta x_EE = Phi_k Delta xi                                               (Eq. 3)
+    Delta xi = (Phi_k' W Phi_k)^-1 Phi_k' W Delta x_EE                        (Eq. 4)
+
+is iterated until Delta xi is negligible. W holds the observations' known deviations (the paper
+weighs metres and radians alike), so that the estimate has a covariance, (Phi_k' W Phi_k)^-1.
+
+A robust loss rho turns the sum of squares into sum_k rho(d_k^2), d_k being the length of
+observation k's difference in deviations; each step then weighs an observation by rho'(d_k^2).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import inf, nan
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from fss_arm_calib.estimation.least_squares import Floats, Linear, Minimum, minimize
+from fss_arm_model.description import Arm, kinematic_index, kinematic_names
+from fss_arm_model.kinematics import tip_in_base, tip_regressor
+
+FULL, EQUAL, OFFSETS = "full", "equal", "offsets"
+PARAMETRIZATIONS = (FULL, EQUAL, OFFSETS)
+
+#: The per-observation errors that give residuals such as the paper's 0.015 m and 0.683 degrees.
+POSITION_DEVIATION = 0.0177  # [m], each axis
+HEADING_DEVIATION = float(np.radians(0.715))
+
+#: A parameter's share in the undetermined directions from which on it is named.
+NOTICEABLE = 1e-3
+
+
+class Loss(NamedTuple):
+    """What an observation costs, and weighs, by its squared length d2 in deviations."""
+
+    cost: Callable[[Floats], Floats]  # rho(d2)
+    weight: Callable[[Floats], Floats]  # rho'(d2)
+
+
+KNEE = 2.8  # 95% of all observations are shorter
+SCALE = 4.0  # of a Cauchy loss, for an efficiency of about 95%
+
+SQUARE, HUBER, CAUCHY = "square", "huber", "cauchy"
+LOSSES = {
+    SQUARE: Loss(lambda d2: d2, np.ones_like),
+    HUBER: Loss(
+        lambda d2: np.where(d2 <= KNEE**2, d2, 2.0 * KNEE * np.sqrt(d2) - KNEE**2),
+        lambda d2: KNEE / np.sqrt(np.maximum(d2, KNEE**2)),
+    ),
+    CAUCHY: Loss(
+        lambda d2: SCALE**2 * np.log1p(d2 / SCALE**2), lambda d2: 1.0 / (1.0 + d2 / SCALE**2)
+    ),
+}
+
+
+def wrap(angle: npt.ArrayLike) -> Floats:
+    """The same angle [rad] in [-pi, pi)."""
+    return (np.asarray(angle, dtype=float) + np.pi) % (2.0 * np.pi) - np.pi
+
+
+def inverse(pose: Floats) -> Floats:
+    """The other way round: poses of B in A as those of A in B, (..., 3) [m, m, rad]."""
+    away = -(pose[..., 0] + 1j * pose[..., 1]) * np.exp(-1j * pose[..., 2])
+    return np.stack([away.real, away.imag, -pose[..., 2]], axis=-1)
+
+
+def root_mean_square(values: Floats) -> float:
+    """About zero; NaN of none."""
+    return float(np.sqrt(np.mean(values**2))) if values.size else nan
+
+
+class NotIdentifiable(ValueError):  # noqa: N818
+    """The observations cannot tell some parameters apart; the message names them."""
+
+    def __init__(self, parameters: tuple[str, ...], undetermined: int, condition: float) -> None:
+        self.parameters, self.undetermined, self.condition = parameters, undetermined, condition
+        super().__init__(
+            f"{', '.join(parameters)} cannot be told apart ({undetermined} "
+            f"combination{'s' * (undetermined > 1)} undetermined, condition number {condition:.3g})"
+        )
+
+
+@dataclass(frozen=True)
+class KinematicProblem:
+    """s observations of an arm of n links, and what is known beforehand.
+
+    Raises:
+        ValueError: an array has the wrong shape or is not finite, or a setting is impossible.
+    """
+
+    q: Floats  # (s, n) joint readings [rad]
+    tip: Floats  # (s, 3) end effector in the base's frame [m, m, rad]
+    arm: Arm  # the initial guess, and what is not estimated
+    parametrization: str = EQUAL  # FULL: all; EQUAL: one length but for the last; OFFSETS: angles
+    position_deviation: float = POSITION_DEVIATION  # of an observation, each axis, 1 sigma [m]
+    heading_deviation: float = HEADING_DEVIATION  # likewise [rad]
+    theta_e: bool = False  # estimate the heading offset of the end effector's subject, too
+    loss: str = SQUARE
+
+    def __post_init__(self) -> None:
+        q, tip = np.array(self.q, dtype=float), np.array(self.tip, dtype=float)
+        object.__setattr__(self, "q", q)
+        object.__setattr__(self, "tip", tip)
+        if q.ndim != 2 or q.shape[1] != self.arm.n:
+            raise ValueError(f"q has shape {q.shape}, expected (s, {self.arm.n})")
+        if tip.shape != (len(q), 3):
+            raise ValueError(f"tip has shape {tip.shape}, expected ({len(q)}, 3)")
+        if not (np.isfinite(q).all() and np.isfinite(tip).all()):
+            raise ValueError("an observation is not finite")
+        for name, known in (("parametrization", PARAMETRIZATIONS), ("loss", tuple(LOSSES))):
+            if getattr(self, name) not in known:
+                expected = f"{', '.join(map(repr, known[:-1]))} or {known[-1]!r}"
+                raise ValueError(f"{name} is {getattr(self, name)!r}, expected {expected}")
+        for name in ("position_deviation", "heading_deviation"):
+            if not 0.0 < getattr(self, name) < inf:
+                raise ValueError(f"{name} is {getattr(self, name)}, must be positive")
+
+    def only(self, chosen: npt.NDArray[np.bool_] | npt.NDArray[np.intp]) -> "KinematicProblem":
+        """The same with some of the observations."""
+        return replace(self, q=self.q[chosen], tip=self.tip[chosen])
+
+    @property
+    def shares_length(self) -> bool:
+        """Whether several links have one length among them."""
+        return self.parametrization == EQUAL and self.arm.n > 2
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The p parameters, of kinematic_names(n); if equal, `a` stands for a_1 .. a_{n-1}."""
+        every, n = kinematic_names(self.arm.n), self.arm.n
+        chosen = ("a", *every[n - 1 :]) if self.shares_length else every
+        if self.parametrization == OFFSETS:
+            chosen = tuple(name for name in every if name.startswith("theta"))
+        return (*chosen, "theta_E") if self.theta_e else chosen
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Unit of each parameter."""
+        return tuple("rad" if name.startswith("theta") else "m" for name in self.names)
+
+    @cached_property
+    def basis(self) -> Floats:
+        """(2n+3, p): kinematic_names(n) and theta_E are fixed + basis @ xi."""
+        every = np.array([*kinematic_names(self.arm.n), "theta_E"])
+        basis = (every[:, None] == np.array(self.names)).astype(float)
+        if self.shares_length:
+            basis[: self.arm.n - 1, 0] = 1.0
+        return basis
+
+    @cached_property
+    def _index(self) -> npt.NDArray[np.intp]:
+        return np.append(kinematic_index(self.arm.n), 7)
+
+    @cached_property
+    def _guess(self) -> Floats:
+        return self.arm.vector()
+
+    @cached_property
+    def fixed(self) -> Floats:
+        """(2n+3,) what is not estimated, as `arm` has it; 0 for what is."""
+        return np.where(self.basis.any(axis=1), 0.0, self._guess[self._index])
+
+    def chosen(self, values: Floats) -> Floats:
+        """(p,) the parameters in (2n+3,) values, unlike lengths averaged where they are equal."""
+        return np.asarray(np.linalg.lstsq(self.basis, values)[0])
+
+    @property
+    def initial(self) -> Floats:
+        """(p,) the parameters of `arm`."""
+        return self.chosen(self._guess[self._index])
+
+    def all_parameters(self, xi: Floats) -> Floats:
+        """(2n+3,) in the order of kinematic_names(n), theta_E last."""
+        return self.fixed + self.basis @ xi
+
+    @property
+    def sigma(self) -> Floats:
+        """(3,) deviation of an observation."""
+        return np.array([self.position_deviation] * 2 + [self.heading_deviation])
+
+    def vector(self, xi: Floats) -> Floats:
+        """The model's parameters with xi in place of the guess, (8 + 6n,)."""
+        vector = self._guess.copy()
+        vector[self._index] = self.all_parameters(xi)
+        return vector
+
+    def residuals(self, xi: Floats) -> Floats:
+        """Observed minus predicted poses (Eq. 2), (s, 3) [m, m, rad], the headings wrapped."""
+        residuals = self.tip - tip_in_base(self.vector(xi), self.q)
+        residuals[:, 2] = wrap(residuals[:, 2])
+        return residuals
+
+    def regressor(self, xi: Floats) -> Floats:
+        """Phi_k (Eq. 5), rows weighted by 1/sigma: (3s, p)."""
+        Phi = tip_regressor(self.vector(xi), self.q)
+        by_theta_E = np.broadcast_to(np.array([[0.0], [0.0], [1.0]]), (len(self.q), 3, 1))
+        Phi = np.concatenate([Phi, by_theta_E], axis=-1) @ self.basis
+        return (Phi / self.sigma[:, None]).reshape(-1, self.basis.shape[1])
+
+    def distances(self, xi: Floats) -> Floats:
+        """d_k^2, the squared length of each difference in deviations, (s,)."""
+        return np.asarray(np.sum((self.residuals(xi) / self.sigma) ** 2, axis=1))
+
+    def cost(self, xi: Floats) -> float:
+        """What the iteration minimizes, sum_k rho(d_k^2)."""
+        return float(np.sum(LOSSES[self.loss].cost(self.distances(xi))))
+
+    def weights(self, xi: Floats) -> Floats:
+        """(s,) rho'(d_k^2)."""
+        return LOSSES[self.loss].weight(self.distances(xi))
+
+    def linear(self, xi: Floats) -> Linear:
+        """The weighted problem near xi."""
+        distances = self.distances(xi)
+        root = np.repeat(np.sqrt(LOSSES[self.loss].weight(distances)), 3)
+        return Linear(
+            residuals=root * (self.residuals(xi) / self.sigma).ravel(),
+            regressor=root[:, None] * self.regressor(xi),
+            cost=float(np.sum(LOSSES[self.loss].cost(distances))),
+        )
+
+    def is_mirrored(self, xi: Floats) -> bool:
+        """Whether a length is negative."""
+        return bool((self.all_parameters(xi)[: self.arm.n] < 0.0).any())
+
+    def folded(self, xi: Floats) -> Floats:
+        """The mirror image without negative lengths: such a link is turned by pi.
+
+        The end effector stays where it is. Its heading does unless the last link is turned and
+        theta_E is not there to turn it back.
+        """
+        n = self.arm.n
+        values = self.all_parameters(xi)
+        turned = np.pi * (values[:n] < 0.0)
+        headings = np.cumsum([values[-2], *values[n : 2 * n - 1]]) + turned
+        values[:n] = np.abs(values[:n])
+        values[n : 2 * n - 1] = wrap(np.diff(headings))
+        values[-2:] = wrap([headings[0], values[-1] - turned[-1]])
+        return self.chosen(values)
+
+
+class Prediction(NamedTuple):
+    """What a result says of k observations that it is not from."""
+
+    residuals: Floats  # (k, 3) observed minus predicted [m, m, rad]
+    normalized: Floats  # (k,) their lengths by the covariance of each, as in KinematicResult
+    chi_square: float  # of all together, 3k degrees of freedom
+
+
+@dataclass(frozen=True)
+class KinematicResult:
+    """p parameters from s observations, and how far to believe them.
+
+    With a robust loss the covariance is that of the weighted observations.
+    """
+
+    problem: KinematicProblem
+    values: Floats  # (p,) in the order and units of problem.names and problem.units
+    covariance: Floats  # (p, p)
+    residuals: Floats  # (s, 3) observed minus predicted [m, m, rad]
+    weights: Floats  # (s,) of the loss: 1, or less for an observation far off
+    chi_square: float  # weighted sum of squared residuals
+    condition_number: float  # of the column-scaled regressor
+    iterations: int
+    last_update: float  # largest change in the last iteration, in the parameter's deviations
+    converged: bool
+
+    @property
+    def deviations(self) -> Floats:
+        """(p,) 1 sigma of each parameter."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """3s - p."""
+        return self.residuals.size - self.values.size
+
+    @property
+    def position_residual(self) -> float:
+        """Standard deviation of the 2s position residuals: root mean square about zero [m]."""
+        return root_mean_square(self.residuals[:, :2])
+
+    @property
+    def heading_residual(self) -> float:
+        """Standard deviation of the s heading residuals: root mean square about zero [rad]."""
+        return root_mean_square(self.residuals[:, 2])
+
+    def _spread(self, problem: KinematicProblem) -> Floats:
+        """(s, 3, 3) what the parameters' uncertainty makes of predictions, in deviations."""
+        Phi = problem.regressor(self.values).reshape(-1, 3, len(self.values))
+        return np.asarray(Phi @ self.covariance @ np.swapaxes(Phi, 1, 2))
+
+    @cached_property
+    def leverage(self) -> Floats:
+        """(s,) how far an observation determines its own prediction, 0 to 1.
+
+        The mean of its three diagonal elements of the hat matrix; p / 3s on average.
+        """
+        hat = self.weights * np.trace(self._spread(self.problem), axis1=1, axis2=2)
+        return np.asarray(hat / 3.0)
+
+    @cached_property
+    def normalized_residuals(self) -> Floats:
+        """(s,) lengths of the residuals by their own covariance, 1 - hat.
+
+        The squares of correct ones are distributed as chi-square with 3 degrees of freedom.
+        """
+        hat = self.weights[:, None, None] * self._spread(self.problem)
+        return _lengths(self.residuals / self.problem.sigma, np.eye(3) - hat)
+
+    def predicted(self, problem: KinematicProblem) -> Prediction:
+        """Predict observations that were not solved from."""
+        residuals = problem.residuals(self.values)
+        z, Phi = residuals / problem.sigma, problem.regressor(self.values)
+        # z' (1 + Phi C Phi')^-1 z, by the matrix inversion lemma
+        v, C = Phi.T @ z.ravel(), self.covariance
+        chi_square = float(
+            np.sum(z**2) - v @ np.linalg.solve(np.eye(len(v)) + C @ Phi.T @ Phi, C @ v)
+        )
+        return Prediction(residuals, _lengths(z, np.eye(3) + self._spread(problem)), chi_square)
+
+    def calibrated(self) -> Arm:
+        """The initial arm with the estimated parameters.
+
+        Raises:
+            DescriptionError: a length is not positive.
+        """
+        *values, theta_E = self.problem.all_parameters(self.values).tolist()
+        return replace(self.problem.arm.with_kinematics(values), theta_E=theta_E)
+
+
+def _lengths(z: Floats, covariance: Floats) -> Floats:
+    """sqrt(z' covariance^-1 z) of each, (s,), along the directions that have any."""
+    inverse = np.linalg.pinv(covariance, rcond=1e-9, hermitian=True)
+    return np.sqrt(np.maximum(np.einsum("ki,kij,kj->k", z, inverse, z), 0.0))
+
+
+def solve(
+    problem: KinematicProblem,
+    tolerance: float = 1e-9,
+    max_iterations: int = 200,
+    max_condition: float = 1e3,
+    start: npt.ArrayLike | None = None,
+) -> KinematicResult:
+    """Iterate Eq. 4 (Gauss-Newton) to the lowest cost that its starts lead to.
+
+    It starts from the guess with its lengths and mount solved for, as these are linear once the
+    angles are known, and from the closed form. Mirrored solutions are folded back.
+
+    Args:
+        problem: observations and initial guess.
+        tolerance: the update below which it has converged, in the parameter's deviations.
+        max_iterations: it gives up after so many, `converged` then is False.
+        max_condition: of the column-scaled regressor, beyond it parameters count as inseparable.
+        start: (p,) guess in place of the arm's, which cannot have lengths of zero.
+
+    Raises:
+        NotIdentifiable: the observations are too few or too alike for all parameters.
+    """
+    guess = problem.initial if start is None else np.asarray(start, dtype=float)
+    starts = [_linear_stage(problem, guess), *_closed_form(problem)]
+    freedom = max(problem.tip.size - len(guess), 1)
+    fits: list[Minimum] = []
+
+    def iterate(xi: Floats) -> Minimum:
+        fits.append(
+            minimize(
+                problem.linear,
+                problem.folded(xi),
+                tolerance=tolerance,
+                max_iterations=max_iterations,
+                max_condition=max_condition,
+            )
+        )
+        return fits[-1]
+
+    for xi in sorted(starts, key=problem.cost):
+        fit = iterate(xi)
+        if problem.is_mirrored(fit.x):
+            fit = iterate(fit.x)
+        if fit.converged and fit.linear.cost < freedom + 10.0 * np.sqrt(2.0 * freedom):
+            break  # no other minimum can be so much better that chance does not explain it
+    best = min(fits, key=lambda fit: (not fit.converged, fit.linear.cost))
+    missing = len(best.x) - len(best.basis.s)
+    if missing:
+        shares = zip(problem.names, best.basis.undetermined(), strict=True)
+        names = tuple(name for name, share in shares if share > NOTICEABLE)
+        raise NotIdentifiable(names, missing, best.basis.condition)
+    angles = np.array(problem.units) == "rad"
+    weights = problem.weights(best.x)
+    return KinematicResult(
+        problem=problem,
+        values=np.where(angles, wrap(best.x), best.x),
+        covariance=best.basis.covariance(),
+        residuals=problem.residuals(best.x),
+        weights=weights,
+        chi_square=float(weights @ problem.distances(best.x)),
+        condition_number=best.basis.condition,
+        iterations=best.iterations,
+        last_update=best.last_update,
+        converged=best.converged,
+    )
+
+
+def _turns(problem: KinematicProblem) -> npt.NDArray[np.complex128]:
+    """exp(i Q_i) with Q_i = q_1 + .. + q_i, (s, n)."""
+    return np.asarray(np.exp(1j * np.cumsum(problem.q, axis=1)))
+
+
+def _linear_stage(problem: KinematicProblem, xi: Floats) -> Floats:
+    """The start with xi's angles and the lengths and mount that suit them best.
+
+    What the observations do not tell stays as it is in xi.
+    """
+    n = problem.arm.n
+    values = problem.all_parameters(xi)
+    headings = np.cumsum([values[-2], *values[n : 2 * n - 1]])
+    ones = np.ones(len(problem.q))
+    columns = np.column_stack([_turns(problem) * np.exp(1j * headings), ones, 1j * ones])
+    linear = np.flatnonzero(np.array(problem.units) == "m")
+    rows = [*range(n), 2 * n - 1, 2 * n]  # of lengths and mount
+    by_linear = columns @ problem.basis[np.ix_(rows, linear)]
+    off = problem.tip[:, 0] + 1j * problem.tip[:, 1] - columns @ values[rows]
+    stacked = np.concatenate([by_linear.real, by_linear.imag])
+    xi = xi.copy()
+    xi[linear] += np.linalg.lstsq(stacked, np.concatenate([off.real, off.imag]))[0]
+    return xi
+
+
+def _closed_form(problem: KinematicProblem) -> list[Floats]:
+    """A start that needs no guess, from the positions alone; none if they do not suffice.
+
+    With complex numbers for the plane's vectors and Q_i = q_1 + .. + q_i, the end effector is at
+
+        x + i y = m + sum_i z_i exp(i Q_i)
+        z_i = a_i exp(i (theta_BJ1 + theta_0_2 + .. + theta_0_i))
+
+    which is linear in the mount m and the z_i. Lengths found as |z_i| are never negative, so this
+    start also keeps the iteration from the mirrored arms that fit the positions as well.
+    """
+    n, turns = problem.arm.n, _turns(problem)
+    columns = np.column_stack([np.ones(len(turns)), turns])
+    positions = problem.tip[:, 0] + 1j * problem.tip[:, 1]
+    z, _, rank, _ = np.linalg.lstsq(columns, positions)
+    if rank < n + 1 or not np.all(z[1:]):
+        return []
+    headings = np.angle(z[1:])
+    seen = np.exp(1j * (problem.tip[:, 2] - headings[-1])) / turns[:, -1]
+    mount = [z[0].real, z[0].imag, headings[0], np.angle(np.mean(seen))]
+    return [problem.chosen(np.concatenate([np.abs(z[1:]), wrap(np.diff(headings)), mount]))]
+
+
+def quantization_bound(
+    problem: KinematicProblem, half_count: float, values: npt.ArrayLike | None = None
+) -> Floats:
+    """How far readings off by up to `half_count` can move the parameters, to first order, (p,).
+
+    If the readings are q + e while the poses are exact, the fit obeys Phi dxi + Phi_q e = 0 in the
+    weighted least squares sense, Phi_q holding the poses' derivatives by each reading, so that
+
+        dxi = -Phi^+ Phi_q e
+        |dxi_j| <= half_count * sum_k |(Phi^+ Phi_q)_jk|        for all |e_k| <= half_count
+
+    with equality for the worst signs of e. A reading enters as its joint's offset does, therefore
+    Phi_q takes the columns of theta_BJ1, theta_0_2 .. theta_0_n, each observation's own.
+    Second-order terms are of the size of half_count^2 [m, rad]: 1e-10 for 240,000 counts a turn.
+
+    Args:
+        problem: the observations; its deviations are the weights.
+        half_count: largest error of a reading [rad]: half an encoder count, pi / counts_per_turn,
+            plus what the joint may move within the rest beside its average.
+        values: (p,) where to linearize, the problem's initial guess by default.
+
+    Returns:
+        (p,) bound of each parameter's error, in its unit.
+    """
+    n, s = problem.arm.n, len(problem.q)
+    xi = problem.initial if values is None else np.asarray(values, dtype=float)
+    by_offset = tip_regressor(problem.vector(xi), problem.q)[..., [2 * n + 1, *range(n, 2 * n - 1)]]
+    Phi_q = np.zeros((s, 3, s, n))
+    Phi_q[np.arange(s), :, np.arange(s), :] = by_offset / problem.sigma[:, None]
+    influence = np.linalg.pinv(problem.regressor(xi)) @ Phi_q.reshape(3 * s, s * n)
+    return half_count * np.sum(np.abs(influence), axis=1)

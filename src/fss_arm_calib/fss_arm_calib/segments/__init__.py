@@ -1,0 +1,1 @@
+"""Segments of streams: where the arm rested, moved and drifted."""

@@ -1,0 +1,153 @@
+"""The offset between the joints' stamps and motion capture's, from the arm's own moves.
+
+Seen from the base, the end effector's heading is the sum of the joints' readings and a constant,
+whatever the lengths. If a joint's stamp is delta more than motion capture's of the same moment,
+
+    psi(t) = c + Q(t + delta),    Q = q_1 + .. + q_n
+
+over the frames t of a move. delta is searched for on a grid and refined by Gauss-Newton. Errors of
+the readings' interpolation last for about the time between two readings, so that frames within it
+count as one: a move's deviation is rather too large. Several moves tell theirs by their scatter.
+"""
+
+from collections import deque
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass
+from math import inf, isfinite, nan, sqrt
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+
+from fss_arm_calib.kinematic.problem import Floats
+from fss_arm_calib.segments.poses import SECOND, Stamps
+
+LONGEST_MOVE = 20.0  # of a move, only so much at its end is used [s]
+LEAST_TURN = 0.1  # a move that turns the end effector less tells nothing [rad]
+GRID = 0.02  # step of the search [s]
+WORST = 0.05  # a move that tells the offset no better tells nothing [s]
+FRAME = 0.01  # at which a move is looked at [s]
+ENOUGH = 5  # moves to tell their scatter from
+NEWEST = 100  # moves that the mean is of: clocks drift, and a day has thousands
+
+
+@dataclass(frozen=True)
+class Offset:
+    """Of the joints' stamps against motion capture's [s]."""
+
+    value: float = nan
+    deviation: float = inf
+
+
+def offset_of_move(
+    t: Floats, q: list[tuple[Floats, Floats]], seen: Floats, psi: Floats, search: float
+) -> Offset:
+    """The offset that makes a move in the readings the one that motion capture saw.
+
+    Args:
+        t: (2,) begin and end of the move, by the joints' stamps [s].
+        q: stamps [s] and readings [rad] of each joint, from before the move until after it.
+        seen: (k,) stamps of motion capture [s].
+        psi: (k,) the end effector's heading seen from the base, unwrapped [rad].
+        search: largest offset to look for [s].
+
+    Returns:
+        The offset; NaN if the move hardly turns the end effector, an end of the search, of infinite
+        deviation, if the offset lies outside.
+    """
+    u = np.arange(t[0], t[1], FRAME)
+    paths = [(PchipInterpolator(*joint), np.clip(u, joint[0][0], joint[0][-1])) for joint in q]
+    Q = sum(path(at) for path, at in paths)
+    rate = sum(path(at, 1) for path, at in paths)
+    if len(u) < 10 or np.ptp(Q) < LEAST_TURN:
+        return Offset()
+
+    def residual(delta: float) -> Floats:
+        away = np.interp(u - delta, seen, psi) - Q
+        return np.asarray(away - np.mean(away))
+
+    grid = np.arange(-search, search + 0.5 * GRID, GRID)
+    squares = [float(np.sum(residual(delta) ** 2)) for delta in grid]
+    best = int(np.argmin(squares))
+    if best in (0, len(grid) - 1):
+        return Offset(float(grid[best]))
+    delta, slope = float(grid[best]), rate - np.mean(rate)
+    for _ in range(5):
+        delta += float(residual(delta) @ slope / (slope @ slope))
+    period = max(float(np.mean(np.diff(stamps))) for stamps, _ in q)
+    variance = float(np.mean(residual(delta) ** 2)) * max(period / FRAME, 1.0)
+    return Offset(delta, sqrt(variance / float(slope @ slope)))
+
+
+class Alignment:
+    """Hears all readings, is shown the poses around each move, and keeps the mean offset."""
+
+    def __init__(self, n: int, still: float, search: float) -> None:
+        self.still, self.search = still, search
+        self.offset = Offset()
+        self.moves: deque[Offset] = deque(maxlen=NEWEST)  # that turned the end effector
+        self._readings: list[deque[tuple[int, float]]] = [deque() for _ in range(n)]
+
+    def reading(self, i: int, t: int, q: float) -> None:
+        """A reading q [rad] of joint i, 1 to n, at stamp t [ns]."""
+        self._readings[i - 1].append((t, q))
+
+    def forget(self, before: float) -> None:
+        """Drop readings older than that [ns]."""
+        for readings in self._readings:
+            while readings and readings[0][0] < before:
+                readings.popleft()
+
+    def move(self, end: int) -> tuple[int, int] | None:
+        """Begin and end of the last move before `end` [ns], as far as it is used; None: none."""
+        moving = []
+        for readings in self._readings:
+            t, q = _between(readings, end - round(LONGEST_MOVE * SECOND), end)
+            fast = np.flatnonzero(np.abs(np.diff(q)) > self.still)
+            if len(fast):
+                moving += [t[fast[0]], t[fast[-1] + 1]]
+        return (int(min(moving)), int(max(moving))) if moving else None
+
+    def learn(self, begin: int, end: int, until: int, t: Stamps, psi: Floats) -> None:
+        """Learn from a move.
+
+        Args:
+            begin: of the move, by the joints' stamps [ns].
+            end: of the move.
+            until: up to when all joints have been heard [ns].
+            t: (k,) stamps of motion capture around the move [ns].
+            psi: (k,) headings of the end effector seen from the base, unwrapped [rad].
+        """
+        first = begin - round(self.search * SECOND)
+        q = [_between(readings, first, until) for readings in self._readings]
+        if len(t) < 2 or any(len(stamps) < 3 for stamps, _ in q):
+            return
+        move = np.array([0.0, (end - begin) / SECOND])
+        q_s = [((stamps - begin) / SECOND, values) for stamps, values in q]
+        found = offset_of_move(move, q_s, (t - begin) / SECOND, psi, self.search)
+        if isfinite(found.value):
+            self.moves.append(found)
+        if found.deviation <= WORST:
+            self.offset = mean_offset([move for move in self.moves if move.deviation <= WORST])
+
+    @property
+    def beyond(self) -> float:
+        """What the offset is more than by most moves, once there are ENOUGH, else 0 [s]."""
+        outside = sum(move.deviation == inf for move in self.moves)
+        most = outside >= ENOUGH and 2 * outside > len(self.moves)
+        return self.search if most else 0.0
+
+
+def _between(readings: Iterable[tuple[int, float]], first: int, last: int) -> tuple[Stamps, Floats]:
+    kept = [(t, q) for t, q in readings if first <= t <= last]
+    return np.array([t for t, _ in kept], np.int64), np.array([q for _, q in kept])
+
+
+def mean_offset(moves: Collection[Offset]) -> Offset:
+    """The mean weighted by deviations; the scatter of ENOUGH moves tells how sure it is."""
+    values = np.array([move.value for move in moves])
+    weights = np.array([move.deviation for move in moves]) ** -2.0
+    mean = float(weights @ values / np.sum(weights))
+    scatter = float(weights @ (values - mean) ** 2) / max(len(moves) - 1, 1)
+    if len(moves) < ENOUGH:
+        scatter = max(scatter, 1.0)
+    return Offset(mean, sqrt(scatter / float(np.sum(weights))))

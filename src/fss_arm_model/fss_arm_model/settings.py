@@ -1,0 +1,92 @@
+"""Settings: frozen dataclasses whose fields carry their meaning, unit and bounds.
+
+What a value means and may be stands at its field, once: nodes declare their parameters from it,
+commands their options, and the documents list it.
+"""
+
+from collections.abc import Callable
+from dataclasses import Field, dataclass, field, fields
+from math import inf
+from typing import Any
+
+
+class SettingError(ValueError):
+    """A setting has a value that it cannot have; the message names it and what was expected."""
+
+
+@dataclass(frozen=True)
+class Check:
+    """What a value may be: in words, as a predicate, and between which numbers it lies."""
+
+    expected: str
+    holds: Callable[[Any], bool]
+    low: float = -inf
+    high: float = inf
+
+
+POSITIVE = Check("a positive number", lambda value: 0.0 < value < inf, low=0.0)
+NOT_NEGATIVE = Check("0 or more", lambda value: 0.0 <= value < inf, low=0.0)
+FINITE = Check("a finite number", lambda value: -inf < value < inf)
+
+
+def between(low: float, high: float) -> Check:
+    """From `low` to `high`, both included."""
+    return Check(f"{low:g} to {high:g}", lambda value: low <= value <= high, low, high)
+
+
+def at_least(low: float) -> Check:
+    """From `low` on."""
+    return Check(f"{low:g} or more", lambda value: low <= value < inf, low)
+
+
+def one_of(*choices: str) -> Check:
+    """One of some words."""
+    return Check(f"one of {', '.join(choices)}", lambda value: value in choices)
+
+
+def setting(
+    default: Any, about: str, *, unit: str = "", check: Check | None = None, size: int | None = None
+) -> Any:
+    """A field of Settings.
+
+    Args:
+        default: of type bool, int, float, str or a tuple of one of them.
+        about: a sentence that stands alone.
+        unit: of the value.
+        check: what the value may be; of a tuple, each of its elements.
+        size: how many elements a tuple must have; None: any number.
+    """
+    return field(
+        default=default, metadata={"about": about, "unit": unit, "check": check, "size": size}
+    )
+
+
+class Settings:
+    """Base of dataclasses made of `setting` fields: each value is checked as one is made.
+
+    Raises:
+        SettingError: a value is not what its field's check expects.
+    """
+
+    def __post_init__(self) -> None:
+        for f in fields(self):  # type: ignore[arg-type]  # a dataclass each
+            refuse(f, getattr(self, f.name))
+
+
+def refuse(f: "Field[Any]", value: Any, name: str = "") -> None:
+    """Raise SettingError, under the field's name or another, if `value` is not to be had."""
+    name = name or f.name
+    size, check, unit = f.metadata["size"], f.metadata["check"], f.metadata["unit"]
+    if size is not None and len(value) != size:
+        raise SettingError(f"{name} has {len(value)} numbers, expected {size}")
+    for one in value if isinstance(value, tuple) else (value,):
+        if check is not None and not check.holds(one):
+            given = repr(one) if isinstance(one, str) else f"{one}{unit and ' ' + unit}"
+            raise SettingError(f"{name} is {given}, expected {check.expected}")
+
+
+def meaning(f: "Field[Any]") -> str:
+    """A field's meaning, unit and bounds in one line, for help and `ros2 param describe`."""
+    about, unit, check = (f.metadata[key] for key in ("about", "unit", "check"))
+    words = f"{about} [{unit}]" if unit else about
+    return f"{words}; {check.expected}" if check else words

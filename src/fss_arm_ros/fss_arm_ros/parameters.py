@@ -1,0 +1,132 @@
+"""A node's parameters, declared from a frozen dataclass of settings (fss_arm_model.settings)."""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import Field, fields
+from math import inf
+from sys import float_info
+from typing import Any, TypeVar, get_args, get_origin, get_type_hints
+
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
+from rclpy.exceptions import InvalidParameterValueException
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from fss_arm_model.settings import SettingError, meaning, refuse
+
+Settings = TypeVar("Settings")
+
+NAMES = {bool: "true or false", int: "an integer", float: "a number", str: "a string"}
+
+
+def declare(node: Node, kind: type[Settings], live: bool = False) -> Settings:
+    """Declare each field of `kind`, a dataclass, as a read-only parameter; return them read.
+
+    Fields are bool, int, float, str or tuples of one of them (`tuple[str, ...]`). An integer is
+    taken where a float is asked for. With `live`, `declare_live` follows, and looks for parameters
+    that do not exist.
+
+    Raises:
+        SettingError: a parameter was given a value of another type, or `kind` has no such field.
+        ValueError: `kind` refuses a value.
+    """
+    hints = get_type_hints(kind)
+    if not live:
+        _refuse(_given(node) - set(hints), hints)
+    values = {}
+    for f in fields(kind):  # type: ignore[arg-type]
+        value = _declared(node, f.name, f, read_only=True)
+        values[f.name] = _convert(f.name, value, hints[f.name])
+    return kind(**values)
+
+
+def declare_live(
+    node: Node, kinds: Mapping[str, type], take: Callable[[str, str, float], None]
+) -> None:
+    """Declare each field of each of `kinds`, dataclasses of floats, as a parameter PREFIX.FIELD.
+
+    Args:
+        node: its parameters may be set from now on.
+        kinds: by prefix.
+        take: called with prefix, field and value whenever one is set, also at the start if it is
+            not the default; its ValueError refuses the value.
+
+    Raises:
+        SettingError: a parameter was given that does not exist, or not of this type or range.
+    """
+    names = {f"{prefix}.{f.name}": (prefix, f) for prefix in kinds for f in fields(kinds[prefix])}
+
+    def on_set(parameters: list[Parameter]) -> SetParametersResult:
+        try:
+            for parameter in parameters:
+                if parameter.name in names:
+                    prefix, f = names[parameter.name]
+                    take(prefix, f.name, _convert(parameter.name, parameter.value, float))
+        except ValueError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    for name, (_, f) in names.items():
+        _declared(node, name, f)
+    _refuse(_given(node), names)
+    node.add_on_set_parameters_callback(on_set)
+    given = [node.get_parameter(name) for name in names if name in node._parameter_overrides]
+    if not (result := on_set(given)).successful:
+        raise SettingError(result.reason)
+
+
+def _declared(node: Node, name: str, f: "Field[Any]", read_only: bool = False) -> Any:
+    """Declare a setting as a parameter; return the value that it was given."""
+    try:
+        return node.declare_parameter(name, f.default, descriptor(f, read_only)).value
+    except InvalidParameterValueException:  # rclpy checks the range, in words of its own
+        refuse(f, node._parameter_overrides[name].value, name)
+        raise
+
+
+def descriptor(f: "Field[Any]", read_only: bool = False) -> ParameterDescriptor:
+    """What `ros2 param describe` shows of a setting: meaning, unit, and its range if bounded."""
+    # Dynamic: a static type would refuse 1 for 1.0, and take an empty list for bytes.
+    about = ParameterDescriptor(description=meaning(f), read_only=read_only, dynamic_typing=True)
+    check, most = f.metadata["check"], float_info.max
+    if check is None or (check.low, check.high) == (-inf, inf):
+        return about
+    if type(f.default) is int:
+        low, high = max(check.low, -(2**63)), min(check.high, 2**63 - 1)
+        about.integer_range = [IntegerRange(from_value=int(low), to_value=int(high), step=1)]
+    elif type(f.default) is float:
+        low, high = max(check.low, -most), min(check.high, most)
+        about.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
+    return about
+
+
+def _refuse(unknown: set[str], known: Iterable[str]) -> None:
+    if unknown:
+        raise SettingError(
+            f"no parameter {', '.join(sorted(unknown))}; there are {', '.join(known)}"
+        )
+
+
+def _given(node: Node) -> set[str]:
+    """Names of the parameters that the caller gave and that are not rclpy's own."""
+    names = node._parameter_overrides  # the only place that tells a misspelt `-p` from none
+    return {n for n in names if not node.has_parameter(n) and not n.startswith("qos_overrides.")}
+
+
+def _convert(name: str, value: Any, hint: Any) -> Any:
+    """The value as the field's type; lists come back as tuples."""
+    if get_origin(hint) is tuple:
+        kind = get_args(hint)[0]
+        value = () if value is None else value  # how rcl reads `name:=[]`
+        if isinstance(value, str | bytes) or not hasattr(value, "__iter__"):
+            raise SettingError(f"{name} is {value!r}, expected a list, each {NAMES[kind]}")
+        return tuple(_convert(name, item, kind) for item in value)
+    if hint is float and type(value) is int:
+        return float(value)
+    if type(value) is not hint:
+        raise SettingError(f"{name} is {value!r}, expected {NAMES[hint]}")
+    return value
