@@ -224,8 +224,9 @@ class LinkSession:
             return f"{link}: {self.strain}"
         if self.lost:
             return f"{link} is lost: {self.absence}"
-        if dialogue.answered < self._woke:
-            return f"{link}: its driver {self.standstill} just now"
+        if dialogue.answered <= self._woke:
+            still = f"its driver {self.standstill} just now"
+            return f"{link}: {still if self._woke >= 0 else 'takes no command of this driver yet'}"
         return f"{link} has faults: {', '.join(self.faults)}" if self.faults else ""
 
     def arm(self, now: int) -> None:
@@ -329,7 +330,8 @@ class LinkSession:
             self._disarm("the link is lost")
         if self._order and now > self._expiry:
             self._drop_order(Status.TIMED_OUT, "its time to live ended")
-        if self.arming is Arming.ARMING and now - self._arm_asked > PATIENCE:
+        patience = PATIENCE + 2 * self._dialogue.round_trip  # a latch is cleared first
+        if self.arming is Arming.ARMING and now - self._arm_asked > patience:
             self.arming = Arming.DISARMED
         if self.lost or now - self._disarm_asked > RELEASE:
             self._releasing = False

@@ -83,6 +83,7 @@ class LinkNode(Node):
         self.name, self.lock = f"link_{number}", RLock()
         self.said = {"trouble": self.transport.trouble}  # by kind, as much is repeated
         self.told: tuple[Any, ...] = ()  # of the last command
+        self.given = 0, 0  # when that was: in the session's time, and by the time of day
         self.waiting: list[Future] = []
         if settings.is_exposed():
             self.get_logger().warning(
@@ -217,8 +218,10 @@ class LinkNode(Node):
     def tell(self, progress: Progress) -> None:
         """Publish how far a command has come, if that is new."""
         if (progress.given, progress.status) != self.told:
-            self.told = progress.given, progress.status
-            self.status.publish(command_status(progress, self.now(), self.clock.ahead))
+            self.told, ahead = (progress.given, progress.status), self.clock.ahead
+            if progress.given != self.given[0]:
+                self.given = progress.given, progress.given + ahead
+            self.status.publish(command_status(progress, self.given[1], self.now() + ahead))
 
     def answer(self) -> None:
         """Tell what has changed: how far the last command has come, whether arming has ended."""

@@ -70,10 +70,10 @@ def _set(stamp: Time, ns: int) -> None:
     stamp.sec, stamp.nanosec = divmod(ns, SECOND)
 
 
-def command_status(progress: Progress, now: int, ahead: int) -> CommandStatus:
-    """How far a command has come; `ahead` [ns] makes its times the time of day."""
+def command_status(progress: Progress, given: int, now: int) -> CommandStatus:
+    """How far a command has come."""
     message = CommandStatus(status=int(progress.status), reason=progress.reason)
-    message.header.stamp, message.given = to_time(now + ahead), to_time(progress.given + ahead)
+    message.header.stamp, message.given = to_time(now), to_time(given)
     return message
 
 

@@ -12,7 +12,6 @@ from math import copysign, degrees, isnan, pi, radians
 from statistics import mean, pstdev
 
 from fss_arm_driver.faults import present
-from fss_arm_driver.host_clock import HostClock
 from fss_arm_driver.link import RELEASE, Arming, LinkSession, Sample
 from fss_arm_driver.protocol import CURRENT_UNIT, Mode, Slow, State
 from fss_arm_driver.scale import CommandError
@@ -50,9 +49,8 @@ class Rig:
 
     def __init__(self, number: int, link: Link, transport: Transport, key: bytes | None) -> None:
         self.number, self.link, self.transport = number, link, transport
-        clock = HostClock()
-        self.clock = clock.now
-        self.session = LinkSession(number, link, 1.0, WATCHDOG, key=key, epoch=clock.ahead)
+        epoch = time.time_ns() - time.monotonic_ns()
+        self.session = LinkSession(number, link, 1.0, WATCHDOG, key=key, epoch=epoch)
         self.sample: Sample | None = None
         self.talking = True
         self._sent = 0
@@ -68,15 +66,15 @@ class Rig:
 
     def turn(self) -> None:
         """Send a command when one is due; take what comes."""
-        if self.talking and self.clock() - self._sent > PERIOD:
+        if self.talking and time.monotonic_ns() - self._sent > PERIOD:
             self.send()
         if self.transport.wait(0.02):
             for data in self.transport.receive():
-                self.sample = self.session.feed(data, self.clock()) or self.sample
+                self.sample = self.session.feed(data, time.monotonic_ns()) or self.sample
 
     def send(self) -> None:
         """Send a command now."""
-        self._sent = self.clock()
+        self._sent = time.monotonic_ns()
         self.transport.send(self.session.command(self._sent))
 
     def listen(self, timeout: float) -> bool:
@@ -121,8 +119,8 @@ class Rig:
             CommandError: it cannot be armed, or is not seen to be released.
         """
         self.turn()  # a link that was not listened to while a person answered counts as lost
-        self.until(lambda: not self.session.obstacle(self.clock()), 3.0)
-        self.session.arm(self.clock())
+        self.until(lambda: not self.session.obstacle(time.monotonic_ns()), 3.0)
+        self.session.arm(time.monotonic_ns())
         try:
             self.until(lambda: self.session.arming is not Arming.ARMING, 3.0)
             if not self.session.armed:
@@ -133,7 +131,7 @@ class Rig:
 
     def set(self, mode: Mode, value: float, seconds: float) -> None:
         """Give a command that lasts so long."""
-        now = self.clock()
+        now = time.monotonic_ns()
         self.session.set(mode, value, 0.0, 0.0, now + round(seconds * SECOND), now)
 
     def rest(self) -> None:
