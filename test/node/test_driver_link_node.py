@@ -479,6 +479,18 @@ def test_a_battery_that_ends_soon_is_a_warning(bench):
     assert user.level() == DiagnosticStatus.WARN
 
 
+def test_frames_of_somebody_else_are_shown_and_logged_once(bench, monkeypatch):
+    node, user, _, until = bench
+    said, sent = [], node.session.counts["sent"]
+    monkeypatch.setattr(node.get_logger(), "warning", said.append)
+    node.session._dialogue.crowded = True
+    until(lambda: "; link 1 refuses frames of somebody" in user.health[-1].status[0].message)
+    assert user.level() == DiagnosticStatus.WARN
+    until(lambda: node.session.counts["sent"] > sent + 10)
+    assert len(said) == 1
+    assert arm(user, until).success
+
+
 def test_one_process_hosts_all_links_and_is_up_soon(start, spin):
     user = Node("user")
     heard = {}

@@ -1,6 +1,7 @@
 """What the link's echo tells of the commands: how long the way is, and whose commands it takes.
 
-The rules are in docs/protocol.md, The computer. All times are the caller's, in nanoseconds.
+The rules and their reasons are in docs/protocol.md, The computer. All times are the caller's, in
+nanoseconds.
 """
 
 from collections import deque
@@ -37,7 +38,7 @@ class Dialogue:
         self._epoch, self._timeout, self._watchdog = epoch, timeout, watchdog
         self._signed = signed
         self.sent = 0  # commands
-        self.round_trip = 0  # of the last command known to be taken, without the turnaround
+        self.delay = 0  # there and back, of the last command known to be taken
         self.answered = -1  # when the last command known to be taken was sent
         self.crowded = False  # the link refuses many commands that are not ours
         self._answer = 0  # its echo
@@ -83,7 +84,7 @@ class Dialogue:
         """Learn from a frame that is believed, or that came while none is."""
         sent, way = self.sent_at(frame), self.way(frame, now)
         if sent is not None and way is not None:
-            self._answer, self.answered, self.round_trip = frame.echo, sent, way
+            self._answer, self.answered, self.delay = frame.echo, sent, way
         elif frame.echo not in (0, self._answer) and self._begun:
             self._hear_strange(frame, now)
         if frame.slow_id == Slow.REFUSED:

@@ -107,8 +107,8 @@ class LinkSession:
         self._reception = Reception(
             self.scale, self._timeout, round(resolution * SECOND), key is not None, self.counts
         )
-        silence = self._watchdog * SECOND // 1000
-        self._dialogue = Dialogue(epoch, self._timeout, silence, key is not None)
+        self._silence = self._watchdog * SECOND // 1000  # the same [ns]
+        self._dialogue = Dialogue(epoch, self._timeout, self._silence, key is not None)
         self._now = 0
         self._still = 0  # how long time stood still before `_woke`
         self._woke = -1  # when time went on
@@ -120,6 +120,7 @@ class LinkSession:
         self.progress: Progress | None = None  # of the last order
         self._clear_asked = -PATIENCE  # when
         self._arm_asked = 0  # when
+        self._patience = PATIENCE  # with it
         self._disarm_asked = 0  # when
         self.released = False  # the link has said that it is off, as it was told to be
         self._releasing = False  # it has yet to
@@ -202,7 +203,7 @@ class LinkSession:
     @property
     def strain(self) -> str:
         """What makes it hard to command the link, in words: delay, frames of somebody else."""
-        if (way := self._dialogue.round_trip) > self._timeout:
+        if (way := self._dialogue.delay) > self._timeout:
             most = 1e-9 * self._timeout
             return f"delay of {1e-9 * way:.2f} s there and back, at most {most:g} s"
         if self._dialogue.crowded:
@@ -220,13 +221,12 @@ class LinkSession:
         link, dialogue = f"link {self.number}", self._dialogue
         if self.rival:
             return self.rival
-        if dialogue.round_trip > self._timeout:
+        if dialogue.delay > self._timeout:
             return f"{link}: {self.strain}"
         if self.lost:
             return f"{link} is lost: {self.absence}"
-        if dialogue.answered <= self._woke:
-            still = f"its driver {self.standstill} just now"
-            return f"{link}: {still if self._woke >= 0 else 'takes no command of this driver yet'}"
+        if dialogue.answered < self._woke:
+            return f"{link}: its driver {self.standstill} just now"
         return f"{link} has faults: {', '.join(self.faults)}" if self.faults else ""
 
     def arm(self, now: int) -> None:
@@ -240,6 +240,8 @@ class LinkSession:
         self.released = self._releasing = False
         if self.arming is not Arming.ARMED:
             self.arming, self._arm_asked = Arming.ARMING, now
+            first = self._dialogue.answered < 0  # it may wait for an earlier driver's watchdog
+            self._patience = PATIENCE + first * self._silence
 
     def _check_faults(self) -> None:
         if faults := self.faults:
@@ -314,7 +316,7 @@ class LinkSession:
         Time in which this was not called long enough for the link to disarm itself, as the
         process was stopped or the computer slept, is time that nobody watched the link.
         """
-        if self._now and now - self._now > self._watchdog * SECOND // 1000:
+        if self._now and now - self._now > self._silence:
             self._still, self._woke = now - self._now, now
             self._disarm(self.standstill)
         if now < self._now - CORRECTION:
@@ -326,11 +328,11 @@ class LinkSession:
             self._disarm("the clock was set back")
         self._now = now
         if self._reception.tick(now):
-            self._dialogue.round_trip = 0
+            self._dialogue.delay = 0
             self._disarm("the link is lost")
         if self._order and now > self._expiry:
             self._drop_order(Status.TIMED_OUT, "its time to live ended")
-        patience = PATIENCE + 2 * self._dialogue.round_trip  # a latch is cleared first
+        patience = self._patience + 2 * self._dialogue.delay  # a latch is cleared first
         if self.arming is Arming.ARMING and now - self._arm_asked > patience:
             self.arming = Arming.DISARMED
         if self.lost or now - self._disarm_asked > RELEASE:
@@ -368,8 +370,9 @@ class LinkSession:
         if frame is None or self.arming is Arming.DISARMED:
             clear = now - self._clear_asked < PATIENCE
             return Order.CLEAR_FAULTS if clear else 0, 0, None
-        if self.arming is Arming.ARMING and frame.flags & (State.STOPPED | State.WATCHDOG):
-            return 0, 0, None  # latches are cleared by a frame that does not arm
+        latched = frame.flags & (State.STOPPED | State.WATCHDOG)
+        if self.arming is Arming.ARMING and (latched or self._dialogue.answered < 0):
+            return 0, 0, None  # a frame that does not arm clears latches, and begins a session
         if self._order is None or self.scale.outward(self._order, frame.position):
             return Order.ARM | Order.HOLD, now + self._timeout, None
         home = Order.HOME if self._order.home else 0

@@ -81,7 +81,10 @@ class LinkNode(Node):
         )
         self.transport = transport or open_transport(settings.url, number, settings.key())
         self.name, self.lock = f"link_{number}", RLock()
-        self.said = {"trouble": self.transport.trouble}  # by kind, as much is repeated
+        self.said = {
+            "trouble": self.transport.trouble,
+            "strain": "",
+        }  # by kind, as much is repeated
         self.told: tuple[Any, ...] = ()  # of the last command
         self.given = 0, 0  # when that was: in the session's time, and by the time of day
         self.waiting: list[Future] = []
@@ -143,7 +146,9 @@ class LinkNode(Node):
         self.answer()
         session, trouble = self.session, self.transport.trouble
         self.warn("trouble", trouble and f"{self.settings.url}: {trouble}")
-        self.warn("strain", session.rival or session.strain)
+        self.warn("rival", session.rival)
+        if bool(session.strain) != bool(self.said["strain"]):  # its figures change all the time
+            self.warn("strain", session.strain)
         self.warn("standstill", session.standstill and f"{session.standstill}: disarmed")
 
     def on_command(self, message: LinkCommand) -> None:
@@ -197,7 +202,8 @@ class LinkNode(Node):
         session = self.session
         done = session.armed if arm else session.released
         if done or arm or session.arming is not Arming.DISARMED:
-            return done, state_words(session)
+            words = state_words(session), "" if done else session.strain
+            return done, "; ".join(filter(None, words))
         how = "is lost" if session.lost else "does not say that it is off"
         return False, f"{self.name} {how}: told to disarm, not confirmed"
 
