@@ -29,7 +29,7 @@ from fss_arm_driver.reception import SECOND, Reception
 from fss_arm_driver.scale import CommandError, Scale, SetPoint
 from fss_arm_model.description import Link
 
-CORRECTION = SECOND // 10  # a clock that is set back by less is being corrected
+CORRECTION = SECOND // 10  # a simulated clock that is set back by less is being corrected
 PATIENCE = 2 * SECOND  # a link that has not armed by then is left disarmed
 RELEASE = 4 * SECOND  # a link that is disarmed has switched off by then, its joint at rest or not
 NO_TORQUE = 255  # as the age of a torque sample: old, or there is none [ms]
@@ -311,7 +311,7 @@ class LinkSession:
         self.counts["commands_clamped"] += order.clamped
 
     def tick(self, now: int) -> None:
-        """Let time pass: loss, expiry, arming that came to nothing, a clock that was set back.
+        """Let time pass: loss, expiry, arming that came to nothing, a simulated clock set back.
 
         Time in which this was not called long enough for the link to disarm itself, as the
         process was stopped or the computer slept, is time that nobody watched the link.

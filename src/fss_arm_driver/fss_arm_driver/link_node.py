@@ -49,7 +49,7 @@ class LinkNode(Node):
         number: of the link.
         url: where its electronics are.
         transport: instead of `url`.
-        clock: the computer's, if not its own.
+        clock: the computer's, but for tests.
     """
 
     def __init__(
@@ -66,8 +66,9 @@ class LinkNode(Node):
         super().__init__(f"link_{number}", parameter_overrides=overrides, **options)
         self.settings = settings = declare(self, LinkSettings)
         simulated = self.get_parameter("use_sim_time").value
-        self.clock = HostClock(self.simulated_now, self.simulated_now) if simulated else HostClock()
-        self.clock = clock or self.clock
+        if simulated:
+            clock = HostClock(self.simulated_now, self.simulated_now)
+        self.clock = clock or HostClock()
         self.now = self.clock.now
         self.session = LinkSession(
             number,
@@ -81,12 +82,10 @@ class LinkNode(Node):
         )
         self.transport = transport or open_transport(settings.url, number, settings.key())
         self.name, self.lock = f"link_{number}", RLock()
-        self.said = {
-            "trouble": self.transport.trouble,
-            "strain": "",
-        }  # by kind, as much is repeated
+        # By kind, as much is repeated.
+        self.said = {"trouble": self.transport.trouble, "strain": ""}
         self.told: tuple[Any, ...] = ()  # of the last command
-        self.given = 0, 0  # when that was: in the session's time, and by the time of day
+        self.given = 0, 0  # when that was given: by the session, and by the time of day then
         self.waiting: list[Future] = []
         if settings.is_exposed():
             self.get_logger().warning(

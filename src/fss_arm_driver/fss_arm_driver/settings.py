@@ -18,7 +18,9 @@ class LinkSettings:
         (), "instead of url: where links 1, 2, ... are, to host all in one process"
     )
     rate: float = setting(5.0, "command frames sent a second [1/s]")
-    timeout: float = setting(1.0, "silence after which the link counts as lost [s]")
+    timeout: float = setting(
+        1.0, "silence after which the link is lost, longest delay to arm at [s]"
+    )
     watchdog: float = setting(2.0, "silence after which the link brakes and holds, disarmed [s]")
     empty: float = setting(12.0, "battery voltage at which a link must be switched off [V]")
     keys: str = setting("", "file of the links' keys; empty: frames are not signed")

@@ -50,7 +50,9 @@ class Rig:
     def __init__(self, number: int, link: Link, transport: Transport, key: bytes | None) -> None:
         self.number, self.link, self.transport = number, link, transport
         epoch = time.time_ns() - time.monotonic_ns()
-        self.session = LinkSession(number, link, 1.0, WATCHDOG, key=key, epoch=epoch)
+        self.session = LinkSession(
+            number, link, timeout=1.0, watchdog=WATCHDOG, key=key, epoch=epoch
+        )
         self.sample: Sample | None = None
         self.talking = True
         self._sent = 0
