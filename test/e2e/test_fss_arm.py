@@ -18,7 +18,6 @@ from std_srvs.srv import Trigger
 from fss_arm_driver.link_node import LinkNode
 from fss_arm_driver.protocol import Order
 from fss_arm_msgs.msg import LinkTelemetry
-from fss_arm_ros.qos import SENSOR
 
 SCRIPT = Path(__file__).resolve().parents[2] / "scripts/fss_arm.py"
 
@@ -46,7 +45,7 @@ def test_links_arm_stop_and_disarm_as_told(start, spin, tmp_path):
     node, armed = Node("watch"), {}
     for i in range(1, 5):
         node.create_subscription(
-            LinkTelemetry, f"link_{i}/telemetry", lambda m: armed.update({m.link: m.armed}), SENSOR
+            LinkTelemetry, f"link_{i}/telemetry", lambda m: armed.update({m.link: m.armed}), 1
         )
     spin(node, lambda: len(armed) == 4, 30.0)
     assert not any(armed.values())
