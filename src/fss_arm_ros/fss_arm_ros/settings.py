@@ -12,6 +12,8 @@ from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from . import alone
+
 Settings = TypeVar("Settings")
 
 NAMES = {bool: "true or false", int: "an integer", float: "a number", str: "a string"}
@@ -31,13 +33,17 @@ def declare(node: Node, kind: type[Settings], live: bool = False) -> Settings:
 
     Fields are bool, int, float, str or tuples of one of them (`tuple[str, ...]`). An integer is
     taken where a float is asked for. With `live`, `declare_live` follows, and looks for parameters
-    that do not exist.
+    that do not exist. When `run` makes the node, this is where it ends if it is a second of a kind.
 
     Raises:
         SettingError: a parameter was given a value of another type, or `kind` has no such field.
         ValueError: `kind` refuses a value.
+        DuplicateError: another node has its name.
     """
     hints = get_type_hints(kind)
+    about = ParameterDescriptor(description=alone.ABOUT, read_only=True, dynamic_typing=True)
+    allowed = node.declare_parameter(alone.ALLOW, False, about).value
+    allowed = _convert(alone.ALLOW, allowed, bool)
     if not live:
         _refuse(_given(node) - set(hints), hints)
     values = {}
@@ -48,7 +54,10 @@ def declare(node: Node, kind: type[Settings], live: bool = False) -> Settings:
         )
         value = node.declare_parameter(f.name, f.default, about).value
         values[f.name] = _convert(f.name, value, hints[f.name])
-    return kind(**values)
+    settings = kind(**values)
+    if not allowed:
+        alone.check_name(node)
+    return settings
 
 
 def declare_live(
