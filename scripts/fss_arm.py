@@ -27,6 +27,7 @@ from std_srvs.srv import SetBool, Trigger
 from fss_arm_driver.protocol import State
 from fss_arm_msgs.msg import LinkCommand, LinkTelemetry
 from fss_arm_ros.convert import stamp_ns
+from fss_arm_ros.executor import BatchExecutor
 from fss_arm_ros.qos import command, sensor, subscribe_sensor
 from fss_arm_ros.run import RCLError
 
@@ -35,6 +36,7 @@ SETTLED = 1.0  # without a new one, all are known [s]
 LINKS = range(1, 13)  # numbers that a link may have
 WORDS = ("arm", "disarm", "stop", "home", "clear", "solve", "forget")
 CALIBRATIONS = ("kinematic", "dynamic", "float")
+REPEAT = 0.05  # from one stop to the next [s]
 GRAPH = 0.5  # by then a program that has begun knows who is there [s]
 CONFIRM = 1.0  # by then a link that is known has said that it stopped [s]
 TOPIC = re.compile(r"(?P<namespace>.*)/(?:arm/stop|(?P<link>link_\d+)/(?:telemetry|command))")
@@ -131,10 +133,14 @@ class Stop:
 
     def __call__(self, wait: float) -> Answer:
         """Stop; whether all links confirm, in words."""
+        executor = BatchExecutor()
+        executor.add_node(self.node)
         while True:
             self.look()
-            rclpy.spin_once(self.node, timeout_sec=0.05)
-            now = monotonic()
+            until = (now := monotonic()) + REPEAT
+            while now < until:
+                executor.spin_once(timeout_sec=until - now)
+                now = monotonic()
             silent = [link for link, after in self.after.items() if after == inf]
             if self.after and not silent and now - self.begun > GRAPH:
                 return True, f"{_named(self.after)}: stopped after {max(self.after.values()):.2f} s"
