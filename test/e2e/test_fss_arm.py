@@ -9,14 +9,16 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from conftest import DOMAIN
 from driver_link import RATE, FakeTransport
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.parameter_client import AsyncParameterClient
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Empty
-from std_srvs.srv import Trigger
+from std_srvs.srv import SetBool, Trigger
 
 from fss_arm_driver.arm_node import ArmNode
 from fss_arm_driver.link_node import LinkNode
@@ -36,8 +38,8 @@ def tell(what, *options):
     )  # fmt: skip
 
 
-@pytest.mark.slow
-def test_links_arm_stop_and_disarm_as_told(start, spin, tmp_path):
+def start_bed(start):
+    """Start a simulated test bed; the urls of its links."""
     sockets = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(4)]
     for s in sockets:
         s.bind(("127.0.0.1", 0))
@@ -45,7 +47,12 @@ def test_links_arm_stop_and_disarm_as_told(start, spin, tmp_path):
     for s in sockets:
         s.close()
     start("fss_sim.testbed_node", "--ros-args", "-p", f"ports:={ports}")
-    urls = [f"udp://127.0.0.1:{port}?bind=0" for port in ports]
+    return [f"udp://127.0.0.1:{port}?bind=0" for port in ports]
+
+
+@pytest.mark.slow
+def test_links_arm_stop_and_disarm_as_told(start, spin, tmp_path):
+    urls = start_bed(start)
     start("fss_arm_driver.link_node", "--ros-args", "-p", f"urls:={urls}")
     start("fss_arm_driver.arm_node")
 
@@ -225,6 +232,55 @@ def test_a_stop_is_confirmed_in_simulated_time(spin, telling):
     code, out, err = telling([node, bed], STOP)
     assert (code, err) == (0, "")
     assert re.fullmatch(f"link_1: {STOPPED}", out)
+
+
+@pytest.mark.slow
+def test_a_hundred_stops_tell_the_truth_each_time(spin, start, telling, capsys):
+    urls = start_bed(start)
+    start("fss_arm_driver.link_node", "--ros-args", "-p", f"urls:={urls[:3]}")
+    driver = start(
+        "fss_arm_driver.link_node", "--ros-args", "-p", "link:=4", "-p", f"url:={urls[3]}"
+    )
+    arm, watch, recorder, armed = ArmNode(), Node("watch"), Node("recorder"), {}
+    for i in range(1, 5):
+        watch.create_subscription(
+            LinkTelemetry, f"link_{i}/telemetry", lambda m: armed.update({m.link: m.armed}), SENSOR
+        )
+    recorder.create_subscription(Empty, "/nobody/arm/stop", lambda _: None, 10)
+    nodes, bed = [arm, watch, recorder], AsyncParameterClient(watch, "testbed")
+    spin(nodes, lambda: len(armed) == 4, 60.0)
+    clients, answers = arm.armers, []
+
+    def arm_all():
+        if all(answer.done() for answer in answers):
+            answers[:] = [client.call_async(SetBool.Request(data=True)) for client in clients]
+        return all(armed.values())
+
+    took = []
+    for _ in range(50):
+        spin(nodes, arm_all, 60.0)
+        code, out, err = telling(nodes, STOP)
+        assert (code, err) == (0, "")
+        assert re.fullmatch(f"link_1, link_2, link_3, link_4: {STOPPED}", out)
+        took.append(float(out.split()[-2]))
+        assert not any(armed.values())
+    spin(nodes, bed.set_parameters([Parameter("link_2.dead", value=1.0)]).done)
+    for _ in range(15):
+        code, _, err = telling(nodes, STOP)
+        assert (code, err.partition(": ")[0]) == (1, "link_2")
+    spin(nodes, bed.set_parameters([Parameter("link_2.dead", value=0.0)]).done)
+    armed.clear()
+    spin(nodes, lambda: len(armed) == 4)
+    for how in (signal.SIGSTOP, signal.SIGKILL):
+        driver.process.send_signal(how)
+        for _ in range(10):
+            code, _, err = telling(nodes, STOP)
+            assert (code, err.partition(": ")[0]) == (1, "link_4")
+    for _ in range(15):
+        code, _, err = telling(nodes, (*STOP, "--namespace", "nobody"))
+        assert (code, err[:16]) == (1, "there is no link")
+    with capsys.disabled():
+        print(f"\nstops confirmed: p50 {np.quantile(took, 0.5):.2f} s, p99 {max(took):.2f} s")
 
 
 def test_faults_of_all_links_are_cleared(spin, bench, telling):

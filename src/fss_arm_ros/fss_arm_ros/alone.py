@@ -12,7 +12,7 @@ from contextlib import contextmanager
 
 from rclpy.node import Node, NodeNameNonExistentError
 
-WINDOW = 0.3  # by then a process that has joined the graph knows it [s]
+WINDOW = 0.4  # by then a process that has joined the graph knows it [s]
 AGAIN = 0.1  # to the second look before giving way, as a claim comes after its node [s]
 CLAIM = "_claim_"
 ALLOW = "allow_duplicate"
