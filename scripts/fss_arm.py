@@ -253,7 +253,7 @@ def tell(node: Node, what: str, wait: float, within: float) -> Answer:
 
 
 def main() -> int:
-    """Run; the exit code is 0 if the arm did as told."""
+    """Run; the exit code is 0 if the arm did as told, 1 if not, 130 if interrupted before."""
     parser = argparse.ArgumentParser("fss_arm.sh", description=__doc__.replace("\n\n", "\n"))
     parser.add_argument("what", choices=WORDS)
     parser.add_argument("--namespace", help="of the arm; without, stop is for all of any namespace")
@@ -262,24 +262,26 @@ def main() -> int:
     options = parser.parse_args()
     rclpy.init()
     node = Node("fss_arm", namespace=options.namespace)
+    code = 1
     try:
         if options.what == "stop":
             done, words = Stop(node, options.namespace)(options.wait or 2.0)
         else:
             done, words = tell(node, options.what, options.wait or 10.0, options.within)
+        code = 0 if done else 1
     except NoAnswerError as error:
-        done, words = False, str(error)
+        words = str(error)
     except (KeyboardInterrupt, ExternalShutdownException):
-        done, words = False, "interrupted"
+        code, words = 130, "interrupted"
     except RCLError:
         if rclpy.ok():
             raise
-        done, words = False, "interrupted"
+        code, words = 130, "interrupted"
     finally:
         node.destroy_node()
         rclpy.try_shutdown()
-    print(words, file=sys.stdout if done else sys.stderr)
-    return 0 if done else 1
+    print(words, file=sys.stderr if code else sys.stdout)
+    return code
 
 
 if __name__ == "__main__":

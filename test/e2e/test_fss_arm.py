@@ -155,7 +155,7 @@ def test_homing_that_is_interrupted_says_so(spin, bench):
         spin(nodes, lambda: nodes[0].session.progress is not None, 20.0)
         process.send_signal(signal.SIGINT)
         spin(nodes, lambda: process.poll() is not None)
-        assert process.returncode == 1
+        assert process.returncode == 130
         assert process.communicate() == ("link 1 looks for its reference\n", "interrupted\n")
 
 

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
 from rclpy.node import Node, NodeNameNonExistentError
+from rclpy.parameter import Parameter
 
 WINDOW = 0.4  # by then a process that has joined the graph knows it [s]
 AGAIN = 0.1  # to the second look before giving way, as a claim comes after its node [s]
@@ -38,6 +39,7 @@ class Claims:
         claim = Node(
             self.name, namespace=path, use_global_arguments=False, enable_rosout=False,
             start_parameter_services=False,
+            parameter_overrides=[Parameter("start_type_description_service", value=False)],
         )  # fmt: skip
         self.nodes.append(claim)
         time.sleep(max(0.0, self.until - time.monotonic()))
