@@ -13,7 +13,7 @@ SOURCES = Path(__file__).parents[2] / "src"
 MESSAGES = {
     "action_msgs", "builtin_interfaces", "diagnostic_msgs", "fss_arm_msgs", "geometry_msgs",
     "nav_msgs", "rcl_interfaces", "rosgraph_msgs", "sensor_msgs", "std_msgs", "std_srvs",
-    "tf2_msgs", "visualization_msgs",
+    "tf2_msgs", "unique_identifier_msgs", "visualization_msgs",
 }  # fmt: skip
 ROS = MESSAGES | {"rclpy", "ament_index_python"}
 MODEL = {"numpy", "scipy", "numba", "yaml"}

@@ -231,6 +231,13 @@ class ReplayNode(Node):
         values = {"played": self.played, "at [s]": at, "of [s]": seconds(self.end - self.begin)}
         return Health(OK, self.state, values)
 
+    def unfinished(self) -> str:
+        """What is left to play, if that comes to an end."""
+        if self.settings.loop or self.state in ("holding", "done"):
+            return ""
+        played, length = self.bag_time - self.begin, self.end - self.begin
+        return f"after {max(0.0, seconds(played)):.1f} of {seconds(length):.1f} s"
+
     def close(self) -> None:
         """Leave the bags."""
         self.bags.close()
