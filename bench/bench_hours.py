@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import rclpy
-from bench_graph import LINKS, MODULES, Graph, free_ports
+from bench_graph import LINKS, MODULES, Graph
 from rclpy.action import ActionClient
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
@@ -158,7 +158,7 @@ def main() -> int:
         graph.start("dynamic", use_sim_time=True)
         graph.start("arm", use_sim_time=True, time_to_live=options.speed)
         graph.start("reaction", use_sim_time=True)
-        port, web_port = free_ports(2)
+        port, web_port = graph.domain.ports(2)  # of TCP
         graph.start("view", port=port, web_port=web_port, memory=VIEWED, use_sim_time=True)
         rclpy.init()
         try:

@@ -3,7 +3,7 @@ from setuptools import setup
 setup(
     name="fss_sim",
     version="0.1.0",
-    packages=["fss_sim"],
+    packages=["fss_sim", "fss_sim.rehearsal"],
     package_data={"fss_sim": ["py.typed"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/fss_sim"]),

@@ -68,7 +68,7 @@ from dataclasses import dataclass
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 from fss_arm_ros.run import run
-from fss_arm_ros.settings import declare
+from fss_arm_ros.parameters import declare
 
 @dataclass(frozen=True)
 class Nothing:
