@@ -1,9 +1,9 @@
-from setuptools import setup
+from setuptools import find_packages, setup
 
 setup(
     name="fss_arm_bags",
     version="0.1.0",
-    packages=["fss_arm_bags"],
+    packages=find_packages(),
     package_data={"fss_arm_bags": ["py.typed"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/fss_arm_bags"]),
@@ -15,7 +15,7 @@ setup(
         "console_scripts": [
             "record = fss_arm_bags.record_node:main",
             "replay = fss_arm_bags.replay_node:main",
-            "doctor = fss_arm_bags.doctor:main",
+            "doctor = fss_arm_bags.doctor.command:main",
         ],
     },
 )

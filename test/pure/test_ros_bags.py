@@ -17,11 +17,11 @@ from rosbags.interfaces import QosDurability
 from rosbags.rosbag2 import Reader
 
 from fss_arm_bags.definitions import definition
-from fss_arm_bags.doctor import main as doctor
+from fss_arm_bags.doctor.command import main as doctor
+from fss_arm_bags.doctor.repair import repair
 from fss_arm_bags.reader import BagError, digest, find, open_bags
-from fss_arm_bags.recording import Limits, Recording, bag_qos, next_bag
+from fss_arm_bags.recorder import Limits, Recording, bag_qos, next_bag
 from fss_arm_bags.recovery import is_sound
-from fss_arm_bags.repair import repair
 from fss_arm_ros.qos import SENSOR
 
 
@@ -186,7 +186,7 @@ def test_repair_of_a_bag_whose_files_have_other_names(tmp_path, monkeypatch, pla
         (made / f"{made.name}.mcap").rename(bag / f"bag_{part}.mcap")
     before = [(bag / f"bag_{part}.mcap").read_bytes() for part in range(2)]
     if place == "exFAT":
-        monkeypatch.setattr("fss_arm_bags.repair.link", no_link)
+        monkeypatch.setattr("fss_arm_bags.doctor.repair.link", no_link)
     assert repair(bag).messages == 102
     assert [(bag / f"bag_{part}.mcap.damaged").read_bytes() for part in range(2)] == before
     assert {p.name for p in bag.glob("[!m]*")} == {
