@@ -33,7 +33,10 @@ ALLOWED = {
     | {"numpy", "scipy", "yaml", "rich", "matplotlib"},
     "fss_arm_workspace": ROS
     | {"fss_arm_model", "fss_arm_ros", "fss_arm_bags", "numpy", "scipy", "rich", "matplotlib"},
-    "fss_arm_view": ROS | {"fss_arm_model", "fss_arm_ros", "numpy", "rerun", "rerun_cli"},
+    "fss_gnc": ROS | {"fss_arm_model", "fss_arm_ros", "numpy"},
+    "fss_arm_view": ROS
+    | {"fss_arm_model", "fss_arm_ros", "fss_gnc.navigation", "fss_gnc.navigation.messages"}
+    | {"numpy", "rerun", "rerun_cli"},
 }
 
 # Where the mathematics of a package meets ROS: its nodes, and these.
@@ -42,7 +45,7 @@ EDGES = {
 }  # fmt: skip
 MATHEMATICS = {
     "fss_arm_model", "fss_arm_driver", "fss_sim", "fss_arm_calib", "fss_arm_workspace",
-    "fss_arm_view",
+    "fss_arm_view", "fss_gnc",
 }  # fmt: skip
 
 

@@ -113,7 +113,7 @@ class Lines(NamedTuple):
 
 
 class Dots(NamedTuple):
-    """Likewise."""
+    """Points of one kind, before they are drawn."""
 
     points: Floats  # (m, 2)
     colour: Colour

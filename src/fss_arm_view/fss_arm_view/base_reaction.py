@@ -19,8 +19,8 @@ from fss_arm_model.description import Arm
 from fss_arm_model.dynamics import bias, inertia_matrix, inverse_dynamics, kinetic_energy
 from fss_arm_model.momentum import momentum, system_com
 from fss_arm_model.simulation import GRAVITY
+from fss_gnc.navigation import BaseState
 
-from .base_filter import Estimate
 from .settings import ReactionSettings
 
 Floats = npt.NDArray[np.float64]
@@ -105,7 +105,7 @@ class BaseReaction:
         self.settings = settings or ReactionSettings()
         self.tilt = GRAVITY * np.array(self.settings.tilt)  # acceleration down the table
         self.joints = [_Joint() for _ in range(arm.n)]
-        self.past: deque[Estimate] = deque()
+        self.past: deque[BaseState] = deque()
         self.momenta: deque[tuple[float, Floats]] = deque()
         self.t = -1
         self.resting_since = -1
@@ -128,15 +128,15 @@ class BaseReaction:
             self.joints[i].forget(t - _KEPT)
         return self.joints[i].add(t, q, qd, effort)
 
-    def base(self, estimate: Estimate) -> None:
+    def base(self, state: BaseState) -> None:
         """Take the base's measured motion."""
-        self.past.append(estimate)
-        while self.past[0].t < estimate.t - _KEPT:
+        self.past.append(state)
+        while self.past[0].t < state.t - _KEPT:
             self.past.popleft()
 
     def moving(self) -> bool:
         """Whether a joint moves, by its newest reading."""
-        return any(j.qd and abs(j.qd[-1]) > self.settings.still for j in self.joints)
+        return any(j.qd and abs(j.qd[-1]) > self.settings.motion_threshold for j in self.joints)
 
     def known_until(self) -> int:
         """The last moment of which all is known [ns]; -1: none."""
@@ -170,8 +170,8 @@ class BaseReaction:
             joint.forget(t - max(_SECOND, int(self.settings.half_difference * _SECOND)))
         return self._reaction(t, measured, law)
 
-    def _measured(self, t: int) -> Estimate | None:
-        """The motion at t, between the estimates around it."""
+    def _measured(self, t: int) -> BaseState | None:
+        """The motion at t, between the states around it."""
         k = bisect_right(self.past, t, key=lambda e: e.t) - 1
         if k < 0:
             return None
@@ -193,19 +193,20 @@ class BaseReaction:
 
     def _still(self, t: int) -> bool:
         """Whether each joint's readings around t show no motion."""
+        threshold = self.settings.motion_threshold
         for joint in self.joints:
             k = bisect_right(joint.t, t)
-            if any(abs(qd) > self.settings.still for qd in joint.qd[max(k - 1, 0) : k + 1]):
+            if any(abs(qd) > threshold for qd in joint.qd[max(k - 1, 0) : k + 1]):
                 return False
         return True
 
     def _drift(self, t: int) -> Anchor | None:
         """The system's centre of mass on a straight line, turning evenly, since the arm rests."""
         s, p = self.settings, self.p
-        begin = max(self.resting_since, t - int(s.longest_drift * _SECOND))
+        begin = max(self.resting_since, t - int(s.max_drift_duration * _SECOND))
         poses = np.array([e.pose for e in self.past if begin <= e.t <= t])
         times = np.array([(e.t - t) * 1e-9 for e in self.past if begin <= e.t <= t])
-        if len(poses) < 3 or t - begin < s.shortest_drift * _SECOND:
+        if len(poses) < 3 or t - begin < s.min_drift_duration * _SECOND:
             return None
         q = np.array([joint.q[bisect_right(joint.t, t) - 1] for joint in self.joints])
         states = np.column_stack([poses, np.tile(q, (len(poses), 1))])
@@ -269,7 +270,7 @@ class BaseReaction:
         covariance += (GRAVITY * self.settings.tilt_deviation) ** 2 * self.by_tilt @ self.by_tilt.T
         return np.sqrt(np.diag(covariance))
 
-    def _reaction(self, t: int, measured: Estimate, law) -> Reaction:  # type: ignore[no-untyped-def]
+    def _reaction(self, t: int, measured: BaseState, law) -> Reaction:  # type: ignore[no-untyped-def]
         assert self.anchor
         s, p, n = self.settings, self.p, len(self.joints)
         now = (t - self.origin) * 1e-9
