@@ -1,20 +1,22 @@
 """Who may import whom, read from the syntax trees."""
 
 import ast
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 
 SOURCES = Path(__file__).parents[2] / "src"
 MESSAGES = {
-    "action_msgs", "builtin_interfaces", "diagnostic_msgs", "fss_arm_msgs", "geometry_msgs",
-    "nav_msgs", "rcl_interfaces", "rosgraph_msgs", "sensor_msgs", "std_msgs", "std_srvs",
-    "tf2_msgs", "visualization_msgs",
-}  # fmt: skip
+    *("action_msgs", "builtin_interfaces", "diagnostic_msgs", "fss_arm_msgs", "geometry_msgs"),
+    *("nav_msgs", "rcl_interfaces", "rosgraph_msgs", "sensor_msgs", "std_msgs", "std_srvs"),
+    *("tf2_msgs", "visualization_msgs"),
+}
 ROS = MESSAGES | {"rclpy", "ament_index_python"}
 MODEL = {"numpy", "scipy", "numba", "yaml"}
 
@@ -40,13 +42,37 @@ ALLOWED = {
 }
 
 # Where the mathematics of a package meets ROS: its nodes, and these.
-EDGES = {
-    "settings", "messages", "dynamic_messages", "from_bag", "design_command", "recompute",
-}  # fmt: skip
-MATHEMATICS = {
-    "fss_arm_model", "fss_arm_driver", "fss_sim", "fss_arm_calib", "fss_arm_workspace",
-    "fss_arm_view", "fss_gnc",
-}  # fmt: skip
+EDGES = {"settings", "messages", "dynamic_messages", "from_bag", "design_command", "recompute"}
+MATHEMATICS = ALLOWED.keys() - {"fss_arm_ros", "fss_arm_bags"}
+
+
+#: The rosdep key of what is not a ROS package; "": rosdep has none, and package.xml says so.
+ROSDEP = {
+    "matplotlib": "python3-matplotlib",
+    "mcap": "",
+    "numba": "python3-numba",
+    "numpy": "python3-numpy",
+    "rerun": "",
+    "rerun_cli": "",
+    "rich": "python3-rich",
+    "rosbags": "python3-rosbags-pip",
+    "scipy": "python3-scipy",
+    "serial": "python3-serial",
+    "yaml": "python3-yaml",
+}
+PINNED = {"mcap": "mcap", "rerun": "rerun-sdk", "rerun_cli": "rerun-sdk"}  # as pip calls them
+
+
+#: Of setup.py, with the tag of package.xml that says the same.
+FIELDS = {
+    "name": "name",
+    "version": "version",
+    "description": "description",
+    "maintainer": "maintainer",
+    "maintainer_email": "maintainer",
+    "license": "license",
+    "url": "url",
+}
 
 
 def find_modules() -> dict[str, Path]:
@@ -156,3 +182,50 @@ def test_importing_it_loads_neither_kernels_nor_ros(module: str) -> None:
         [sys.executable, "-c", program], capture_output=True, text=True, check=True
     )
     assert run.stdout.strip() == "set()"
+
+
+def foreign(package: str) -> set[str]:
+    """What a package imports that is neither its own nor Python's."""
+    names = {name for m in MODULES if m.split(".")[0] == package for name in tops(imports(m))}
+    return names - {package} - sys.stdlib_module_names
+
+
+def manifest(package: str) -> ElementTree.Element:
+    return ElementTree.parse(SOURCES / package / "package.xml").getroot()
+
+
+@pytest.mark.parametrize("package", ALLOWED)
+def test_package_xml_depends_on_what_is_imported(package: str) -> None:
+    keys = {ROSDEP.get(name, name) for name in foreign(package)} - {""}
+    said = [tag.text for tag in manifest(package).iter("exec_depend")]
+    assert sorted(said) == sorted(keys)
+    text = (SOURCES / package / "package.xml").read_text()
+    comments = set(re.findall(r"<!-- (\S+): no rosdep key", text))
+    assert comments == {PINNED[name] for name in foreign(package) if ROSDEP.get(name) == ""}
+
+
+@pytest.mark.parametrize("package", ALLOWED)
+def test_setup_py_and_package_xml_say_the_same(package: str) -> None:
+    call = next(
+        node.value
+        for node in ast.parse((SOURCES / package / "setup.py").read_text()).body
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Call)
+    )
+    given = {k.arg: ast.literal_eval(k.value) for k in call.keywords if k.arg in FIELDS}
+    root = manifest(package)
+    maintainer = root.find("maintainer")
+    expected = {field: root.findtext(tag) for field, tag in FIELDS.items()}
+    expected["maintainer_email"] = maintainer is not None and maintainer.get("email")
+    assert given == expected
+
+
+def test_all_packages_agree_on_version_maintainer_licence_and_address() -> None:
+    roots = [ElementTree.parse(path).getroot() for path in SOURCES.glob("*/package.xml")]
+    for tag in ("version", "maintainer", "license", "url"):
+        assert len({root.findtext(tag) for root in roots}) == 1, tag
+    assert len(roots) == len(ALLOWED) + 1  # and the messages
+
+
+def test_the_smoke_tests_of_all_packages_are_one() -> None:
+    texts = {(SOURCES / package / "test/test_smoke.py").read_text() for package in ALLOWED}
+    assert len(texts) == 1
