@@ -50,6 +50,7 @@ types() {
   return "$code"
 }
 step ruff ruff check .
+step format ruff format --check --quiet .
 step pure tests test/pure -n "$(nproc)" --dist loadfile "$@"
 step node tests test/node -n "$((2 * $(nproc)))" --dist loadfile "$@"
 step mypy types

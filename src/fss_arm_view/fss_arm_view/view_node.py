@@ -149,9 +149,8 @@ class ViewNode(Node):
             if 1 <= i <= self.known.arm.n and isfinite(q):
                 self.q[i - 1] = q
                 if self.sink.due(f"joint {i}"):
-                    drawings += [
-                        scene.link("angle", i, degrees(q)), scene.link("effort", i, effort),
-                    ]  # fmt: skip
+                    angle = scene.link("angle", i, degrees(q))
+                    drawings += [angle, scene.link("effort", i, effort)]
         if drawings:
             self.sink.put(t, drawings)
 
