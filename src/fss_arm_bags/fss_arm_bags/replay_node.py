@@ -21,7 +21,10 @@ from fss_arm_model.settings import NOT_NEGATIVE, Settings, setting
 from fss_arm_ros.convert import SECOND, seconds, to_time
 from fss_arm_ros.diagnostics import OK, Diagnostics, Health
 from fss_arm_ros.parameters import declare
-from fss_arm_ros.run import RCLError, run
+from fss_arm_ros.run import run
+
+# rclpy keeps it in its extension and offers no public name for it.
+from rclpy._rclpy_pybind11 import RCLError  # isort: skip
 
 TICK = 0.002  # [s]
 STALL = 0.1  # longest step of bag time: after a pause the replay goes on, it does not catch up [s]

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from fss_arm_model.base_motion import base_pose_sensitivities, path, sampled
+from fss_arm_model.base_motion import Law, base_pose_sensitivities, path, sampled
 from fss_arm_model.description import Arm
 from fss_arm_model.dynamics import bias, inertia_matrix, inverse_dynamics, kinetic_energy
 from fss_arm_model.momentum import momentum, system_com
@@ -180,7 +180,7 @@ class BaseReaction:
         pose = (1.0 - w) * before.at(t).pose + w * after.at(t).pose
         return before._replace(t=t, pose=pose, twist=(1.0 - w) * before.twist + w * after.twist)
 
-    def _law(self, begin: int):  # type: ignore[no-untyped-def]
+    def _law(self, begin: int) -> tuple[Law, Floats]:
         """The joints' motion, in seconds from `begin`, before which accelerations need some."""
         self.origin = begin
         before = begin - int(self.settings.half_difference * _SECOND)
@@ -243,7 +243,7 @@ class BaseReaction:
         self.by_pose, self.by_momentum = np.eye(3), np.zeros((3, 3))
         self.by_tilt = np.zeros((3, 2))
 
-    def _predict(self, t: int, law, edges: Floats) -> None:  # type: ignore[no-untyped-def]
+    def _predict(self, t: int, law: Law, edges: Floats) -> None:
         """Go on with the prediction until t."""
         assert self.anchor
         if t <= self.at:
@@ -270,7 +270,7 @@ class BaseReaction:
         covariance += (GRAVITY * self.settings.tilt_deviation) ** 2 * self.by_tilt @ self.by_tilt.T
         return np.sqrt(np.diag(covariance))
 
-    def _reaction(self, t: int, measured: BaseState, law) -> Reaction:  # type: ignore[no-untyped-def]
+    def _reaction(self, t: int, measured: BaseState, law: Law) -> Reaction:
         assert self.anchor
         s, p, n = self.settings, self.p, len(self.joints)
         now = (t - self.origin) * 1e-9
