@@ -391,27 +391,38 @@ def test_bags_in_the_manner_of_the_standard_recorder_are_read(tmp_path, split, c
             writer.finish()
     about = {
         "topic_metadata": {
-            "name": "/joint_states", "type": msgtype, "serialization_format": "cdr",
-            "offered_qos_profiles": [], "type_description_hash": definition(msgtype).hash,
+            "name": "/joint_states",
+            "type": msgtype,
+            "serialization_format": "cdr",
+            "offered_qos_profiles": [],
+            "type_description_hash": definition(msgtype).hash,
         },
         "message_count": each * split,
-    }  # fmt: skip
+    }
     times = [(START + each * k * STEP, (each - 1) * STEP) for k in range(split)]
     files = [
         {
-            "path": f"bag_{k}.mcap", "message_count": each, "duration": {"nanoseconds": lasts},
+            "path": f"bag_{k}.mcap",
+            "message_count": each,
+            "duration": {"nanoseconds": lasts},
             "starting_time": {"nanoseconds_since_epoch": begin},
         }
         for k, (begin, lasts) in enumerate(times)
-    ]  # fmt: skip
+    ]
     information = {
-        "version": 9, "storage_identifier": "mcap", "message_count": each * split,
+        "version": 9,
+        "storage_identifier": "mcap",
+        "message_count": each * split,
         "duration": {"nanoseconds": (each * split - 1) * STEP},
         "starting_time": {"nanoseconds_since_epoch": START},
-        "topics_with_message_count": [about], "compression_format": "", "compression_mode": "",
-        "relative_file_paths": [file["path"] for file in files], "files": files,
-        "custom_data": None, "ros_distro": "jazzy",
-    }  # fmt: skip
+        "topics_with_message_count": [about],
+        "compression_format": "",
+        "compression_mode": "",
+        "relative_file_paths": [file["path"] for file in files],
+        "files": files,
+        "custom_data": None,
+        "ros_distro": "jazzy",
+    }
     metadata = yaml.safe_dump({"rosbag2_bagfile_information": information})
     (bag / "metadata.yaml").write_text(metadata)
     with open_bags(bag) as bags:
