@@ -160,7 +160,7 @@ class BaseReactionNode(Node):
         }
         count = self.filter.rejected["late"]
         late = f"; {count} samples of the base came late" if count else ""
-        if self.reaction.anchor is None:
+        if self.reaction.prediction is None:
             return Health(WARN, f"waiting for joints and base at rest{late}", values)
         silence = monotonic() - self.published
         values["silent for"] = silence
