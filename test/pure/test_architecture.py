@@ -223,6 +223,11 @@ def test_all_packages_agree_on_version_maintainer_licence_and_address() -> None:
     roots = [ElementTree.parse(path).getroot() for path in SOURCES.glob("*/package.xml")]
     for tag in ("version", "maintainer", "license", "url"):
         assert len({root.findtext(tag) for root in roots}) == 1, tag
+    for path in SOURCES.glob("*/*/__init__.py"):  # as results name what computed them
+        told = re.findall(r'^__version__ = "(.*)"', path.read_text(), re.M)
+        assert told in ([], [roots[0].findtext("version")]), path
+    citation = (SOURCES.parent / "CITATION.cff").read_text()
+    assert f"\nversion: {roots[0].findtext('version')}\n" in citation
     assert len(roots) == len(ALLOWED) + 1  # and the messages
 
 
