@@ -204,6 +204,18 @@ def test_package_xml_depends_on_what_is_imported(package: str) -> None:
     assert comments == {PINNED[name] for name in foreign(package) if ROSDEP.get(name) == ""}
 
 
+def test_what_has_no_rosdep_key_is_pinned() -> None:
+    for path in (SOURCES.parent / "scripts").glob("requirements*[!v].txt"):
+        pinned = {line.partition("==")[0] for line in path.read_text().splitlines()}
+        assert {*PINNED.values()} <= pinned, path
+
+
+def test_the_messages_package_xml_depends_on_the_types_of_fields() -> None:
+    fields = "\n".join(path.read_text() for path in (SOURCES / "fss_arm_msgs").glob("*/*.*"))
+    used = set(re.findall(r"^(\w+)/[A-Z]", fields, re.M)) | {"action_msgs"}
+    assert {tag.text for tag in manifest("fss_arm_msgs").iter("depend")} == used
+
+
 @pytest.mark.parametrize("package", ALLOWED)
 def test_setup_py_and_package_xml_say_the_same(package: str) -> None:
     call = next(
