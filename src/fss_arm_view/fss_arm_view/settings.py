@@ -25,7 +25,7 @@ def _is_address(text: str) -> bool:
         return False
 
 
-ADDRESS = Check("an IP address as 127.0.0.1, or 0.0.0.0 for all", _is_address)
+ADDRESS = Check("an IP address (0.0.0.0: all)", _is_address)
 PORT = between(1, 65535)
 
 
@@ -75,7 +75,7 @@ class ViewSettings(Settings):
 
     mode: str = setting(
         "web",
-        "where it is shown: native: a window; web: a page; file: a recording; connect: a viewer",
+        "shown in a window, on a page, in a recording, or by a viewer that runs",
         check=one_of("native", "web", "file", "connect"),
     )
     bind: str = setting(
