@@ -49,7 +49,7 @@ class Operator(Node):
         super().__init__("operator", parameter_overrides=[Parameter("use_sim_time", value=True)])
         self.random = np.random.default_rng(1)
         self.pause = self.create_client(SetBool, "sim/pause")
-        self.arm = self.create_client(SetBool, "arm/arm")
+        self.arm = self.create_client(SetBool, "arm/enable")
         self.charge = self.create_client(Trigger, "sim/charge")
         self.mover = ActionClient(self, MoveArm, "arm/move")
         self.moves = 0

@@ -149,7 +149,7 @@ class Operator(Node):
             KinematicCalibration, "calibration/kinematic", self.on_result, LATCHED
         )
         self.pause = self.create_client(SetBool, "sim/pause")
-        self.arm = self.create_client(SetBool, "arm/arm")
+        self.arm = self.create_client(SetBool, "arm/enable")
         self.solve = self.create_client(Trigger, "kinematic/solve")
 
     def on_link(self, message: LinkTelemetry) -> None:

@@ -1,6 +1,6 @@
 """Tell the arm something, and print its answer.
 
-arm, disarm: all links (arm/arm). stop: all links at once; those that are on hold, under power,
+arm, disarm: all links (arm/enable). stop: all links at once; those that are on hold, under power,
 until disarmed or armed anew (arm/stop). home: each armed link without a reference finds it, one
 after the other. clear: all links disarm and clear their drives' latched faults.
 solve: each calibration that runs closes its present datum and solves. forget: kinematic and
@@ -179,7 +179,7 @@ def tell(node: Node, what: str, wait: float, within: float) -> Answer:
     if what == "home":
         return home(node, wait, within)
     if what in ("arm", "disarm"):
-        return call(node, SetBool, "arm/arm", SetBool.Request(data=what == "arm"), wait)
+        return call(node, SetBool, "arm/enable", SetBool.Request(data=what == "arm"), wait)
     if what in ("stop", "clear"):
         return {"stop": stop, "clear": clear}[what](node, wait)
     return calibrations(node, what, wait)

@@ -73,7 +73,7 @@ class Pilot(Node):
             self.create_publisher(LinkCommand, f"link_{i}/command", COMMAND) for i in self.armed
         ]
         self.stepping = self.create_client(StepTime, "sim/step")
-        self.arming = self.create_client(SetBool, "arm/arm")
+        self.arming = self.create_client(SetBool, "arm/enable")
 
     def on_pose(self, update: Callable[..., None]) -> Callable[[PoseStamped], None]:
         """Follow a subject."""

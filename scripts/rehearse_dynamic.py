@@ -75,7 +75,7 @@ class Person(Node):
         for i in self.armed:
             self.create_subscription(LinkTelemetry, f"link_{i}/telemetry", self.on_link, SENSOR)
         self.create_subscription(DiagnosticArray, "/diagnostics", self.on_diagnostics, 10)
-        self.arm = self.create_client(SetBool, "arm/arm")
+        self.arm = self.create_client(SetBool, "arm/enable")
 
     def on_link(self, message: LinkTelemetry) -> None:
         """Whether the link is armed."""
