@@ -1,8 +1,8 @@
 """Tell the arm something, and print its answer.
 
-arm, disarm: all links (arm/arm). stop: all links at once, of any namespace; those that are on hold,
-under power, until disarmed or armed anew (arm/stop); it fails unless each link says that it has
-stopped. home: each armed link without a reference finds it, one
+arm, disarm: all links (arm/enable). stop: all links at once, of any namespace; those that are on
+hold, under power, until disarmed or armed anew (arm/stop); it fails unless each link says that it
+has stopped. home: each armed link without a reference finds it, one
 after the other. clear: all links disarm and clear their drives' latched faults.
 solve: each calibration that runs closes its present datum and solves. forget: kinematic and
 dynamic drop all that they have observed.
@@ -246,7 +246,7 @@ def tell(node: Node, what: str, wait: float, within: float) -> Answer:
     if what == "home":
         return home(node, wait, within)
     if what in ("arm", "disarm"):
-        return call(node, SetBool, "arm/arm", SetBool.Request(data=what == "arm"), wait)
+        return call(node, SetBool, "arm/enable", SetBool.Request(data=what == "arm"), wait)
     if what == "clear":
         return clear(node, wait)
     return calibrations(node, what, wait)

@@ -77,7 +77,7 @@ def test_links_arm_stop_and_disarm_as_told(start, spin, tmp_path):
 
 def test_nobody_there_is_said_in_one_line(domain):
     for what, said in (
-        ("arm", "nobody offers arm/arm\n"),
+        ("arm", "nobody offers arm/enable\n"),
         ("home", "nobody drives a link\n"),
         ("solve", "no calibration runs\n"),
     ):

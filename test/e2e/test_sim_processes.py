@@ -50,7 +50,7 @@ def test_all_nodes_end_with_a_supervisor_that_is_killed(spin, tmp_path):
         ears.create_subscription(
             LinkTelemetry, f"link_{i}/telemetry", lambda m: heard.add(m.link), SENSOR
         )
-    arm = ears.create_client(SetBool, "arm/arm")
+    arm = ears.create_client(SetBool, "arm/enable")
     command = [sys.executable, "-c", SUPERVISOR, tmp_path, str(DOMAIN)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as supervisor:
         pids = [int(pid) for pid in supervisor.stdout.readline().split()]

@@ -49,7 +49,7 @@ def test_an_arm_node_that_stood_still_moves_nothing_any_more(spin, start, tmp_pa
     ]
     program = start("fss_arm_driver.arm_node", "--ros-args", "-p", f"arm:={file}")
     nodes, mover = [*links, user], ActionClient(user, MoveArm, "arm/move")
-    armed(spin, nodes, user.create_client(SetBool, "arm/arm"))
+    armed(spin, nodes, user.create_client(SetBool, "arm/enable"))
     asked = mover.send_goal_async(MoveArm.Goal(q=[1.0, 1.0], duration=60.0))
     spin(nodes, lambda: asked.done() and all(t.link.speed for t in transports))
     ended = asked.result().get_result_async()

@@ -43,7 +43,7 @@ class Bench:
         self.arm = ArmNode(parameter_overrides=arm)
         self.user = Node("user")
         self.mover = ActionClient(self.user, MoveArm, "arm/move")
-        self.armer = self.user.create_client(SetBool, "arm/arm")
+        self.armer = self.user.create_client(SetBool, "arm/enable")
         self.stopper = self.user.create_publisher(Empty, "arm/stop", 10)
         self.feedback = []
         self.spin = spin
@@ -190,7 +190,7 @@ def test_a_move_that_is_blocked_ends_in_time(bench):
 
 def test_without_drivers_arming_says_whose_are_missing(spin):
     arm, user = ArmNode(), Node("user")
-    armer = user.create_client(SetBool, "arm/arm")
+    armer = user.create_client(SetBool, "arm/enable")
     spin([arm, user], armer.service_is_ready)
     answer = armer.call_async(SetBool.Request(data=True))
     spin([arm, user], answer.done)

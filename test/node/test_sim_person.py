@@ -26,7 +26,7 @@ class Arm:
         given = ["--ros-args", "--enclave", enclave]
         rclpy.init(args=given, context=self.context, domain_id=DOMAIN)
         self.node = Node("arm", context=self.context)
-        self.node.create_service(SetBool, "arm/arm", self.on_arm)
+        self.node.create_service(SetBool, "arm/enable", self.on_arm)
         self.node.create_publisher(LinkTelemetry, "link_1/telemetry", SENSOR)
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)

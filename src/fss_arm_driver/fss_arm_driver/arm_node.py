@@ -73,7 +73,7 @@ class ArmNode(Node):
             self.listen(i, Scale(link))
         self.create_subscription(Empty, "arm/stop", self.on_stop, 10)
         self.create_subscription(UUID, "arm/move/alive", self.on_alive, 10)
-        self.create_service(SetBool, "arm/arm", self.on_arm, callback_group=waits)
+        self.create_service(SetBool, "arm/enable", self.on_arm, callback_group=waits)
         description = self.create_publisher(String, "robot_description", LATCHED)
         description.publish(String(data=urdf(self.arm)))
         self.create_timer(1.0 / self.settings.rate, self.tick, clock=self.clock)

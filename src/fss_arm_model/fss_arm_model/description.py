@@ -23,6 +23,9 @@ import yaml
 MAX_LINKS = 12
 BASE_SIZE, LINK_SIZE = 8, 6  # numbers in Arm.vector() for the base and for each link
 
+#: Descriptions that come with the package, by the name that settings take.
+ARMS = {"paper": "arm.yaml", "cad": "cad.yaml", "truth": "truth.yaml"}
+
 
 class DescriptionError(ValueError):
     """A description cannot be right: which field, its value, and what was expected."""
@@ -382,9 +385,29 @@ def load(path: str | os.PathLike[str]) -> Arm:
         return from_yaml(text)
 
 
-def described(path: str) -> Arm:
-    """The arm that a setting names; empty: the paper's. Raises as `load`."""
-    return load(path) if path else paper_arm()
+def described(arm: str) -> Arm:
+    """The arm that a setting names: one of ARMS, or a file; empty: the paper's.
+
+    Raises:
+        OSError: the file cannot be read.
+        DescriptionError: there is no arm of that name, or what the file says cannot be right.
+    """
+    if not arm:
+        return paper_arm()
+    if arm in ARMS:
+        return load(_installed() / ARMS[arm])
+    if Path(arm).name == arm and not Path(arm).suffix and not Path(arm).exists():
+        raise DescriptionError("arm", arm, f"a file or one of {', '.join(ARMS)}")
+    return load(arm)
+
+
+def _installed() -> Path:
+    """The folder of the descriptions in ARMS: in the source tree, or in share where installed."""
+    here = Path(__file__).resolve()
+    if (here.parents[1] / "package.xml").exists():
+        return here.parents[1] / "config"
+    places = (folder / "share/fss_arm_model/config" for folder in here.parents)
+    return next(filter(Path.is_dir, places))
 
 
 def _scalar(value: Any) -> str:

@@ -19,7 +19,7 @@ LINKS = 4
 LOOK = 1.0  # for others; who is on this computer answers within a few tenths [s]
 PATIENCE = 2.0  # for an answer [s]
 NUMBERS = range(1, 13)  # that a link may have
-DRIVERS = {"/arm/arm", *(f"/link_{i}/{what}" for i in NUMBERS for what in ("arm", "telemetry"))}
+DRIVERS = {"/arm/enable", *(f"/link_{i}/{what}" for i in NUMBERS for what in ("arm", "telemetry"))}
 
 
 @contextmanager
@@ -63,7 +63,7 @@ class Operator(Node):
         self.armed = dict.fromkeys(range(1, LINKS + 1), False)
         for i in self.armed:
             self.create_subscription(LinkTelemetry, f"link_{i}/telemetry", self.on_link, SENSOR)
-        self.arm = self.create_client(SetBool, "arm/arm")
+        self.arm = self.create_client(SetBool, "arm/enable")
         self.answer, self.due = Future(), 0.0
 
     def on_link(self, message: LinkTelemetry) -> None:
