@@ -250,7 +250,7 @@ def test_a_move_ends_within_a_second_when_whoever_asked_for_it_is_killed(bench, 
     bench.enable()
     file = bench.arm.settings.arm
     experiment = start(
-        "fss_arm_calib.experiment_node", "--ros-args", "-p", f"arm:={file}",
+        "fss_arm_calib.experiment.experiment_node", "--ros-args", "-p", f"arm:={file}",
         "-p", "postures:=[1.4, -1.4, -1.4, 1.4]",
     )  # fmt: skip
     bench.until(lambda: all(abs(t.link.position) > 4000 for t in bench.transports), 20.0)
