@@ -26,7 +26,8 @@ ALLOWED = {
     "fss_arm_model": MODEL,
     "fss_arm_ros": ROS | {"fss_arm_model", "numpy"},
     "fss_arm_bags": ROS
-    | {"fss_arm_model.settings", "fss_arm_ros", "numpy", "rosbags", "mcap", "rich"},
+    | {"fss_arm_model.files", "fss_arm_model.settings", "fss_arm_ros"}
+    | {"numpy", "rosbags", "mcap", "rich"},
     "fss_arm_driver": ROS
     | {"fss_arm_model.description", "fss_arm_model.settings", "fss_arm_ros", "serial"},
     "fss_sim": ROS | {"fss_arm_model", "fss_arm_ros", "fss_arm_driver.protocol", "numpy", "yaml"},

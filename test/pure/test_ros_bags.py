@@ -21,7 +21,7 @@ from fss_arm_bags.doctor.command import main as doctor
 from fss_arm_bags.doctor.repair import repair
 from fss_arm_bags.reader import BagError, digest, find, open_bags
 from fss_arm_bags.recorder import Limits, Recording, bag_qos, next_bag
-from fss_arm_bags.recovery import is_sound
+from fss_arm_bags.inspection import is_sound
 from fss_arm_ros.qos import SENSOR
 
 

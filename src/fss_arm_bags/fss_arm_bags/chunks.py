@@ -15,14 +15,14 @@ from typing import NamedTuple
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader
-from rosbags.rosbag2.reader import DirectoryReader
 from rosbags.rosbag2.storage_mcap import ChunkInfo, McapReader, decompress
 
 RECORD = Struct("<BQ")  # what kind it is, length of what follows
 HEAD = Struct("<HIQQ")  # of a message: channel, sequence, time of receipt, time of publication
 CRC = Struct("<I")
+CHUNK_CRC = RECORD.size + 24  # where a chunk has it
 
-MESSAGE = 5
+SCHEMA, CHANNEL, MESSAGE, CHUNK = 3, 4, 5, 6
 
 RECEIPT = itemgetter(0)
 
@@ -79,15 +79,12 @@ def indexed(readers: Iterable[AnyReader]) -> list[_Chunk] | None:
     """The chunks of all files in order of their begin; None: not all messages are in such."""
     found = []
     for bag in chain.from_iterable(reader.readers for reader in readers):
-        if not isinstance(bag, Reader) or bag.compression_mode == "message":
+        storage = bag.storage if isinstance(bag, Reader) else None
+        if not isinstance(storage, McapReader):
             return None
-        inner = bag.storage
-        for storage in inner.storages if isinstance(inner, DirectoryReader) else [inner]:
-            if not isinstance(storage, McapReader):
-                return None
-            if storage.metadata.message_count and not storage.chunks:
-                return None
-            found += [_Chunk(storage, info) for info in storage.chunks]
+        if storage.metadata.message_count and not storage.chunks:
+            return None
+        found += [_Chunk(storage, info) for info in storage.chunks]
     return sorted(found, key=lambda chunk: chunk.info.message_start_time)
 
 

@@ -1,9 +1,9 @@
 """Reading bags as one stream in order of receipt, whatever became of their recorder.
 
 A bag is a folder with metadata.yaml or a single file. A folder of bags, as `record` fills it
-(bag_0, bag_1, ...), counts as one. A bag whose recorder was killed has no index and no
-metadata.yaml: its whole chunks are first copied into a sound bag in a temporary folder. A damaged
-chunk of a bag that has both is met only when it is read; `repair` leaves it out.
+(bag_0, bag_1, ...), counts as one. MCAP files tell all by themselves: metadata.yaml is only
+compared. A bag that is not whole, as one whose recorder was killed, is read from a copy of its
+whole chunks in a temporary folder.
 """
 
 from collections.abc import Collection, Iterable, Iterator
@@ -18,10 +18,12 @@ from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple, cast
 
 from rosbags.highlevel import AnyReader, AnyReaderError
-from rosbags.interfaces import ConnectionExtRosbag2, MessageDefinitionFormat, Qos
+from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefinitionFormat, Qos
 
 from fss_arm_bags.chunks import Received, in_order, indexed
-from fss_arm_bags.recovery import BagError, Recovered, is_sound, recover, storage_files
+from fss_arm_bags.inspection import Inspected, inspect
+from fss_arm_bags.recovery import BagError, Recovered, recover, storage_files
+from fss_arm_model.files import short
 
 __all__ = ["BagError", "Bags", "Topic", "digest", "find", "open_bags", "two_versions"]
 
@@ -42,36 +44,46 @@ class Topic(NamedTuple):
 class Bags:
     """Several bags read as one; made by `open_bags`, a context manager."""
 
-    def __init__(self, paths: Iterable[Path]) -> None:
+    def __init__(self, paths: Iterable[Path], *, thorough: bool = False) -> None:
         self.paths = [bag for path in paths for bag in find(path)]
         if not self.paths:
             raise BagError("no bag is given")
         self.recovered: list[Recovered] = []
+        self.unchecked: list[Path] = []  # bags without checksums: not all damage to them is seen
         self._stack = ExitStack()
         try:
             # One for each: together they would read all by the definitions of the last one.
-            self._readers = [self._open(path) for path in self.paths]
+            self._readers = [self._open(path, thorough) for path in self.paths]
         except BaseException:
             self._stack.close()
             raise
-        self._connections = list(chain.from_iterable(r.connections for r in self._readers))
+        self._connections = list(chain.from_iterable(map(_hashed, self._readers)))
         self._of_type = {c.msgtype: r for r in self._readers for c in r.connections}
         self._mixed = _mixed(self._readers)
 
-    def _open(self, path: Path) -> AnyReader:
+    def _open(self, path: Path, thorough: bool) -> AnyReader:
         try:
-            return self._stack.enter_context(AnyReader([self._sound(path)]))
-        except (AnyReaderError, OSError) as error:
-            raise BagError(f"{path}: {error}") from None
+            inspected = inspect(path, thorough=thorough)
+            if not inspected.checked:
+                self.unchecked.append(path)
+            return self._stack.enter_context(AnyReader(self._sound(path, inspected)))
+        except BagError:
+            raise
+        except Exception as error:  # rosbags parses what there is as it comes
+            raise BagError(f"{path}: {short(str(error))}") from None
 
-    def _sound(self, path: Path) -> Path:
-        """The bag itself, or its copy without damage."""
-        if is_sound(path):
-            return path
+    def _sound(self, path: Path, inspected: Inspected) -> list[Path]:
+        """The files to read: a bag's own, or a copy without damage."""
+        if inspected.files and not inspected.damage:
+            if inspected.metadata:
+                self.recovered.append(Recovered(path, inspected.messages, 0, inspected.metadata))
+            return inspected.files
+        if not inspected.damage:
+            return [path]
         folder = Path(self._stack.enter_context(TemporaryDirectory(prefix="fss_arm_bag_")))
         copy = folder / path.name
-        self.recovered.append(recover(path, copy))
-        return copy
+        self.recovered.append(recover(path, copy, inspected.damage))
+        return storage_files(copy)
 
     def __enter__(self) -> "Bags":
         return self
@@ -132,7 +144,7 @@ class Bags:
         except OSError:
             raise
         except Exception as error:  # rosbags parses damaged bytes as they come
-            raise BagError(f"{_list(self.paths)}: damaged, try doctor --repair: {error}") from None
+            raise BagError(f"{_list(self.paths)}: damaged: {short(str(error))}") from None
 
     def _received(
         self, wanted: set[str], start: int | None, stop: int | None
@@ -169,7 +181,7 @@ class Bags:
         try:
             return self._of_type[msgtype].deserialize(data, msgtype)
         except Exception as error:  # rosbags parses damaged bytes as they come
-            raise BagError(f"{_list(self.paths)}: damaged: {error}") from None
+            raise BagError(f"{_list(self.paths)}: damaged: {short(str(error))}") from None
 
 
 def two_versions(msgtype: str) -> str:
@@ -190,14 +202,28 @@ def _mixed(readers: Iterable[AnyReader]) -> set[str]:
     return mixed
 
 
-def open_bags(paths: AnyPath | Iterable[AnyPath]) -> Bags:
+def _hashed(reader: AnyReader) -> list[Connection]:
+    """A bag's connections; those without it get the hash that their definition has."""
+    return [
+        c
+        if c.digest or c.msgdef.format is MessageDefinitionFormat.NONE
+        else c._replace(digest=reader.typestore.hash_rihs01(c.msgtype))
+        for c in reader.connections
+    ]
+
+
+def open_bags(paths: AnyPath | Iterable[AnyPath], *, thorough: bool = False) -> Bags:
     """Open one or several bags, or folders of bags, to be read as one.
+
+    Args:
+        paths: the bags.
+        thorough: look for damage also where reading does not.
 
     Raises:
         BagError: there is no bag, or one that cannot be read.
     """
     several = [paths] if isinstance(paths, str | PathLike) else list(paths)
-    return Bags([Path(path) for path in several])
+    return Bags([Path(path) for path in several], thorough=thorough)
 
 
 def find(path: Path) -> list[Path]:

@@ -1,7 +1,6 @@
 """Records every topic into a rosbag2 (MCAP) bag."""
 
 from collections import Counter, deque
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -17,7 +16,7 @@ from fss_arm_bags.definitions import NotInstalledError, message_class
 from fss_arm_bags.recorder import Limits, Recording
 from fss_arm_model.settings import NOT_NEGATIVE, SettingError, Settings, setting
 from fss_arm_ros.convert import SECOND
-from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
+from fss_arm_ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.run import run
 
@@ -68,6 +67,7 @@ class RecordNode(Node):
         self.heard: dict[str, Subscription] = {}
         self.unknown: set[str] = set()
         self.counts: Counter[str] = Counter()
+        self.stuck = False  # as the disk is full or gone
         self.early: deque[tuple[str, bytes]] = deque(maxlen=EARLY)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(0.2, self.discover, clock=steady)
@@ -115,39 +115,52 @@ class RecordNode(Node):
 
     def write(self, receipt: int, topic: str, data: bytes) -> None:
         """Write one serialized message."""
-        self.attempt(self.recording.write, topic, receipt, data)
-        self.counts[topic] += 1
+        self.counts[topic] += self.recording.write(topic, receipt, data)
 
     def flush(self) -> None:
-        """Hand what there is to the operating system."""
+        """Hand what there is to the operating system; say once if the disk does not take it."""
         self.write_early(self.get_clock().now().nanoseconds)
-        self.attempt(self.recording.flush)
-
-    def attempt(self, step: Callable[..., None], *args: Any) -> None:
-        """Do a step of the recording; end the process if the disk refuses it."""
         try:
-            step(*args)
+            self.recording.flush()
         except OSError as error:
-            self.recording.abort()
-            raise SystemExit(
-                f"cannot write {self.recording.path}: {error.strerror}; what it has is kept"
-            ) from None
+            if not self.stuck:
+                self.get_logger().error(
+                    f"cannot write {self.recording.path}: {error.strerror}; tries on"
+                )
+            self.stuck = True
+            return
+        if self.stuck:
+            self.get_logger().warning(
+                f"writes {self.recording.path} again; {self.recording.lost} messages are lost"
+            )
+        self.stuck = False
 
     def health(self) -> Health:
         """Where the recording goes and how much it has, by topic."""
         free = disk_usage(self.recording.folder).free / MEGABYTE
         values = {"bag": self.recording.path, "free [MB]": free}
-        values |= {"messages": self.counts.total(), **self.counts}
+        values |= {"messages": self.counts.total(), "lost": self.recording.lost, **self.counts}
+        if self.recording.failure:
+            return Health(ERROR, f"cannot write: {self.recording.failure.strerror}", values)
         if self.get_clock().now().nanoseconds == 0:
             return Health(WARN, "waiting for /clock", values)
         if free < self.settings.reserve:
             return Health(WARN, f"only {free:.0f} MB are left on the disk", values)
+        if self.recording.lost:
+            return Health(WARN, f"{self.recording.lost} messages were lost", values)
         return Health(OK, f"recording {len(self.recording.topics)} topics", values)
 
     def close(self) -> None:
-        """End the bag."""
+        """End the bag; end the process with an error if the disk does not take it."""
         self.write_early(self.get_clock().now().nanoseconds)
-        self.attempt(self.recording.close)
+        try:
+            self.recording.close()
+        except OSError as error:
+            self.recording.abort()
+            raise SystemExit(
+                f"cannot write {self.recording.path}: {error.strerror}; what it has is kept, "
+                f"{self.recording.lost} messages are lost"
+            ) from None
 
 
 def match(offered: list[QoSProfile]) -> QoSProfile:

@@ -18,10 +18,10 @@ from rosbags.interfaces import (
     QosReliability,
     QosTime,
 )
-from rosbags.rosbag2 import StoragePlugin, Writer, WriterError
-from rosbags.rosbag2.storage_mcap import McapWriter
+from rosbags.rosbag2 import WriterError
 
 from fss_arm_bags.definitions import definition
+from fss_arm_bags.storage import CheckedWriter, Storage
 from fss_arm_ros.convert import SECOND
 
 
@@ -45,6 +45,9 @@ class Recording:
     Between two calls of `flush` messages are in memory only. A killed process leaves a bag
     without index and metadata.yaml; `fss_arm_bags.reader` reads it all the same. The lock (flock)
     on an open bag's file keeps a repair away.
+
+    While the disk is full or gone, the last chunk waits in memory, messages are counted as lost,
+    and each `flush` tries again.
     """
 
     def __init__(self, folder: Path, limits: Limits = Limits()) -> None:
@@ -57,24 +60,30 @@ class Recording:
             raise FileExistsError(f"{folder} is a bag itself; give a folder for bags")
         self.folder, self.limits = folder, limits
         self.topics: dict[str, Callable[[], Connection]] = {}  # each begins a topic in a bag
+        self.failure: OSError | None = None  # of the last attempt to write
+        self.lost = 0  # messages that were not written
         self._open()
 
     def _open(self) -> None:
         """Begin the next bag, with all topics there are."""
         self.path = next_bag(self.folder)
         try:
-            self.writer = Writer(self.path, version=9, storage_plugin=StoragePlugin.MCAP)
+            self.writer = CheckedWriter(self.path)
             self.writer.open()
         except WriterError:  # another recorder was quicker
             raise FileExistsError(EEXIST, strerror(EEXIST), str(self.path)) from None
+        except OSError:
+            with suppress(OSError):  # of a folder that is not there, or has something in it
+                (self.path / f"{self.path.name}.mcap").unlink(missing_ok=True)
+                self.path.rmdir()
+            raise
         with suppress(OSError):  # of a file system without locks
-            flock(self._storage.bio, LOCK_EX | LOCK_NB)  # for as long as the file is open
-        self._storage.bio.flush()
+            flock(self._storage.file, LOCK_EX | LOCK_NB)  # for as long as the file is open
         self.connections = {topic: begin() for topic, begin in self.topics.items()}
 
     @property
-    def _storage(self) -> McapWriter:
-        return cast(McapWriter, self.writer.storage)
+    def _storage(self) -> Storage:
+        return cast(Storage, self.writer.storage)
 
     def add(self, topic: str, msgtype: str, offered: Iterable[Any]) -> None:
         """Begin a topic with the QoS profiles that its publishers offer.
@@ -90,18 +99,29 @@ class Recording:
                 topic, msgtype, msgdef=text, rihs01=digest, offered_qos_profiles=qos
             )
 
-        self.topics[topic], self.connections[topic] = begin, begin()
+        self.topics[topic] = begin
+        if self.writer.storage:  # else the next bag begins with it
+            self.connections[topic] = begin()
 
-    def write(self, topic: str, receipt: int, data: bytes) -> None:
-        """Keep a serialized message, received at `receipt` [ns].
+    def write(self, topic: str, receipt: int, data: bytes) -> bool:
+        """Keep a serialized message, received at `receipt` [ns], unless the disk is full."""
+        if self.failure is None and self._full(receipt):
+            self._split()
+        if self.failure:
+            self.lost += 1
+            return False
+        self.writer.write(self.connections[topic], receipt, data)
+        self.failure = self._storage.failure
+        return True
 
-        Raises:
-            OSError: as of `flush`, which a full chunk does not wait for.
-        """
-        if self._full(receipt):
+    def _split(self) -> None:
+        """Go on in the next bag."""
+        try:
             self.close()
             self._open()
-        self.writer.write(self.connections[topic], receipt, data)
+        except OSError as error:
+            self.failure = error
+            self.abort()
 
     def _full(self, receipt: int) -> bool:
         """Whether a message received then belongs into the next bag."""
@@ -113,12 +133,18 @@ class Recording:
         """Hand everything to the operating system as a whole chunk.
 
         Raises:
-            OSError: the disk is full or gone.
+            OSError: the disk is full or gone; messages are lost until this succeeds.
         """
         # The writer alone would hold back 1 MiB, and knows no flush of its own.
-        if self._storage.chunk.msgs:
-            self._storage.close_chunk()
-        self._storage.bio.flush()
+        try:
+            if not self.writer.storage:
+                self._open()
+            if self._storage.chunk.msgs:
+                self._storage.close_chunk()
+        except OSError as error:
+            self.failure = error
+            raise
+        self.failure = None
 
     def close(self) -> None:
         """End the bag with index and metadata.
@@ -131,7 +157,8 @@ class Recording:
 
     def abort(self) -> None:
         """Leave the bag as it is on the disk."""
-        with suppress(OSError):  # the rest of the buffer, which failed before
+        if self.writer.storage:
+            self.lost += sum(map(len, self._storage.chunk.msgs.values()))
             self.writer.abort()
 
 

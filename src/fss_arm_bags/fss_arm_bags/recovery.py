@@ -3,23 +3,39 @@
 A bag whose recorder was killed has no index and no metadata.yaml, but whole chunks.
 """
 
-from collections.abc import Iterable, Iterator
+import re
+from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
+from itertools import chain
+from mmap import ACCESS_READ, mmap
 from os import SEEK_END
 from pathlib import Path
-from typing import BinaryIO
+from typing import cast
 
-from mcap.exceptions import InvalidMagic
-from mcap.reader import make_reader
-from mcap.records import Channel, Chunk, ChunkIndex, McapRecord, Message, Schema
-from mcap.stream_reader import StreamReader, breakup_chunk, get_chunk_data_stream
-from mcap.summary import Summary
+from mcap.records import Channel, McapRecord, Message, Schema
 from rosbags.interfaces import Connection
-from rosbags.rosbag2 import Reader, StoragePlugin, Writer
-from rosbags.rosbag2.metadata import parse_qos
 from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 
-from fss_arm_bags.chunks import CRC, RECORD, records
+from fss_arm_bags.chunks import CHANNEL, CHUNK, HEAD, MESSAGE, RECORD, SCHEMA, records
+from fss_arm_bags.integrity import (
+    DATA_END,
+    LAST,
+    MAGIC,
+    Chunk,
+    Contents,
+    DamageError,
+    qos,
+    read_end,
+)
+from fss_arm_bags.storage import CheckedWriter, Storage
+from fss_arm_model.files import short
+
+SHOWN = 3  # damaged places named
+#: What may be a chunk: its kind, its length, times, sizes, checksum, compression.
+CHUNK_HEAD = re.compile(
+    rb"\x06.{5}\0{3}.{28}(?:\0{4}|\x03\0{3}lz4|\x04\0{3}zstd).{5}\0{3}", re.DOTALL
+)
 
 
 class BagError(ValueError):
@@ -33,11 +49,12 @@ class Recovered:
     path: Path
     messages: int
     lost: int  # bytes that belong to no whole record, or to messages of an unknown type
+    damage: str = ""  # what is wrong, and where
 
     def __str__(self) -> str:
         return (
             f"{self.path}: {self.messages} messages recovered, "
-            f"{self.lost} bytes at damaged places lost"
+            f"{self.lost} bytes at damaged places lost ({self.damage})"
         )
 
 
@@ -45,136 +62,177 @@ def storage_files(path: Path) -> list[Path]:
     """The storage files of a bag, in the order in which they were written."""
     if path.is_file():
         return [path]
-    files = [p for p in path.iterdir() if p.suffix in (".mcap", ".db3")]
+    files = [p for p in path.iterdir() if p.suffix in (".mcap", ".db3") and p.is_file()]
     return sorted(files, key=lambda p: (len(p.name), p.name))
 
 
-def is_sound(path: Path) -> bool:
-    """Whether a bag has its index and metadata; its chunks are not looked at.
+def recover(path: Path, copy: Path, damage: str) -> Recovered:
+    """Write what is whole of a damaged MCAP bag to `copy`, a sound bag.
 
-    Raises:
-        BagError: it is of a kind that cannot be told, or of which nothing can be recovered.
-    """
-    try:
-        with Reader(path):
-            return True
-    except Exception as error:  # rosbags parses damaged bytes as they come
-        files = storage_files(path)
-        if not files or any(file.suffix != ".mcap" for file in files):
-            raise BagError(f"{path}: {error}") from None
-        return False
-
-
-def recover(path: Path, copy: Path) -> Recovered:
-    """Write the whole chunks of a damaged MCAP bag to `copy`, a sound bag.
+    Args:
+        path: the bag.
+        copy: where to; there is nothing yet.
+        damage: what is known to be wrong.
 
     Raises:
         BagError: a file is not MCAP or has a definition that is not understood.
+        OSError: the copy cannot be written.
     """
-    messages = lost = 0
-    with Writer(copy, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        connections: dict[tuple[str, str], Connection] = {}
+    salvage = _Salvage()
+    with CheckedWriter(copy) as writer:
         for file in storage_files(path):
-            found = _Records(file)
-            schemas: dict[int, Schema] = {}
-            channels: dict[int, Connection] = {}
-            for record in found:
-                if isinstance(record, Schema):
-                    schemas[record.id] = record
-                elif isinstance(record, Channel) and record.schema_id in schemas:
-                    schema = schemas[record.schema_id]
-                    key = (record.topic, schema.name)
-                    if key not in connections:
-                        connections[key] = _connect(writer, file, record, schema)
-                    channels[record.id] = connections[key]
-                elif isinstance(record, Message) and record.channel_id in channels:
-                    writer.write(channels[record.channel_id], record.log_time, record.data)
-                    messages += 1
-                elif isinstance(record, Message):  # what tells its type was in a damaged chunk
-                    lost += len(record.data)
-            lost += found.lost
-    return Recovered(path, messages, lost)
+            salvage.file(file, writer)
+    damages = [damage]
+    if salvage.expected > salvage.messages:
+        damages.append(f"{salvage.expected - salvage.messages} messages are missing")
+    damages += salvage.places[:SHOWN]
+    if len(salvage.places) > SHOWN:
+        damages.append(f"and {len(salvage.places) - SHOWN} more")
+    return Recovered(path, salvage.messages, salvage.lost, ", ".join(damages))
 
 
-class _Records:
-    """The schemas, channels and messages in the whole chunks of an MCAP file."""
+class _Salvage:
+    """What was written of a bag's files, and what was not."""
 
-    def __init__(self, file: Path) -> None:
-        self.file = file
-        self.lost = 0  # bytes met that belong to no whole record
+    def __init__(self) -> None:
+        self.messages = 0
+        self.expected = 0  # messages by the indexes that are whole
+        self.lost = 0  # bytes
+        self.places: list[str] = []  # that are damaged
+        self.connections: dict[tuple[str, str], Connection] = {}
+        self.met: set[tuple[int, int]] = set()  # chunks: how many messages, which
 
-    def __iter__(self) -> Iterator[McapRecord]:
-        with self.file.open("rb") as stream:
-            summary = _summary(stream)
-            if summary:  # the chunk that has them may be damaged
-                yield from summary.schemas.values()
-                yield from summary.channels.values()
-            if summary and summary.chunk_indexes:
-                yield from self._indexed(stream, summary.chunk_indexes)
+    def file(self, file: Path, writer: CheckedWriter) -> None:
+        """Write what is whole in a file."""
+        schemas: dict[int, Schema] = {}
+        channels: dict[int, Connection] = {}
+        for record in self._records(file):
+            if isinstance(record, Schema):
+                schemas[record.id] = record
+            elif isinstance(record, Channel) and record.schema_id in schemas:
+                schema = schemas[record.schema_id]
+                key = record.topic, schema.name
+                if key not in self.connections:
+                    self.connections[key] = _connect(writer, file, record, schema)
+                channels[record.id] = self.connections[key]
+            elif isinstance(record, Message) and record.channel_id in channels:
+                writer.write(channels[record.channel_id], record.log_time, record.data)
+                self.messages += 1
+                if failure := cast(Storage, writer.storage).failure:
+                    raise failure
+            elif isinstance(record, Message):  # what tells its type was in a damaged chunk
+                self.lost += len(record.data)
+
+    def _records(self, file: Path) -> Iterator[McapRecord]:
+        """The schemas, channels and messages in a file."""
+        with file.open("rb") as stream:
+            with suppress(Exception):  # the end may be damaged
+                known = read_end(stream).known
+                self.expected += known.statistics.message_count if known.statistics else 0
+                # As the chunk that has them may be damaged.
+                yield from [*known.schemas.values(), *known.channels.values()]
+            if stream.seek(0, SEEK_END):
+                with mmap(stream.fileno(), 0, access=ACCESS_READ) as data:
+                    yield from self._in_turn(file, data)
+
+    def _in_turn(self, file: Path, data: mmap) -> Iterator[McapRecord]:
+        """One after the other; where none leads on, from the next whole chunk on."""
+        at, sure = len(MAGIC), 0  # up to there it is known to be whole
+        if data[: len(MAGIC)] != MAGIC[: len(data)]:
+            at = next_chunk(data, 0)
+            if at == len(data):
+                raise BagError(f"{file}: is not an MCAP file")
+            self.lost += at
+        while at < len(data) and data[at:] != MAGIC:
+            kind, end = record_at(data, at)
+            if kind == DATA_END:
+                return
+            if not kind:
+                found = next_chunk(data, sure)  # a damaged record may have led too far
+                self.lost += max(0, found - at)
+                self.places.append(f"no record at byte {at}")
+                at = found
+            elif kind == CHUNK:
+                try:
+                    inside = in_chunk(data[at + RECORD.size : end])
+                except Exception:  # the parsers take damaged bytes as they come
+                    self.lost += end - at
+                    self.places.append(f"damaged chunk at byte {at}")
+                else:
+                    yield from self._new(inside, at)
+                    sure = end
+                at = end
             else:
-                yield from self._in_turn(stream)
+                with suppress(Exception):  # as above
+                    yield from parsed(kind, data[at + RECORD.size : end])
+                at = end
 
-    def _indexed(self, stream: BinaryIO, chunks: Iterable[ChunkIndex]) -> Iterator[McapRecord]:
-        """Those in the chunks that the index knows, whatever lies between them."""
-        for index in chunks:
-            stream.seek(index.chunk_start_offset + RECORD.size + 24)
-            crc = int.from_bytes(stream.read(CRC.size), "little")
-            stream.seek(index.chunk_start_offset + index.chunk_length - index.compressed_size)
-            chunk = Chunk(
-                compression=index.compression,
-                data=stream.read(index.compressed_size),
-                message_start_time=index.message_start_time,
-                message_end_time=index.message_end_time,
-                uncompressed_crc=crc,
-                uncompressed_size=index.uncompressed_size,
-            )
-            yield from self._within(chunk, index.chunk_length)
-
-    def _in_turn(self, stream: BinaryIO) -> Iterator[McapRecord]:
-        """One after the other, up to the first place from which nothing leads on."""
-        size = stream.seek(0, SEEK_END)
-        stream.seek(0)
-        end = 0  # of the last whole record
-        found = iter(StreamReader(stream, emit_chunks=True, record_size_limit=size).records)
-        while True:
-            try:
-                record = next(found)
-            except (StopIteration, InvalidMagic) as stop:
-                if isinstance(stop, InvalidMagic) and end == 0:
-                    raise BagError(f"{self.file}: is not an MCAP file") from None
-                break
-            except OSError:
-                raise
-            except Exception:  # the parser takes damaged bytes as they come
-                break
-            start, end = end, stream.tell()
-            if isinstance(record, Chunk):
-                yield from self._within(record, end - start)
-            else:
-                yield record
-        self.lost += size - end
-
-    def _within(self, chunk: Chunk, size: int) -> list[McapRecord]:
-        """Those in a chunk of so many bytes; none if it is damaged."""
-        try:
-            unpacked, length = get_chunk_data_stream(chunk, validate_crc=True)
-            for _ in records(unpacked.read(length)):  # of which breakup_chunk is not so sure
-                pass
-            return breakup_chunk(chunk)
-        except Exception:  # the parsers take damaged bytes as they come
-            self.lost += size
+    def _new(self, inside: list[McapRecord], at: int) -> list[McapRecord]:
+        """What a chunk holds, unless another one did."""
+        messages = [hash((r.channel_id, r.log_time, r.data)) for r in inside if isinstance(r, Message)]
+        key = len(messages), hash(tuple(messages))
+        if messages and key in self.met:
+            self.places.append(f"a second copy of a chunk at byte {at}")
             return []
+        self.met.add(key)
+        return inside
 
 
-def _summary(stream: BinaryIO) -> Summary | None:
-    """The summary at the end of an MCAP file, if it is whole."""
-    try:
-        return make_reader(stream).get_summary()
-    except Exception:  # as above; an OSError, too, where it seeks to before a short file's begin
-        return None
+def record_at(data: mmap, at: int) -> tuple[int, int]:
+    """Kind and end of the record there; kind 0: there is none."""
+    if at + RECORD.size > len(data):
+        return 0, at
+    kind, length = RECORD.unpack_from(data, at)
+    end = at + RECORD.size + length
+    return (kind if kind <= DATA_END and end <= len(data) else 0), end
 
 
-def _connect(writer: Writer, file: Path, channel: Channel, schema: Schema) -> Connection:
+def next_chunk(data: mmap, at: int) -> int:
+    """Where the next whole chunk is, from `at` on; the end of the data: nowhere."""
+    for match in CHUNK_HEAD.finditer(data, at):
+        begin = match.start()
+        kind, end = record_at(data, begin)
+        if kind == CHUNK:
+            with suppress(Exception):  # the parsers take damaged bytes as they come
+                in_chunk(data[begin + RECORD.size : end])
+                return begin
+    return len(data)
+
+
+def in_chunk(record: bytes) -> list[McapRecord]:
+    """The schemas, channels and messages in a chunk.
+
+    Raises:
+        Exception: it is damaged.
+    """
+    chunk = Chunk.read(record)
+    data = chunk.unpacked()
+    found = list(chain.from_iterable(parsed(kind, data[at:to]) for kind, at, to in records(data)))
+    if not chunk.crc and not all(
+        chunk.begin <= r.log_time <= chunk.end for r in found if isinstance(r, Message)
+    ):
+        raise DamageError("a message is out of its chunk's times")
+    return found
+
+
+def parsed(kind: int, data: bytes) -> Iterator[McapRecord]:
+    """What a record is, if it is a schema, a channel or a message.
+
+    Raises:
+        Exception: it is damaged.
+    """
+    if kind == MESSAGE:
+        channel, sequence, receipt, published = HEAD.unpack_from(data)
+        if receipt > LAST:
+            raise DamageError(f"a message is of {receipt} ns")
+        yield Message(channel, receipt, data[HEAD.size :], published, sequence)
+    elif kind in (SCHEMA, CHANNEL):
+        contents = Contents()
+        contents.add(kind, data)
+        yield from [*contents.schemas.values(), *contents.channels.values()]
+
+
+def _connect(writer: CheckedWriter, file: Path, channel: Channel, schema: Schema) -> Connection:
     """Begin a topic in `writer` as it was in `file`."""
     try:
         if schema.encoding != "ros2msg":
@@ -183,12 +241,9 @@ def _connect(writer: Writer, file: Path, channel: Channel, schema: Schema) -> Co
         store = get_typestore(Stores.EMPTY)
         store.register(get_types_from_msg(text, schema.name))
         digest = store.hash_rihs01(schema.name)
-    except (TypesysError, UnicodeDecodeError) as error:
-        raise BagError(f"{file}: {channel.topic} of type {schema.name}: {error}") from None
+    except Exception as error:  # rosbags parses damaged bytes as they come
+        about = f"{short(channel.topic)} of type {short(schema.name)}"
+        raise BagError(f"{file}: {about}: {short(str(error))}") from None
     return writer.add_connection(
-        channel.topic,
-        schema.name,
-        msgdef=text,
-        rihs01=digest,
-        offered_qos_profiles=parse_qos(channel.metadata.get("offered_qos_profiles", "")),
+        channel.topic, schema.name, msgdef=text, rihs01=digest, offered_qos_profiles=qos(channel)
     )

@@ -61,10 +61,13 @@ def examine(path: Path, mend: bool, console: Console) -> bool:
     for bag in find(path) if mend else ():
         if recovered := repair(bag):
             console.print(f"repaired: {escape(str(recovered))}")
-    with open_bags(path) as bags:
+    with open_bags(path, thorough=True) as bags:
         heard = streams(bags)
         console.print(table(path, bags, heard))
         wrong = [f"damaged: {damage}; doctor --repair makes it whole" for damage in bags.recovered]
+        for bag in bags.unchecked:
+            said = f"{bag} has not all of it under checksums: not all damage to it can be seen"
+            console.print(escape(said))
         for name, topic in bags.topics.items():
             wrong += [f"{name}: {what}" for what in findings(topic, heard[name], bags.span[0])]
             if said := remark(topic):

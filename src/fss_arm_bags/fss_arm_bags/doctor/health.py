@@ -3,12 +3,13 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from struct import Struct
+from struct import error as StructError
 
 import numpy as np
 from rosbags.interfaces import QosReliability
 
 from fss_arm_bags.definitions import MEASUREMENTS, NotInstalledError, definition, extends
-from fss_arm_bags.reader import Bags, Topic, two_versions
+from fss_arm_bags.reader import BagError, Bags, Topic, two_versions
 from fss_arm_ros.convert import SECOND
 
 PERIODS = 5  # of a steady topic; a longer silence is a gap
@@ -67,7 +68,10 @@ def streams(bags: Bags) -> dict[str, Stream]:
     for topic, msgtype, receipt, data in bags.raw():
         receipts[topic].append(receipt)
         if msgtype in MEASUREMENTS:
-            sec, nanosec = STAMP.unpack_from(data)
+            try:
+                sec, nanosec = STAMP.unpack_from(data)
+            except StructError:
+                raise BagError(f"{topic}: {len(data)} bytes are no {msgtype}") from None
             stamps[topic].append(sec * SECOND + nanosec)
     begins = np.array(bags.begins, np.int64)
     return {

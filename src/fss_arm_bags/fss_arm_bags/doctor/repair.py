@@ -5,8 +5,8 @@ from os import link
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from fss_arm_bags.reader import open_bags
-from fss_arm_bags.recovery import BagError, Recovered, is_sound, recover, storage_files
+from fss_arm_bags.inspection import inspect
+from fss_arm_bags.recovery import BagError, Recovered, recover
 
 
 def repair(path: Path) -> Recovered | None:
@@ -18,17 +18,17 @@ def repair(path: Path) -> Recovered | None:
         BagError: nothing can be recovered, or the bag is being recorded.
         OSError: the result cannot be written.
     """
-    if is_sound(path) and _reads_through(path):
+    found = inspect(path, thorough=True)
+    damage = found.damage or found.metadata
+    if not damage:
         return None
-    files = storage_files(path)
-    if not files or any(file.suffix != ".mcap" for file in files):
-        raise BagError(f"{path}: damaged; only MCAP files can be repaired")
+    files = found.files
     first, *others = files
     if any(map(_locked, files)):
         raise BagError(f"{path}: is being recorded; stop the recorder first")
     with TemporaryDirectory(dir=first.parent, prefix=".repair_") as folder:
         copy = Path(folder, first.stem)  # its file has the name of the first, and takes its place
-        recovered = recover(path, copy)
+        recovered = recover(path, copy, damage)
         metadata = path / "metadata.yaml"
         if metadata.exists() and not _kept(first).exists():  # else of an interrupted repair
             _keep(metadata)
@@ -40,17 +40,6 @@ def repair(path: Path) -> Recovered | None:
         for file in others:
             file.unlink(missing_ok=True)
     return recovered
-
-
-def _reads_through(path: Path) -> bool:
-    """Whether no chunk of a bag that has its index is damaged."""
-    try:
-        with open_bags(path) as bags:
-            for _ in bags.raw():
-                pass
-    except BagError:
-        return False
-    return True
 
 
 def _locked(file: Path) -> bool:

@@ -1,0 +1,392 @@
+"""Whether an MCAP file is whole, and whether a bag's metadata.yaml agrees with its files.
+
+By the checksums of its data and its summary, if it has both, as ours have. Else record by record:
+lengths, the index and the statistics against what there is, chunks by their checksums, or by what
+of a message is written twice: its time and place. Of a file without any checksum, damage to what
+is written once cannot be seen: the messages themselves.
+"""
+
+import struct
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from io import BytesIO
+from os import SEEK_END
+from pathlib import Path, PurePath
+from typing import Any, BinaryIO, NamedTuple
+from zlib import crc32
+
+from mcap.data_stream import ReadDataStream
+from mcap.records import Channel, ChunkIndex, MessageIndex, Schema, Statistics
+from rosbags.rosbag2.metadata import parse_qos
+from rosbags.rosbag2.storage_mcap import decompress
+
+from fss_arm_bags.chunks import CHANNEL, CHUNK, CRC, HEAD, MESSAGE, RECORD, SCHEMA, records
+from fss_arm_bags.storage import FOOTER
+from fss_arm_model.files import read_yaml, short
+
+MAGIC = b"\x89MCAP0\r\n"
+HEADER, MESSAGE_INDEX, CHUNK_INDEX, STATISTICS, DATA_END = 1, 7, 8, 11, 15
+LAST = 2**63 - 1  # [ns] a time is at most
+MOST_QOS = 2**16  # characters of a channel's QoS profiles
+BLOCK = 2**20  # [bytes] read at once
+TOLERANCE = 10**9  # [ns] of the times in metadata.yaml
+
+
+class DamageError(ValueError):
+    """What is wrong with a file, in one line."""
+
+
+@dataclass
+class Contents:
+    """What a file holds, by its summary or by what was met in its data."""
+
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+    chunks: dict[int, ChunkIndex] = field(default_factory=dict)  # by their places
+    counts: Counter[int] = field(default_factory=Counter)  # messages by channel
+    statistics: Statistics | None = None
+    checked: bool = False  # all of it is under checksums
+
+    def add(self, kind: int, data: bytes) -> None:
+        """Take in what a record holds.
+
+        Raises:
+            DamageError: it contradicts an earlier one.
+        """
+        stream = ReadDataStream(BytesIO(data))
+        if kind == SCHEMA:
+            schema = Schema.read(stream)
+            _once(self.schemas, schema.id, schema)
+        elif kind == CHANNEL:
+            channel = Channel.read(stream)
+            qos(channel)
+            _once(self.channels, channel.id, channel)
+        elif kind == CHUNK_INDEX:
+            chunk = ChunkIndex.read(stream)
+            _once(self.chunks, chunk.chunk_start_offset, chunk)
+        elif kind == STATISTICS:
+            self.statistics = Statistics.read(stream)
+
+
+def _once(known: dict[int, Any], key: int, value: Any) -> None:
+    if known.setdefault(key, value) != value:
+        raise DamageError(f"{type(value).__name__} {key} is there in two versions")
+
+
+def qos(channel: Channel) -> list[Any]:
+    """The QoS profiles of a channel as rosbags reads them.
+
+    Raises:
+        ValueError: they are nothing that it should read.
+    """
+    text = channel.metadata.get("offered_qos_profiles", "")
+    if len(text) > MOST_QOS:
+        raise DamageError(f"{short(channel.topic)}: {len(text)} characters of QoS profiles")
+    try:
+        read_yaml(text)
+        return parse_qos(text)
+    except Exception as error:  # rosbags takes what there is as it comes
+        raise DamageError(f"QoS profiles of {short(channel.topic)}: {short(str(error))}") from None
+
+
+class Chunk(NamedTuple):
+    """A chunk record."""
+
+    begin: int  # [ns] of its first message, as its end of the last
+    end: int
+    size: int  # unpacked [bytes]
+    crc: int  # of what is in it, unpacked; 0: none
+    compression: str
+    data: bytes
+
+    @classmethod
+    def read(cls, data: bytes) -> "Chunk":
+        """From what the record holds.
+
+        Raises:
+            DamageError: that is no chunk.
+        """
+        if len(data) < 40:
+            raise DamageError("a chunk is too short")
+        word = int.from_bytes
+        name = data[32 : 32 + word(data[28:32], "little")]
+        at = 40 + len(name)
+        if name not in (b"", b"lz4", b"zstd") or word(data[at - 8 : at], "little") != len(data) - at:
+            raise DamageError("a chunk's head does not fit it")
+        numbers = [word(data[k : k + 8], "little") for k in (0, 8, 16)]
+        crc = word(data[24:28], "little")
+        return cls(*numbers, crc, name.decode(), data[at:])
+
+    def unpacked(self) -> bytes:
+        """What is in it.
+
+        Raises:
+            Exception: it is damaged.
+        """
+        return decompress(self.data, self.compression, self.size, self.crc)
+
+
+def examine(path: Path, *, thorough: bool = False) -> Contents:
+    """What an MCAP file holds, if it is whole.
+
+    Args:
+        thorough: look also at what readers do without, as the times in the message index.
+
+    Raises:
+        DamageError: it is damaged.
+        OSError: it cannot be read.
+    """
+    with path.open("rb") as file:
+        try:
+            return _examine(file, thorough)
+        except (DamageError, OSError):
+            raise
+        except Exception as error:  # the parsers take damaged bytes as they come
+            raise DamageError(short(str(error)) or type(error).__name__) from None
+
+
+class End(NamedTuple):
+    """What the end of a file tells of it."""
+
+    known: Contents  # by the summary
+    data: int  # bytes of data
+    data_crc: int  # 0: none, as the next
+    summary_crc: int
+
+
+def read_end(file: BinaryIO) -> End:
+    """Read the summary and the checksums at the end of an MCAP file.
+
+    Raises:
+        Exception: it is damaged.
+    """
+    size = file.seek(0, SEEK_END)
+    file.seek(max(0, size - FOOTER))
+    footer = file.read()
+    if size < FOOTER or RECORD.unpack_from(footer) != (2, 20) or not footer.endswith(MAGIC):
+        raise DamageError("it ends without an index")
+    start, _, crc = struct.unpack_from("<QQI", footer, RECORD.size)
+    end = start - RECORD.size - CRC.size  # of the data
+    if not len(MAGIC) < end < size - FOOTER:
+        raise DamageError("it has no index" if start == 0 else "its index is not where it should be")
+    file.seek(end)
+    closing = file.read(RECORD.size + CRC.size)
+    summary = file.read(size - FOOTER - start)
+    if crc and crc32(footer[: RECORD.size + 16], crc32(summary)) != crc:
+        raise DamageError("its index is damaged")
+    if RECORD.unpack_from(closing) != (DATA_END, CRC.size):
+        raise DamageError("its data do not end before its index")
+    known = Contents()
+    for kind, at, to in records(summary):
+        known.add(kind, summary[at:to])
+    times = [c.message_end_time for c in known.chunks.values()]
+    times += [known.statistics.message_end_time] if known.statistics else []
+    if max(times, default=0) > LAST:
+        raise DamageError(f"its messages are of {max(times)} ns")
+    return End(known, end, CRC.unpack_from(closing, RECORD.size)[0], crc)
+
+
+def _examine(file: BinaryIO, thorough: bool) -> Contents:
+    if file.read(len(MAGIC)) != MAGIC:
+        raise DamageError("its begin is not an MCAP file's")
+    end = read_end(file)
+    if end.data_crc and _sum(file, end.data) != end.data_crc:
+        raise DamageError("its data are damaged")
+    if end.data_crc and end.summary_crc:
+        end.known.checked = True
+        return end.known
+    return _Walk(file, end, thorough).run()
+
+
+def _sum(file: BinaryIO, end: int) -> int:
+    """The checksum of all up to `end`."""
+    file.seek(0)
+    crc = 0
+    for at in range(0, end, BLOCK):
+        crc = crc32(file.read(min(BLOCK, end - at)), crc)
+    return crc
+
+
+class _Walk:
+    """Goes through the data of a file record by record, and compares."""
+
+    def __init__(self, file: BinaryIO, end: End, thorough: bool) -> None:
+        self.file, self.end, self.known = file, end.data, end.known
+        self.every = thorough or not end.summary_crc  # also what is in chunks with a checksum
+        self.met = Contents(checked=end.summary_crc != 0)
+        self.begins, self.ends = LAST, 0
+        self.index: dict[int, list[tuple[int, int]]] | None = None  # of the last chunk
+
+    def run(self) -> Contents:
+        """What the file holds.
+
+        Raises:
+            DamageError: it is damaged.
+        """
+        at = len(MAGIC)
+        while at < self.end:
+            self.file.seek(at)
+            kind, length = RECORD.unpack(self.file.read(RECORD.size))
+            to = at + RECORD.size + length
+            if to > self.end or not (0 < kind < DATA_END or kind >= 0x80):
+                raise DamageError(f"no whole record at byte {at}")
+            if (kind == HEADER) != (at == len(MAGIC)):
+                raise DamageError(f"its header is at byte {at}")
+            if kind in (SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX):
+                self._take(kind, at, self.file.read(length))
+            at = to
+        self._compare()
+        return self.known
+
+    def _take(self, kind: int, at: int, data: bytes) -> None:
+        if kind == CHUNK:
+            self._chunk(at, Chunk.read(data))
+        elif kind == MESSAGE_INDEX:
+            found = MessageIndex.read(ReadDataStream(BytesIO(data)))
+            if self.index is not None and sorted(found.records) != self.index.pop(
+                found.channel_id, None
+            ):
+                raise DamageError(f"the message index at byte {at} does not fit its chunk")
+        else:
+            self.met.checked = False
+            self._record(kind, data)
+
+    def _chunk(self, at: int, chunk: Chunk) -> None:
+        index = self.known.chunks.get(at)
+        size = len(chunk.data) + RECORD.size + 40 + len(chunk.compression)
+        if index is None or chunk[:3] + (chunk.compression, len(chunk.data), size) != (
+            index.message_start_time,
+            index.message_end_time,
+            index.uncompressed_size,
+            index.compression,
+            index.compressed_size,
+            index.chunk_length,
+        ):
+            raise DamageError(f"the chunk at byte {at} is not the index's")
+        data = chunk.unpacked()
+        self.met.chunks[at] = index
+        self.met.checked &= chunk.crc != 0
+        self.index = None
+        if self.every or not chunk.crc:
+            self.index = {}
+            for kind, begin, end in records(data):
+                self._record(kind, data[begin:end], begin - RECORD.size, chunk)
+            for entries in self.index.values():
+                entries.sort()
+            if not index.message_index_offsets:  # an index is not required
+                self.index = None
+
+    def _record(
+        self, kind: int, data: bytes, offset: int = 0, chunk: Chunk | None = None
+    ) -> None:
+        if kind != MESSAGE:
+            self.met.add(kind, data)
+            return
+        channel, _, receipt, _ = HEAD.unpack_from(data)
+        if chunk and not chunk.begin <= receipt <= chunk.end or receipt > LAST:
+            raise DamageError(f"a message of {receipt} ns is out of its chunk's times")
+        if channel not in self.known.channels:
+            raise DamageError(f"a message is on channel {channel}, which is not there")
+        self.met.counts[channel] += 1
+        self.begins, self.ends = min(self.begins, receipt), max(self.ends, receipt)
+        if chunk and self.index is not None:
+            self.index.setdefault(channel, []).append((receipt, offset))
+
+    def _compare(self) -> None:
+        known, met = self.known, self.met
+        if met.chunks.keys() != known.chunks.keys():
+            raise DamageError("it lacks chunks that its index has")
+        for name in ("schemas", "channels"):
+            theirs = getattr(known, name)
+            if any(theirs.get(k, v) != v for k, v in getattr(met, name).items()):
+                raise DamageError(f"its {name} are not those of its index")
+        said = known.statistics
+        if self.every and said:
+            told = (said.message_count, +Counter(said.channel_message_counts))
+            if told != (met.counts.total(), met.counts) or (
+                met.counts
+                and (said.message_start_time, said.message_end_time) != (self.begins, self.ends)
+            ):
+                raise DamageError("it does not hold the messages that its index counts")
+        known.checked = met.checked
+
+
+def metadata(path: Path) -> Mapping[str, Any]:
+    """What the metadata.yaml of a bag says.
+
+    Raises:
+        DamageError: it is not to be read, or not of a bag.
+    """
+    try:
+        about = read_yaml(path / "metadata.yaml")["rosbag2_bagfile_information"]
+    except FileNotFoundError:
+        raise DamageError("it has no metadata.yaml") from None
+    except Exception as error:
+        raise DamageError(f"metadata.yaml: {short(str(error).removeprefix(str(path)))}") from None
+    if not isinstance(about, dict):
+        raise DamageError(f"metadata.yaml says {short(repr(about))} of the bag")
+    return about
+
+
+def disagreement(
+    about: Mapping[str, Any], files: Mapping[Path, Contents], hashes: Mapping[str, str]
+) -> str:
+    """What in a metadata.yaml is not as it is in the bag's files; empty: nothing.
+
+    Args:
+        about: what it says.
+        files: what the files hold.
+        hashes: RIHS01 of the types by their names.
+    """
+    try:
+        return next(_disagreements(about, files, hashes), "")
+    except Exception as error:  # anything may be of any type
+        return f"metadata.yaml is not understood: {short(repr(error))}"
+
+
+def _disagreements(
+    about: Mapping[str, Any], files: Mapping[Path, Contents], hashes: Mapping[str, str]
+) -> Iterator[str]:
+    def differs(what: str, said: object, present: object) -> Iterator[str]:
+        if said != present:
+            yield f"{what} is {short(repr(said))} in metadata.yaml, {short(repr(present))} in fact"
+
+    names = sorted(PurePath(name).name for name in about["relative_file_paths"])
+    yield from differs("the list of files", names, sorted(file.name for file in files))
+    yield from differs("the storage", about["storage_identifier"], "mcap")
+    if about["version"] not in range(1, 10):
+        yield f"version {short(repr(about['version']))} in metadata.yaml is not known"
+    counts: Counter[tuple[str, str]] = Counter()
+    profiles: dict[tuple[str, str], Any] = {}
+    for contents in files.values():
+        each = contents.statistics.channel_message_counts if contents.statistics else {}
+        for key, channel in contents.channels.items():
+            name = channel.topic, contents.schemas[channel.schema_id].name
+            counts[name] += each.get(key, 0)
+            profiles[name] = qos(channel)
+    topics = [(t["topic_metadata"], t["message_count"]) for t in about["topics_with_message_count"]]
+    said = {(t["name"], t["type"]): count for t, count in topics if count}
+    if any(contents.statistics is None for contents in files.values()):
+        return
+    yield from differs("the number of messages by topic", said, dict(+counts))
+    yield from differs("the number of messages", about["message_count"], counts.total())
+    if len(said) != sum(bool(count) for _, count in topics):
+        yield "a topic is twice in metadata.yaml"
+    for topic, _ in topics:
+        name, kind = topic["name"], topic["type"]
+        yield from differs(f"{short(name)}'s format", topic["serialization_format"], "cdr")
+        if digest := topic.get("type_description_hash"):
+            yield from differs(f"the hash of {short(kind)}", digest, hashes.get(kind, digest))
+        if (name, kind) in profiles:
+            given = topic.get("offered_qos_profiles", [])
+            read_yaml(given) if isinstance(given, str) else None
+            yield from differs(f"{short(name)}'s QoS", parse_qos(given), profiles[name, kind])
+    if counts.total():
+        ends = [s for c in files.values() if (s := c.statistics) and s.message_count]
+        begin = min(s.message_start_time for s in ends)
+        last = max(s.message_end_time for s in ends)
+        start = about["starting_time"]["nanoseconds_since_epoch"]
+        lasts = about["duration"]["nanoseconds"]
+        if abs(start - begin) > TOLERANCE or abs(start + lasts - last) > TOLERANCE:
+            yield "its times in metadata.yaml are not those of its messages"
