@@ -90,8 +90,8 @@ BAGS: dict[str, Callable[[Path], Path]] = {
     "standard": make_standard,
     "first": make_first,
 }
-#: Bags in which every byte of a message is under a checksum.
-CHECKED = "recorded", "killed", "standard"
+#: Bags without checksums.
+UNCHECKED = "plain", "first"
 
 
 def storage(bag: Path) -> Path:
@@ -329,10 +329,16 @@ def part_of(some: list[Any], whole: list[Any]) -> bool:
     return all(any(one == other for other in rest) for one in some)
 
 
+def but_bytes(some: list[Any], others: list[Any]) -> bool:
+    """Whether two lists of messages differ in what is serialized only, by no byte in length."""
+    return [(*m[:3], len(m[3])) for m in some] == [(*m[:3], len(m[3])) for m in others]
+
+
 SAME, SAID, FEWER, OTHER = "same", "same, said so", "fewer, said so", "other, said so"
+UNKNOWABLE = "bytes of messages"  # which are under no checksum
 REFUSED, LONG = "refused", "refused at length"
 TRACEBACK, HANG, SILENT = "TRACEBACK", "HANG", "SILENT"
-UNSEEN, SEEN = "UNSEEN", "seen"
+UNSEEN, SEEN, HARMLESS = "UNSEEN", "seen", "unseen, harmless"
 MENDED, MENDED_FEWER, MENDED_OTHER = "mended", "mended, fewer", "mended, other"
 WRONG = TRACEBACK, HANG, SILENT, LONG, UNSEEN
 
@@ -355,7 +361,7 @@ def of_reading(bag: Path, whole: Any) -> str:
     if (messages, topics) == whole[:2]:
         return SAID if len(said) > len(whole[2]) else SAME
     if not said:
-        return SILENT
+        return UNKNOWABLE if topics == whole[1] and but_bytes(messages, whole[0]) else SILENT
     return FEWER if part_of(messages, whole[0]) else OTHER
 
 
@@ -370,10 +376,10 @@ def doctored(*args: str) -> tuple[int, str]:
 
 
 def of_doctor(bag: Path, whole_said: str, whole_bag: Path) -> str:
-    _, said = doctored(str(bag))
+    code, said = doctored(str(bag))
     if said == LONG:
         return LONG
-    return UNSEEN if said.replace(str(bag), str(whole_bag)) == whole_said else SEEN
+    return UNSEEN if code == 0 and said.replace(str(bag), str(whole_bag)) == whole_said else SEEN
 
 
 def of_repair(bag: Path, whole: Any) -> str:
@@ -387,7 +393,8 @@ def of_repair(bag: Path, whole: Any) -> str:
     if after:
         return SILENT  # it is not mended
     if "repaired:" not in said:
-        return SAME if same else SILENT
+        known = topics != whole[1] or not but_bytes(messages, whole[0])
+        return SAME if same else SILENT if known else UNKNOWABLE
     return MENDED if same else MENDED_FEWER if part_of(messages, whole[0]) else MENDED_OTHER
 
 
@@ -422,11 +429,11 @@ class Trial:
         damage(case, bag)
         if unharmed(bag, source):
             return Outcome(SAME, SEEN, SAME)
-        return Outcome(
-            attempt(lambda: of_reading(bag, whole)),
-            attempt(lambda: of_doctor(bag, self.said[case.bag], source)),
-            attempt(lambda: of_repair(bag, whole)),
-        )
+        read = attempt(lambda: of_reading(bag, whole))
+        seen = attempt(lambda: of_doctor(bag, self.said[case.bag], source))
+        if seen == UNSEEN and (case.bag in UNCHECKED or case.damage.startswith("metadata")):
+            seen = {SAME: HARMLESS, UNKNOWABLE: UNKNOWABLE}.get(read, seen)
+        return Outcome(read, seen, attempt(lambda: of_repair(bag, whole)))
 
 
 def unharmed(bag: Path, source: Path) -> bool:

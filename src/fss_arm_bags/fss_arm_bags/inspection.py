@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -34,7 +35,9 @@ def inspect(path: Path, *, thorough: bool = False) -> Inspected:
         BagError: it is of a kind of which nothing can be recovered, and damaged.
         OSError: it cannot be read.
     """
-    files, about, wrong = storage_files(path), {}, ""
+    files = storage_files(path)
+    about: Mapping[str, Any] = {}
+    wrong = ""
     if path.is_dir():
         try:
             about = metadata(path)
@@ -43,11 +46,9 @@ def inspect(path: Path, *, thorough: bool = False) -> Inspected:
     if any(file.suffix != ".mcap" for file in files) or about.get("compression_mode") or not files:
         if wrong and path.is_dir():
             raise BagError(f"{path}: {wrong}")
-        try:
-            with Reader(path):
-                return Inspected()
-        except Exception as error:  # rosbags parses what there is as it comes
-            raise BagError(f"{path}: {short(str(error))}") from None
+        if wrong := _refused(path):
+            raise BagError(f"{path}: {wrong}")
+        return Inspected()
     known: dict[Path, Contents] = {}
     for file in files:
         try:
@@ -63,6 +64,8 @@ def inspect(path: Path, *, thorough: bool = False) -> Inspected:
         return Inspected(files, damage=f"a definition is not understood: {short(str(error))}")
     if path.is_dir() and not wrong:
         wrong = disagreement(about, known, hashes)
+    if path.is_dir() and not wrong and thorough:
+        wrong = _refused(path)
     return Inspected(files, count, checked, metadata=wrong)
 
 
@@ -74,6 +77,15 @@ def is_sound(path: Path) -> bool:
     """
     found = inspect(path, thorough=True)
     return not (found.damage or found.metadata)
+
+
+def _refused(path: Path) -> str:
+    """Why rosbags does not open a bag; empty: it does."""
+    try:
+        with Reader(path):
+            return ""
+    except Exception as error:  # rosbags parses what there is as it comes
+        return short(str(error)) or type(error).__name__
 
 
 def _hashes(files: Mapping[Path, Contents]) -> dict[str, str]:

@@ -10,6 +10,7 @@ import struct
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 from io import BytesIO
 from os import SEEK_END
 from pathlib import Path, PurePath
@@ -18,6 +19,7 @@ from zlib import crc32
 
 from mcap.data_stream import ReadDataStream
 from mcap.records import Channel, ChunkIndex, MessageIndex, Schema, Statistics
+from rosbags.interfaces import Qos
 from rosbags.rosbag2.metadata import parse_qos
 from rosbags.rosbag2.storage_mcap import decompress
 
@@ -74,20 +76,28 @@ def _once(known: dict[int, Any], key: int, value: Any) -> None:
         raise DamageError(f"{type(value).__name__} {key} is there in two versions")
 
 
-def qos(channel: Channel) -> list[Any]:
+def qos(channel: Channel) -> list[Qos]:
     """The QoS profiles of a channel as rosbags reads them.
 
     Raises:
-        ValueError: they are nothing that it should read.
+        DamageError: they are nothing that it should read.
     """
-    text = channel.metadata.get("offered_qos_profiles", "")
-    if len(text) > MOST_QOS:
-        raise DamageError(f"{short(channel.topic)}: {len(text)} characters of QoS profiles")
     try:
-        read_yaml(text)
-        return parse_qos(text)
+        return profiles(channel.metadata.get("offered_qos_profiles", ""))
     except Exception as error:  # rosbags takes what there is as it comes
         raise DamageError(f"QoS profiles of {short(channel.topic)}: {short(str(error))}") from None
+
+
+@lru_cache
+def profiles(text: str) -> list[Qos]:
+    """The QoS profiles in a text.
+
+    Raises:
+        Exception: there is something else in it.
+    """
+    if len(text) > MOST_QOS:  # rosbags takes its time
+        raise DamageError(f"{len(text)} characters")
+    return parse_qos(read_yaml(text) or [])
 
 
 class Chunk(NamedTuple):
@@ -358,13 +368,13 @@ def _disagreements(
     if about["version"] not in range(1, 10):
         yield f"version {short(repr(about['version']))} in metadata.yaml is not known"
     counts: Counter[tuple[str, str]] = Counter()
-    profiles: dict[tuple[str, str], Any] = {}
+    offered: dict[tuple[str, str], list[Qos]] = {}
     for contents in files.values():
         each = contents.statistics.channel_message_counts if contents.statistics else {}
         for key, channel in contents.channels.items():
             name = channel.topic, contents.schemas[channel.schema_id].name
             counts[name] += each.get(key, 0)
-            profiles[name] = qos(channel)
+            offered[name] = qos(channel)
     topics = [(t["topic_metadata"], t["message_count"]) for t in about["topics_with_message_count"]]
     said = {(t["name"], t["type"]): count for t, count in topics if count}
     if any(contents.statistics is None for contents in files.values()):
@@ -378,10 +388,10 @@ def _disagreements(
         yield from differs(f"{short(name)}'s format", topic["serialization_format"], "cdr")
         if digest := topic.get("type_description_hash"):
             yield from differs(f"the hash of {short(kind)}", digest, hashes.get(kind, digest))
-        if (name, kind) in profiles:
+        if (name, kind) in offered:
             given = topic.get("offered_qos_profiles", [])
-            read_yaml(given) if isinstance(given, str) else None
-            yield from differs(f"{short(name)}'s QoS", parse_qos(given), profiles[name, kind])
+            read = profiles(given) if isinstance(given, str) else parse_qos(given)
+            yield from differs(f"{short(name)}'s QoS", read, offered[name, kind])
     if counts.total():
         ends = [s for c in files.values() if (s := c.statistics) and s.message_count]
         begin = min(s.message_start_time for s in ends)

@@ -67,6 +67,8 @@ def streams(bags: Bags) -> dict[str, Stream]:
     stamps: dict[str, list[int]] = {topic: [] for topic in bags.topics}
     for topic, msgtype, receipt, data in bags.raw():
         receipts[topic].append(receipt)
+        if bags.unchecked:
+            bags.deserialize(data, msgtype)  # which tells at least what is none of its type
         if msgtype in MEASUREMENTS:
             try:
                 sec, nanosec = STAMP.unpack_from(data)
