@@ -15,8 +15,8 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import ByteMultiArray
 
-from fss_arm_bags.reader import find, open_bags
 from fss_arm_bags.inspection import is_sound
+from fss_arm_bags.reader import find, open_bags
 from fss_arm_msgs.msg import LinkTelemetry
 from fss_arm_ros.convert import SECOND, stamp_ns
 from fss_arm_ros.qos import SENSOR, subscribe_sensor

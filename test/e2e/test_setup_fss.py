@@ -15,8 +15,8 @@ from threading import Event
 import pytest
 from conftest import DOMAIN, OWN, wait_until
 
-from fss_arm_bags.reader import find, open_bags
 from fss_arm_bags.inspection import is_sound
+from fss_arm_bags.reader import find, open_bags
 from fss_arm_model.description import paper_arm, save
 
 SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"

@@ -1,5 +1,8 @@
 """The recorder on live topics."""
 
+from contextlib import contextmanager
+from resource import RLIMIT_FSIZE, getrlimit, setrlimit
+
 import pytest
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -13,6 +16,7 @@ from std_msgs.msg import Int64, String
 from fss_arm_bags.definitions import definition
 from fss_arm_bags.reader import open_bags
 from fss_arm_bags.record_node import RecordNode, match
+from fss_arm_ros.diagnostics import ERROR, WARN
 from fss_arm_ros.qos import LATCHED, SENSOR
 
 BEST_EFFORT = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -166,11 +170,78 @@ def test_an_output_that_cannot_be_is_refused(ros, tmp_path, output):
         recorder(output and tmp_path / output)
 
 
+@contextmanager
+def files_of(size):
+    """As on a full disk: a file can have that many bytes."""
+    soft, hard = getrlimit(RLIMIT_FSIZE)
+    setrlimit(RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        setrlimit(RLIMIT_FSIZE, (soft, hard))
+
+
+def test_on_a_full_disk_it_tries_on_and_counts_what_is_lost(spin, tmp_path, monkeypatch):
+    monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path))
+    node = Node("source")
+    out = node.create_publisher(JointState, "joint_states", SENSOR)
+    record = recorder(tmp_path / "bags", topics=["joint_states"])
+    said = []
+    for level in ("error", "warning"):
+        monkeypatch.setattr(record.get_logger(), level, said.append)
+    spin([node, record], out.get_subscription_count)
+    heard = record.counts
+
+    def publish(first, count):
+        for k in range(first, first + count):
+            out.publish(joint_state(k))
+
+    publish(0, 100)
+    spin(record, lambda: heard["/joint_states"] == 100)
+    record.flush()
+    with files_of(record.recording._storage.bio.tell() + 1000):
+        publish(100, 50)  # which wait
+        spin(record, lambda: heard["/joint_states"] == 150)
+        spin(record, lambda: record.recording.failure)
+        assert record.health().level == ERROR
+        publish(150, 30)
+        spin(record, lambda: record.recording.lost == 30)
+        record.flush()
+        assert said == [f"cannot write {tmp_path / 'bags/bag_0'}: File too large; tries on"]
+    spin(record, lambda: not record.recording.failure)
+    assert said[1:] == [f"writes {tmp_path / 'bags/bag_0'} again; 30 messages are lost"]
+    publish(180, 20)
+    spin(record, lambda: heard["/joint_states"] == 170)
+    assert record.health().level == WARN
+    assert record.health().values["lost"] == 30
+    record.close()
+    with open_bags(tmp_path / "bags", thorough=True) as bags:
+        assert states(bags.messages()) == [*range(150), *range(180, 200)]
+        assert bags.recovered == bags.unchecked == []
+
+
+def test_a_disk_that_is_full_at_the_end_is_told(spin, tmp_path):
+    node = Node("source")
+    out = node.create_publisher(JointState, "joint_states", SENSOR)
+    record = recorder(tmp_path, topics=["joint_states"])
+    spin([node, record], out.get_subscription_count)
+    out.publish(joint_state(0))
+    spin(record, lambda: record.counts["/joint_states"])
+    with (
+        files_of(1),
+        pytest.raises(SystemExit, match=r"bag_0: File too large; what it has is kept"),
+    ):
+        record.close()
+
+
 def test_a_split_that_another_recorder_forestalls_is_told(ros, tmp_path, monkeypatch):
     record = recorder(tmp_path)
     monkeypatch.setattr("fss_arm_bags.recorder.next_bag", lambda folder: folder / "bag_0")
-    record.close()
-    with pytest.raises(SystemExit, match=r"cannot write .*bag_0: File exists; what it has is kept"):
-        record.attempt(record.recording._open)
+    record.recording._split()
+    assert record.health().message == "cannot write: File exists"
+    monkeypatch.undo()
+    record.flush()
+    assert record.recording.path.name == "bag_1"
+    assert record.recording.failure is None
     record.close()
     record.destroy_node()

@@ -5,10 +5,14 @@ import shutil
 from errno import EPERM
 from os import strerror
 from pathlib import Path
+from zlib import crc32
 
 import pytest
 import yaml
+from damaged_bags import make_plain
 from mcap.reader import make_reader
+from mcap.records import Chunk, DataEnd, Footer
+from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import Writer as McapWriter
 from rclpy.serialization import serialize_message
 from ros_bags import SECOND, START, STEP, fill, joint_state, make_bag, make_killed_bag, states
@@ -19,9 +23,10 @@ from rosbags.rosbag2 import Reader
 from fss_arm_bags.definitions import definition
 from fss_arm_bags.doctor.command import main as doctor
 from fss_arm_bags.doctor.repair import repair
+from fss_arm_bags.inspection import is_sound
+from fss_arm_bags.integrity import examine
 from fss_arm_bags.reader import BagError, digest, find, open_bags
 from fss_arm_bags.recorder import Limits, Recording, bag_qos, next_bag
-from fss_arm_bags.inspection import is_sound
 from fss_arm_ros.qos import SENSOR
 
 
@@ -372,6 +377,33 @@ def test_a_recording_goes_on_in_the_next_bag_and_reads_as_one(tmp_path, limits):
     with open_bags(tmp_path) as whole:
         assert states(whole.messages()) == list(range(350))
         assert whole.topics["/robot_description"].messages == 1
+
+
+def test_what_is_written_is_under_checksums(tmp_path):
+    file = make_bag(tmp_path) / "bag_0.mcap"
+    contents = examine(file)
+    assert contents.checked
+    with file.open("rb") as stream:  # the MCAP library's own reader checks them
+        found = list(StreamReader(stream, emit_chunks=True, validate_crcs=True).records)
+    (closing,) = (r for r in found if isinstance(r, DataEnd))
+    (footer,) = (r for r in found if isinstance(r, Footer))
+    chunks = [r for r in found if isinstance(r, Chunk)]
+    assert len(chunks) == 10
+    assert all(c.uncompressed_crc for c in chunks)
+    assert closing.data_section_crc
+    for chunk in chunks:
+        breakup_chunk(chunk, validate_crc=True)
+    data = file.read_bytes()
+    assert footer.summary_crc == crc32(data[footer.summary_start : -12])
+
+
+def test_a_bag_without_checksums_is_said_to_have_none_and_is_healthy(tmp_path, capsys):
+    bag = make_plain(tmp_path)
+    assert doctor([str(bag)]) == 0
+    said = capsys.readouterr().out
+    assert f"{bag} has not all of it under checksums" in said
+    assert doctor([str(make_bag(tmp_path))]) == 0
+    assert "under checksums" not in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("chunked", [True, False])

@@ -119,14 +119,12 @@ class Chunk(NamedTuple):
         """
         if len(data) < 40:
             raise DamageError("a chunk is too short")
-        word = int.from_bytes
-        name = data[32 : 32 + word(data[28:32], "little")]
-        at = 40 + len(name)
-        if name not in (b"", b"lz4", b"zstd") or word(data[at - 8 : at], "little") != len(data) - at:
+        begin, end, size, crc, length = struct.unpack_from("<QQQII", data)
+        name, at = data[32 : 32 + length], 40 + length
+        packed = int.from_bytes(data[at - 8 : at], "little")
+        if name not in (b"", b"lz4", b"zstd") or packed != len(data) - at:
             raise DamageError("a chunk's head does not fit it")
-        numbers = [word(data[k : k + 8], "little") for k in (0, 8, 16)]
-        crc = word(data[24:28], "little")
-        return cls(*numbers, crc, name.decode(), data[at:])
+        return cls(begin, end, size, crc, name.decode(), data[at:])
 
     def unpacked(self) -> bytes:
         """What is in it.
@@ -179,7 +177,9 @@ def read_end(file: BinaryIO) -> End:
     start, _, crc = struct.unpack_from("<QQI", footer, RECORD.size)
     end = start - RECORD.size - CRC.size  # of the data
     if not len(MAGIC) < end < size - FOOTER:
-        raise DamageError("it has no index" if start == 0 else "its index is not where it should be")
+        raise DamageError(
+            "it has no index" if start == 0 else "its index is not where it should be"
+        )
     file.seek(end)
     closing = file.read(RECORD.size + CRC.size)
     summary = file.read(size - FOOTER - start)
@@ -287,14 +287,12 @@ class _Walk:
             if not index.message_index_offsets:  # an index is not required
                 self.index = None
 
-    def _record(
-        self, kind: int, data: bytes, offset: int = 0, chunk: Chunk | None = None
-    ) -> None:
+    def _record(self, kind: int, data: bytes, offset: int = 0, chunk: Chunk | None = None) -> None:
         if kind != MESSAGE:
             self.met.add(kind, data)
             return
         channel, _, receipt, _ = HEAD.unpack_from(data)
-        if chunk and not chunk.begin <= receipt <= chunk.end or receipt > LAST:
+        if (chunk and not chunk.begin <= receipt <= chunk.end) or receipt > LAST:
             raise DamageError(f"a message of {receipt} ns is out of its chunk's times")
         if channel not in self.known.channels:
             raise DamageError(f"a message is on channel {channel}, which is not there")

@@ -17,7 +17,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple, cast
 
-from rosbags.highlevel import AnyReader, AnyReaderError
+from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefinitionFormat, Qos
 
 from fss_arm_bags.chunks import Received, in_order, indexed
@@ -64,7 +64,7 @@ class Bags:
     def _open(self, path: Path, thorough: bool) -> AnyReader:
         try:
             inspected = inspect(path, thorough=thorough)
-            if not inspected.checked:
+            if not (inspected.checked or inspected.damage):
                 self.unchecked.append(path)
             return self._stack.enter_context(AnyReader(self._sound(path, inspected)))
         except BagError:

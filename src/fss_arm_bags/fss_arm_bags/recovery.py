@@ -169,7 +169,9 @@ class _Salvage:
 
     def _new(self, inside: list[McapRecord], at: int) -> list[McapRecord]:
         """What a chunk holds, unless another one did."""
-        messages = [hash((r.channel_id, r.log_time, r.data)) for r in inside if isinstance(r, Message)]
+        messages = [
+            hash((r.channel_id, r.log_time, r.data)) for r in inside if isinstance(r, Message)
+        ]
         key = len(messages), hash(tuple(messages))
         if messages and key in self.met:
             self.places.append(f"a second copy of a chunk at byte {at}")

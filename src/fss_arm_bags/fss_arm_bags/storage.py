@@ -39,6 +39,8 @@ class Storage(McapWriter):
     A chunk that cannot be written is kept in memory, and the file is as it was before.
     """
 
+    bio: Any  # what comes next
+
     def __init__(self, path: Path, compression: CompressionMode) -> None:
         super().__init__(path, compression)
         self.file: Any = self.bio.detach()

@@ -1,0 +1,29 @@
+"""Damaged bags: nothing else is read than was written, unless that is said."""
+
+from itertools import islice
+
+import pytest
+from damaged_bags import BAGS, WRONG, Trial, cases
+
+
+@pytest.fixture(scope="module")
+def trial(tmp_path_factory):
+    return Trial(tmp_path_factory.mktemp("bags"))
+
+
+def wrong(trial, count, first):
+    """What should not have become of so many cases."""
+    tried = [(case, trial.run(case)) for case in islice(cases(BAGS, first), count)]
+    return [(case, out) for case, out in tried if any(r.startswith(WRONG) for r in out)]
+
+
+@pytest.mark.parametrize("first", range(0, 300, 100))
+def test_damage_is_seen_or_can_not_be(trial, first):
+    """Bytes of messages without checksums cannot; all else is told, in a line."""
+    assert wrong(trial, 100, first) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("first", range(10_000, 20_000, 1000))
+def test_damage_of_many_kinds_is_seen_or_can_not_be(trial, first):
+    assert wrong(trial, 1000, first) == []
