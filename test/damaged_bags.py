@@ -1,13 +1,13 @@
 """Damaged copies of bags, and what becomes of each: read, looked at and repaired by `doctor`.
 
-Run by itself it prints a table: python test/damaged_bags.py --count 1000
+Run by itself it prints tables, also when it is interrupted: test/damaged_bags.py --count 1000
 """
 
 import argparse
 import signal
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
 from io import StringIO
 from itertools import islice
 from pathlib import Path
@@ -456,7 +456,7 @@ def main() -> None:
     parser.add_argument("--show", action="store_true", help="name the cases that went wrong")
     options = parser.parse_args()
     steps: list[Counter[tuple[str, str, str]]] = [Counter() for _ in Outcome._fields]
-    with TemporaryDirectory() as folder:
+    with TemporaryDirectory() as folder, suppress(KeyboardInterrupt):
         trial = Trial(Path(folder))
         for case in islice(cases(options.bags, options.first), options.count):
             outcome = trial.run(case)

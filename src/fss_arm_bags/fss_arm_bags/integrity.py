@@ -18,7 +18,7 @@ from typing import Any, BinaryIO, NamedTuple
 from zlib import crc32
 
 from mcap.data_stream import ReadDataStream
-from mcap.records import Channel, ChunkIndex, MessageIndex, Schema, Statistics
+from mcap.records import Channel, ChunkIndex, Schema, Statistics
 from rosbags.interfaces import Qos
 from rosbags.rosbag2.metadata import parse_qos
 from rosbags.rosbag2.storage_mcap import decompress
@@ -139,6 +139,7 @@ def examine(path: Path, *, thorough: bool = False) -> Contents:
     """What an MCAP file holds, if it is whole.
 
     Args:
+        path: the file.
         thorough: look also at what readers do without, as the times in the message index.
 
     Raises:
@@ -253,19 +254,23 @@ class _Walk:
         if kind == CHUNK:
             self._chunk(at, Chunk.read(data))
         elif kind == MESSAGE_INDEX:
-            found = MessageIndex.read(ReadDataStream(BytesIO(data)))
-            if self.index is not None and sorted(found.records) != self.index.pop(
-                found.channel_id, None
-            ):
+            channel, size = struct.unpack_from("<HI", data)
+            entries = sorted(struct.iter_unpack("<QQ", data[6 : 6 + size]))
+            if self.index is not None and entries != self.index.pop(channel, None):
                 raise DamageError(f"the message index at byte {at} does not fit its chunk")
+        elif kind == MESSAGE:
+            self.met.checked = False
+            channel, _, receipt, _ = HEAD.unpack_from(data)
+            self._count(channel, [(receipt, 0)], 0, LAST)
         else:
             self.met.checked = False
-            self._record(kind, data)
+            self.met.add(kind, data)
 
     def _chunk(self, at: int, chunk: Chunk) -> None:
+        self._indexed()
         index = self.known.chunks.get(at)
         size = len(chunk.data) + RECORD.size + 40 + len(chunk.compression)
-        if index is None or chunk[:3] + (chunk.compression, len(chunk.data), size) != (
+        if index is None or (*chunk[:3], chunk.compression, len(chunk.data), size) != (
             index.message_start_time,
             index.message_end_time,
             index.uncompressed_size,
@@ -278,30 +283,40 @@ class _Walk:
         self.met.chunks[at] = index
         self.met.checked &= chunk.crc != 0
         self.index = None
-        if self.every or not chunk.crc:
-            self.index = {}
-            for kind, begin, end in records(data):
-                self._record(kind, data[begin:end], begin - RECORD.size, chunk)
-            for entries in self.index.values():
-                entries.sort()
-            if not index.message_index_offsets:  # an index is not required
-                self.index = None
-
-    def _record(self, kind: int, data: bytes, offset: int = 0, chunk: Chunk | None = None) -> None:
-        if kind != MESSAGE:
-            self.met.add(kind, data)
+        if chunk.crc and not self.every:
             return
-        channel, _, receipt, _ = HEAD.unpack_from(data)
-        if (chunk and not chunk.begin <= receipt <= chunk.end) or receipt > LAST:
-            raise DamageError(f"a message of {receipt} ns is out of its chunk's times")
+        found: dict[int, list[tuple[int, int]]] = {}
+        for kind, begin, end in records(data):
+            if kind == MESSAGE:
+                if end - begin < HEAD.size:
+                    raise DamageError(f"a message in the chunk at byte {at} is too short")
+                channel, _, receipt, _ = HEAD.unpack_from(data, begin)
+                found.setdefault(channel, []).append((receipt, begin - RECORD.size))
+            else:
+                self.met.add(kind, data[begin:end])
+        for channel, entries in found.items():
+            entries.sort()
+            self._count(channel, entries, chunk.begin, min(chunk.end, LAST))
+        if index.message_index_offsets:  # which is not required
+            self.index = found
+
+    def _count(self, channel: int, entries: list[tuple[int, int]], begin: int, end: int) -> None:
+        """Take in the times [ns] and places of a channel's messages, in order."""
         if channel not in self.known.channels:
             raise DamageError(f"a message is on channel {channel}, which is not there")
-        self.met.counts[channel] += 1
-        self.begins, self.ends = min(self.begins, receipt), max(self.ends, receipt)
-        if chunk and self.index is not None:
-            self.index.setdefault(channel, []).append((receipt, offset))
+        first, last = entries[0][0], entries[-1][0]
+        if not begin <= first <= last <= end:
+            raise DamageError(f"messages from {first} to {last} ns are out of their chunk's times")
+        self.met.counts[channel] += len(entries)
+        self.begins, self.ends = min(self.begins, first), max(self.ends, last)
+
+    def _indexed(self) -> None:
+        """The last chunk's message index is complete."""
+        if self.index:
+            raise DamageError("a chunk lacks its message index")
 
     def _compare(self) -> None:
+        self._indexed()
         known, met = self.known, self.met
         if met.chunks.keys() != known.chunks.keys():
             raise DamageError("it lacks chunks that its index has")

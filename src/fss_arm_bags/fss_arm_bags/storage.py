@@ -4,6 +4,7 @@ rosbags' writer leaves the checksums out that MCAP has for chunks, data and summ
 disk takes of a chunk stays in its file.
 """
 
+from collections.abc import Mapping
 from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
@@ -114,7 +115,7 @@ class Storage(McapWriter):
 class CheckedWriter(Writer):
     """Writes bags with checksums."""
 
-    STORAGE_PLUGINS = {StoragePlugin.MCAP: Storage}
+    STORAGE_PLUGINS: Mapping[StoragePlugin, type[Any]] = {StoragePlugin.MCAP: Storage}
 
     def __init__(self, path: Path) -> None:
         super().__init__(path, version=9, storage_plugin=StoragePlugin.MCAP)

@@ -1,9 +1,8 @@
 """How fit a bag is to calibrate from: gaps, clocks, types and QoS, topic by topic."""
 
+import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from struct import Struct
-from struct import error as StructError
 
 import numpy as np
 from rosbags.interfaces import QosReliability
@@ -18,7 +17,9 @@ JUMP = SECOND // 2  # of stamps against times of receipt [ns]
 WINDOW = 2 * SECOND  # within which one message at least was not held up [ns]
 APART = 2 * SECOND  # stamps that far from the times of receipt are of another clock [ns]
 
-STAMP = Struct("<4xiI")  # of a message that begins with a header, little-endian as DDS writes it
+STAMP = struct.Struct(
+    "<4xiI"
+)  # of a message that begins with a header, little-endian as DDS writes it
 
 
 @dataclass(frozen=True)
@@ -72,7 +73,7 @@ def streams(bags: Bags) -> dict[str, Stream]:
         if msgtype in MEASUREMENTS:
             try:
                 sec, nanosec = STAMP.unpack_from(data)
-            except StructError:
+            except struct.error:
                 raise BagError(f"{topic}: {len(data)} bytes are no {msgtype}") from None
             stamps[topic].append(sec * SECOND + nanosec)
     begins = np.array(bags.begins, np.int64)
