@@ -17,9 +17,9 @@ from fss_arm_calib.kinematic.checks import calibrate
 from fss_arm_calib.kinematic.settings import CalibrationSettings
 from fss_arm_calib.segments.maneuvers import ManeuverFinder
 from fss_arm_calib.segments.rests import BASE, TIP, RestFinder, spoiled
-from fss_arm_driver.link import Arming, LinkSession
 from fss_arm_driver.move import plan
 from fss_arm_driver.scale import CommandError
+from fss_arm_driver.session import Arming, LinkSession
 from fss_arm_model.description import kinematic_index, load
 from fss_sim import testbed
 from fss_sim.faults import read_script

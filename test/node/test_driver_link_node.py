@@ -419,7 +419,7 @@ def test_a_wrong_baud_rate_is_said_in_one_line(start, tmp_path):
         (("-p", "url:=serial:///dev/no"), "'serial:///dev/no' cannot be opened: No such file"),
         (("-p", "keys:=/no/keys"), "No such file or directory: '/no/keys'"),
         (("-p", "link:=5"), "link is 5, expected 1 to 4, as arm 'paper' has"),
-        (("-p", "timeout:=0.0"), "timeout is 0.0 s, expected above 0"),
+        (("-p", "timeout:=0.0"), "timeout is 0.0 s, expected 0.001 to 3600"),
         (("-p", "watchdog:=100.0"), "watchdog is 100.0 s"),
         (("-p", "rate:=0.5"), "watchdog is 2.0 s, expected more than the 2 s"),
         (("-p", "arm:=/no/such.yaml"), "/no/such.yaml"),

@@ -52,6 +52,17 @@ ALLOWED = {
     | {"numpy", "rerun", "rerun_cli"},
 }
 
+# What of the workspace a room of a package may import beside itself.
+PROTOCOL = "fss_arm_driver.protocol"
+ROOMS = {
+    PROTOCOL: set(),
+    "fss_arm_driver.session": {
+        "fss_arm_model.description", PROTOCOL, "fss_arm_driver.scale", "fss_arm_driver.faults",
+    },
+    "fss_arm_driver.copley": {PROTOCOL, "fss_arm_driver.faults"},
+    "fss_arm_driver.transport": {PROTOCOL, "fss_arm_driver.copley"},
+}  # fmt: skip
+
 # Where the mathematics of a package meets ROS: its nodes, and these.
 EDGES = {"settings", "messages", "dynamic_messages", "from_bag", "design_command", "recompute"}
 MATHEMATICS = ALLOWED.keys() - {"fss_arm_ros", "fss_arm_bags", "fss_sim.rehearsal"}
@@ -169,6 +180,21 @@ def test_a_package_imports_what_its_row_allows(row: str) -> None:
     assert not strangers
 
 
+@pytest.mark.parametrize("room", ROOMS)
+def test_a_room_imports_what_its_row_allows(room: str) -> None:
+    inside = [module for module in MODULES if module.startswith(f"{room}.")]
+    given = tuple(f"{name}." for name in {room, *ROOMS[room]})
+    ours = {n for m in inside for n in imports(m) if n.startswith("fss_")}
+    assert inside
+    assert not {name for name in ours if not f"{name}.".startswith(given)}
+
+
+def test_the_session_reads_no_clock_and_does_no_io() -> None:
+    session = {n for m in MODULES if m.startswith("fss_arm_driver.session.") for n in imports(m)}
+    pure = {"collections", "dataclasses", "enum", "math", "statistics", "typing"}
+    assert {name for name in session if not name.startswith("fss_")} <= pure
+
+
 @pytest.mark.parametrize("module", list(mathematics()))
 def test_mathematics_is_free_of_ros(module: str) -> None:
     assert not tops(reached(module)) & ROS
@@ -192,7 +218,7 @@ def test_the_plot_library_is_imported_only_where_it_is_used() -> None:
 
 
 @pytest.mark.parametrize(
-    "module", ["fss_arm_model.description", "fss_arm_driver.protocol", "fss_arm_driver.link"]
+    "module", ["fss_arm_model.description", PROTOCOL, "fss_arm_driver.session"]
 )
 def test_importing_it_loads_neither_kernels_nor_ros(module: str) -> None:
     program = f"import sys, {module}; print({{'numba', 'rclpy', 'scipy'}} & sys.modules.keys())"

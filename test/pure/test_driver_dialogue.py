@@ -5,10 +5,10 @@ from functools import partial
 
 import pytest
 
-from fss_arm_driver.dialogue import DAY
-from fss_arm_driver.link import Arming, LinkSession
 from fss_arm_driver.protocol import Mode, Order, State, decode
 from fss_arm_driver.scale import CommandError
+from fss_arm_driver.session import Arming, LinkSession
+from fss_arm_driver.session.dialogue import DAY
 from fss_arm_model.description import paper_arm
 from fss_sim.electronics import LinkElectronics
 from fss_sim.plant import Motion

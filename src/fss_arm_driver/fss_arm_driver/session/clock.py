@@ -1,6 +1,6 @@
 """The link's clock mapped to the host's, by round trips.
 
-One-way delay cannot be told from an offset between clocks, a round trip can: a command sent at s
+One-way delay looks like an offset between clocks, a round trip does not: a command sent at s
 that the link echoes with turn-around T in telemetry measured at C and received at r bounds
 
     host - link  in  [s - (C - T), r - C]
@@ -22,12 +22,12 @@ from dataclasses import dataclass
 from math import inf, nan, sqrt
 from statistics import median_low
 
-WIDEST = 1_000_000_000  # round trip worth learning from [ns]
+MICROSECOND, SECOND = 1000, 1_000_000_000  # [ns]
+WIDEST = SECOND  # round trip worth learning from [ns]
 DRIFT = 1e-4 / sqrt(3.0)  # of a link's oscillator against the host's, 1 sigma
 SLOT = 1_000_000  # of which the narrowest interval is kept [us]
 SLOTS = 300  # kept: how far a drift is taken as constant
 JITTER = 20_000.0  # of reading clocks, 1 sigma [ns]
-MICROSECOND = 1000  # [ns]
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,19 +1,19 @@
-"""How far a link has come with a command: told by its status words, not by its having taken it."""
+"""How far a link has come with a command, by its status words and not by its having taken it."""
 
 from enum import IntEnum
 
 from fss_arm_driver.faults import IN_MOTION
 from fss_arm_driver.protocol import Mode, State, Telemetry
 from fss_arm_driver.scale import Scale, SetPoint
+from fss_arm_driver.session.clock import SECOND
 
-SECOND = 1_000_000_000  # [ns]
-PATIENCE = 2 * SECOND  # in which a link takes a command and begins to move
-SETTLING = SECOND  # at rest for so long away from its goal, it will not go on
-NEAR = 0.005  # of its goal, a joint has reached it [rad]
+START_TIMEOUT = 2 * SECOND  # in which a link takes a command and begins to move
+STALL_TIME = SECOND  # at rest for so long away from its goal, a joint will not go on
+POSITION_TOLERANCE = 0.005  # a joint nearer to its goal has reached it [rad]
 
 
 class Status(IntEnum):
-    """The stations of a command, by their numbers in CommandStatus."""
+    """The stages of a command, by their numbers in CommandStatus."""
 
     REFUSED = 0
     ACCEPTED = 1
@@ -50,7 +50,7 @@ class Progress:
     def follow(self, frame: Telemetry, taken: bool, now: int) -> None:
         """Learn from a frame; `taken`: it was measured after the link had taken the command."""
         if not taken:
-            if now - self.given > PATIENCE:
+            if now - self.given > START_TIMEOUT:
                 self.end(Status.TIMED_OUT, "the link has not taken it")
         elif not frame.flags & State.ARMED:
             self.end(Status.ABORTED, "the link has disarmed itself")
@@ -59,9 +59,9 @@ class Progress:
         elif frame.status & IN_MOTION or frame.velocity:
             self._moved = now
             self.status = max(self.status, Status.MOVING)
-        elif self.status == Status.MOVING and now - self._moved > SETTLING:
+        elif self.status == Status.MOVING and now - self._moved > STALL_TIME:
             self.end(Status.ABORTED, "the joint came to rest before it")
-        elif self.status == Status.ACCEPTED and now - self.given > PATIENCE:
+        elif self.status == Status.ACCEPTED and now - self.given > START_TIMEOUT:
             self.end(Status.TIMED_OUT, "the joint has not begun to move")
 
     def _arrived(self, frame: Telemetry) -> bool:
@@ -72,6 +72,6 @@ class Progress:
             return False
         if order.mode == Mode.POSITION:
             off = abs(self.scale.position(frame.position - order.value))
-            return off < NEAR and not frame.status & IN_MOTION
+            return off < POSITION_TOLERANCE and not frame.status & IN_MOTION
         measured = frame.velocity if order.mode == Mode.VELOCITY else frame.current
         return abs(measured - order.value) <= max(2, abs(order.value) // 20)

@@ -3,7 +3,8 @@
 from collections import deque
 from math import inf, nan
 
-SECOND = 1_000_000_000  # [ns]
+from fss_arm_driver.session.clock import SECOND
+
 INTERVAL = 10 * SECOND  # between the readings kept
 READINGS = 180  # kept: half an hour
 ENOUGH = 12  # readings for a line: two minutes

@@ -2,17 +2,32 @@
 
 from collections import Counter, deque
 from enum import Enum
+from math import nan
 from typing import NamedTuple
 
-from fss_arm_driver.clock import LinkClock
-from fss_arm_driver.protocol import State, Telemetry, newer
+from fss_arm_driver.protocol import NO_TORQUE, State, Telemetry, newer
 from fss_arm_driver.scale import Scale
+from fss_arm_driver.session.clock import SECOND, LinkClock
 
-SECOND = 1_000_000_000  # [ns]
 EARLY = SECOND // 10  # delays vary: a frame may seem to come from the future by so much
 MEMORY = 60 * SECOND  # how long a lost link and its clock are remembered
 SHORTEST_PERIOD = 1000  # of telemetry, in the link's clock [us]
 CANDIDATES = 16  # more than one, so that noise cannot displace a link that begins to talk
+
+
+class Sample(NamedTuple):
+    """A telemetry frame that is believed, in host time and SI units."""
+
+    frame: Telemetry
+    stamp: int  # host time of the measurement [ns]
+    position: float  # [rad]
+    velocity: float  # [rad/s]
+    torque: float  # [N m]; NaN: none of the last 254 ms
+
+    @property
+    def referenced(self) -> bool:
+        """Whether the encoder's zero is known, so that the position means something."""
+        return bool(self.frame.flags & State.REFERENCED)
 
 
 class Verdict(Enum):
@@ -63,6 +78,7 @@ class Reception:
         self._early = timeout if resolution else EARLY  # a clock that is simulated may lag
         self._prove, self._counts = prove, counts
         self._candidates: deque[Track] = deque(maxlen=CANDIDATES)  # on probation
+        self._stamp = 0  # of the last sample
 
     def tick(self, now: int) -> bool:
         """Let time pass; whether the link was lost by it."""
@@ -77,7 +93,7 @@ class Reception:
     def forget(self, now: int) -> None:
         """Begin anew: the clock was set back."""
         self._counts["lost"] += not self.lost
-        self.lost, self.heard, self.track = True, now, None
+        self.lost, self.heard, self.track, self._stamp = True, now, None, 0
         self._candidates.clear()
 
     def take(self, frame: Telemetry, way: int | None, now: int) -> bool:
@@ -96,6 +112,24 @@ class Reception:
             self._counts["unproven"] += 1
             return False
         return self._follow(verdict, frame, now)
+
+    def sample(self, frame: Telemetry, echoed: int | None, now: int) -> Sample:
+        """What a frame that is believed says; it echoes a command sent at `echoed`, if known."""
+        assert self.track
+        clock, scale = self.track.clock, self._scale
+        if echoed is None:
+            clock.one_way(frame.clock, now)
+        else:
+            clock.exchange(echoed, frame.turnaround, frame.clock, now)
+        # A better estimate of the clock never turns the stamps back.
+        self._stamp = max(clock.to_host(frame.clock), self._stamp + 1)
+        return Sample(
+            frame=frame,
+            stamp=self._stamp,
+            position=scale.position(frame.position),
+            velocity=scale.velocity(frame.velocity),
+            torque=scale.torque(frame.torque) if frame.torque_age < NO_TORQUE else nan,
+        )
 
     def _follow(self, verdict: Verdict, frame: Telemetry, now: int) -> bool:
         """Believe a frame that follows, from the last one or a candidate; else keep it as one."""

@@ -1,4 +1,4 @@
-"""What the link's echo tells of the commands: how long the way is, and whose commands it takes.
+"""What the link's echo says of the commands: how long the way is, and whose commands it takes.
 
 The rules and their reasons are in docs/protocol.md, The computer. All times are the caller's, in
 nanoseconds.
@@ -8,12 +8,12 @@ from collections import deque
 from typing import NamedTuple
 
 from fss_arm_driver.protocol import Slow, Telemetry
+from fss_arm_driver.session.clock import MICROSECOND, SECOND
 
-MICROSECOND, SECOND = 1000, 1_000_000_000  # [ns]
-KEPT = 60 * SECOND  # for so long an echo is known as that of a command of ours
+ECHO_MEMORY = 60 * SECOND  # for so long an echo is known as that of a command of ours
 MASK = 0xFFFFFFFF  # an echo is the low 32 bits of a stamp
 DAY = 86_400_000_000  # that stamps may run ahead of the time of day at most [us]
-FEW = 5  # commands that tell nothing yet of those that the link refuses
+CROWD_COMMANDS = 5  # to send before the share of refused datagrams is judged
 
 
 class Refusals(NamedTuple):
@@ -45,7 +45,7 @@ class Dialogue:
         self._begun = 0  # when the first command was sent
         self._clock = 0  # stamp of the last [us]
         self._ours: dict[int, int] = {}  # low 32 bits of a command's stamp: when it was sent
-        self._strange: deque[int] = deque(maxlen=2)  # when another's commands were seen taken
+        self._others: deque[int] = deque(maxlen=2)  # when another's commands were seen taken
         self._refusals: Refusals | None = None
 
     def stamp(self, now: int) -> int:
@@ -54,14 +54,14 @@ class Dialogue:
         self.sent += 1
         self._clock = max((now + self._epoch) // MICROSECOND, self._clock + 1)
         self._ours[self._clock & MASK] = now
-        while now - self._ours[oldest := next(iter(self._ours))] > KEPT:
+        while now - self._ours[oldest := next(iter(self._ours))] > ECHO_MEMORY:
             del self._ours[oldest]
         return self._clock
 
     def forget(self) -> None:
         """The caller's clock was set back: when commands were sent means nothing any more."""
         self._ours.clear()
-        self._strange.clear()
+        self._others.clear()
         self._begun, self.answered = 0, -1
 
     def sent_at(self, frame: Telemetry) -> int | None:
@@ -78,7 +78,7 @@ class Dialogue:
 
     def rival(self, now: int) -> bool:
         """Whether the link takes commands of another driver."""
-        return len(self._strange) == 2 and now - self._strange[0] <= 2 * self._timeout
+        return len(self._others) == 2 and now - self._others[0] <= 2 * self._timeout
 
     def hear(self, frame: Telemetry, now: int) -> None:
         """Learn from a frame that is believed, or that came while none is."""
@@ -86,15 +86,15 @@ class Dialogue:
         if sent is not None and way is not None:
             self._answer, self.answered, self.delay = frame.echo, sent, way
         elif frame.echo not in (0, self._answer) and self._begun:
-            self._hear_strange(frame, now)
+            self._hear_other(frame, now)
         if frame.slow_id == Slow.REFUSED:
             self._count_refused(frame, sent is not None)
 
-    def _hear_strange(self, frame: Telemetry, now: int) -> None:
+    def _hear_other(self, frame: Telemetry, now: int) -> None:
         """The link took a command that is none of ours: another driver's, or our predecessor's."""
         taken = now - frame.turnaround * MICROSECOND  # at the latest
         if taken > self._begun + self._watchdog and now - taken <= self._timeout:
-            self._strange.append(now)
+            self._others.append(now)
         elif self._signed and min(now - taken, now - self._begun) > self._watchdog:
             # Nobody commands the link, and yet it takes none of ours: it has taken later ones.
             later = self._clock + ((frame.echo - self._clock) & MASK)
@@ -106,6 +106,6 @@ class Dialogue:
         then, now = self._refusals, Refusals(frame.boot, frame.slow_value & MASK, self.sent)
         if not taken or then is None or then.boot != now.boot:
             self.crowded, self._refusals = False, now if taken else None
-        elif now.sent - then.sent >= FEW:
+        elif now.sent - then.sent >= CROWD_COMMANDS:
             self.crowded = 2 * (now.refused - then.refused) > now.sent - then.sent
             self._refusals = now
