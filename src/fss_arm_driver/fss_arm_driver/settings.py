@@ -12,16 +12,12 @@ from fss_arm_model.settings import NOT_NEGATIVE, Settings, between, setting
 class LinkSettings(Settings):
     """The parameters of a LinkNode."""
 
-    link: int = setting(
-        1, "number of the link, as in its frames; 1 is beside the base", check=between(1, 255)
-    )
+    link: int = setting(1, "number of the link; 1 is at the base", check=between(1, 255))
     url: str = setting("", "where the link is: udp://, tcp://, serial:// or copley://; required")
     urls: tuple[str, ...] = setting(
         (), "instead of url: where links 1, 2, ... are, to host all in one process"
     )
-    rate: float = setting(
-        5.0, "rate at which commands are sent", unit="1/s", check=between(0.1, 1000.0)
-    )
+    rate: float = setting(5.0, "rate of the commands", unit="1/s", check=between(0.1, 1000.0))
     timeout: float = setting(
         1.0,
         "silence after which the link is lost, and longest delay there and back to arm at",

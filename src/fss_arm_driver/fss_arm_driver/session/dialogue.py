@@ -68,23 +68,15 @@ class Dialogue:
         """When the command that a frame echoes was sent, if it is one of ours."""
         return self._ours.get(frame.echo) if frame.echo else None
 
-    def way(self, frame: Telemetry, now: int) -> int | None:
-        """Time under way, there and back, of a command of ours and its echo that came now.
-
-        A frame was measured at most so long ago, whoever held it back.
-        """
-        sent = self.sent_at(frame)
-        return None if sent is None else max(0, now - sent - frame.turnaround * MICROSECOND)
-
     def rival(self, now: int) -> bool:
         """Whether the link takes commands of another driver."""
         return len(self._others) == 2 and now - self._others[0] <= 2 * self._timeout
 
     def hear(self, frame: Telemetry, now: int) -> None:
         """Learn from a frame that is believed, or that came while none is."""
-        sent, way = self.sent_at(frame), self.way(frame, now)
-        if sent is not None and way is not None:
-            self._answer, self.answered, self.delay = frame.echo, sent, way
+        if (sent := self.sent_at(frame)) is not None:
+            self._answer, self.answered = frame.echo, sent
+            self.delay = max(0, now - sent - frame.turnaround * MICROSECOND)
         elif frame.echo not in (0, self._answer) and self._begun:
             self._hear_other(frame, now)
         if frame.slow_id == Slow.REFUSED:

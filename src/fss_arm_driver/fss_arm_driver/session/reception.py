@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from fss_arm_driver.protocol import NO_TORQUE, State, Telemetry, newer
 from fss_arm_driver.scale import Scale
-from fss_arm_driver.session.clock import SECOND, LinkClock
+from fss_arm_driver.session.clock import MICROSECOND, SECOND, LinkClock
 
 EARLY = SECOND // 10  # delays vary: a frame may seem to come from the future by so much
 MEMORY = 60 * SECOND  # how long a lost link and its clock are remembered
@@ -96,26 +96,10 @@ class Reception:
         self.lost, self.heard, self.track, self._stamp = True, now, None, 0
         self._candidates.clear()
 
-    def take(self, frame: Telemetry, way: int | None, now: int) -> bool:
-        """Whether to believe `frame`, under way for at most `way` [ns] by its echo, if known."""
-        if not self._scale.possible(frame):
-            self._counts["impossible"] += 1
-            return False
-        verdict = self._compare(self.track, frame, now, late=self._timeout)
-        if self.lost and verdict is Verdict.STALE:  # all are, once the host's clock was set forward
-            verdict = Verdict.JUMP
-        if verdict not in (Verdict.FOLLOWS, Verdict.JUMP):
-            self._counts[verdict.value] += 1
-            return False
-        fresh = way is not None and way <= self._timeout
-        if self._prove and not fresh and (self.lost or verdict is Verdict.JUMP):
-            self._counts["unproven"] += 1
-            return False
-        return self._follow(verdict, frame, now)
-
-    def sample(self, frame: Telemetry, echoed: int | None, now: int) -> Sample:
-        """What a frame that is believed says; it echoes a command sent at `echoed`, if known."""
-        assert self.track
+    def take(self, frame: Telemetry, echoed: int | None, now: int) -> Sample | None:
+        """What `frame` says if it is to be believed; it echoes a command sent at `echoed`."""
+        if not self._believes(frame, echoed, now) or self.track is None:
+            return None
         clock, scale = self.track.clock, self._scale
         if echoed is None:
             clock.one_way(frame.clock, now)
@@ -130,6 +114,25 @@ class Reception:
             velocity=scale.velocity(frame.velocity),
             torque=scale.torque(frame.torque) if frame.torque_age < NO_TORQUE else nan,
         )
+
+    def _believes(self, frame: Telemetry, echoed: int | None, now: int) -> bool:
+        """Whether to believe `frame`; it becomes the track's last one, or a candidate."""
+        if not self._scale.possible(frame):
+            self._counts["impossible"] += 1
+            return False
+        verdict = self._compare(self.track, frame, now, late=self._timeout)
+        if self.lost and verdict is Verdict.STALE:  # all are, once the host's clock was set forward
+            verdict = Verdict.JUMP
+        if verdict not in (Verdict.FOLLOWS, Verdict.JUMP):
+            self._counts[verdict.value] += 1
+            return False
+        # It was measured at most as long ago as its turn-around leaves, whoever held it back.
+        turnaround = frame.turnaround * MICROSECOND
+        fresh = echoed is not None and now - echoed - turnaround <= self._timeout
+        if self._prove and not fresh and (self.lost or verdict is Verdict.JUMP):
+            self._counts["unproven"] += 1
+            return False
+        return self._follow(verdict, frame, now)
 
     def _follow(self, verdict: Verdict, frame: Telemetry, now: int) -> bool:
         """Believe a frame that follows, from the last one or a candidate; else keep it as one."""

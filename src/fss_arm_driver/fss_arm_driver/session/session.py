@@ -242,13 +242,7 @@ class LinkSession:
         self._arming.drop()
 
     def set(
-        self,
-        mode: int,
-        value: float,
-        velocity: float,
-        acceleration: float,
-        expiry: int,
-        now: int,
+        self, mode: int, value: float, velocity: float, acceleration: float, expiry: int, now: int
     ) -> None:
         """Take a command in SI units, in force until host time `expiry`.
 
@@ -343,16 +337,14 @@ class LinkSession:
         if (frame := self._decode(data)) is None:
             return None
         lost, echoed = self.lost, self._dialogue.sent_at(frame)
-        believed = self._reception.take(frame, self._dialogue.way(frame, now), now)
-        if believed or lost:
+        sample = self._reception.take(frame, echoed, now)
+        if sample or lost:
             self._dialogue.hear(frame, now)
-        if not believed:
-            return None
-        if self.rival:
+        if sample and self.rival:
             self._drop(self.rival)
-        if lost:  # nothing is wanted of a link that was not followed until now
+        if sample and lost:  # nothing is wanted of a link that was not followed until now
             self._drop("the link was lost")
-        return self._reception.sample(frame, echoed, now)
+        return sample
 
     def follow(self, sample: Sample) -> None:
         """Learn from a sample what the link does: its slow values, arming, the last command."""
