@@ -269,7 +269,7 @@ def test_disarming_a_link_that_does_not_hear_fails_in_words(bench):
     transport.hears = False
     answer = arm(user, until, data=False)
     assert not answer.success
-    words = "link_1 does not say that it is off: told to disarm, not confirmed"
+    words = "link_1 does not say that it is off: asked to disarm, not confirmed"
     assert answer.message == words
 
 
@@ -282,7 +282,7 @@ def test_disarming_a_lost_link_fails_in_words(bench):
         assert node.session.lost == lost
         answer = arm(user, until, data=False)
         assert not answer.success
-        assert answer.message == "link_1 is lost: told to disarm, not confirmed"
+        assert answer.message == "link_1 is lost: asked to disarm, not confirmed"
 
 
 def test_arming_a_link_that_does_not_hear_fails_in_words(bench):

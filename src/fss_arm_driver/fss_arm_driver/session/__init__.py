@@ -1,6 +1,6 @@
 """The session with one link, without I/O: datagrams in and out, times as arguments.
 
-| file | one machine each; its retry times and limits are the constants at its top |
+| file | one concern each; its retry times and limits are the constants at its top |
 | --- | --- |
 | `session.py` | `LinkSession`: composes the others, and says in words what is wrong |
 | `arming.py` | arm, disarm, stop, clear faults: what is wanted of the drive, what is confirmed |

@@ -5,9 +5,9 @@ from math import inf, nan
 
 from fss_arm_driver.session.clock import SECOND
 
-INTERVAL = 10 * SECOND  # between the readings kept
-READINGS = 180  # kept: half an hour
-ENOUGH = 12  # readings for a line: two minutes
+READING_INTERVAL = 10 * SECOND  # between the readings kept
+MAX_READINGS = 180  # kept: half an hour
+MIN_READINGS = 12  # for a line: two minutes
 
 
 class Battery:
@@ -20,22 +20,22 @@ class Battery:
     def __init__(self, empty: float) -> None:
         self.voltage = nan  # last reading [V]
         self._empty = empty
-        self._readings: deque[tuple[float, float]] = deque(maxlen=READINGS)  # [s], [V]
+        self._readings: deque[tuple[float, float]] = deque(maxlen=MAX_READINGS)  # [s], [V]
         self._next = 0
 
     def take(self, voltage: float, now: int) -> None:
         """Learn a reading [V]."""
         self.voltage = voltage
-        if now < self._next - INTERVAL:  # the clock was set back
+        if now < self._next - READING_INTERVAL:  # the clock was set back
             self._readings.clear()
             self._next = now
         if now >= self._next:
             self._readings.append((1e-9 * now, voltage))
-            self._next = now + INTERVAL
+            self._next = now + READING_INTERVAL
 
     def time_left(self) -> float:
         """Time until it is empty [s]; infinite while it does not fall, NaN before that is known."""
-        if len(self._readings) < ENOUGH:
+        if len(self._readings) < MIN_READINGS:
             return nan
         n = len(self._readings)
         t0 = self._readings[0][0]

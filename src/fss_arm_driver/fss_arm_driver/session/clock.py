@@ -23,7 +23,7 @@ from math import inf, nan, sqrt
 from statistics import median_low
 
 MICROSECOND, SECOND = 1000, 1_000_000_000  # [ns]
-WIDEST = SECOND  # round trip worth learning from [ns]
+MAX_ROUND_TRIP = SECOND  # of an exchange worth learning from
 DRIFT = 1e-4 / sqrt(3.0)  # of a link's oscillator against the host's, 1 sigma
 SLOT = 1_000_000  # of which the narrowest interval is kept [us]
 SLOTS = 300  # kept: how far a drift is taken as constant
@@ -75,7 +75,7 @@ class LinkClock:
         received += self._resolution  # the clock's step before it may have been missed
         earliest = sent - (measured - turnaround) * MICROSECOND
         width = received - measured * MICROSECOND - earliest
-        if not 0 <= width <= WIDEST:
+        if not 0 <= width <= MAX_ROUND_TRIP:
             return
         width = max(width, self._resolution)
         new = _Exchange(measured, earliest + width // 2, width)

@@ -12,7 +12,7 @@ from fss_arm_driver.session.clock import MICROSECOND, SECOND
 
 ECHO_MEMORY = 60 * SECOND  # for so long an echo is known as that of a command of ours
 MASK = 0xFFFFFFFF  # an echo is the low 32 bits of a stamp
-DAY = 86_400_000_000  # that stamps may run ahead of the time of day at most [us]
+MAX_STAMP_LEAD = 86_400_000_000  # that stamps may run ahead of the time of day at most [us]
 CROWD_COMMANDS = 5  # to send before the share of refused datagrams is judged
 
 
@@ -90,7 +90,7 @@ class Dialogue:
         elif self._signed and min(now - taken, now - self._begun) > self._watchdog:
             # Nobody commands the link, and yet it takes none of ours: it has taken later ones.
             later = self._clock + ((frame.echo - self._clock) & MASK)
-            if later <= (now + self._epoch) // MICROSECOND + DAY:
+            if later <= (now + self._epoch) // MICROSECOND + MAX_STAMP_LEAD:
                 self._clock = later
 
     def _count_refused(self, frame: Telemetry, taken: bool) -> None:

@@ -9,10 +9,10 @@ from fss_arm_driver.protocol import NO_TORQUE, State, Telemetry, newer
 from fss_arm_driver.scale import Scale
 from fss_arm_driver.session.clock import MICROSECOND, SECOND, LinkClock
 
-EARLY = SECOND // 10  # delays vary: a frame may seem to come from the future by so much
-MEMORY = 60 * SECOND  # how long a lost link and its clock are remembered
+EARLY_TOLERANCE = SECOND // 10  # delays vary: a frame may seem to come from the future by so much
+TRACK_MEMORY = 60 * SECOND  # how long a lost link and its clock are remembered
 SHORTEST_PERIOD = 1000  # of telemetry, in the link's clock [us]
-CANDIDATES = 16  # more than one, so that noise cannot displace a link that begins to talk
+MAX_CANDIDATES = 16  # more than one, so that noise cannot displace a link that begins to talk
 
 
 class Sample(NamedTuple):
@@ -75,9 +75,9 @@ class Reception:
         self.heard = 0  # when a frame was last believed
         self.track: Track | None = None  # believed; remembered for a while when lost
         self._scale, self._timeout, self._resolution = scale, timeout, resolution
-        self._early = timeout if resolution else EARLY  # a clock that is simulated may lag
+        self._early = timeout if resolution else EARLY_TOLERANCE  # a simulated clock may lag
         self._prove, self._counts = prove, counts
-        self._candidates: deque[Track] = deque(maxlen=CANDIDATES)  # on probation
+        self._candidates: deque[Track] = deque(maxlen=MAX_CANDIDATES)  # on probation
         self._stamp = 0  # of the last sample
 
     def tick(self, now: int) -> bool:
@@ -86,7 +86,7 @@ class Reception:
         if lost:
             self.lost = True
             self._counts["lost"] += 1
-        if self.lost and now - self.heard > MEMORY:
+        if self.lost and now - self.heard > TRACK_MEMORY:
             self.track = None
         return lost
 

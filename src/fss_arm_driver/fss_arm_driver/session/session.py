@@ -30,7 +30,7 @@ from fss_arm_driver.session.progress import Progress, Status
 from fss_arm_driver.session.reception import Reception, Sample
 from fss_arm_model.description import Link
 
-CORRECTION = SECOND // 10  # a simulated clock that is set back by less is being corrected
+CLOCK_CORRECTION = SECOND // 10  # a simulated clock that is set back by less is being corrected
 
 #: What may happen to a telemetry frame but to be believed.
 TROUBLES = (
@@ -275,7 +275,7 @@ class LinkSession:
         if self._now and now - self._now > self._silence:
             self._still, self._woke = now - self._now, now
             self._drop(self.standstill)
-        if now < self._now - CORRECTION:
+        if now < self._now - CLOCK_CORRECTION:
             self._reception.forget(now)
             self._dialogue.forget()
             self._woke = -1
