@@ -30,9 +30,9 @@ from fss_arm_msgs.srv import StepTime
 from fss_arm_ros.convert import SECOND, planar_pose, stamp_ns
 from fss_arm_ros.qos import COMMAND, SENSOR
 from fss_sim.mission import PERIOD, Guidance
+from fss_sim.plant.target import Target
+from fss_sim.plant.thrusters import Propulsion, layout
 from fss_sim.sensors import RATE
-from fss_sim.target import Target
-from fss_sim.thrusters import Propulsion, layout
 
 TARGET = Target(mass=10.0, inertia=0.25)
 BEGIN = {

@@ -1,9 +1,9 @@
-from setuptools import setup
+from setuptools import find_packages, setup
 
 setup(
     name="fss_arm_workspace",
     version="0.1.0",
-    packages=["fss_arm_workspace"],
+    packages=find_packages(),
     package_data={"fss_arm_workspace": ["py.typed"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/fss_arm_workspace"]),

@@ -1,9 +1,9 @@
-from setuptools import setup
+from setuptools import find_packages, setup
 
 setup(
     name="fss_sim",
     version="0.1.0",
-    packages=["fss_sim"],
+    packages=find_packages(),
     package_data={"fss_sim": ["py.typed"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/fss_sim"]),

@@ -25,8 +25,8 @@ from fss_arm_msgs.msg import (
 )
 from fss_arm_ros.convert import pose_stamped, stamp_ns
 from fss_arm_ros.qos import LATCHED, SENSOR
-from fss_arm_workspace.fixed import fixed_workspace
-from fss_arm_workspace.straight_path import arch
+from fss_arm_workspace.regions.fixed import fixed_workspace
+from fss_arm_workspace.straight_path.paths import arch
 from fss_arm_workspace.worker import Superseded, Worker
 from fss_arm_workspace.workspace_node import WorkspaceNode
 

@@ -20,13 +20,12 @@ from fss_arm_model.description import (
     Link,
     TorqueSensor,
     from_yaml,
-    kinematic_index,
-    kinematic_names,
     load,
     paper_arm,
     save,
     to_yaml,
 )
+from fss_arm_model.layout import kinematic_index, kinematic_names
 
 CONFIG = Path(__file__).parents[2] / "config"
 

@@ -6,9 +6,9 @@ from model_arms import random_arm
 
 from fss_arm_model.description import paper_arm
 from fss_arm_model.kinematics import tip_pose
-from fss_arm_model.simulation import Surroundings
-from fss_sim.plant import Joints, Plant, World
-from fss_sim.target import Gripper, Target
+from fss_sim.plant.plant import Joints, Plant, World
+from fss_sim.plant.surroundings import Surroundings
+from fss_sim.plant.target import Gripper, Target
 
 SURROUNDINGS = Surroundings(table=(20.0, 20.0))
 ANY = Gripper(reach=0.05, angle=3.2, speed=10.0)

@@ -8,7 +8,7 @@ from view_flight import STEP, Flight, paper_flight
 
 from fss_arm_model.description import load, paper_arm
 from fss_arm_model.dynamics import bias, inertia_matrix
-from fss_arm_model.simulation import GRAVITY
+from fss_arm_model.units import GRAVITY
 from fss_arm_ros.calibrated import vector_covariance
 from fss_arm_view.base_filter import BaseFilter, Estimate
 from fss_arm_view.reaction import BaseReaction

@@ -14,8 +14,8 @@ from fss_arm_msgs.msg import DynamicCalibration, KinematicCalibration
 from fss_arm_ros.calibrated import Calibrated
 from fss_arm_ros.qos import LATCHED
 from fss_arm_workspace.analysis import load_kernels
-from fss_arm_workspace.fixed import fixed_workspace
 from fss_arm_workspace.map import calibrated, main
+from fss_arm_workspace.regions.fixed import fixed_workspace
 
 TOPIC = "/calibration/kinematic"
 

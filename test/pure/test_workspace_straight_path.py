@@ -10,9 +10,10 @@ from numpy.testing import assert_allclose
 from fss_arm_model.description import paper_arm
 from fss_arm_model.kinematics import tip_pose
 from fss_arm_model.momentum import momentum, system_com
-from fss_arm_model.straight_path import BASES, REASONS, RULES
-from fss_arm_workspace.fixed import fixed_workspace, joint_limits
-from fss_arm_workspace.straight_path import (
+from fss_arm_workspace.regions.fixed import fixed_workspace, joint_limits
+from fss_arm_workspace.regions.virtual import VirtualManipulator
+from fss_arm_workspace.straight_path.optimal import optimal_paths
+from fss_arm_workspace.straight_path.paths import (
     AWAY_FROM_LIMITS,
     FIXED,
     FLOATING,
@@ -21,12 +22,12 @@ from fss_arm_workspace.straight_path import (
     ZERO_REACTION,
     Rules,
     arch,
-    optimal_paths,
     states_along,
     straight_paths,
     straight_workspace,
 )
-from fss_arm_workspace.virtual import VirtualManipulator
+from fss_arm_workspace.straight_path.redundancy import BASES, RULES
+from fss_arm_workspace.straight_path.trace import REASONS
 
 ARM = paper_arm()
 AROUND = np.linspace(0.0, 2.0 * np.pi, 73)[:-1]
@@ -220,7 +221,7 @@ def test_a_search_over_the_redundancy_goes_at_least_as_far():
         other = straight_paths(ARM, arch(ARM), directions, replace(rules, redundancy=rule))
         assert (found.distance >= other.distance).all()
     won = np.isfinite(preferred).all(axis=(1, 2))
-    again = replace(rules, redundancy="preferred", preferred=preferred[won])
+    again = replace(rules, redundancy="preferred")
     paths = straight_paths(ARM, arch(ARM), directions[won], again)
     assert_allclose(paths.distance, found.distance[won], atol=1e-12)
 

@@ -3,7 +3,7 @@
 import numpy as np
 import numpy.typing as npt
 
-from ._cache import Floats, helper, kernel
+from .kernels import Floats, helper, kernel
 from .kinematics import _chain, _cross, _dot, checked, joint_positions
 
 

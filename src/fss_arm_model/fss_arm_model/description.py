@@ -21,7 +21,6 @@ import numpy.typing as npt
 import yaml
 
 MAX_LINKS = 12
-BASE_SIZE, LINK_SIZE = 8, 6  # numbers in Arm.vector() for the base and for each link
 
 
 class DescriptionError(ValueError):
@@ -275,19 +274,6 @@ class Arm:
         with _within("base"):
             base = replace(self.base, mount=tuple(xi[-3:]))
         return replace(self, base=base, links=tuple(links))
-
-
-def kinematic_names(n: int) -> tuple[str, ...]:
-    """Names of the 2 n + 2 kinematic parameters of Eq. 1; theta_BJ1 stands for theta_0_1 too."""
-    lengths = (f"a_{i}" for i in range(1, n + 1))
-    offsets = (f"theta_0_{i}" for i in range(2, n + 1))
-    return (*lengths, *offsets, "x_BJ1", "y_BJ1", "theta_BJ1")
-
-
-def kinematic_index(n: int) -> npt.NDArray[np.intp]:
-    """Where the parameters of kinematic_names(n) stand in Arm.vector(), (2 n + 2,)."""
-    links = BASE_SIZE + LINK_SIZE * np.arange(n)
-    return np.concatenate([links, links[1:] + 1, [4, 5, 6]])
 
 
 def paper_arm() -> Arm:

@@ -18,7 +18,7 @@ from fss_arm_model.base_motion import base_pose_sensitivities, path, sampled
 from fss_arm_model.description import Arm
 from fss_arm_model.dynamics import bias, inertia_matrix, inverse_dynamics, kinetic_energy
 from fss_arm_model.momentum import momentum, system_com
-from fss_arm_model.simulation import GRAVITY
+from fss_arm_model.units import GRAVITY
 
 from .base_filter import Estimate
 from .settings import ReactionSettings

@@ -5,15 +5,15 @@ from pathlib import Path
 
 from fss_arm_model.description import Arm, described
 from fss_arm_model.settings import setting
-from fss_arm_model.simulation import Surroundings
+from fss_sim.link.pty import LinkTerminal
+from fss_sim.link.udp import LinkSocket
 from fss_sim.noise import PRESETS, Noise
-from fss_sim.plant import Joints, World
-from fss_sim.pty import LinkTerminal
+from fss_sim.plant.plant import Joints, World
+from fss_sim.plant.surroundings import Surroundings
+from fss_sim.plant.target import Gripper, Target
+from fss_sim.plant.thrusters import Propulsion
 from fss_sim.sensors import RATE
-from fss_sim.target import Gripper, Target
 from fss_sim.testbed import State
-from fss_sim.thrusters import Propulsion
-from fss_sim.udp import LinkSocket
 
 
 @dataclass(frozen=True)

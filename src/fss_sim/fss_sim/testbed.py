@@ -13,11 +13,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fss_arm_model.description import Arm
-from fss_sim.channel import SECOND, Datagram
+from fss_arm_model.units import SECOND
 from fss_sim.faults import Event, Faults
-from fss_sim.link import Link
+from fss_sim.link.channel import Datagram
+from fss_sim.link.link import Link
 from fss_sim.noise import Noise
-from fss_sim.plant import Plant, World
+from fss_sim.plant.plant import Plant, World
 from fss_sim.sensors import RATE, Sensors, Sight
 
 FRAME = SECOND // RATE  # [ns]

@@ -9,12 +9,14 @@ import numpy.typing as npt
 
 from fss_arm_model.clearance import clearance, edge_clearance
 from fss_arm_model.description import Arm
-from fss_arm_model.drives import CURRENT, OFF
+from fss_arm_model.integration import STEP
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_model.momentum import momentum
-from fss_arm_model.simulation import STEP, Surroundings, advance
-from fss_sim.target import Approach, Gripper, Target, approach, caught, held, hold, with_held
-from fss_sim.thrusters import Propulsion, Thrusters
+from fss_sim.plant.drives import CURRENT, OFF
+from fss_sim.plant.simulation import advance
+from fss_sim.plant.surroundings import Surroundings
+from fss_sim.plant.target import Approach, Gripper, Target, approach, caught, held, hold, with_held
+from fss_sim.plant.thrusters import Propulsion, Thrusters
 
 Floats = npt.NDArray[np.float64]
 Pose = tuple[float, float, float]  # x [m], y [m], heading [rad]

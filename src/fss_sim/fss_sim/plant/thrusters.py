@@ -6,13 +6,14 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from fss_arm_model.simulation import STEP
+from fss_arm_model.integration import STEP
+from fss_arm_model.units import GRAVITY
 
 Floats = npt.NDArray[np.float64]
 
 COUNT = 8
 CORNERS = ((1, 1), (-1, 1), (-1, -1), (1, -1))  # of the square, in the base's axes
-GRAVITY, GAS = 9.81, 287.0  # [m/s^2], gas constant of air [J/(kg K)]
+GAS = 287.0  # gas constant of air [J/(kg K)]
 
 
 @dataclass(frozen=True)
