@@ -53,7 +53,7 @@ def clearance(p: npt.ArrayLike, q: npt.ArrayLike, base_radius: float, link_radiu
 
 
 def edge_clearance(
-    p: npt.ArrayLike, q: npt.ArrayLike, table: tuple[float, float], base: float, link: float
+    p: npt.ArrayLike, q: npt.ArrayLike, table: npt.ArrayLike, base: float, link: float
 ) -> Floats:
     """The least gap between the edge of a table about the origin and any body, (...) [m].
 

@@ -9,38 +9,32 @@ import json
 import math
 import operator
 import os
-import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import yaml
+
+from .files import ContentError, read_text, read_yaml, short, write_text
+from .layout import BASE_SIZE, LINK_SIZE, kinematic_index, kinematic_names  # noqa: F401
 
 MAX_LINKS = 12
 
 
-class DescriptionError(ValueError):
+class DescriptionError(ContentError):
     """A description cannot be right: which field, its value, and what was expected."""
-
-    def __init__(self, field: str, value: Any, expected: str) -> None:
-        self.field, self.value, self.expected = field, value, expected
-        given = "missing" if value is None else repr(value)
-        if len(given) > 80:
-            given = f"{given[:77]}..."
-        super().__init__(f"{field} is {given}, expected {expected}")
 
 
 @contextmanager
 def _within(part: str) -> Iterator[None]:
-    """Name the fields of errors raised inside as fields of `part`."""
+    """Name the fields of errors raised inside as fields of `part`, if it has a name."""
     try:
         yield
-    except DescriptionError as error:
-        raise DescriptionError(f"{part}: {error.field}", error.value, error.expected) from None
+    except ContentError as error:
+        field = f"{part}: {error.field}" if part else error.field
+        raise DescriptionError(field, error.value, error.expected) from None
 
 
 def _number(value: Any) -> float:
@@ -62,7 +56,7 @@ def _nonzero(value: Any) -> float:
 
 
 def _count(value: Any) -> int:
-    if isinstance(value, bool) or (number := operator.index(value)) <= 0:
+    if isinstance(value, bool) or not _number(number := operator.index(value)) > 0.0:
         raise ValueError
     return number
 
@@ -86,6 +80,11 @@ def _numbers(count: int) -> Callable[[Any], tuple[float, ...]]:
         return tuple(_number(v) for v in value)
 
     return convert
+
+
+def _check_count(links: Sequence[Any]) -> None:
+    if not 1 <= len(links) <= MAX_LINKS:
+        raise DescriptionError("links", len(links), f"1 to {MAX_LINKS} links")
 
 
 def _chain(value: Any) -> "tuple[Link, ...]":
@@ -233,8 +232,7 @@ class Arm:
 
     def __post_init__(self) -> None:
         _check(self)
-        if not 1 <= len(self.links) <= MAX_LINKS:
-            raise DescriptionError("links", len(self.links), f"1 to {MAX_LINKS} links")
+        _check_count(self.links)
         if self.links[0].theta_0 != 0.0:
             raise DescriptionError(
                 "link 1: theta_0", self.links[0].theta_0, "0, as theta_BJ1 takes its place"
@@ -288,23 +286,6 @@ def paper_arm() -> Arm:
     return Arm(name="paper", base=base, links=links)
 
 
-class _Loader(yaml.SafeLoader):
-    """Safe YAML that also reads 1e-5 as a number, and refuses a key given twice."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        keys = [key.value for key, _ in node.value]
-        for key in keys:
-            if keys.count(key) > 1:
-                line = node.start_mark.line + 1
-                raise DescriptionError(str(key), "given twice", f"once (block at line {line})")
-        return super().construct_mapping(node, deep)
-
-
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float", re.compile(r"[-+]?[0-9]+[eE][-+]?[0-9]+$"), list("-+0123456789")
-)
-
-
 def _entries(kind: type[Any]) -> str:
     return f"the entries {', '.join(f.name for f in fields(kind))}"
 
@@ -314,7 +295,7 @@ def _build(kind: type[Any], given: Any) -> Any:
     known = {f.name: f for f in fields(kind)}
     for key, value in given.items():
         if key not in known:
-            raise DescriptionError(str(key), value, f"only {_entries(kind)}")
+            raise DescriptionError(short(str(key)), value, f"only {_entries(kind)}")
     for f in known.values():
         required = f.default is MISSING and f.default_factory is MISSING
         if required and f.name not in given:
@@ -324,6 +305,7 @@ def _build(kind: type[Any], given: Any) -> Any:
 
 def _read(key: str, value: Any, kind: type[Any] | None = None) -> Any:
     if key == "links" and isinstance(value, list):
+        _check_count(value)
         return [_read(f"link {i}", link, Link) for i, link in enumerate(value, 1)]
     kind = kind or {"base": Base, "drive": Drive, "torque_sensor": TorqueSensor}.get(key)
     if kind is None or not isinstance(value, dict):
@@ -338,15 +320,8 @@ def from_yaml(text: str) -> Arm:
     Raises:
         DescriptionError: it is not YAML, or an entry is missing, unknown, given twice or wrong.
     """
-    try:
-        given = yaml.load(text, _Loader)
-    except DescriptionError:
-        raise
-    except yaml.MarkedYAMLError as error:
-        line = f"line {error.problem_mark.line + 1}" if error.problem_mark else "text"
-        raise DescriptionError(line, error.problem, "YAML") from None
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise DescriptionError("text", str(error).splitlines()[0], "YAML") from None
+    with _within(""):
+        given = read_yaml(text)
     if not isinstance(given, dict):
         raise DescriptionError("arm", given, _entries(Arm))
     arm: Arm = _build(Arm, given)
@@ -360,10 +335,8 @@ def load(path: str | os.PathLike[str]) -> Arm:
         OSError: the file cannot be read.
         DescriptionError: what it says cannot be right; the message names the file and the field.
     """
-    try:
-        text = Path(path).read_text(encoding="utf-8")
-    except UnicodeDecodeError as error:
-        raise DescriptionError(f"{path}: byte {error.start}", error.reason, "UTF-8") from None
+    with _within(""):
+        text = read_text(path)
     with _within(str(path)):
         return from_yaml(text)
 
@@ -422,11 +395,4 @@ def save(arm: Arm, path: str | os.PathLike[str]) -> None:
     Raises:
         OSError: the file cannot be written.
     """
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        part.write_text(to_yaml(arm), encoding="utf-8")
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
+    write_text(path, to_yaml(arm))

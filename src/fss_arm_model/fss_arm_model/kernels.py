@@ -97,7 +97,8 @@ def kernel(layout: str) -> Callable[[Callable[..., None]], Kernel]:
     return lambda function: Kernel(function, layout)
 
 
-# Functions that kernels are made of: division by zero gives inf, as in numpy, and never raises.
+# Functions that kernels are made of, in any package; their names begin with an underscore, as only
+# kernels call them. Division by zero gives inf, as in numpy, and never raises.
 helper = numba.njit(error_model="numpy")
 
 # Those of innermost loops: a call that numba does not dissolve itself costs tens of nanoseconds.

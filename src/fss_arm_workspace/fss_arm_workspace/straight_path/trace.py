@@ -128,7 +128,8 @@ def _within(limits: Floats, free: Floats, q: Floats, new: Floats) -> float:
         bound = limits[k, 1] if new[3 + k] > q[3 + k] else limits[k, 0]
         turn, room = abs(new[3 + k] - q[3 + k]), abs(bound - q[3 + k])
         if free[k] > 0.0 and turn - room > _MET:
-            share = min(share, room / turn)
+            # Vectorized, this is computed for joints at rest too, and must not divide by zero.
+            share = min(share, room / max(turn, _MET))
     return share
 
 
