@@ -1,6 +1,7 @@
 """Who may import whom, read from the syntax trees."""
 
 import ast
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -27,7 +28,7 @@ ALLOWED = {
     | {"fss_arm_model.settings", "fss_arm_ros", "numpy", "rosbags", "mcap", "rich"},
     "fss_arm_driver": ROS
     | {"fss_arm_model.description", "fss_arm_model.settings", "fss_arm_ros", "serial"},
-    "fss_sim": ROS | {"fss_arm_model", "fss_arm_ros", "fss_arm_driver.protocol", "numpy", "yaml"},
+    "fss_sim": ROS | {"fss_arm_model", "fss_arm_ros", "fss_arm_driver.protocol", "numpy"},
     "fss_arm_calib": ROS
     | {"fss_arm_model", "fss_arm_ros", "fss_arm_bags"}
     | {"numpy", "scipy", "yaml", "rich", "matplotlib"},
@@ -35,6 +36,21 @@ ALLOWED = {
     | {"fss_arm_model", "fss_arm_ros", "fss_arm_bags", "numpy", "scipy", "rich", "matplotlib"},
     "fss_arm_view": ROS | {"fss_arm_model", "fss_arm_ros", "numpy", "rerun", "rerun_cli"},
 }
+
+# What of the workspace a room of a package may import beside itself.
+REGIONS = "fss_arm_workspace.regions"
+ROOMS = {
+    "fss_sim.plant": {"fss_arm_model"},
+    "fss_sim.link": {
+        "fss_arm_model", "fss_arm_driver.protocol", "fss_sim.plant", "fss_sim.faults",
+        "fss_sim.noise",
+    },
+    REGIONS: {"fss_arm_model.description", "fss_arm_model.layout"},
+    "fss_arm_workspace.manipulability": {"fss_arm_model", REGIONS},
+    "fss_arm_workspace.straight_path": {
+        "fss_arm_model", REGIONS, "fss_arm_workspace.manipulability.measure",
+    },
+}  # fmt: skip
 
 # Where the mathematics of a package meets ROS: its nodes, and these.
 EDGES = {
@@ -122,6 +138,26 @@ def test_a_package_imports_what_its_row_allows(package: str) -> None:
     assert not strangers
 
 
+@pytest.mark.parametrize("room", ROOMS)
+def test_a_room_imports_what_its_row_allows(room: str) -> None:
+    inside = [module for module in MODULES if module.startswith(f"{room}.")]
+    given = tuple(f"{name}." for name in {room, *ROOMS[room]})
+    ours = {n for m in inside for n in imports(m) if n.startswith("fss_")}
+    assert inside
+    assert not {name for name in ours if not f"{name}.".startswith(given)}
+
+
+def test_only_the_layout_knows_where_what_stands_in_the_parameter_vector() -> None:
+    by_hand = re.compile(r"\bp\[(\.\.\., )?(-?\d|\d \*)")
+    packages = ("fss_arm_model.", "fss_arm_workspace.", "fss_sim.")
+    found = {m for m in MODULES if m.startswith(packages) and by_hand.search(text(m))}
+    assert not found
+
+
+def text(module: str) -> str:
+    return MODULES[module].read_text(encoding="utf-8")
+
+
 @pytest.mark.parametrize("module", list(mathematics()))
 def test_mathematics_is_free_of_ros(module: str) -> None:
     assert not tops(reached(module)) & ROS
@@ -145,7 +181,13 @@ def test_the_plot_library_is_imported_only_where_it_is_used() -> None:
 
 
 @pytest.mark.parametrize(
-    "module", ["fss_arm_model.description", "fss_arm_driver.protocol", "fss_arm_driver.link"]
+    "module",
+    [
+        "fss_arm_model.description",
+        "fss_arm_driver.protocol",
+        "fss_arm_driver.link",
+        "fss_arm_workspace.regions.fixed",
+    ],
 )
 def test_importing_it_loads_neither_kernels_nor_ros(module: str) -> None:
     program = f"import sys, {module}; print({{'numba', 'rclpy', 'scipy'}} & sys.modules.keys())"

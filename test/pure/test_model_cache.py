@@ -85,7 +85,9 @@ def test_kernels_of_other_packages_follow_their_own_sources_and_the_models(copy)
         (other / name).write_text(text)
 
     def total() -> float:
-        return float(copy.run("-c", "from fss_other.room.sums import total; print(total(1))").stdout)
+        return float(
+            copy.run("-c", "from fss_other.room.sums import total; print(total(1))").stdout
+        )
 
     def edit(file: Path, old: str, new: str) -> None:
         assert old in file.read_text()

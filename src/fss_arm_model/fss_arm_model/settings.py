@@ -106,4 +106,5 @@ def meaning(f: "Field[Any]") -> str:
     """A field's meaning, unit and bounds in one line, for help and `ros2 param describe`."""
     about, unit, check = (f.metadata[key] for key in ("about", "unit", "check"))
     words = f"{about} [{unit}]" if unit else about
-    return f"{words}; {check.expected}" if check else words
+    each = "each " if isinstance(f.default, tuple) else ""
+    return f"{words}; {each}{check.expected}" if check else words
