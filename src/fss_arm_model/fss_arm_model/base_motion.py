@@ -25,23 +25,6 @@ import numpy.typing as npt
 from . import layout
 from .kernels import Floats, helper, kernel
 from .kinematics import _THREE, _com, _dot, _mass, _moment, _reach
-from .layout import (
-    COM_X,
-    COM_Y,
-    INERTIA,
-    LATERAL,
-    LENGTH,
-    LINK_INERTIA,
-    LINK_MASS,
-    LINK_SIZE,
-    MASS,
-    MOUNT_ANGLE,
-    MOUNT_X,
-    MOUNT_Y,
-    OFFSET,
-    TIP_ANGLE,
-    G,
-)
 
 #: What follows Arm.vector() in the columns of base_pose_sensitivities.
 STATE_NAMES = ("x", "y", "theta", "p_x", "p_y", "L", "g_x", "g_y")
@@ -189,9 +172,9 @@ def _inertias(p, delta, sigma, K):  # type: ignore[no-untyped-def]
         delta[k], sigma[k] = d, M * d + m * e
         K[k] = _moment(p, k) + m * _dot(e, e) + M * _dot(d, d)
         M += m
-    angle = p[MOUNT_ANGLE]
+    angle = p[layout.MOUNT_ANGLE]
     for k in range(1, K.size):
-        angle += p[LINK_SIZE * k + OFFSET]
+        angle += p[layout.LINK_SIZE * k + layout.OFFSET]
         turn = complex(math.cos(angle), math.sin(angle))
         delta[k] *= turn
         sigma[k] *= turn
@@ -314,14 +297,14 @@ def _chain_rule(p, delta, M, gM, Gs, Gd, gK, sigma, out):  # type: ignore[no-unt
     spin, behind, beyond = 0.0, 0.0, M
     for k in range(1, gK.size):
         spin += _cross_dot(Gs[k], sigma[k]) + _cross_dot(Gd[k], delta[k])
-    out[MOUNT_ANGLE], out[TIP_ANGLE] = spin, 0.0
+    out[layout.MOUNT_ANGLE], out[layout.TIP_ANGLE] = spin, 0.0
     for k in range(gK.size):
         m = _mass(p, k)
         beyond -= m
         d, e = _reach(p, k), _com(p, k)
         by_s, by_d = Gs[k], Gd[k]
         if k > 0:  # from readings of 0 to the link's own frame
-            a = p[LINK_SIZE * k + LENGTH]
+            a = p[layout.LINK_SIZE * k + layout.LENGTH]
             back = complex(delta[k].real / a, -delta[k].imag / a)
             by_s, by_d = by_s * back, by_d * back
         by_mass = gM + behind + _dot(by_s, e) + gK[k] * _dot(e, e)
@@ -329,14 +312,14 @@ def _chain_rule(p, delta, M, gM, Gs, Gd, gK, sigma, out):  # type: ignore[no-unt
         behind += _dot(by_s, d) + gK[k] * _dot(d, d)
         by_d += beyond * by_s + 2.0 * beyond * gK[k] * d
         if k == 0:
-            out[MASS], out[INERTIA] = by_mass, gK[0]
-            out[COM_X], out[COM_Y] = by_e.real, by_e.imag
-            out[MOUNT_X], out[MOUNT_Y] = by_d.real, by_d.imag
+            out[layout.MASS], out[layout.INERTIA] = by_mass, gK[0]
+            out[layout.COM_X], out[layout.COM_Y] = by_e.real, by_e.imag
+            out[layout.MOUNT_X], out[layout.MOUNT_Y] = by_d.real, by_d.imag
         else:
-            link = out[LINK_SIZE * k :]
-            link[LENGTH], link[OFFSET] = by_d.real, spin
-            link[LINK_MASS], link[LINK_INERTIA] = by_mass, gK[k]
-            link[G], link[LATERAL] = by_e.real, by_e.imag
+            link = out[layout.LINK_SIZE * k :]
+            link[layout.LENGTH], link[layout.OFFSET] = by_d.real, spin
+            link[layout.LINK_MASS], link[layout.LINK_INERTIA] = by_mass, gK[k]
+            link[layout.G], link[layout.LATERAL] = by_e.real, by_e.imag
             spin -= _cross_dot(Gs[k], sigma[k]) + _cross_dot(Gd[k], delta[k])
 
 

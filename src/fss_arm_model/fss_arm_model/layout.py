@@ -24,6 +24,11 @@ def size(n: int) -> int:
     return BASE_SIZE + LINK_SIZE * n
 
 
+def count(p: Floats) -> int:
+    """How many links an arm has."""
+    return (p.shape[-1] - BASE_SIZE) // LINK_SIZE
+
+
 def each(p: Floats, number: int) -> Floats:
     """One of the numbers, as LENGTH, of every link: (..., n), a view."""
     return p[..., LINK_SIZE + number :: LINK_SIZE]

@@ -13,22 +13,9 @@ from math import pi
 import numpy as np
 import numpy.typing as npt
 
+from fss_arm_model import layout
 from fss_arm_model.dynamics import inertia_matrix
 from fss_arm_model.kinematics import tip_jacobian, tip_pose
-from fss_arm_model.layout import (
-    BASE_SIZE,
-    INERTIA,
-    LATERAL,
-    LENGTH,
-    LINK_INERTIA,
-    LINK_MASS,
-    LINK_SIZE,
-    MASS,
-    TIP_ANGLE,
-    G,
-    com,
-    each,
-)
 from fss_arm_model.settings import FINITE, NOT_NEGATIVE, POSITIVE, Settings, setting
 
 Floats = npt.NDArray[np.float64]
@@ -49,8 +36,8 @@ class Target(Settings):
 
     def vector(self) -> Floats:
         """As a base without an arm, for the kernel: (8,)."""
-        p = np.zeros(BASE_SIZE)
-        p[MASS], p[INERTIA] = self.mass, self.inertia
+        p = np.zeros(layout.BASE_SIZE)
+        p[layout.MASS], p[layout.INERTIA] = self.mass, self.inertia
         return p
 
 
@@ -100,7 +87,7 @@ def approach(p: Floats, q: Floats, qd: Floats, target: Target, state: Floats) ->
 def hold(p: Floats, q: Floats, pose: npt.ArrayLike) -> Floats:
     """The pose of a body in the frame of the last link: x, y [m], heading [rad]."""
     x, y, heading = tip_pose(p, q)
-    heading -= p[TIP_ANGLE]
+    heading -= p[layout.TIP_ANGLE]
     body_x, body_y, body_heading = np.asarray(pose)
     apart = (complex(body_x, body_y) - complex(x, y)) * np.exp(-1j * heading)
     return np.array([apart.real + _length(p), apart.imag, body_heading - heading])
@@ -109,7 +96,7 @@ def hold(p: Floats, q: Floats, pose: npt.ArrayLike) -> Floats:
 def held(p: Floats, q: Floats, qd: Floats, place: Floats) -> Floats:
     """Pose and twist (2, 3) of a body held at `place` in the frame of the last link."""
     x, y, heading = tip_pose(p, q)
-    heading -= p[TIP_ANGLE]
+    heading -= p[layout.TIP_ANGLE]
     apart = complex(place[0] - _length(p), place[1]) * np.exp(1j * heading)
     twist = held_jacobian(p, q, place) @ qd
     return np.array([[x + apart.real, y + apart.imag, heading + place[2]], twist])
@@ -118,7 +105,7 @@ def held(p: Floats, q: Floats, qd: Floats, place: Floats) -> Floats:
 def held_jacobian(p: Floats, q: Floats, place: Floats) -> Floats:
     """(3, 3 + n): the twist of a body held at `place`, by qd."""
     J = tip_jacobian(p, q)
-    heading = tip_pose(p, q)[2] - p[TIP_ANGLE]
+    heading = tip_pose(p, q)[2] - p[layout.TIP_ANGLE]
     apart = complex(place[0] - _length(p), place[1]) * np.exp(1j * heading)
     J[0] -= apart.imag * J[2]
     J[1] += apart.real * J[2]
@@ -127,21 +114,22 @@ def held_jacobian(p: Floats, q: Floats, place: Floats) -> Floats:
 
 def with_held(p: Floats, target: Target, place: Floats) -> Floats:
     """The arm's parameters with the target at `place` made part of the last link."""
-    last = p.size - BASE_SIZE  # of the numbers of the last link
-    mass, moment, at = p[last + LINK_MASS], p[last + LINK_INERTIA], com(p, last // LINK_SIZE)
+    n = layout.count(p)
+    mass, moment, at = layout.mass(p, n), layout.inertia(p, n), layout.com(p, n)
     body = complex(place[0], place[1])
     whole = mass + target.mass
     middle = (mass * at + target.mass * body) / whole
     moment += target.inertia + mass * abs(at - middle) ** 2 + target.mass * abs(body - middle) ** 2
     p = p.copy()
-    p[last + LINK_MASS], p[last + LINK_INERTIA] = whole, moment
-    p[last + G], p[last + LATERAL] = middle.real, middle.imag
+    link = p[layout.LINK_SIZE * n :]
+    link[layout.LINK_MASS], link[layout.LINK_INERTIA] = whole, moment
+    link[layout.G], link[layout.LATERAL] = middle.real, middle.imag
     return p
 
 
 def _length(p: Floats) -> float:
     """Of the last link [m]."""
-    return float(each(p, LENGTH)[-1])
+    return float(layout.each(p, layout.LENGTH)[-1])
 
 
 def caught(
