@@ -172,8 +172,8 @@ def test_a_result_waits_for_who_comes_late(spin):
     ("settings", "complaint"),
     [
         ({"cell": 0.0}, "cell is 0.0 m"),
-        ({"redundancy": "luck"}, "redundancy is 'luck', expected minimum norm"),
-        ({"table": [1.0, 2.0]}, "expected low x, low y, high x, high y"),
+        ({"redundancy": "luck"}, "redundancy is 'luck', expected one of minimum norm"),
+        ({"table": [1.0, 2.0]}, "table has 2 numbers, expected 4"),
     ],
 )
 def test_impossible_settings_are_refused(ros, settings, complaint):

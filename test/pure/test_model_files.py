@@ -105,7 +105,7 @@ def test_a_file_is_named_and_bounded(tmp_path):
         read_yaml(file)
     with pytest.raises(OSError, match="infinite"):
         read_text(tmp_path / "infinite")
-    with pytest.raises(ContentError, match="^/dev/zero: size is 'too large'"):
+    with pytest.raises(ContentError, match=r"^/dev/zero: size is 'too large'"):
         read_text("/dev/zero")
 
 

@@ -222,8 +222,16 @@ def test_a_search_over_the_redundancy_goes_at_least_as_far():
         assert (found.distance >= other.distance).all()
     won = np.isfinite(preferred).all(axis=(1, 2))
     again = replace(rules, redundancy="preferred")
-    paths = straight_paths(ARM, arch(ARM), directions[won], again)
+    paths = straight_paths(ARM, arch(ARM), directions[won], again, None, preferred[won])
     assert_allclose(paths.distance, found.distance[won], atol=1e-12)
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+@pytest.mark.parametrize("base", BASES)
+def test_nothing_is_divided_by_zero_on_the_way(base):
+    for rule in (MINIMUM_NORM, AWAY_FROM_LIMITS, WEIGHTED):
+        for arm in (ARM, replace(ARM, links=ARM.links[:1])):
+            straight_paths(arm, arch(arm), AROUND, Rules(base=base, redundancy=rule))
 
 
 def test_a_free_base_shortens_paths_as_the_paper_says():
@@ -248,8 +256,8 @@ def test_other_numbers_of_links(n):
         (np.zeros(6), {}, "expected 7 finite numbers"),
         (np.array([0, 0, 0, 2.0, 0, 0, 0]), {}, "joint 1 starts at 2 rad, expected -1.5708 to"),
         (np.array([3.0, 0, 0, 0, 0, 0, 0]), {}, "expected on the table"),
-        (arch(ARM), {"base": "moon"}, "base is 'moon', expected fixed, floating, zero reaction"),
-        (arch(ARM), {"step": 0.0}, "step is 0.0, must be positive"),
+        (arch(ARM), {"base": "moon"}, "base is 'moon', expected one of fixed, floating"),
+        (arch(ARM), {"step": 0.0}, "step is 0.0 m, expected a positive number"),
     ],
 )
 def test_what_cannot_be_is_refused(start, rules, complaint):

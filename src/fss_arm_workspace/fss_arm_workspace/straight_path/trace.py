@@ -154,7 +154,7 @@ def _traced(  # type: ignore[no-untyped-def]
     d, e = np.empty((2, n + 1), np.complex128)
     A, J = np.empty((2, 3, n))
     C, rates = np.empty((3, 3)), np.empty((4, n + 3))
-    free, stage, new, x = np.empty(n), np.empty(n + 3), np.empty(n + 3), np.empty(n)
+    free, stage, new, x = np.empty(n), np.empty(n + 3), np.empty(n + 3), np.zeros(n)
     direction, base = complex(options[0], options[1]), options[2]
     fastest, longest_step, far = options[5], options[6], options[7]
     segment = options[8]
