@@ -238,7 +238,9 @@ def _traced(  # type: ignore[no-untyped-def]
         q[:] = new
     result[0], result[1], result[2] = s, reason, peak
     # Near a singularity the rate grows as (s* - s)^-1/2, so that this much is left of the line.
-    result[3] = 0.5 * rate / slope if reason == _SINGULAR and slope > 0.0 else 0.0
+    # (Computed whatever the reason is, it must not divide by zero.)
+    left_over = 0.5 * rate / max(slope, 1e-300)
+    result[3] = left_over if reason == _SINGULAR and slope > 0.0 else 0.0
 
 
 def trace(
