@@ -15,7 +15,7 @@ from time import process_time
 import numpy as np
 from rosbags.highlevel import AnyReader
 
-from fss_arm_bags.recording import Recording
+from fss_arm_bags.recorder import Recording
 from fss_arm_calib.dynamic.settings import DynamicCalibrationSettings
 from fss_arm_calib.experiment.postures import DEFAULT
 from fss_arm_calib.from_bag import solve_bag, solve_dynamic_bag

@@ -6,9 +6,6 @@ and the share of a core that each process took: where that comes near 1, the gra
 
 import argparse
 import os
-import signal
-import socket
-import subprocess
 import sys
 import time
 from pathlib import Path
@@ -16,6 +13,8 @@ from tempfile import TemporaryDirectory
 
 from fss_arm_bags.reader import open_bags
 from fss_arm_ros.convert import stamp_ns
+from fss_sim.rehearsal.domain import reserve
+from fss_sim.rehearsal.processes import Nodes
 
 LINKS = 4
 VICON = ["/vicon/fss/fss", "/vicon/end_effector/end_effector"]
@@ -29,16 +28,14 @@ MODULES = {
 
 
 class Graph:
-    """The processes, and what they take."""
+    """The processes, in a ROS domain of their own, and what they take."""
 
     def __init__(self, speed: float, folder: Path, processes: int, rate: float) -> None:
-        self.processes: dict[str, subprocess.Popen[bytes]] = {}
-        self.folder = folder
-        ports = free_ports(2 * LINKS)
+        self.enter(folder)
         clock = {"use_sim_time": True}
         self.start("record", output=folder / "bag", **clock)
         self.start("kinematic", **clock)
-        urls = [f"udp://127.0.0.1:{ports[i]}?bind={ports[LINKS + i]}" for i in range(LINKS)]
+        urls = self.domain.urls(LINKS)
         patience = {"timeout": max(1.0, speed), "watchdog": 2.0 * max(1.0, speed), "rate": rate}
         if processes == 1:
             self.start("link", urls=str(urls), **patience, **clock)
@@ -46,21 +43,21 @@ class Graph:
             for i, url in enumerate(urls, 1):
                 self.start("link", f"link_{i}", link=i, url=url, **patience, **clock)
         self.start(
-            "testbed", keep_clock=True, speed=speed, ports=f"{ports[:LINKS]}", paused=True,
+            "testbed", keep_clock=True, speed=speed, ports=self.domain.ports(LINKS), paused=True,
             telemetry_rate=rate,
         )  # fmt: skip
 
+    def enter(self, folder: Path) -> None:
+        """Have no processes yet, in a domain where nobody is."""
+        self.domain = next(reserve())
+        self.domain.enter()
+        self.folder, self.nodes = folder, Nodes(folder, print, self.domain)
+        self.processes = self.nodes.processes
+
     def start(self, what: str, name: str = "", **parameters: object) -> None:
         """Start a node's main as a process."""
-        args = []
-        for key, value in parameters.items():
-            text = str(value).lower() if isinstance(value, bool) else value
-            args += ["-p", f"{key}:={text}"]
         code = f"import sys; from {MODULES[what]} import main; sys.exit(main())"
-        with (self.folder / f"{name or what}.log").open("wb") as log:
-            self.processes[name or what] = subprocess.Popen(
-                [sys.executable, "-c", code, "--ros-args", *args], stdout=log, stderr=log
-            )
+        self.nodes.run(name or what, [sys.executable, "-c", code], **parameters)
 
     def cpu(self) -> dict[str, float]:
         """Time that each has taken [s]."""
@@ -73,21 +70,10 @@ class Graph:
     def stop(self) -> None:
         """The testbed first, so that the others take what is under way."""
         for name in reversed(list(self.processes)):
-            self.processes[name].send_signal(signal.SIGINT)
-            self.processes[name].wait(60)
+            self.nodes.stop(name, 60.0)
             if name == "testbed":
                 time.sleep(2.0)
-
-
-def free_ports(count: int) -> list[int]:
-    """UDP ports of the loopback that nobody has at this moment."""
-    sockets = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(count)]
-    for s in sockets:
-        s.bind(("127.0.0.1", 0))
-    ports = [s.getsockname()[1] for s in sockets]
-    for s in sockets:
-        s.close()
-    return ports
+        self.nodes.close()
 
 
 def measure(speed: float, seconds: float, processes: int, rate: float) -> bool:

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import rclpy
-from bench_graph import LINKS, MODULES, Graph, free_ports
+from bench_graph import LINKS, MODULES, Graph
 from rclpy.action import ActionClient
 from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
@@ -25,7 +25,7 @@ from rclpy.parameter import Parameter
 from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
 
-from fss_arm_bags.health import findings, streams
+from fss_arm_bags.doctor.health import findings, streams
 from fss_arm_bags.reader import find, open_bags
 from fss_arm_bags.recovery import is_sound
 from fss_arm_msgs.action import MoveArm
@@ -49,7 +49,7 @@ class Operator(Node):
         super().__init__("operator", parameter_overrides=[Parameter("use_sim_time", value=True)])
         self.random = np.random.default_rng(1)
         self.pause = self.create_client(SetBool, "sim/pause")
-        self.arm = self.create_client(SetBool, "arm/arm")
+        self.arm = self.create_client(SetBool, "arm/enable")
         self.charge = self.create_client(Trigger, "sim/charge")
         self.mover = ActionClient(self, MoveArm, "arm/move")
         self.moves = 0
@@ -158,7 +158,7 @@ def main() -> int:
         graph.start("dynamic", use_sim_time=True)
         graph.start("arm", use_sim_time=True, time_to_live=options.speed)
         graph.start("reaction", use_sim_time=True)
-        port, web_port = free_ports(2)
+        port, web_port = graph.domain.ports(2)  # of TCP
         graph.start("view", port=port, web_port=web_port, memory=VIEWED, use_sim_time=True)
         rclpy.init()
         try:

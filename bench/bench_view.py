@@ -32,7 +32,7 @@ from tempfile import TemporaryDirectory
 from threading import Event, Thread
 
 import rclpy
-from bench_graph import LINKS, MODULES, TELEMETRY, Graph, free_ports
+from bench_graph import LINKS, MODULES, TELEMETRY, Graph
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from scipy.stats import ttest_1samp
@@ -85,8 +85,8 @@ class ViewGraph(Graph):
     """Test bed, driver and base_reaction, and a view that comes and goes."""
 
     def __init__(self, folder: Path) -> None:
-        self.processes, self.folder = {}, folder
-        ports = free_ports(2 * LINKS)
+        self.enter(folder)
+        ports = self.domain.ports(2 * LINKS)
         self.relay = Relay(ports[:LINKS], ports[LINKS:])
         clock = {"use_sim_time": True}
         self.start("base_reaction", **clock)
@@ -96,7 +96,7 @@ class ViewGraph(Graph):
 
     def view(self) -> None:
         """Start it, and wait until it serves."""
-        port, web = free_ports(2)
+        port, web = self.domain.ports(2)  # of TCP
         self.start("view", port=port, web_port=web, use_sim_time=True)
         log = self.folder / "view.log"
         while "open http" not in log.read_text():

@@ -6,4 +6,4 @@ here=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
 "$here/setup.sh"
 # shellcheck source=scripts/env.sh
 . "$here/env.sh"
-exec python3 "$here/demo.py" "$@"
+exec python3 -m fss_sim.rehearsal.demo "$@"

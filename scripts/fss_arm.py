@@ -1,28 +1,34 @@
 """Tell the arm something, and print its answer.
 
-arm, disarm: all links (arm/arm). stop: all links at once; those that are on hold, under power,
-until disarmed or armed anew (arm/stop). home: each armed link without a reference finds it, one
+arm, disarm: all links (arm/enable). stop: all links at once, of any namespace; those that are on
+hold, under power, until disarmed or armed anew (arm/stop); it fails unless each link says that it
+has stopped. home: each armed link without a reference finds it, one
 after the other. clear: all links disarm and clear their drives' latched faults.
 solve: each calibration that runs closes its present datum and solves. forget: kinematic and
 dynamic drop all that they have observed.
 """
 
 import argparse
+import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from math import inf
 from time import monotonic
 from typing import Any
 
 import rclpy
-from rclpy.duration import Duration
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Empty
 from std_srvs.srv import SetBool, Trigger
 
 from fss_arm_driver.protocol import State
 from fss_arm_msgs.msg import LinkCommand, LinkTelemetry
-from fss_arm_ros.qos import command, subscribe_sensor
+from fss_arm_ros.convert import stamp_ns
+from fss_arm_ros.executor import BatchExecutor
+from fss_arm_ros.qos import command, sensor, subscribe_sensor
 from fss_arm_ros.run import RCLError
 
 PATIENCE = 10.0  # for an answer [s]
@@ -30,6 +36,11 @@ SETTLED = 1.0  # without a new one, all are known [s]
 LINKS = range(1, 13)  # numbers that a link may have
 WORDS = ("arm", "disarm", "stop", "home", "clear", "solve", "forget")
 CALIBRATIONS = ("kinematic", "dynamic", "float")
+REPEAT = 0.05  # from one stop to the next [s]
+GRAPH = 0.5  # by then a program that has begun knows who is there [s]
+CONFIRM = 1.0  # by then a link that is known has said that it stopped [s]
+TOPIC = re.compile(r"(?P<namespace>.*)/(?:arm/stop|(?P<link>link_\d+)/(?:telemetry|command))")
+EMERGENCY = "use the emergency stop"
 LIVES = 2.0  # a HOME, so that the link holds soon after this has ended [s]
 
 Answer = tuple[bool, str]
@@ -72,21 +83,77 @@ def settled(node: Node, known: Callable[[], Any], nobody: str, wait: float) -> A
     return seen
 
 
-def stop(node: Node, wait: float) -> Answer:
-    """Publish arm/stop again and again until no new listener has shown up for a while.
+class Stop:
+    """Stops all arms in the graph, or those in a namespace, until each link itself says it has.
 
-    Raises:
-        NoAnswerError: nobody listens.
+    A link is there if somebody drives or commands it, as the node `arm` does all of its arm's.
     """
-    publisher = node.create_publisher(Empty, "arm/stop", 10)
 
-    def listeners() -> int:
-        publisher.publish(Empty())
-        return int(publisher.get_subscription_count())
+    def __init__(self, node: Node, namespace: str | None) -> None:
+        self.node = node
+        self.namespace = namespace and f"/{namespace}".replace("//", "/").rstrip("/")
+        self.publishers: dict[str, Publisher] = {}
+        self.begun = self.known = monotonic()  # of the last link that became known
+        self.since = int(node.get_clock().now().nanoseconds)  # by the clock of telemetry's stamps
+        self.after: dict[str, float] = {}  # when each link told that it has stopped [s]; inf: not
+        self.publish(node.resolve_topic_name("arm/stop"))
+        node.create_subscription(Clock, "/clock", self.on_clock, sensor())
 
-    count = settled(node, listeners, "nobody listens to arm/stop", wait)
-    heard = publisher.wait_for_all_acked(Duration(seconds=PATIENCE))
-    return heard, f"stop sent to {count} listeners"
+    def publish(self, topic: str) -> None:
+        """Publish once more."""
+        if topic not in self.publishers:
+            self.publishers[topic] = self.node.create_publisher(Empty, topic, 10)
+        self.publishers[topic].publish(Empty())
+
+    def on_clock(self, message: Clock) -> None:
+        """Time is simulated, and so are the stamps."""
+        self.since = min(self.since, stamp_ns(message.clock))
+
+    def look(self) -> None:
+        """Publish to all arms, and listen to links that are new."""
+        for topic, _ in self.node.get_topic_names_and_types():
+            found = TOPIC.fullmatch(topic)
+            if not found or self.namespace not in (None, found["namespace"]):
+                continue
+            link = found["link"] and f"{found['namespace']}/{found['link']}"
+            if not link:
+                self.publish(topic)
+            elif link not in self.after and self.node.count_publishers(topic):
+                self.listen(link)
+
+    def listen(self, link: str) -> None:
+        """Await that a link measures itself stopped after this began."""
+        self.known, self.after[link] = monotonic(), inf
+
+        def take(message: LinkTelemetry) -> None:
+            if message.flags & State.STOPPED and stamp_ns(message.header.stamp) > self.since:
+                self.after[link] = min(self.after[link], monotonic() - self.begun)
+
+        subscribe_sensor(self.node, LinkTelemetry, f"{link}/telemetry", take)
+
+    def __call__(self, wait: float) -> Answer:
+        """Stop; whether all links confirm, in words."""
+        executor = BatchExecutor()
+        executor.add_node(self.node)
+        while True:
+            self.look()
+            until = (now := monotonic()) + REPEAT
+            while now < until:
+                executor.spin_once(timeout_sec=until - now)
+                now = monotonic()
+            silent = [link for link, after in self.after.items() if after == inf]
+            if self.after and not silent and now - self.begun > GRAPH:
+                return True, f"{_named(self.after)}: stopped after {max(self.after.values()):.2f} s"
+            if silent and now - self.known > CONFIRM:
+                stopped = _named(self.after.keys() - silent)
+                also = f" ({stopped}: stopped)" if stopped else ""
+                return False, f"{_named(silent)}: no word that it stopped{also}; {EMERGENCY}"
+            if not self.after and now - self.begun > wait:
+                return False, f"there is no link to confirm the stop; {EMERGENCY}"
+
+
+def _named(links: Iterable[str]) -> str:
+    return ", ".join(sorted(link.lstrip("/") for link in links))
 
 
 def links(node: Node, wait: float) -> list[int]:
@@ -179,36 +246,42 @@ def tell(node: Node, what: str, wait: float, within: float) -> Answer:
     if what == "home":
         return home(node, wait, within)
     if what in ("arm", "disarm"):
-        return call(node, SetBool, "arm/arm", SetBool.Request(data=what == "arm"), wait)
-    if what in ("stop", "clear"):
-        return {"stop": stop, "clear": clear}[what](node, wait)
+        return call(node, SetBool, "arm/enable", SetBool.Request(data=what == "arm"), wait)
+    if what == "clear":
+        return clear(node, wait)
     return calibrations(node, what, wait)
 
 
 def main() -> int:
-    """Run; the exit code is 0 if the arm did as told."""
+    """Run; the exit code is 0 if the arm did as told, 1 if not, 130 if interrupted before."""
     parser = argparse.ArgumentParser("fss_arm.sh", description=__doc__.replace("\n\n", "\n"))
     parser.add_argument("what", choices=WORDS)
-    parser.add_argument("--wait", type=float, default=10.0, help="for somebody to be there [s]")
+    parser.add_argument("--namespace", help="of the arm; without, stop is for all of any namespace")
+    parser.add_argument("--wait", type=float, help="for somebody to be there [s]: 10, to stop 2")
     parser.add_argument("--within", type=float, default=60.0, help="a link must be referenced [s]")
     options = parser.parse_args()
     rclpy.init()
-    node = Node("fss_arm")
+    node = Node("fss_arm", namespace=options.namespace)
+    code = 1
     try:
-        done, words = tell(node, options.what, options.wait, options.within)
+        if options.what == "stop":
+            done, words = Stop(node, options.namespace)(options.wait or 2.0)
+        else:
+            done, words = tell(node, options.what, options.wait or 10.0, options.within)
+        code = 0 if done else 1
     except NoAnswerError as error:
-        done, words = False, str(error)
+        words = str(error)
     except (KeyboardInterrupt, ExternalShutdownException):
-        done, words = False, "interrupted"
+        code, words = 130, "interrupted"
     except RCLError:
         if rclpy.ok():
             raise
-        done, words = False, "interrupted"
+        code, words = 130, "interrupted"
     finally:
         node.destroy_node()
         rclpy.try_shutdown()
-    print(words, file=sys.stdout if done else sys.stderr)
-    return 0 if done else 1
+    print(words, file=sys.stderr if code else sys.stdout)
+    return code
 
 
 if __name__ == "__main__":

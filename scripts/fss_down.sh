@@ -1,5 +1,6 @@
 #!/bin/sh
-# Disarms the links, then stops all nodes of a configuration, the last one first.
+# Disarms the links, then stops all nodes of a configuration, the last one first. The exit code is 0
+# if all links are known to be disarmed, and every node has stopped when it was told to.
 # usage: fss_down.sh [CONFIG]     config/fss.sh by default
 set -eu
 fss_scripts=$(CDPATH='' cd -- "$(dirname -- "$0")" && pwd -P)
@@ -10,9 +11,27 @@ refuse_systemd stop
 
 send() { ! held "$2" || kill -"$1" "$(cat "$FSS_LOGS/$2")" 2>/dev/null || true; }
 
+# drivers NAME PACKAGE EXECUTABLE...: sets `driving` if that drives links; one that stands still
+# (SIGSTOP) is to go on, as it could not disarm its link.
+driving=
+drivers() {
+  case "$2 $3" in 'fss_arm_driver link' | 'fss_arm_driver arm') ;; *) return 0 ;; esac
+  ! held "$1.node" || { driving=1; send CONT "$1.node"; }
+}
+
+# members SESSION: the numbers of its processes. Those of a node have its keeper's number for one.
+members() {
+  for stat in /proc/[0-9]*/stat; do
+    { read -r line <"$stat"; } 2>/dev/null || continue   # it has just ended
+    # shellcheck disable=SC2086  # state, parent, group, session
+    set -- "$1" ${line##*) }
+    [ "$5" != "$1" ] || [ "$2" = Z ] || echo "${line%% *}"
+  done
+}
+
 gone() {
   tries=$((FSS_PATIENCE * 10))
-  while held "$1.keep" || held "$1.node"; do
+  while held "$1.keep" || held "$1.node" || [ "$(members "$2")" ]; do
     [ "$tries" -gt 0 ] || return 1
     tries=$((tries - 1))
     sleep 0.1
@@ -21,14 +40,18 @@ gone() {
 
 stop() {
   held "$1.keep" || held "$1.node" || return 0
+  session=$(cat "$FSS_LOGS/$1.keep") || session=0
   # Its keeper stops the node; one that has lost its keeper is told itself.
   if held "$1.keep"; then send TERM "$1.keep"; else send TERM "$1.node"; fi
-  if ! gone "$1"; then
-    send KILL "$1.keep"
-    send KILL "$1.node"
-    gone "$1" || fail "$1 cannot be stopped"
-    tell "$1 did not stop and was killed"
+  if ! gone "$1" "$session"; then
     status=1
+    # shellcheck disable=SC2046  # numbers
+    kill -KILL $(members "$session") 2>/dev/null || true
+    if ! gone "$1" "$session"; then
+      echo "$1 cannot be stopped, still there: $(members "$session" | tr '\n' ' ')" >&2
+      return 0
+    fi
+    tell "$1 did not stop and was killed"
   fi
   echo "$1 has stopped"
 }
@@ -42,8 +65,10 @@ for file in "$FSS_LOGS"/*.node; do
 done
 
 status=0
-if held arm.node; then
-  "$fss_scripts/fss_arm.sh" disarm || echo "joints that are on will be held, under power" >&2
+each_node drivers
+if [ "$driving" ] && ! "$fss_scripts/fss_arm.sh" disarm; then
+  echo "not all links are known to be disarmed: a joint that is on will be held, under power" >&2
+  status=1
 fi
 for name in $reversed; do stop "$name"; done
 exit $status

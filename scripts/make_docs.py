@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, get_type_hints
 
 from fss_arm_model.settings import meaning
+from fss_arm_ros import alone
 
 ROOT = Path(__file__).resolve().parents[1]
 MESSAGES = ROOT / "src/fss_arm_msgs"
@@ -81,6 +82,7 @@ def parameters() -> str:
     """All nodes' parameters, a table each."""
     parts = ["# Parameters", NOTE]
     parts += ["Each is given as `--ros-args -p NAME:=VALUE`; the node's `--help` shows them, too."]
+    parts += [f"All nodes have `{alone.ALLOW}` (false): {alone.ABOUT}."]
     commands = []
     for package in sorted(path.parent.name for path in ROOT.glob("src/*/setup.py")):
         for entry in sorted(distribution(package).entry_points):

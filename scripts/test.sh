@@ -50,11 +50,15 @@ types() {
   return "$code"
 }
 step ruff ruff check .
+step format ruff format --check --quiet .
 step pure tests test/pure -n "$(nproc)" --dist loadfile "$@"
 step node tests test/node -n "$((2 * $(nproc)))" --dist loadfile "$@"
 step mypy types
 step graphs tests test/e2e --ignore test/e2e/test_demo.py -n "$at_once" "$@"
 step demo tests test/e2e/test_demo.py "$@"
+[[ " $* " != *" --slow "* ]] ||
+  step colcon colcon test --base-paths src --return-code-on-test-failure \
+    --event-handlers console_direct- desktop_notification-
 
 printf '\n== summary\n'
 printf '%s\n' "${summary[@]}"

@@ -8,7 +8,7 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Imu, JointState
 
-from fss_arm_bags.recording import Recording
+from fss_arm_bags.recorder import Recording
 from fss_arm_model import base_motion
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_ros.convert import SECOND, pose_stamped, to_time

@@ -8,7 +8,7 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 
-from fss_arm_bags.recording import Recording
+from fss_arm_bags.recorder import Recording
 from fss_arm_calib.segments.rests import BASE, TIP
 from fss_arm_model.description import paper_arm
 from fss_arm_model.kinematics import tip_in_base

@@ -7,7 +7,6 @@ and field checks on: without them rclpy publishes nonsense for a value of the wr
 import gc
 import os
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -17,30 +16,12 @@ from typing import Any
 
 import pytest
 
+from fss_sim.rehearsal.domain import reserve
 
-def claim_domain() -> tuple[int, socket.socket]:
-    """A ROS domain that no other test process on this machine has, and the socket that holds it.
-
-    Names of abstract sockets are unique within the network namespace, as domains are, and go
-    with the process.
-    """
-    for domain in range(101, 65, -1):  # above 101 DDS ports meet the system's ephemeral ports
-        holder = socket.socket(socket.AF_UNIX)
-        try:
-            holder.bind(f"\0fss_arm_test_domain_{domain}")
-        except OSError:
-            holder.close()
-            continue
-        return domain, holder
-    raise RuntimeError("no free ROS domain from 66 to 101: too many test processes")
-
-
-DOMAIN, _HOLDER = claim_domain()
-
-# Before anything imports rclpy.
-os.environ["ROS_DOMAIN_ID"] = str(DOMAIN)
-os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SYSTEM_DEFAULT"
-os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(Path(__file__).parents[1] / "config/fastdds.xml")
+# Before anything imports rclpy. Above 101 DDS ports meet the system's ephemeral ports.
+OWN = next(reserve(range(66, 102)))  # reserved for as long as it is referred to
+OWN.enter()
+DOMAIN = OWN.number
 os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
 
 

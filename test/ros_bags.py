@@ -9,7 +9,7 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
-from fss_arm_bags.recording import Recording
+from fss_arm_bags.recorder import Recording
 from fss_arm_msgs.msg import KinematicCalibration
 from fss_arm_ros.convert import stamp_ns
 from fss_arm_ros.qos import LATCHED, SENSOR

@@ -47,9 +47,11 @@ class Bench(Node):
             if k % 50 == 0:
                 i = k // 50 % 4
                 joint = JointState(
-                    name=[f"joint_{i + 1}"], position=[float(f.q[k, i])],
-                    velocity=[float(f.qd[k, i])], effort=[0.25],
-                )  # fmt: skip
+                    name=[f"joint_{i + 1}"],
+                    position=[float(f.q[k, i])],
+                    velocity=[float(f.qd[k, i])],
+                    effort=[0.25],
+                )
                 joint.header.stamp = to_time(t)
                 self.joints.publish(joint)
         self.k += frames

@@ -1,21 +1,25 @@
-from setuptools import setup
+from setuptools import find_packages, setup
 
 setup(
     name="fss_arm_bags",
-    version="0.1.0",
-    packages=["fss_arm_bags"],
+    version="0.2.0",
+    packages=find_packages(),
     package_data={"fss_arm_bags": ["py.typed"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/fss_arm_bags"]),
         ("share/fss_arm_bags", ["package.xml"]),
     ],
     description="Bags: reading, recording, replaying and repairing them.",
+    url="https://fss-arm.example.org",
+    maintainer="FSS Arm maintainers",
+    maintainer_email="fss-arm@example.org",
     license="Apache-2.0",
+    extras_require={"test": ["pytest"]},
     entry_points={
         "console_scripts": [
             "record = fss_arm_bags.record_node:main",
             "replay = fss_arm_bags.replay_node:main",
-            "doctor = fss_arm_bags.doctor:main",
+            "doctor = fss_arm_bags.doctor.command:main",
         ],
     },
 )

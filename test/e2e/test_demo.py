@@ -1,6 +1,7 @@
 """The main job as a person runs it: simulator, drivers over UDP, calibration, bag and back."""
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -10,9 +11,12 @@ from threading import Event
 
 import numpy as np
 import pytest
+import rclpy
 from conftest import wait_until
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from std_srvs.srv import Trigger
+from std_srvs.srv import SetBool, Trigger
 
 from fss_arm_bags.reader import open_bags
 from fss_arm_calib.from_bag import solve_bag
@@ -20,8 +24,8 @@ from fss_arm_calib.kinematic.problem import KinematicProblem, quantization_bound
 from fss_arm_calib.kinematic.settings import CalibrationSettings
 from fss_arm_calib.state import read_observations
 from fss_arm_model.description import kinematic_index, load
-from fss_arm_msgs.msg import KinematicCalibration
-from fss_arm_ros.qos import LATCHED
+from fss_arm_msgs.msg import KinematicCalibration, LinkTelemetry
+from fss_arm_ros.qos import LATCHED, SENSOR
 
 ROOT = Path(__file__).resolve().parents[2]
 SENSORS = "['/joint_states','/vicon/fss/fss','/vicon/end_effector/end_effector']"
@@ -36,13 +40,13 @@ NODES = {  # name in the demo: a word of its process's command line
 
 
 class Demo:
-    """scripts/demo.py as a process."""
+    """The demo as a process."""
 
     def __init__(self, out, *options):
         self.out, self.log = out, out.with_suffix(".log")
         with self.log.open("wb") as log:
             self.process = subprocess.Popen(
-                [sys.executable, ROOT / "scripts/demo.py", "--out", out, *options],
+                [sys.executable, "-m", "fss_sim.rehearsal.demo", "--out", out, *options],
                 stdout=log,
                 stderr=log,
             )
@@ -59,6 +63,11 @@ class Demo:
             return self.process.wait(timeout)
         except subprocess.TimeoutExpired:
             pytest.fail(f"still running after {timeout} s:\n{self.text}")
+
+    def domain(self):
+        """The ROS domain that it says it is in."""
+        found = re.search(r"in ROS domain (\d+)", self.text)
+        return found and int(found[1])
 
     def observed(self):
         """How many rests have been observed, by the node's own file."""
@@ -161,3 +170,39 @@ def test_the_truth_comes_back_live_and_from_the_bag_whatever_node_dies(demo, sta
 
     if killed:
         replayed_is_offline(run.out / "bag", start, spin)
+
+
+def test_the_demo_keeps_away_from_links_in_the_exported_domain(ros, spin, demo, domain):
+    """As when the real arm's drivers run, and its domain is exported as docs/hardware.md tells."""
+    real, asked = Node("arm"), []
+    real.create_service(
+        SetBool, "arm/enable", lambda request, answer: asked.append(request) or answer
+    )
+    telemetry = real.create_publisher(LinkTelemetry, "link_1/telemetry", SENSOR)
+    run, heard = demo("--preset", "ideal"), []
+    spin(real, lambda: run.domain() or run.ended(), 60.0)
+    assert run.domain() not in (None, domain), run.text
+
+    context = Context()  # one who looks on in the demo's domain
+    rclpy.init(context=context, domain_id=run.domain())
+    look = Node("look", context=context)
+    look.create_subscription(LinkTelemetry, "link_1/telemetry", heard.append, SENSOR)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(look)
+
+    def armed():
+        telemetry.publish(LinkTelemetry(link=1))
+        executor.spin_once(timeout_sec=0.1)
+        return heard and heard[-1].armed
+
+    spin(real, armed, 60.0)
+    executor.shutdown()
+    look.destroy_node()
+    context.shutdown()
+    pids = [pid for pid in map(run.pid, NODES.values()) if pid]
+    assert len(pids) == len(NODES)
+    run.process.terminate()
+    assert run.wait(60) == 128 + signal.SIGTERM
+    assert run.text.endswith("demo: interrupted\n")
+    assert not any(Path(f"/proc/{pid}").exists() for pid in pids)
+    assert not asked

@@ -1,17 +1,22 @@
-"""The driver's node and the firmware's own code: a link that is left alone stops by itself."""
+"""The driver's node and the firmware's own code: a link left alone stops; one driver has it."""
 
 import signal
 import socket
 import subprocess
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from firmware import build
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
 
+from fss_arm_driver.host_clock import HostClock
+from fss_arm_driver.link_node import LinkNode
 from fss_arm_driver.protocol import State, Telemetry, decode
 from fss_arm_driver.transport import open_transport
 from fss_arm_msgs.msg import LinkCommand
@@ -52,13 +57,19 @@ class Person(Node):
 
     def __init__(self):
         super().__init__("person")
-        self.joint = None
+        self.joint, self.positions, self.health = None, [], {}
         subscribe_sensor(self, JointState, "joint_states", self.see)
+        self.create_subscription(DiagnosticArray, "/diagnostics", self.look, 10)
         self.arming = self.create_client(SetBool, "link_1/arm")
         self.commands = self.create_publisher(LinkCommand, "link_1/command", COMMAND)
 
     def see(self, joint):
         self.joint = joint
+        self.positions.append(joint.position[0])
+
+    def look(self, diagnostics):
+        status = diagnostics.status[0]
+        self.health[status.hardware_id] = status
 
     def turn(self):
         """To the end of the range, slowly; in force for longer than that takes."""
@@ -72,15 +83,24 @@ class Person(Node):
         return self.joint.velocity[0] > 0.15
 
 
-def test_a_link_whose_driver_was_killed_stops_within_the_watchdog_time(spin, start, url, keys):
+def arguments(url, keys):
     parameters = ("-p", "link:=1", "-p", f"url:={url}", "-p", f"keys:={keys}")
-    driver = start("fss_arm_driver.link_node", "--ros-args", *parameters)
-    person = Person()
-    spin(person, lambda: person.joint and person.arming.service_is_ready(), 30.0)
+    return "fss_arm_driver.link_node", "--ros-args", *parameters
+
+
+def begin(spin, nodes, person):
+    """The driver has its link: armed, and turning."""
+    spin(nodes, lambda: person.joint and person.arming.service_is_ready(), 30.0)
     armed = person.arming.call_async(SetBool.Request(data=True))
-    assert spin(person, armed.done, 20.0)
+    assert spin(nodes, armed.done, 20.0)
     assert armed.result().success, armed.result().message
-    spin(person, person.turning, 20.0)
+    spin(nodes, person.turning, 20.0)
+
+
+def test_a_link_whose_driver_was_killed_stops_within_the_watchdog_time(spin, start, url, keys):
+    driver = start(*arguments(url, keys))
+    person = Person()
+    begin(spin, [person], person)
     driver.stop(signal.SIGKILL)
 
     transport = open_transport(url)
@@ -101,3 +121,68 @@ def test_a_link_whose_driver_was_killed_stops_within_the_watchdog_time(spin, sta
     assert tripped[-1].velocity == 0
     assert not tripped[-1].flags & State.ARMED
     assert tripped[-1].position < 50_000  # of the 57 000 counts commanded
+
+
+def test_a_driver_that_was_stopped_and_goes_on_moves_nothing(spin, start, url, keys):
+    driver = start(*arguments(url, keys))
+    person = Person()
+    begin(spin, [person], person)
+    driver.process.send_signal(signal.SIGSTOP)
+    until = time.monotonic() + 5.0
+    asked = person.arming.call_async(SetBool.Request(data=True))
+    spin(person, lambda: person.turn() or time.monotonic() > until)
+    held = len(person.positions)
+    driver.process.send_signal(signal.SIGCONT)
+    spin(person, lambda: len(person.positions) > held + 15)
+    answer = asked.result()
+    assert not answer.success
+    # What came first may have been measured before it was stopped.
+    assert max(person.positions[held + 3 :]) - min(person.positions[held + 3 :]) < 1e-4
+    assert "disarmed" in person.health[url].message
+    assert driver.output.count("stood still for 5") == 1
+    begin(spin, [person], person)
+
+
+@pytest.mark.parametrize("step", [-3600.0, 3600.0])
+def test_a_driver_that_starts_again_with_another_time_has_its_link_in_5_s(spin, url, keys, step):
+    parameters = [Parameter("keys", value=str(keys))]
+    first, person = LinkNode(1, url, parameter_overrides=parameters), Person()
+    begin(spin, [first, person], person)
+    first.close()
+    person.joint = None
+    clock = HostClock(day=lambda: time.time_ns() + round(step * 1e9))
+    second = LinkNode(1, url, clock=clock, parameter_overrides=parameters)
+    spin([second, person], lambda: not second.session.obstacle(second.now()), 5.0)
+    second.session.arm(second.now())
+    spin([second, person], lambda: second.session.armed)
+
+
+@pytest.mark.parametrize("url", ["--udp 0"], indirect=True)
+def test_two_drivers_of_a_link_do_not_share_it_and_both_say_so(spin, start, url, keys):
+    first, person = start(*arguments(url, keys)), Person()
+    begin(spin, [person], person)
+    other = f"{url.partition('=')[0]}={free_port()}"
+    start(*arguments(other, keys), "-r", "__ns:=/other")
+    arming = person.create_client(SetBool, "/other/link_1/arm")
+    lost = "link_1 is lost: not heard yet: is it on, and does no other driver talk to it?"
+
+    def told():
+        assert person.turning()
+        said = {place: status.message for place, status in person.health.items()}
+        return "another driver?" in said.get(url, "") and said.get(other) == lost
+
+    spin(person, told, 30.0)
+    assert person.health[url].level == DiagnosticStatus.WARN
+    assert person.health[other].level == DiagnosticStatus.ERROR
+    spin(person, arming.service_is_ready)
+    refused = arming.call_async(SetBool.Request(data=True))
+    spin(person, refused.done)
+    assert not refused.result().success
+    assert "no other driver" in refused.result().message
+    assert person.turning()
+    assert first.output.count("another driver?") == 1
+    first.stop(signal.SIGKILL)
+    spin(person, lambda: person.health[other].message.startswith("link_1 is disarmed"))
+    armed = arming.call_async(SetBool.Request(data=True))
+    spin(person, armed.done)
+    assert armed.result().success

@@ -165,9 +165,9 @@ def test_a_recorder_that_the_disk_refuses_says_so_and_keeps_what_it_has(spin, st
         assert 0 < bags.topics["/bulk"].messages <= 100
 
 
-@pytest.mark.parametrize("module", ["record_node", "replay_node", "doctor"])
+@pytest.mark.parametrize("module", ["record_node", "replay_node", "doctor.command"])
 def test_help_fits_a_screen(start, module):
-    program = start(f"fss_arm_ros.{module}", "--help")
+    program = start(f"fss_arm_bags.{module}", "--help")
     assert program.wait() == 0
     lines = program.output.splitlines()
     assert 3 < len(lines) <= 40
@@ -180,12 +180,12 @@ def test_help_fits_a_screen(start, module):
         ("record_node", []),
         ("replay_node", []),
         ("replay_node", ["/no/such/bag"]),
-        ("doctor", ["/no/such/bag"]),
+        ("doctor.command", ["/no/such/bag"]),
         ("record_node", ["--ros-args", "-p", "output:=/proc/none"]),
     ],
 )
 def test_what_a_user_gets_wrong_ends_in_one_line(start, module, args):
-    program = start(f"fss_arm_ros.{module}", *args)
+    program = start(f"fss_arm_bags.{module}", *args)
     assert program.wait() != 0
     assert len(program.output.splitlines()) == 1, program.output
 

@@ -5,15 +5,15 @@ import os
 import pty
 import re
 import signal
-import socket
 import subprocess
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from threading import Event
 
 import pytest
-from conftest import DOMAIN, wait_until
+from conftest import DOMAIN, OWN, wait_until
 
 from fss_arm_bags.reader import find, open_bags
 from fss_arm_bags.recovery import is_sound
@@ -49,9 +49,22 @@ class Laboratory:
             return int((self.logs / f"{name}.node").read_text() or 0) or None
         return None
 
+    def keeper(self, name):
+        """The number of its keeper, and of the session that all of the node's processes are in."""
+        return int((self.logs / f"{name}.keep").read_text())
+
     def events(self):
         log = self.logs / "events.log"
         return log.read_text() if log.exists() else ""
+
+
+def members(session):
+    """The processes of a session."""
+    stats = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        with suppress(OSError):  # it has just ended
+            stats.append((int(stat.parent.name), stat.read_text().rsplit(")", 1)[1].split()))
+    return [pid for pid, stat in stats if stat[0] != "Z" and int(stat[3]) == session]
 
 
 @pytest.fixture
@@ -67,21 +80,11 @@ def laboratory(tmp_path):
         one.run("down")
 
 
-def free_ports(count):
-    sockets = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(count)]
-    for s in sockets:
-        s.bind(("127.0.0.1", 0))
-    ports = [s.getsockname()[1] for s in sockets]
-    for s in sockets:
-        s.close()
-    return ports
-
-
 @pytest.mark.slow
 def test_nodes_outlive_the_line_are_started_again_and_stop_in_order(laboratory, tmp_path):
     save(replace(paper_arm(), links=paper_arm().links[:2]), tmp_path / "arm.yaml")
     arm = tmp_path / "arm.yaml"
-    ports = free_ports(2)
+    ports = OWN.ports(2)
     names = ["record", "testbed", "link_1", "link_2", "arm"]
     lab = laboratory(
         f"node record fss_arm_bags record --ros-args -p output:={tmp_path / 'bags'}",
@@ -168,7 +171,7 @@ def test_a_node_that_does_not_stop_is_killed(laboratory, tmp_path):
 def test_a_node_that_lost_its_keeper_is_stopped_all_the_same(laboratory, tmp_path):
     lab = laboratory(f"node record fss_arm_bags record --ros-args -p output:={tmp_path}/bags")
     assert lab.run("up").returncode == 0
-    os.kill(int((lab.logs / "record.keep").read_text()), signal.SIGKILL)
+    os.kill(lab.keeper("record"), signal.SIGKILL)
     pid = lab.pid("record")
     assert pid is not None
     again = lab.run("up")
@@ -180,24 +183,93 @@ def test_a_node_that_lost_its_keeper_is_stopped_all_the_same(laboratory, tmp_pat
     assert lab.pid("record") is None
 
 
+@pytest.fixture
+def armed(laboratory, tmp_path):
+    """The nodes of an arm of one link, which is armed, and the sessions that they are in."""
+    save(replace(paper_arm(), links=paper_arm().links[:1]), tmp_path / "arm.yaml")
+    given = f"--ros-args -p arm:={tmp_path / 'arm.yaml'}"
+    (port,) = OWN.ports(1)
+    lab = laboratory(
+        f"node testbed fss_sim testbed {given} -p ports:=[{port}]",
+        f"node link_1 fss_arm_driver link {given} -p 'url:=udp://127.0.0.1:{port}?bind=0'",
+        f"node arm fss_arm_driver arm {given}",
+    )
+    assert lab.run("up").returncode == 0
+    assert lab.run("arm", "arm").stdout == "all 1 links are armed\n"
+    return lab, [lab.keeper(name) for name in ("testbed", "link_1", "arm")]
+
+
+@pytest.mark.slow
+def test_a_driver_that_stands_still_is_woken_to_disarm_its_link(armed):
+    lab, sessions = armed
+    os.kill(lab.pid("link_1"), signal.SIGSTOP)
+    down = lab.run("down")
+    assert (down.returncode, down.stderr) == (0, "")
+    assert down.stdout.splitlines()[0] == "all 1 links are disarmed"
+    assert not [pid for session in sessions for pid in members(session)]
+
+
+@pytest.mark.slow
+def test_links_that_are_not_known_to_be_disarmed_show_in_the_exit_code(armed):
+    lab, sessions = armed
+    os.kill(lab.keeper("arm"), signal.SIGKILL)
+    os.kill(lab.pid("arm"), signal.SIGKILL)
+    down = lab.run("down")
+    assert down.returncode == 1
+    assert "a joint that is on will be held, under power" in down.stderr
+    assert down.stdout.splitlines() == ["link_1 has stopped", "testbed has stopped"]
+    assert not [pid for session in sessions for pid in members(session)]
+
+
+def script_package(folder, **programs):
+    """A package `pkg` with shell scripts as its executables; its prefix."""
+    marker = folder / "share/ament_index/resource_index/packages/pkg"
+    marker.parent.mkdir(parents=True)
+    marker.touch()
+    for name, text in programs.items():
+        program = folder / "lib/pkg" / name
+        program.parent.mkdir(parents=True, exist_ok=True)
+        program.write_text(f"#!/bin/sh\n{text}\n")
+        program.chmod(0o755)
+    return folder
+
+
+def test_what_a_node_leaves_behind_is_ended_too(laboratory, tmp_path):
+    prefix = script_package(tmp_path / "prefix", parent="sleep 61 9>&- & exec sleep 60")
+    lab = laboratory(f"export AMENT_PREFIX_PATH={prefix}", "FSS_PATIENCE=1", "node a pkg parent")
+    lab.run("up")
+    session = lab.keeper("a")
+    wait_until(lambda: len(members(session)) == 3, 20, PAUSE)
+    down = lab.run("down")
+    assert (down.returncode, down.stdout) == (1, "a has stopped\n")
+    assert "a did not stop and was killed" in lab.events()
+    assert not members(session)
+
+
+def test_what_cannot_be_ended_is_told_by_its_numbers(laboratory, tmp_path):
+    prefix, able = script_package(tmp_path / "prefix", a="exec sleep 60"), tmp_path / "able"
+    lab = laboratory(
+        f"export AMENT_PREFIX_PATH={prefix}", "FSS_PATIENCE=1",
+        f"case $0 in *fss_down.sh) [ -e {able} ] || kill() {{ :; }} ;; esac",
+        "node a pkg a", "node b pkg a",
+    )  # fmt: skip
+    lab.run("up")
+    numbers = {lab.keeper("a"), lab.pid("a"), lab.keeper("b"), lab.pid("b")}
+    down = lab.run("down")
+    able.touch()
+    assert down.returncode == 1
+    assert down.stderr.count(" cannot be stopped, still there: ") == 2
+    assert {int(word) for word in down.stderr.split() if word.isdigit()} == numbers
+
+
 def test_a_ros2_that_stays_as_the_parent_of_what_it_runs_is_not_stopped_in_its_place(
     laboratory, tmp_path
 ):
     """As the real one does, which passes no signal on and keeps open files to itself."""
-    prefix = tmp_path / "prefix"
-    marker = prefix / "share/ament_index/resource_index/packages/pkg"
-    marker.parent.mkdir(parents=True)
-    marker.touch()
-    for file, text in {
-        "bin/ros2": f'PATH=/usr/bin:/bin {SCRIPTS}/bin/ros2 "$@" 9>&-; exit $?',
-        "lib/pkg/sleep": "exec sleep 60",
-    }.items():
-        program = prefix / file
-        program.parent.mkdir(parents=True)
-        program.write_text(f"#!/bin/sh\n{text}\n")
-        program.chmod(0o755)
+    ros2 = f'PATH=/usr/bin:/bin {SCRIPTS}/bin/ros2 "$@" 9>&-; exit $?'
+    prefix = script_package(tmp_path / "prefix", sleeper="exec sleep 60", ros2=ros2)
     lab = laboratory(
-        f"export AMENT_PREFIX_PATH={prefix} PATH={prefix}/bin:$PATH", "node a pkg sleep"
+        f"export AMENT_PREFIX_PATH={prefix} PATH={prefix}/lib/pkg:$PATH", "node a pkg sleeper"
     )
     lab.run("up")
     pid = wait_until(lambda: lab.pid("a"), 20, PAUSE)

@@ -10,8 +10,7 @@ import calib_rig
 import pytest
 import yaml
 from calib_float import Float, postures, record
-from conftest import DOMAIN
-from test_setup_fss import free_ports
+from conftest import DOMAIN, OWN
 
 from fss_arm_bags.reader import open_bags
 from fss_arm_calib.experiment.postures import DEFAULT
@@ -38,7 +37,7 @@ def shell(text, timeout):
 
 @pytest.mark.slow
 def test_without_hardware(tmp_path):
-    ports = free_ports(4)
+    ports = OWN.ports(4)
     config = (ROOT / "config/fss_sim.sh").read_text()
     for old, new in (
         ("ROS_DOMAIN_ID=0", f"ROS_DOMAIN_ID={DOMAIN} FSS_LOGS={tmp_path / 'logs'}"),

@@ -2,20 +2,17 @@
 
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from fss_arm_bags.reader import open_bags
 
-ROOT = Path(__file__).resolve().parents[2]
-
 
 @pytest.mark.slow
 def test_a_capture_is_rehearsed_recorded_and_drawn(tmp_path):
     out = tmp_path / "mission"
-    command = [sys.executable, ROOT / "scripts/mission.py", "--out", out]
+    command = [sys.executable, "-m", "fss_sim.rehearsal.mission", "--out", out]
     done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     for phase in ("approach", "reach", "detumble", "done"):

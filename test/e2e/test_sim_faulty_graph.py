@@ -38,7 +38,7 @@ class Operator(Node):
         self.create_subscription(
             KinematicCalibration, "calibration/kinematic", self.results.append, LATCHED
         )
-        self.arm = self.create_client(SetBool, "arm/arm")
+        self.arm = self.create_client(SetBool, "arm/enable")
         self.solve = self.create_client(Trigger, "kinematic/solve")
         self.asked = None
 

@@ -1,19 +1,19 @@
 """The page that the view serves during the demo, looked at in a browser."""
 
-import os
 import re
 import socket
 import subprocess
 import sys
 import time
-from pathlib import Path
+from functools import partial
+from threading import Event
 
 import pytest
 from browser import CHROMIUM, Page, Picture
+from conftest import wait_until
 
 from fss_arm_view import scene
 
-ROOT = Path(__file__).resolve().parents[2]
 ADDRESS = re.compile(r"open (http://\S+)")
 #: Parts of the page, as the blueprint shares it out: left, top, right, bottom.
 TABLE, LINKS = (0.05, 0.28, 0.38, 0.75), (0.77, 0.1, 1.0, 0.8)
@@ -33,23 +33,26 @@ def free_port():
 
 
 @pytest.fixture
-def demo(domain, tmp_path):
-    """The main job on the simulated test bed, in this test's domain."""
-    command = [sys.executable, ROOT / "scripts/demo.py", "--out", tmp_path / "demo"]
-    environment = {**os.environ, "ROS_DOMAIN_ID": str(domain)}
-    with (tmp_path / "demo.log").open("wb") as log:
-        process = subprocess.Popen(command, stdout=log, stderr=log, env=environment)
-    yield process
-    process.terminate()
-    process.wait(60)
+def demo(tmp_path):
+    """The main job on the simulated test bed; the ROS domain that it says it is in."""
+    command = [sys.executable, "-m", "fss_sim.rehearsal.demo", "--out", tmp_path / "demo"]
+    log = tmp_path / "demo.log"
+    with log.open("wb") as output:
+        process = subprocess.Popen(command, stdout=output, stderr=output)
+    try:
+        said = re.compile(r"in ROS domain (\d+)").search
+        yield wait_until(lambda: said(log.read_text()), 60.0, partial(Event().wait, 0.1))[1]
+    finally:
+        process.terminate()
+        process.wait(60)
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="needs chromium, Debian's package of that name")
 def test_the_page_shows_arm_prediction_and_measurement(start, spin, demo, tmp_path):
     ports = ("-p", f"port:={free_port()}", "-p", f"web_port:={free_port()}")
-    view = start("fss_arm_view.view_node", "--ros-args", *ports)
-    start("fss_arm_view.base_reaction_node")
+    view = start("fss_arm_view.view_node", "--ros-args", *ports, ROS_DOMAIN_ID=demo)
+    start("fss_arm_view.base_reaction_node", ROS_DOMAIN_ID=demo)
     spin([], lambda: ADDRESS.search(view.output), 60.0)
     page = Page(ADDRESS.search(view.output)[1], tmp_path / "browser")
     seen, deadline = {}, time.monotonic() + 300.0

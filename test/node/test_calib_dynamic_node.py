@@ -10,7 +10,7 @@ from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
 from std_srvs.srv import Trigger
 
-from fss_arm_bags.recording import Recording
+from fss_arm_bags.recorder import Recording
 from fss_arm_calib.acceptance import settings_of
 from fss_arm_calib.dynamic.checks import calibrate
 from fss_arm_calib.dynamic.settings import DynamicCalibrationSettings

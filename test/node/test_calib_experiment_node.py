@@ -1,6 +1,7 @@
 """The experiment against a fake arm and a fake observer."""
 
 import json
+import signal
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,6 +10,7 @@ from rclpy.action import ActionServer
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.task import Future
+from unique_identifier_msgs.msg import UUID
 
 from fss_arm_calib.experiment.experiment_node import ExperimentNode
 from fss_arm_msgs.action import MoveArm
@@ -24,7 +26,7 @@ class FakeArm(Node):
 
     def __init__(self, *script):
         super().__init__("arm")
-        self.script, self.goals = list(script), []
+        self.script, self.goals, self.keep_alive = list(script), [], []
         self.server = ActionServer(self, MoveArm, "arm/move", self.on_move)
 
     def close(self):
@@ -32,6 +34,7 @@ class FakeArm(Node):
 
     async def on_move(self, handle):
         self.goals.append(list(handle.request.q))
+        self.keep_alive.append(handle.request.keep_alive)
         what = self.script.pop(0) if self.script else "reach"
         if what == "silence":
             await Future()
@@ -66,6 +69,7 @@ def make_node(**settings):
     node.log = []
     logger = SimpleNamespace(info=node.log.append, warning=node.log.append)
     node.get_logger = lambda: logger
+    node.close = node.mover.destroy  # else it stays in the graph
     return node
 
 
@@ -146,6 +150,41 @@ def test_a_lost_move_is_asked_for_again(spin_to_the_end):
     arm, experiment = FakeArm("reach", "silence", "silence"), make_node()
     assert spin_to_the_end(arm, experiment) == 0
     assert arm.goals == [ROWS[0], ROWS[1], ROWS[1], ROWS[1], ROWS[2]]
+
+
+def test_it_keeps_its_move_alive_and_none_before(spin, spin_to_the_end):
+    arm, experiment, heard = FakeArm("silence"), make_node(silence=60.0), []
+    arm.create_subscription(UUID, "arm/move/alive", heard.append, 10)
+    spin([arm, experiment], lambda: len(heard) > 2)
+    assert arm.keep_alive == [0.5]
+    assert heard[-1] == experiment.goal.result().goal_id
+    experiment.phase = experiment.go
+    assert spin_to_the_end(arm, experiment) == 0
+    ids = [bytes(goal.uuid) for goal in heard]
+    assert ids == sorted(ids, key=ids.index)  # no goal's again after the next one's
+
+
+def test_after_its_process_stood_still_a_person_must_start_it_again(spin, spin_to_the_end):
+    arm, experiment = FakeArm("reach", "silence"), make_node(silence=60.0)
+    spin([arm, experiment], lambda: len(arm.goals) == 2)
+    experiment.ticked -= 5.0  # as after SIGSTOP and SIGCONT
+    words = spin_to_the_end(arm, experiment)
+    assert words.startswith("this program stood still for 5.")
+    assert "after 1 of 3 postures; the next run begins anew, as there is no state_file" in words
+    assert arm.goals == ROWS[:2]
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
+def test_an_experiment_that_is_interrupted_says_how_far_it_is(spin, start, tmp_path, how):
+    arm, state = FakeArm("reach", "reach", "silence"), tmp_path / "progress.json"
+    experiment = start(
+        "fss_arm_calib.experiment.experiment_node", "--ros-args", "-p", "rest:=0.1",
+        "-p", "silence:=60.0", "-p", f"state_file:={state}",
+    )  # fmt: skip
+    spin([arm], lambda: len(arm.goals) == 3, 30.0)
+    assert experiment.stop(how) == 130
+    said = f"interrupted after 2 of 13 postures; the next run goes on from {state}\n"
+    assert experiment.output.endswith(f"-c: {said}")
 
 
 def test_an_arm_that_dies_and_returns(spin, spin_to_the_end):

@@ -12,7 +12,7 @@ from rclpy.serialization import serialize_message
 from std_srvs.srv import Trigger
 
 from fss_arm_bags.reader import BagError
-from fss_arm_bags.recording import Recording
+from fss_arm_bags.recorder import Recording
 from fss_arm_bags.replay_node import ReplayNode
 from fss_arm_calib.acceptance import settings_of
 from fss_arm_calib.experiment.postures import DEFAULT

@@ -12,7 +12,7 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from fss_arm_bags.definitions import definition
-from fss_arm_bags.recording import Recording
+from fss_arm_bags.recorder import Recording
 from fss_arm_calib.dynamic.checks import calibrate as calibrate_dynamics
 from fss_arm_calib.dynamic_messages import maneuvers_message
 from fss_arm_calib.dynamic_messages import to_message as dynamic_message

@@ -1,5 +1,8 @@
 """The node of the whole arm, with the nodes of its links and links behind fake transports."""
 
+import re
+import signal
+import time
 from dataclasses import replace
 
 import pytest
@@ -11,6 +14,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from std_msgs.msg import Empty, String
 from std_srvs.srv import SetBool
+from unique_identifier_msgs.msg import UUID
 
 from fss_arm_driver.arm_node import ArmNode
 from fss_arm_driver.link_node import LinkNode
@@ -39,7 +43,7 @@ class Bench:
         self.arm = ArmNode(parameter_overrides=arm)
         self.user = Node("user")
         self.mover = ActionClient(self.user, MoveArm, "arm/move")
-        self.armer = self.user.create_client(SetBool, "arm/arm")
+        self.armer = self.user.create_client(SetBool, "arm/enable")
         self.stopper = self.user.create_publisher(Empty, "arm/stop", 10)
         self.feedback = []
         self.spin = spin
@@ -63,15 +67,15 @@ class Bench:
         self.until(lambda: all(link.armed == data for link in self.arm.links.values()))
         return answer
 
-    def begin(self, *q, duration=0.0):
-        goal = MoveArm.Goal(q=q, duration=duration)
+    def begin(self, *q, duration=0.0, keep_alive=0.0):
+        goal = MoveArm.Goal(q=q, duration=duration, keep_alive=keep_alive)
         return self.after(self.mover.send_goal_async(goal, self.feedback.append))
 
     def end(self, handle):
         return self.after(handle.get_result_async())
 
-    def move(self, *q, duration=0.0):
-        return self.end(self.begin(*q, duration=duration))
+    def move(self, *q, **options):
+        return self.end(self.begin(*q, **options))
 
 
 @pytest.fixture
@@ -186,7 +190,7 @@ def test_a_move_that_is_blocked_ends_in_time(bench):
 
 def test_without_drivers_arming_says_whose_are_missing(spin):
     arm, user = ArmNode(), Node("user")
-    armer = user.create_client(SetBool, "arm/arm")
+    armer = user.create_client(SetBool, "arm/enable")
     spin([arm, user], armer.service_is_ready)
     answer = armer.call_async(SetBool.Request(data=True))
     spin([arm, user], answer.done)
@@ -217,3 +221,64 @@ def test_no_timer_keeps_the_systems_clock(ros, kind):
     link.close()
     for node in (link, arm):
         node.destroy_node()
+
+
+def test_a_move_is_kept_alive_by_whoever_asked_for_it(bench):
+    bench.enable()
+    alive = bench.user.create_publisher(UUID, "arm/move/alive", 10)
+    bench.until(alive.get_subscription_count)
+    handle = bench.begin(0.2, 0.1, duration=1.5, keep_alive=0.5)
+    bench.user.create_timer(0.1, lambda: alive.publish(handle.goal_id))
+    assert bench.end(handle).result.reached
+
+
+def test_a_move_ends_when_whoever_asked_for_it_is_silent(bench):
+    """Though it is there, and though another move is kept alive."""
+    bench.enable()
+    alive = bench.user.create_publisher(UUID, "arm/move/alive", 10)
+    bench.user.create_timer(0.1, lambda: alive.publish(UUID()))
+    begun = time.monotonic()
+    done = bench.move(0.5, 0.5, duration=20.0, keep_alive=0.5)
+    assert re.fullmatch(r"whoever asked for it is silent for 0\.[5-9] s", done.result.message)
+    bench.until(lambda: all(transport.link.speed == 0.0 for transport in bench.transports))
+    assert time.monotonic() - begun < 1.5
+    assert all(transport.link.flags & State.ARMED for transport in bench.transports)
+
+
+def test_a_move_ends_within_a_second_when_whoever_asked_for_it_is_killed(bench, start):
+    """Though ROS takes it for alive for 20 s more, and another client is there."""
+    bench.enable()
+    file = bench.arm.settings.arm
+    experiment = start(
+        "fss_arm_calib.experiment.experiment_node", "--ros-args", "-p", f"arm:={file}",
+        "-p", "postures:=[1.4, -1.4, -1.4, 1.4]",
+    )  # fmt: skip
+    bench.until(lambda: all(abs(t.link.position) > 4000 for t in bench.transports), 20.0)
+    experiment.process.send_signal(signal.SIGKILL)
+    killed = time.monotonic()
+    bench.until(lambda: all(transport.link.speed == 0.0 for transport in bench.transports))
+    assert time.monotonic() - killed < 1.0
+    assert not bench.arm.moving
+    assert bench.arm.count_clients("arm/move/_action/get_result") == 2
+
+
+def test_a_keep_alive_that_makes_no_sense_is_refused(bench):
+    bench.enable()
+    assert bench.move(0.1, 0.1, keep_alive=-1.0).result.message.startswith("keep_alive is -1.0 s")
+
+
+def test_after_the_node_stood_still_nothing_old_moves_or_arms(bench):
+    bench.enable()
+    move = bench.begin(0.5, 0.5, duration=20.0)
+    bench.until(lambda: any(transport.link.speed for transport in bench.transports))
+    bench.arm.stall.looked -= 5.0  # as after SIGSTOP and SIGCONT
+    message = bench.end(move).result.message
+    assert re.fullmatch(r"this program stood still for 5\.\d s", message)
+    bench.until(lambda: all(transport.link.speed == 0.0 for transport in bench.transports))
+    assert bench.move(0.1, 0.1).result.message == message
+    answer = bench.after(bench.armer.call_async(SetBool.Request(data=True)))
+    assert (answer.success, answer.message) == (False, message)
+    assert bench.after(bench.armer.call_async(SetBool.Request(data=False))).success
+    bench.until(lambda: not bench.arm.stood_still())
+    assert bench.enable().success
+    assert bench.move(0.1, 0.1).result.reached

@@ -20,6 +20,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Empty
 from std_srvs.srv import SetBool, Trigger
 
+from fss_arm_driver.host_clock import HostClock
 from fss_arm_driver.link_node import LinkNode
 from fss_arm_driver.protocol import Mode, Order, Slow, State
 from fss_arm_msgs.msg import CommandStatus, LinkCommand, LinkTelemetry
@@ -318,6 +319,50 @@ def test_simulated_time_is_waited_for_and_followed(spin):
     spin([node, user], lambda: user.health[-1].status[0].message == "the clock stands still")
 
 
+@pytest.mark.parametrize("step", [-3600.0, -30.0, 30.0, 3600.0])
+@pytest.mark.parametrize("key", [None, KEY])
+def test_a_clock_that_is_set_shows_in_the_stamps_and_nowhere_else(spin, tmp_path, key, step):
+    off = 0
+    keys = tmp_path / "keys"
+    keys.write_text(f"1 {KEY.hex()}\n")
+    keys.chmod(0o600)
+
+    def day():
+        return time.time_ns() + off
+
+    transport, user = FakeTransport(key=key, clock=time.monotonic_ns), User()
+    parameters = options(timeout=1.0, **({"keys": str(keys)} if key else {}))
+    node = LinkNode(1, transport=transport, clock=HostClock(day=day), **parameters)
+
+    def until(condition):
+        return spin([node, user], condition)
+
+    def command(set_point):
+        message = LinkCommand(mode=Mode.POSITION, set_point=set_point, max_velocity=0.1)
+        message.header.stamp, message.time_to_live = to_time(day()), 60.0
+        user.command.publish(message)
+
+    until(lambda: user.joints and user.arm.service_is_ready())
+    until(lambda: user.command.get_subscription_count() and node.status.get_subscription_count())
+    assert arm(user, until).success
+    command(0.02)
+    until(lambda: user.status and user.status[-1].status == CommandStatus.REACHED)
+    for sign in (1, -1):  # and back
+        before, off = transport.link.taken.clock, off + round(sign * step * SECOND)
+        heard = len(user.joints)
+        until(lambda: len(user.joints) > heard + 3)  # noqa: B023
+        for message in user.joints[-2:]:
+            assert abs(stamp_ns(message.header.stamp) - day()) < 0.5 * SECOND
+        command(-0.02 * sign)
+        until(lambda: transport.link.position * sign < -700)  # noqa: B023
+        until(lambda: user.status[-1].status == CommandStatus.REACHED)
+        assert abs(stamp_ns(user.status[-1].given) - day()) < 5.0 * SECOND
+        assert before < transport.link.taken.clock
+    assert node.session.counts["lost"] == 0
+    assert node.session.armed
+    assert arm(user, until, data=False).success
+
+
 @pytest.mark.parametrize("kind", ENDS)
 def test_a_link_that_starts_later_and_is_unplugged(spin, tmp_path, kind):
     end = ENDS[kind](tmp_path)
@@ -369,6 +414,7 @@ def test_a_wrong_baud_rate_is_said_in_one_line(start, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
+        ((), "url is missing, expected udp://HOST:PORT?bind=PORT or tcp://HOST:PORT or"),
         (("-p", "url:=tcp://x"), "url is 'tcp://x', expected tcp://HOST:PORT"),
         (("-p", "url:=serial:///dev/no"), "'serial:///dev/no' cannot be opened: No such file"),
         (("-p", "keys:=/no/keys"), "No such file or directory: '/no/keys'"),
@@ -431,6 +477,18 @@ def test_a_battery_that_ends_soon_is_a_warning(bench):
         node.session.battery.take(12.5 + age / 600.0, now - age * SECOND)
     until(lambda: "the battery lasts 5 min" in user.health[-1].status[0].message)
     assert user.level() == DiagnosticStatus.WARN
+
+
+def test_frames_of_somebody_else_are_shown_and_logged_once(bench, monkeypatch):
+    node, user, _, until = bench
+    said, sent = [], node.session.counts["sent"]
+    monkeypatch.setattr(node.get_logger(), "warning", said.append)
+    node.session._dialogue.crowded = True
+    until(lambda: "; link 1 refuses frames of somebody" in user.health[-1].status[0].message)
+    assert user.level() == DiagnosticStatus.WARN
+    until(lambda: node.session.counts["sent"] > sent + 10)
+    assert len(said) == 1
+    assert arm(user, until).success
 
 
 def test_one_process_hosts_all_links_and_is_up_soon(start, spin):

@@ -146,7 +146,7 @@ def test_a_type_that_is_not_installed_is_said_once(spin, tmp_path, monkeypatch):
     node = Node("source")
     node.create_publisher(Int64, "data", 10)
     record = recorder(tmp_path, topics=["data"])
-    spin([node, record], lambda: record.refused == {"/data"})
+    spin([node, record], lambda: record.unknown == {"/data"})
     record.discover()
     assert asked == ["std_msgs/msg/Int64"]
     assert record.recording.topics == {}
@@ -168,7 +168,7 @@ def test_an_output_that_cannot_be_is_refused(ros, tmp_path, output):
 
 def test_a_split_that_another_recorder_forestalls_is_told(ros, tmp_path, monkeypatch):
     record = recorder(tmp_path)
-    monkeypatch.setattr("fss_arm_bags.recording.next_bag", lambda folder: folder / "bag_0")
+    monkeypatch.setattr("fss_arm_bags.recorder.next_bag", lambda folder: folder / "bag_0")
     record.close()
     with pytest.raises(SystemExit, match=r"cannot write .*bag_0: File exists; what it has is kept"):
         record.attempt(record.recording._open)

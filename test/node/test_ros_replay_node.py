@@ -22,7 +22,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Empty, String
 
 from fss_arm_bags.reader import open_bags
-from fss_arm_bags.recording import Recording
+from fss_arm_bags.recorder import Recording
 from fss_arm_bags.replay_node import ReplayNode
 from fss_arm_msgs.msg import KinematicCalibration
 from fss_arm_ros.qos import LATCHED, SENSOR, subscribe_sensor

@@ -6,23 +6,19 @@ import pytest
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from fss_arm_model.settings import SettingError, setting
+from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, SettingError, Settings, between, setting
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.run import run
 
 
 @dataclass(frozen=True)
-class Thing:
-    rate: float = setting(2.0, "how often [Hz]")
-    count: int = setting(3, "how many")
+class Thing(Settings):
+    rate: float = setting(2.0, "how often", unit="Hz", check=POSITIVE)
+    count: int = setting(3, "how many", check=between(0, 9))
     name: str = setting("", "what it is called")
     on: bool = setting(False, "whether it is")
     names: tuple[str, ...] = setting((), "what they are called")
-    gains: tuple[float, ...] = setting((1.0,), "how strong")
-
-    def __post_init__(self):
-        if self.rate <= 0.0:
-            raise ValueError(f"rate is {self.rate} Hz, must be positive")
+    gains: tuple[float, ...] = setting((1.0,), "how strong", check=NOT_NEGATIVE)
 
 
 class ThingNode(Node):
@@ -64,7 +60,9 @@ def test_defaults_and_values_come_back_typed(ros):
         ({"names": "a"}, "names is 'a', expected a list"),
         ({"names": [1]}, "names is 1, expected a string"),
         ({"raet": 1.0}, "no parameter raet; there are rate, count"),
-        ({"rate": -1.0}, "rate is -1.0 Hz, must be positive"),
+        ({"count": 10}, "count is 10, expected 0 to 9"),
+        ({"gains": [1.0, -1.0]}, "gains is -1.0, expected 0 or more"),
+        ({"rate": -1.0}, "rate is -1.0 Hz, expected a positive number"),
     ],
 )
 def test_wrong_values_are_named(ros, values, said):
@@ -75,7 +73,11 @@ def test_wrong_values_are_named(ros, values, said):
 def test_the_description_is_shown_and_the_value_is_fixed(ros):
     node = Node("thing")
     declare(node, Thing)
-    assert node.describe_parameter("rate").description == "how often [Hz]"
+    rate, count, name = map(node.describe_parameter, ("rate", "count", "name"))
+    assert rate.description == "how often [Hz]; a positive number"
+    assert [r.from_value for r in rate.floating_point_range] == [0.0]
+    assert [(r.from_value, r.to_value) for r in count.integer_range] == [(0, 9)]
+    assert not name.floating_point_range
     assert not node.set_parameters([Parameter("rate", value=3.0)])[0].successful
     node.destroy_node()
 
@@ -91,7 +93,7 @@ def test_setting_error_is_a_value_error():
         ("", 3, ""),
         ("--ros-args -p count:=0", 0, ""),
         ("--ros-args -p name:=why", 1, "thing: why"),
-        ("--ros-args -p rate:=-1", 1, "thing: rate is -1.0 Hz, must be positive"),
+        ("--ros-args -p rate:=-1", 1, "thing: rate is -1.0 Hz, expected a positive number"),
         ("--ros-args -p rate:=[]", 1, "thing: rate is None, expected a number"),
         ("--ros-args -p names:=[] -p count:=0", 0, ""),
         ("--ros-args -p rate", 2, "thing: Failed to parse ROS arguments"),

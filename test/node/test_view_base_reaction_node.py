@@ -162,15 +162,15 @@ def test_stamps_that_go_back_begin_anew(ros, capfd, straggler):
     node.destroy_node()
 
 
-def test_a_pose_that_is_repeated_while_the_arm_moves_is_refused(ros):
+def test_a_pose_that_is_repeated_while_the_arm_moves_is_rejected(ros):
     """And believed at rest, as of a simulator without noise."""
     node = BaseReactionNode()
     for k in range(300):
         if k % 20 == 0:
             node.on_joints(read(0.01 * k, velocity=[0.0, 0.0, 0.1 * (k == 100), 0.0]))
         node.on_pose(seen(0.01 * k))
-    assert node.filter.refused == {"frozen": 20}
-    assert node.health().values["frozen refused"] == 20
+    assert node.filter.rejected == {"frozen": 20}
+    assert node.health().values["frozen rejected"] == 20
     assert node.reaction.t > BEGIN + 2 * SECOND
     node.destroy_node()
 
@@ -203,7 +203,7 @@ def test_a_gyro_ahead_of_the_poses_is_told_of(ros):
     for k in range(100):
         node.on_gyro(turned(2.0 + 0.01 * k, 0.0))
         node.on_pose(seen(0.01 * k))
-    late = node.filter.refused["late"]
+    late = node.filter.rejected["late"]
     assert late > 50
     assert node.health().message.endswith(f"; {late} samples of the base came late")
     node.destroy_node()

@@ -47,9 +47,12 @@ def written(node, file):
     node.sink.stream.disconnect()
     rerun = Path(rerun_cli.__file__).parent / "rerun"
     return subprocess.run(
-        [rerun, "rrd", "print", "-vvv", file], capture_output=True, text=True, timeout=60,
+        [rerun, "rrd", "print", "-vvv", file],
+        stdout=subprocess.PIPE,
+        text=True,
+        timeout=60,
         check=True,
-    ).stdout  # fmt: skip
+    ).stdout
 
 
 def free_port():

@@ -7,20 +7,21 @@ import sys
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 
 SOURCES = Path(__file__).parents[2] / "src"
 MESSAGES = {
-    "action_msgs", "builtin_interfaces", "diagnostic_msgs", "fss_arm_msgs", "geometry_msgs",
-    "nav_msgs", "rcl_interfaces", "rosgraph_msgs", "sensor_msgs", "std_msgs", "std_srvs",
-    "tf2_msgs", "visualization_msgs",
-}  # fmt: skip
+    *("action_msgs", "builtin_interfaces", "diagnostic_msgs", "fss_arm_msgs", "geometry_msgs"),
+    *("nav_msgs", "rcl_interfaces", "rosgraph_msgs", "sensor_msgs", "std_msgs", "std_srvs"),
+    *("tf2_msgs", "unique_identifier_msgs", "visualization_msgs"),
+}
 ROS = MESSAGES | {"rclpy", "ament_index_python"}
 MODEL = {"numpy", "scipy", "numba", "yaml"}
 
-# Beside itself and the standard library, a package may import these; a module's name in full
-# allows that module alone.
+# Beside itself and the standard library, a package, or a folder in one, may import these; a
+# module's name in full allows that module alone.
 ALLOWED = {
     "fss_arm_model": MODEL,
     "fss_arm_ros": ROS | {"fss_arm_model", "numpy"},
@@ -29,12 +30,26 @@ ALLOWED = {
     "fss_arm_driver": ROS
     | {"fss_arm_model.description", "fss_arm_model.settings", "fss_arm_ros", "serial"},
     "fss_sim": ROS | {"fss_arm_model", "fss_arm_ros", "fss_arm_driver.protocol", "numpy"},
+    "fss_sim.rehearsal": ROS
+    | {
+        "fss_sim",
+        "fss_arm_model",
+        "fss_arm_ros",
+        "fss_arm_bags",
+        "fss_arm_calib",
+        "numpy",
+        "rich",
+        "matplotlib",
+    },
     "fss_arm_calib": ROS
     | {"fss_arm_model", "fss_arm_ros", "fss_arm_bags"}
     | {"numpy", "scipy", "yaml", "rich", "matplotlib"},
     "fss_arm_workspace": ROS
     | {"fss_arm_model", "fss_arm_ros", "fss_arm_bags", "numpy", "scipy", "rich", "matplotlib"},
-    "fss_arm_view": ROS | {"fss_arm_model", "fss_arm_ros", "numpy", "rerun", "rerun_cli"},
+    "fss_gnc": ROS | {"fss_arm_model", "fss_arm_ros", "numpy"},
+    "fss_arm_view": ROS
+    | {"fss_arm_model", "fss_arm_ros", "fss_gnc.navigation", "fss_gnc.navigation.messages"}
+    | {"numpy", "rerun", "rerun_cli"},
 }
 
 # What of the workspace a room of a package may import beside itself.
@@ -53,19 +68,48 @@ ROOMS = {
 }  # fmt: skip
 
 # Where the mathematics of a package meets ROS: its nodes, and these.
-EDGES = {
-    "settings", "messages", "dynamic_messages", "from_bag", "design_command", "recompute",
-}  # fmt: skip
-MATHEMATICS = {
-    "fss_arm_model", "fss_arm_driver", "fss_sim", "fss_arm_calib", "fss_arm_workspace",
-    "fss_arm_view",
-}  # fmt: skip
+EDGES = {"settings", "messages", "dynamic_messages", "from_bag", "design_command", "recompute"}
+MATHEMATICS = ALLOWED.keys() - {"fss_arm_ros", "fss_arm_bags", "fss_sim.rehearsal"}
+PACKAGES = sorted(row for row in ALLOWED if "." not in row)
+
+
+#: The rosdep key of what is not a ROS package; "": rosdep has none, and package.xml says so.
+ROSDEP = {
+    "matplotlib": "python3-matplotlib",
+    "mcap": "",
+    "numba": "python3-numba",
+    "numpy": "python3-numpy",
+    "rerun": "",
+    "rerun_cli": "",
+    "rich": "python3-rich",
+    "rosbags": "python3-rosbags-pip",
+    "scipy": "python3-scipy",
+    "serial": "python3-serial",
+    "yaml": "python3-yaml",
+}
+PINNED = {"mcap": "mcap", "rerun": "rerun-sdk", "rerun_cli": "rerun-sdk"}  # as pip calls them
+
+
+#: Of setup.py, with the tag of package.xml that says the same.
+FIELDS = {
+    "name": "name",
+    "version": "version",
+    "description": "description",
+    "maintainer": "maintainer",
+    "maintainer_email": "maintainer",
+    "license": "license",
+    "url": "url",
+}
+
+
+def tops(modules: set[str]) -> set[str]:
+    return {module.partition(".")[0] for module in modules}
 
 
 def find_modules() -> dict[str, Path]:
     """The file of each module of the workspace."""
     found = {}
-    for package in ALLOWED:
+    for package in PACKAGES:
         for path in sorted((SOURCES / package / package).rglob("*.py")):
             parts = path.relative_to(SOURCES / package).with_suffix("").parts
             found[".".join(parts).removesuffix(".__init__")] = path
@@ -104,36 +148,38 @@ def reached(module: str) -> set[str]:
     return seen
 
 
-def tops(modules: set[str]) -> set[str]:
-    return {module.partition(".")[0] for module in modules}
+def house(module: str) -> str:
+    """The package that a module is of, or the folder with a row of its own."""
+    rows = [row for row in ALLOWED if f"{module}.".startswith(f"{row}.")]
+    return max(rows, key=len, default=module.partition(".")[0])
 
 
-def is_allowed(name: str, package: str) -> bool:
+def is_allowed(name: str, row: str) -> bool:
     top = name.partition(".")[0]
-    return top in sys.stdlib_module_names or bool({package, *ALLOWED[package]} & {top, name})
+    return top in sys.stdlib_module_names or bool({row, *ALLOWED[row]} & {house(name), name})
 
 
 def mathematics() -> Iterator[str]:
     for module in MODULES:
-        package, name = module.partition(".")[0], module.rpartition(".")[2]
+        package, name = house(module), module.rpartition(".")[2]
         if package in MATHEMATICS and name not in EDGES and not name.endswith("_node"):
             yield module
 
 
 def test_every_package_has_its_row() -> None:
     packages = {path.parent.name for path in SOURCES.glob("*/setup.py")}
-    assert packages == ALLOWED.keys()
-    assert ALLOWED.keys() == {module for module in MODULES if "." not in module}
+    assert packages == set(PACKAGES)
+    assert packages == {module for module in MODULES if "." not in module}
 
 
-@pytest.mark.parametrize("package", ALLOWED)
-def test_a_package_imports_what_its_row_allows(package: str) -> None:
+@pytest.mark.parametrize("row", ALLOWED)
+def test_a_package_imports_what_its_row_allows(row: str) -> None:
     strangers = {
         f"{module} imports {name}"
         for module in MODULES
-        if module.partition(".")[0] == package
+        if house(module) == row
         for name in imports(module)
-        if not is_allowed(name, package)
+        if not is_allowed(name, row)
     }
     assert not strangers
 
@@ -195,3 +241,67 @@ def test_importing_it_loads_neither_kernels_nor_ros(module: str) -> None:
         [sys.executable, "-c", program], capture_output=True, text=True, check=True
     )
     assert run.stdout.strip() == "set()"
+
+
+def foreign(package: str) -> set[str]:
+    """What a package imports that is neither its own nor Python's."""
+    names = {name for m in MODULES if m.split(".")[0] == package for name in tops(imports(m))}
+    return names - {package} - sys.stdlib_module_names
+
+
+def manifest(package: str) -> ElementTree.Element:
+    return ElementTree.parse(SOURCES / package / "package.xml").getroot()
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_package_xml_depends_on_what_is_imported(package: str) -> None:
+    keys = {ROSDEP.get(name, name) for name in foreign(package)} - {""}
+    said = [tag.text for tag in manifest(package).iter("exec_depend")]
+    assert sorted(said) == sorted(keys)
+    text = (SOURCES / package / "package.xml").read_text()
+    comments = set(re.findall(r"<!-- (\S+): no rosdep key", text))
+    assert comments == {PINNED[name] for name in foreign(package) if ROSDEP.get(name) == ""}
+
+
+def test_what_has_no_rosdep_key_is_pinned() -> None:
+    for path in (SOURCES.parent / "scripts").glob("requirements*[!v].txt"):
+        pinned = {line.partition("==")[0] for line in path.read_text().splitlines()}
+        assert {*PINNED.values()} <= pinned, path
+
+
+def test_the_messages_package_xml_depends_on_the_types_of_fields() -> None:
+    fields = "\n".join(path.read_text() for path in (SOURCES / "fss_arm_msgs").glob("*/*.*"))
+    used = set(re.findall(r"^(\w+)/[A-Z]", fields, re.M)) | {"action_msgs"}
+    assert {tag.text for tag in manifest("fss_arm_msgs").iter("depend")} == used
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_setup_py_and_package_xml_say_the_same(package: str) -> None:
+    call = next(
+        node.value
+        for node in ast.parse((SOURCES / package / "setup.py").read_text()).body
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Call)
+    )
+    given = {k.arg: ast.literal_eval(k.value) for k in call.keywords if k.arg in FIELDS}
+    root = manifest(package)
+    maintainer = root.find("maintainer")
+    expected = {field: root.findtext(tag) for field, tag in FIELDS.items()}
+    expected["maintainer_email"] = maintainer is not None and maintainer.get("email")
+    assert given == expected
+
+
+def test_all_packages_agree_on_version_maintainer_licence_and_address() -> None:
+    roots = [ElementTree.parse(path).getroot() for path in SOURCES.glob("*/package.xml")]
+    for tag in ("version", "maintainer", "license", "url"):
+        assert len({root.findtext(tag) for root in roots}) == 1, tag
+    for path in SOURCES.glob("*/*/__init__.py"):  # as results name what computed them
+        told = re.findall(r'^__version__ = "(.*)"', path.read_text(), re.M)
+        assert told in ([], [roots[0].findtext("version")]), path
+    citation = (SOURCES.parent / "CITATION.cff").read_text()
+    assert f"\nversion: {roots[0].findtext('version')}\n" in citation
+    assert len(roots) == len(PACKAGES) + 1  # and the messages
+
+
+def test_the_smoke_tests_of_all_packages_are_one() -> None:
+    texts = {(SOURCES / package / "test/test_smoke.py").read_text() for package in PACKAGES}
+    assert len(texts) == 1

@@ -7,6 +7,7 @@ from math import isnan, nan
 import numpy as np
 import pytest
 
+from fss_arm_calib import __version__
 from fss_arm_calib.acceptance import settings_of
 from fss_arm_calib.experiment.postures import DEFAULT
 from fss_arm_calib.kinematic.checks import FAIL, NOT_EVALUATED, PASS, calibrate
@@ -267,7 +268,7 @@ def test_a_result_says_where_it_is_from_and_follows_from_that():
     assert c.provenance.source == "bag_0 1234"
     assert (c.provenance.begin, c.provenance.end) == (0, 12 * 10**9 + 1)
     assert c.provenance.data_hash == c.observations_hash
-    assert c.provenance.software == "fss_arm_calib 0.1.0"
+    assert c.provenance.software == f"fss_arm_calib {__version__}"
     again = calibrate(
         with_outlier(), from_yaml(c.guess), settings_of(c.provenance, CalibrationSettings)
     )

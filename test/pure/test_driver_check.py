@@ -32,6 +32,9 @@ class Bench:
     def monotonic(self):
         return self.seconds
 
+    def monotonic_ns(self):
+        return round(self.seconds * 1e9)
+
     def time_ns(self):
         return 1_700_000_000_000_000_000 + round(self.seconds * 1e9)
 

@@ -6,6 +6,7 @@ from math import inf, isnan, sqrt
 import pytest
 
 from fss_arm_driver.clock import LinkClock
+from fss_arm_driver.host_clock import HostClock
 
 SECOND = 1_000_000_000
 START = 1_700_000_000 * SECOND  # host time at which the link's clock is 0
@@ -113,3 +114,31 @@ def test_a_clock_in_steps_of_10_ms_is_allowed_for(delay):
         now = exchange(clock, sent, delay, 77_000_000, delay, step=step)
         assert abs(clock.to_host(link_us(now)) - now) <= clock.half_width(now) + 2000
     assert clock.half_width(now) < delay + 7_000_000
+
+
+def test_the_time_of_day_is_followed_at_once_and_does_not_jitter_by_its_reading():
+    rng, now, off = random.Random(4), 0, START
+
+    def reading():
+        nonlocal now
+        now += rng.randrange(1, 50_000)  # each takes its time
+        return now
+
+    clock = HostClock(reading, lambda: reading() + off)
+    seen = {clock.ahead for _ in range(1000)}
+    assert max(seen) - min(seen) < 50_000
+    assert len({clock.ahead for _ in range(1000)}) == 1  # the narrowest bounds are known
+    for off in (START - 3600 * SECOND, START + 30 * SECOND, START + 30 * SECOND + 200_000):
+        assert abs(clock.ahead - off) < 50_000
+
+
+def test_a_simulated_clock_is_its_own_time_of_day():
+    now = 7
+
+    def simulated():
+        return now
+
+    clock = HostClock(simulated, simulated)
+    assert clock.ahead == 0
+    now = 3
+    assert clock.ahead == 0

@@ -1,5 +1,7 @@
 import math
+import os
 import re
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -12,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from model_arms import random_arm
 
+from fss_arm_model import description
 from fss_arm_model.description import (
     Arm,
     Base,
@@ -19,6 +22,7 @@ from fss_arm_model.description import (
     Drive,
     Link,
     TorqueSensor,
+    described,
     from_yaml,
     load,
     paper_arm,
@@ -222,6 +226,34 @@ def test_kinematic_parameters_that_cannot_be_are_refused():
 def test_default_description_is_the_papers():
     assert load(CONFIG / "arm.yaml") == paper_arm()
     assert (CONFIG / "arm.yaml").read_text() == to_yaml(paper_arm())
+
+
+@pytest.mark.parametrize("name", ["paper", "cad", "truth"])
+def test_an_arm_is_found_by_its_name_as_by_its_file(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert described(name).name == name
+    save(described(name), tmp_path / "copy")
+    assert described("copy") == described(str(tmp_path / "copy")) == described(name)
+
+
+def test_a_name_that_nobody_knows_is_answered_with_those_there_are():
+    with pytest.raises(DescriptionError, match=r"^arm is 'cda', expected .* paper, cad, truth$"):
+        described("cda")
+    with pytest.raises(FileNotFoundError):
+        described("cda.yaml")
+    assert described("") == paper_arm()
+
+
+def test_an_installed_copy_finds_the_descriptions_in_share(tmp_path):
+    package = tmp_path / "lib/python3/site-packages/fss_arm_model"
+    shutil.copytree(Path(description.__file__).parent, package)
+    shutil.copytree(CONFIG, tmp_path / "share/fss_arm_model/config")
+    program = "from fss_arm_model.description import described; print(described('truth').name)"
+    path = {**os.environ, "PYTHONPATH": str(package.parent)}
+    run = subprocess.run(
+        [sys.executable, "-c", program], cwd="/", env=path, capture_output=True, text=True
+    )
+    assert run.stdout == "truth\n", run.stderr
 
 
 def test_cad_and_truth_differ_from_the_paper_in_kinematics():

@@ -17,11 +17,11 @@ from rosbags.interfaces import QosDurability
 from rosbags.rosbag2 import Reader
 
 from fss_arm_bags.definitions import definition
-from fss_arm_bags.doctor import main as doctor
+from fss_arm_bags.doctor.command import main as doctor
+from fss_arm_bags.doctor.repair import repair
 from fss_arm_bags.reader import BagError, digest, find, open_bags
-from fss_arm_bags.recording import Limits, Recording, bag_qos, next_bag
+from fss_arm_bags.recorder import Limits, Recording, bag_qos, next_bag
 from fss_arm_bags.recovery import is_sound
-from fss_arm_bags.repair import repair
 from fss_arm_ros.qos import SENSOR
 
 
@@ -186,7 +186,7 @@ def test_repair_of_a_bag_whose_files_have_other_names(tmp_path, monkeypatch, pla
         (made / f"{made.name}.mcap").rename(bag / f"bag_{part}.mcap")
     before = [(bag / f"bag_{part}.mcap").read_bytes() for part in range(2)]
     if place == "exFAT":
-        monkeypatch.setattr("fss_arm_bags.repair.link", no_link)
+        monkeypatch.setattr("fss_arm_bags.doctor.repair.link", no_link)
     assert repair(bag).messages == 102
     assert [(bag / f"bag_{part}.mcap.damaged").read_bytes() for part in range(2)] == before
     assert {p.name for p in bag.glob("[!m]*")} == {
@@ -391,27 +391,38 @@ def test_bags_in_the_manner_of_the_standard_recorder_are_read(tmp_path, split, c
             writer.finish()
     about = {
         "topic_metadata": {
-            "name": "/joint_states", "type": msgtype, "serialization_format": "cdr",
-            "offered_qos_profiles": [], "type_description_hash": definition(msgtype).hash,
+            "name": "/joint_states",
+            "type": msgtype,
+            "serialization_format": "cdr",
+            "offered_qos_profiles": [],
+            "type_description_hash": definition(msgtype).hash,
         },
         "message_count": each * split,
-    }  # fmt: skip
+    }
     times = [(START + each * k * STEP, (each - 1) * STEP) for k in range(split)]
     files = [
         {
-            "path": f"bag_{k}.mcap", "message_count": each, "duration": {"nanoseconds": lasts},
+            "path": f"bag_{k}.mcap",
+            "message_count": each,
+            "duration": {"nanoseconds": lasts},
             "starting_time": {"nanoseconds_since_epoch": begin},
         }
         for k, (begin, lasts) in enumerate(times)
-    ]  # fmt: skip
+    ]
     information = {
-        "version": 9, "storage_identifier": "mcap", "message_count": each * split,
+        "version": 9,
+        "storage_identifier": "mcap",
+        "message_count": each * split,
         "duration": {"nanoseconds": (each * split - 1) * STEP},
         "starting_time": {"nanoseconds_since_epoch": START},
-        "topics_with_message_count": [about], "compression_format": "", "compression_mode": "",
-        "relative_file_paths": [file["path"] for file in files], "files": files,
-        "custom_data": None, "ros_distro": "jazzy",
-    }  # fmt: skip
+        "topics_with_message_count": [about],
+        "compression_format": "",
+        "compression_mode": "",
+        "relative_file_paths": [file["path"] for file in files],
+        "files": files,
+        "custom_data": None,
+        "ros_distro": "jazzy",
+    }
     metadata = yaml.safe_dump({"rosbag2_bagfile_information": information})
     (bag / "metadata.yaml").write_text(metadata)
     with open_bags(bag) as bags:

@@ -8,7 +8,7 @@ from ros_bags import FIRST, make_before_and_after
 from rosbags.rosbag2 import Reader
 
 from fss_arm_bags.definitions import definition, extends, message_class, upgrade
-from fss_arm_bags.doctor import main as doctor
+from fss_arm_bags.doctor.command import main as doctor
 from fss_arm_bags.reader import BagError, find, open_bags
 from fss_arm_calib.from_bag import solve_bag
 from fss_arm_calib.kinematic.settings import CalibrationSettings

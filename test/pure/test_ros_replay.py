@@ -3,9 +3,9 @@
 import pytest
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, ReliabilityPolicy
 
-from fss_arm_bags.playlist import choose, played_as, profile
 from fss_arm_bags.reader import Topic
-from fss_arm_bags.recording import bag_qos
+from fss_arm_bags.recorder import bag_qos
+from fss_arm_bags.replay import choose, played_as, profile
 from fss_arm_ros.qos import LATCHED, SENSOR
 
 

@@ -15,7 +15,7 @@ import pytest
 import yaml
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").glob("*.md"))]
 #: Commands of the system and of ROS that the documentation may use.
 SYSTEM = {
     *(".", "cd", "cmake", "colcon", "cp", "export", "make", "python", "ssh", "sudo", "systemctl"),

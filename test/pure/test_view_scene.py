@@ -148,10 +148,11 @@ def test_a_recording_of_the_view_can_be_read(tmp_path):
     ("change", "words"),
     [
         ({"mode": "file", "file": ""}, "file is empty, expected the name of the recording"),
-        ({"mode": "tv"}, "mode is 'tv', expected 'native', 'web', 'file' or 'connect'"),
+        ({"mode": "tv"}, "mode is 'tv', expected one of native, web, file, connect"),
         ({"bind": "localhost"}, "bind is 'localhost', expected an IP address"),
-        ({"rate": 0.0}, "rate is 0.0, expected more than 0"),
+        ({"rate": 0.0}, "rate is 0.0 Hz, expected a positive number"),
         ({"queue": 0}, "queue is 0, expected 1 or more"),
+        ({"port": 70000}, "port is 70000, expected 1 to 65535"),
     ],
 )
 def test_impossible_settings_are_refused(change, words):

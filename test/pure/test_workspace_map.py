@@ -8,7 +8,7 @@ import pytest
 from rclpy.serialization import serialize_message
 
 from fss_arm_bags.reader import BagError
-from fss_arm_bags.recording import Recording
+from fss_arm_bags.recorder import Recording
 from fss_arm_model.description import from_yaml, paper_arm, save, to_yaml
 from fss_arm_msgs.msg import DynamicCalibration, KinematicCalibration
 from fss_arm_ros.calibrated import Calibrated

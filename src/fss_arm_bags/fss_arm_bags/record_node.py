@@ -4,7 +4,6 @@ from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from math import inf
 from pathlib import Path
 from shutil import disk_usage
 from typing import Any
@@ -15,8 +14,8 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.subscription import Subscription
 
 from fss_arm_bags.definitions import NotInstalledError, message_class
-from fss_arm_bags.recording import Limits, Recording
-from fss_arm_model.settings import setting
+from fss_arm_bags.recorder import Limits, Recording
+from fss_arm_model.settings import NOT_NEGATIVE, SettingError, Settings, setting
 from fss_arm_ros.convert import SECOND
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.parameters import declare
@@ -27,21 +26,25 @@ EARLY = 1000  # latched messages kept until there is a time of receipt
 
 
 @dataclass(frozen=True)
-class RecordSettings:
+class RecordSettings(Settings):
     """The parameters of a RecordNode."""
 
     output: str = setting("", "folder of the bags; the next of bag_0, bag_1, ... is written")
     topics: tuple[str, ...] = setting((), "names of the topics to record; none: all there are")
-    split_size: float = setting(2000.0, "a larger bag is ended and the next begun [MB]; 0: never")
-    split_time: float = setting(3600.0, "likewise a longer one [s]; 0: never")
-    reserve: float = setting(1000.0, "warn if less is left on the disk [MB]")
+    split_size: float = setting(
+        2000.0, "size at which the next bag is begun; 0: never", unit="MB", check=NOT_NEGATIVE
+    )
+    split_time: float = setting(
+        3600.0, "duration after which the next bag is begun; 0: never", unit="s", check=NOT_NEGATIVE
+    )
+    reserve: float = setting(
+        1000.0, "free space on the disk below which it warns", unit="MB", check=NOT_NEGATIVE
+    )
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not self.output:
-            raise ValueError("output is empty, expected the folder of the bags: -p output:=DIR")
-        for name in ("split_size", "split_time", "reserve"):
-            if not 0.0 <= getattr(self, name) < inf:
-                raise ValueError(f"{name} is {getattr(self, name)}, must not be negative")
+            raise SettingError("output is empty, expected the folder of the bags: -p output:=DIR")
 
     def limits(self) -> Limits:
         """When the next bag is begun."""
@@ -63,7 +66,7 @@ class RecordNode(Node):
         self.topics = {self.resolve_topic_name(topic) for topic in settings.topics}
         self.recording = Recording(Path(settings.output), settings.limits())
         self.heard: dict[str, Subscription] = {}
-        self.refused: set[str] = set()
+        self.unknown: set[str] = set()
         self.counts: Counter[str] = Counter()
         self.early: deque[tuple[str, bytes]] = deque(maxlen=EARLY)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -75,7 +78,7 @@ class RecordNode(Node):
     def discover(self) -> None:
         """Listen to topics that are new, or whose publishers ask for another subscription."""
         for topic, (msgtype, *_) in self.get_topic_names_and_types():
-            if topic in self.refused or "/_" in topic or (self.topics and topic not in self.topics):
+            if topic in self.unknown or "/_" in topic or (self.topics and topic not in self.topics):
                 continue
             offered = [info.qos_profile for info in self.get_publishers_info_by_topic(topic)]
             present = [self.heard[topic].qos_profile] if topic in self.heard else []
@@ -89,7 +92,7 @@ class RecordNode(Node):
             if topic not in self.recording.topics:
                 self.recording.add(topic, msgtype, offered)
         except NotInstalledError as error:
-            self.refused.add(topic)
+            self.unknown.add(topic)
             self.get_logger().warning(f"{topic} is not recorded: {error}")
             return
         if topic in self.heard:

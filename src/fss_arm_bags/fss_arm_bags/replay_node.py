@@ -15,13 +15,16 @@ from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
 
 from fss_arm_bags.definitions import NotInstalledError, definition, extends, message_class, upgrade
-from fss_arm_bags.playlist import choose, is_latched, profile
 from fss_arm_bags.reader import BagError, open_bags, two_versions
-from fss_arm_model.settings import setting
+from fss_arm_bags.replay import choose, is_latched, profile
+from fss_arm_model.settings import NOT_NEGATIVE, Settings, setting
 from fss_arm_ros.convert import SECOND, seconds, to_time
 from fss_arm_ros.diagnostics import OK, Diagnostics, Health
 from fss_arm_ros.parameters import declare
-from fss_arm_ros.run import RCLError, run
+from fss_arm_ros.run import run
+
+# rclpy keeps it in its extension and offers no public name for it.
+from rclpy._rclpy_pybind11 import RCLError  # isort: skip
 
 TICK = 0.002  # [s]
 STALL = 0.1  # longest step of bag time: after a pause the replay goes on, it does not catch up [s]
@@ -34,11 +37,15 @@ RIVALS = 0.25  # from one look for other publishers to the next [s]
 
 
 @dataclass(frozen=True)
-class ReplaySettings:
+class ReplaySettings(Settings):
     """The parameters of a ReplayNode."""
 
-    rate: float = setting(1.0, "multiple of the recorded pace; 0: as fast as subscribers take it")
-    start: float = setting(0.0, "begin so long after the first message [s]")
+    rate: float = setting(
+        1.0, "multiple of the recorded pace; 0: as fast as subscribers take it", check=NOT_NEGATIVE
+    )
+    start: float = setting(
+        0.0, "where to begin, after the first message", unit="s", check=NOT_NEGATIVE
+    )
     loop: bool = setting(False, "begin again at the end")
     topics: tuple[str, ...] = setting(
         (), "play these alone, in place; none: measurements in place, results under recorded/"
@@ -46,13 +53,12 @@ class ReplaySettings:
     clock: bool = setting(False, "publish /clock from the times of receipt")
     hold: bool = setting(False, "stay up after the end, so that latched topics stay, too")
     wait_for: tuple[str, ...] = setting((), "topics that must have a subscriber before the start")
-    deadline: float = setting(20.0, "how long to wait for them [s]")
-    discovery: float = setting(3.0, "time for subscribers to show up if wait_for is empty [s]")
-
-    def __post_init__(self) -> None:
-        for name in ("rate", "start", "deadline", "discovery"):
-            if not getattr(self, name) >= 0.0:
-                raise ValueError(f"{name} is {getattr(self, name)}, must not be negative")
+    deadline: float = setting(
+        20.0, "how long to wait for those topics' subscribers", unit="s", check=NOT_NEGATIVE
+    )
+    discovery: float = setting(
+        3.0, "time for subscribers to show up if wait_for is empty", unit="s", check=NOT_NEGATIVE
+    )
 
 
 class ReplayNode(Node):
@@ -82,11 +88,11 @@ class ReplayNode(Node):
         self.played = 0
         self.state = "waiting for subscribers"
         self.turn = monotonic()  # when the last tick was
-        self.bag_time = self.told = 0  # [ns]
+        self.bag_time = self.clock_time = 0  # [ns]
         self.steps = self.play()
         steady = NodeClock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(TICK, lambda: next(self.steps, None), clock=steady)
-        self.create_timer(RIVALS, self.refuse_rivals, clock=steady)
+        self.create_timer(RIVALS, self.end_beside_rivals, clock=steady)
         Diagnostics(self, self.health)
 
     def make_players(self) -> dict[str, Publisher]:
@@ -158,7 +164,7 @@ class ReplayNode(Node):
             yield
         self.played += 1
 
-    def refuse_rivals(self) -> None:
+    def end_beside_rivals(self) -> None:
         """End if somebody else publishes what is played."""
         for player in [*self.players.values(), *([self.clock] if self.clock else [])]:
             if self.count_publishers(player.topic_name) > 1:
@@ -193,12 +199,12 @@ class ReplayNode(Node):
         if rate == 0.0 or self.bag_time == 0 or silence > SILENCE:
             self.bag_time, self.turn = receipt, monotonic()
         while self.bag_time < receipt:
-            self.tell(self.bag_time)
+            self.publish_clock(self.bag_time)
             yield
             now = monotonic()
             self.bag_time += int(rate * min(now - self.turn, STALL) * SECOND)
             self.turn = now
-        self.tell(receipt)
+        self.publish_clock(receipt)
 
     def wait_for_acknowledgement(self, patience: float = inf) -> Iterator[None]:
         """Until all subscribers have everything, or patience [s] is at its end."""
@@ -219,17 +225,24 @@ class ReplayNode(Node):
             return False
         return True
 
-    def tell(self, ns: int) -> None:
+    def publish_clock(self, ns: int) -> None:
         """Publish /clock if it is asked for and due."""
-        if self.clock and not 0 <= ns - self.told < CLOCK_STEP:
+        if self.clock and not 0 <= ns - self.clock_time < CLOCK_STEP:
             self.clock.publish(Clock(clock=to_time(ns)))
-            self.told = ns
+            self.clock_time = ns
 
     def health(self) -> Health:
         """What it is doing, and how far it is."""
         at = max(0.0, seconds(self.bag_time - self.begin))
         values = {"played": self.played, "at [s]": at, "of [s]": seconds(self.end - self.begin)}
         return Health(OK, self.state, values)
+
+    def unfinished(self) -> str:
+        """What is left to play, if that comes to an end."""
+        if self.settings.loop or self.state in ("holding", "done"):
+            return ""
+        played, length = self.bag_time - self.begin, self.end - self.begin
+        return f"after {max(0.0, seconds(played)):.1f} of {seconds(length):.1f} s"
 
     def close(self) -> None:
         """Leave the bags."""

@@ -1,3 +1,3 @@
 """Calibration of the arm's parameters, live and from bags."""
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"

@@ -12,14 +12,17 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.task import Future
+from rclpy.time import Time
 from std_msgs.msg import Empty, String
 from std_srvs.srv import SetBool
+from unique_identifier_msgs.msg import UUID
 
-from fss_arm_driver.move import Move, MoveError, Profile, plan
+from fss_arm_driver.move import LONGEST, Move, MoveError, Profile, plan
 from fss_arm_driver.protocol import State
 from fss_arm_driver.scale import Scale
 from fss_arm_driver.settings import ArmSettings
 from fss_arm_driver.urdf import urdf
+from fss_arm_driver.watch import Asker, Stall
 from fss_arm_msgs.action import MoveArm
 from fss_arm_msgs.msg import LinkCommand, LinkTelemetry
 from fss_arm_ros.convert import SECOND
@@ -31,7 +34,6 @@ from fss_arm_ros.run import run
 
 ANSWER = 6.0  # a link's driver has answered by then [s]
 ASKING = "arm/move/_action/get_result"  # the service that whoever asked for a move is a client of
-DISCOVERY = 3.0  # by then ROS knows of a client that has asked already [s]
 
 
 @dataclass(frozen=True)
@@ -54,7 +56,9 @@ class ArmNode(Node):
         self.arm = self.settings.description()
         self.numbers = range(1, self.arm.n + 1)
         self.links: dict[int, LinkState] = {}
-        self.moving, self.stopped = False, False
+        self.moving, self.stopped = b"", False  # the goal's id
+        self.asker = Asker(0.0, 0.0)
+        self.clock, self.stall = pace(self), Stall(self.settings.time_to_live)
         self.ticked: Future = Future()
 
         lifespan = command(self.settings.time_to_live)
@@ -68,10 +72,11 @@ class ArmNode(Node):
         for i, link in enumerate(self.arm.links, 1):
             self.listen(i, Scale(link))
         self.create_subscription(Empty, "arm/stop", self.on_stop, 10)
-        self.create_service(SetBool, "arm/arm", self.on_arm, callback_group=waits)
+        self.create_subscription(UUID, "arm/move/alive", self.on_alive, 10)
+        self.create_service(SetBool, "arm/enable", self.on_arm, callback_group=waits)
         description = self.create_publisher(String, "robot_description", LATCHED)
         description.publish(String(data=urdf(self.arm)))
-        self.create_timer(1.0 / self.settings.rate, self.tick, clock=pace(self))
+        self.create_timer(1.0 / self.settings.rate, self.tick, clock=self.clock)
         self.mover = ActionServer(
             self,
             MoveArm,
@@ -96,14 +101,24 @@ class ArmNode(Node):
         """The node's clock [ns]."""
         return int(self.get_clock().now().nanoseconds)
 
+    def stood_still(self) -> str:
+        """That this process did, for longer than a command lives; what it hears now may be old."""
+        return self.stall.look(1e-9 * self.clock.now().nanoseconds)
+
     def tick(self) -> None:
         """Let a move under way go on."""
+        self.stood_still()
         self.ticked, ticked = Future(), self.ticked
         ticked.set_result(None)
 
     def on_stop(self, _: Empty) -> None:
         """The links' drivers stop by themselves; a move ends."""
         self.stopped = True
+
+    def on_alive(self, goal: UUID) -> None:
+        """Whoever asked for a move still wants it."""
+        if goal.uuid.tobytes() == self.moving:
+            self.asker.heard = time.monotonic()
 
     async def on_move(self, handle: ServerGoalHandle) -> MoveArm.Result:
         """Execute `arm/move`."""
@@ -130,39 +145,45 @@ class ArmNode(Node):
         if self.moving:
             raise MoveError("another move is under way")
         self.stopped = False
-        self.check(handle)
-        goal = tuple(handle.request.q)
-        move, begun = plan(self.arm, self.q(), goal, handle.request.duration), self.now()
-        self.moving, unseen = True, time.monotonic() + DISCOVERY
+        given = self.check(handle)
+        request = handle.request
+        move, begun = plan(self.arm, self.q(), tuple(request.q), request.duration), self.now()
+        if not 0.0 <= request.keep_alive <= LONGEST:
+            raise MoveError(f"keep_alive is {request.keep_alive} s, expected 0 to {LONGEST:.0f}")
+        self.moving = handle.goal_id.uuid.tobytes()
+        self.asker = Asker(request.keep_alive, time.monotonic())
         try:
             while not self.reached(move):
                 elapsed = (self.now() - begun) / SECOND
                 if elapsed > move.duration + self.settings.patience:
                     raise MoveError(f"not reached within {elapsed:.1f} s, {self.farthest(move)}")
-                self.send(map(position, move.profiles))
+                self.send(map(position, move.profiles), given)
                 remaining = max(0.0, move.duration - elapsed)
                 handle.publish_feedback(MoveArm.Feedback(q=self.q(), remaining=remaining))
                 await self.ticked
-                self.check(handle)
-                if self.count_clients(ASKING):
-                    unseen = 0.0  # from now on it is missed at once
-                elif time.monotonic() > unseen:
-                    raise MoveError("whoever asked for it is gone")
+                given = self.check(handle)
+                if gone := self.asker.gone(time.monotonic(), bool(self.count_clients(ASKING))):
+                    raise MoveError(gone)
         except MoveError:
             if not self.stopped:
-                self.send([LinkCommand(mode=LinkCommand.VELOCITY)] * self.arm.n)  # come to rest
+                rest = [LinkCommand(mode=LinkCommand.VELOCITY)] * self.arm.n
+                self.send(rest, self.get_clock().now())
             raise
         finally:
-            self.moving = False
+            self.moving = b""
 
-    def check(self, handle: ServerGoalHandle) -> None:
-        """Raise MoveError if the arm cannot move or shall not any more."""
+    def check(self, handle: ServerGoalHandle) -> Time:
+        """When the arm could and should move; raise MoveError if it cannot or shall not."""
+        given = self.get_clock().now()
+        if why := self.stood_still():
+            raise MoveError(why)
         if handle.is_cancel_requested:
             raise MoveError("cancelled")
         if self.stopped:
             raise MoveError("stopped")
         for i, trouble in self.troubles().items():
             raise MoveError(f"link {i} {trouble}")
+        return given
 
     def troubles(self) -> dict[int, str]:
         """What keeps each link from moving, if anything does."""
@@ -193,16 +214,19 @@ class ArmNode(Node):
         off = [abs(q - part.target) for q, part in zip(self.q(), move.profiles, strict=True)]
         return f"joint {off.index(max(off)) + 1} is off by {max(off):.4f} rad"
 
-    def send(self, messages: Iterable[LinkCommand]) -> None:
-        """Send each link its command, given now."""
-        stamp = self.get_clock().now().to_msg()
+    def send(self, messages: Iterable[LinkCommand], given: Time) -> None:
+        """Send each link its command, given at that time, from which on it lives."""
+        stamp = given.to_msg()
         for publisher, message in zip(self.commands, messages, strict=True):
             message.header.stamp = stamp
             message.time_to_live = self.settings.time_to_live
             publisher.publish(message)
 
     async def on_arm(self, request: SetBool.Request, response: SetBool.Response) -> Any:
-        """Pass the request on to all links at once; succeed if all do."""
+        """Pass the request on to all links at once; succeed if all do. An old one arms nothing."""
+        if request.data and (old := self.stood_still()):
+            response.message = old
+            return response
         pending = [self.ask(client, request) for client in self.armers]
         answers = [await answer for answer in pending]
         texts = [

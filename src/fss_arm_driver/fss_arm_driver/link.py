@@ -10,6 +10,7 @@ from math import inf, nan
 from typing import NamedTuple
 
 from fss_arm_driver.battery import Battery
+from fss_arm_driver.dialogue import Dialogue
 from fss_arm_driver.faults import blocking
 from fss_arm_driver.progress import Progress, Status
 from fss_arm_driver.protocol import (
@@ -28,11 +29,10 @@ from fss_arm_driver.reception import SECOND, Reception
 from fss_arm_driver.scale import CommandError, Scale, SetPoint
 from fss_arm_model.description import Link
 
-CORRECTION = SECOND // 10  # a clock that is set back by less is being corrected
+CORRECTION = SECOND // 10  # a simulated clock that is set back by less is being corrected
 PATIENCE = 2 * SECOND  # a link that has not armed by then is left disarmed
 RELEASE = 4 * SECOND  # a link that is disarmed has switched off by then, its joint at rest or not
 NO_TORQUE = 255  # as the age of a torque sample: old, or there is none [ms]
-STAMPS_KEPT = 1024  # of commands sent, which an echo may name
 
 
 class Arming(Enum):
@@ -82,6 +82,8 @@ class LinkSession:
         resolution: step of the clock that the caller reads [s].
         key: that frames are signed under; None: they are not signed.
         empty: voltage of the link's battery at which it must be switched off [V].
+        epoch: what to add to the caller's clock to have the time of day [ns]: commands are
+            stamped with that, once, so that they come after those of an earlier session.
     """
 
     def __init__(
@@ -93,6 +95,7 @@ class LinkSession:
         resolution: float = 0.0,
         key: bytes | None = None,
         empty: float = 12.0,
+        epoch: int = 0,
     ) -> None:
         self.number, self._key = number, key
         self.battery, self._empty = Battery(empty), empty
@@ -104,7 +107,11 @@ class LinkSession:
         self._reception = Reception(
             self.scale, self._timeout, round(resolution * SECOND), key is not None, self.counts
         )
+        self._silence = self._watchdog * SECOND // 1000  # the same [ns]
+        self._dialogue = Dialogue(epoch, self._timeout, self._silence, key is not None)
         self._now = 0
+        self._still = 0  # how long time stood still before `_woke`
+        self._woke = -1  # when time went on
         self._boot = 0  # of the link that was followed last
         self.slow: dict[int, int] = {}  # the last report of each field, by Slow
         self._stamp = 0  # of the last sample
@@ -113,12 +120,11 @@ class LinkSession:
         self.progress: Progress | None = None  # of the last order
         self._clear_asked = -PATIENCE  # when
         self._arm_asked = 0  # when
+        self._patience = PATIENCE  # with it
         self._disarm_asked = 0  # when
         self.released = False  # the link has said that it is off, as it was told to be
         self._releasing = False  # it has yet to
         self._sequence = 0
-        self._clock = 0  # stamp of the last frame sent [us]
-        self._sent: dict[int, int] = {}  # low 32 bits of a command's stamp: when it was sent
 
     @property
     def armed(self) -> bool:
@@ -181,21 +187,61 @@ class LinkSession:
     def _latched(self) -> int:
         return self.slow.get(Slow.FAULTS, 0) & 0xFFFFFFFF
 
+    @property
+    def absence(self) -> str:
+        """For how long the link was not heard, in words."""
+        if (silence := self.silence(self._now)) == inf:
+            return "not heard yet: is it on, and does no other driver talk to it?"
+        return f"silent for {silence:.1f} s"
+
+    @property
+    def rival(self) -> str:
+        """That another driver commands the link, in words; this one does not, then."""
+        rival = self._dialogue.rival(self._now)
+        return f"another driver commands link {self.number}" if rival else ""
+
+    @property
+    def strain(self) -> str:
+        """What makes it hard to command the link, in words: delay, frames of somebody else."""
+        if (way := self._dialogue.delay) > self._timeout:
+            most = 1e-9 * self._timeout
+            return f"delay of {1e-9 * way:.2f} s there and back, at most {most:g} s"
+        if self._dialogue.crowded:
+            return f"link {self.number} refuses frames of somebody else: another driver?"
+        return ""
+
+    @property
+    def standstill(self) -> str:
+        """That this process did nothing for longer than the watchdog time, in words."""
+        return f"stood still for {1e-9 * self._still:.1f} s" if self._still else ""
+
+    def obstacle(self, now: int) -> str:
+        """Why the link cannot be armed, in words; empty: it can."""
+        self.tick(now)
+        link, dialogue = f"link {self.number}", self._dialogue
+        if self.rival:
+            return self.rival
+        if dialogue.delay > self._timeout:
+            return f"{link}: {self.strain}"
+        if self.lost:
+            return f"{link} is lost: {self.absence}"
+        if dialogue.answered < self._woke:
+            return f"{link}: its driver {self.standstill} just now"
+        return f"{link} has faults: {', '.join(self.faults)}" if self.faults else ""
+
     def arm(self, now: int) -> None:
         """Ask the link to arm, also after a stop; `arming` tells how far that has come.
 
         Raises:
-            CommandError: the link is lost, or a fault forbids motion.
+            CommandError: there is an obstacle.
         """
-        self.tick(now)
-        if self.lost:
-            silence = self.silence(now)
-            past = "not heard yet" if silence == inf else f"silent for {silence:.1f} s"
-            raise CommandError(f"link {self.number} is lost: {past}")
-        self._check_faults()
+        if obstacle := self.obstacle(now):
+            raise CommandError(obstacle)
         self.released = self._releasing = False
         if self.arming is not Arming.ARMED:
             self.arming, self._arm_asked = Arming.ARMING, now
+            first = self._dialogue.answered < 0  # it may wait for an earlier driver's watchdog
+            self._patience = PATIENCE + first * self._silence
 
     def _check_faults(self) -> None:
         if faults := self.faults:
@@ -265,19 +311,29 @@ class LinkSession:
         self.counts["commands_clamped"] += order.clamped
 
     def tick(self, now: int) -> None:
-        """Let time pass: loss, expiry, arming that came to nothing, a clock that was set back."""
+        """Let time pass: loss, expiry, arming that came to nothing, a simulated clock set back.
+
+        Time in which this was not called long enough for the link to disarm itself, as the
+        process was stopped or the computer slept, is time that nobody watched the link.
+        """
+        if self._now and now - self._now > self._silence:
+            self._still, self._woke = now - self._now, now
+            self._disarm(self.standstill)
         if now < self._now - CORRECTION:
             self._reception.forget(now)
-            self._sent.clear()
+            self._dialogue.forget()
+            self._woke = -1
             self._stamp = 0
             self._clear_asked = now - PATIENCE
             self._disarm("the clock was set back")
         self._now = now
         if self._reception.tick(now):
+            self._dialogue.delay = 0
             self._disarm("the link is lost")
         if self._order and now > self._expiry:
             self._drop_order(Status.TIMED_OUT, "its time to live ended")
-        if self.arming is Arming.ARMING and now - self._arm_asked > PATIENCE:
+        patience = self._patience + 2 * self._dialogue.delay  # a latch is cleared first
+        if self.arming is Arming.ARMING and now - self._arm_asked > patience:
             self.arming = Arming.DISARMED
         if self.lost or now - self._disarm_asked > RELEASE:
             self._releasing = False
@@ -285,10 +341,6 @@ class LinkSession:
     def command(self, now: int) -> bytes:
         """The frame to send now."""
         self.tick(now)
-        self._clock = max(now // 1000, self._clock + 1)  # greater each time: no command is a replay
-        self._sent[self._clock & 0xFFFFFFFF] = now
-        if len(self._sent) > STAMPS_KEPT:
-            del self._sent[next(iter(self._sent))]
         self._sequence = (self._sequence + 1) & 0xFFFFFFFF
         self.counts["sent"] += 1
         flags, expiry, order = self._wanted(now)
@@ -299,7 +351,7 @@ class LinkSession:
                 flags=flags,
                 boot=frame.boot if frame else 0,
                 sequence=self._sequence,
-                clock=self._clock,
+                clock=self._dialogue.stamp(now),
                 expiry=track.clock.to_link(expiry) if track and expiry else 0,
                 mode=order.mode if order else Mode.OFF,
                 watchdog=self._watchdog,
@@ -318,8 +370,9 @@ class LinkSession:
         if frame is None or self.arming is Arming.DISARMED:
             clear = now - self._clear_asked < PATIENCE
             return Order.CLEAR_FAULTS if clear else 0, 0, None
-        if self.arming is Arming.ARMING and frame.flags & (State.STOPPED | State.WATCHDOG):
-            return 0, 0, None  # latches are cleared by a frame that does not arm
+        latched = frame.flags & (State.STOPPED | State.WATCHDOG)
+        if self.arming is Arming.ARMING and (latched or self._dialogue.answered < 0):
+            return 0, 0, None  # a frame that does not arm clears latches, and begins a session
         if self._order is None or self.scale.outward(self._order, frame.position):
             return Order.ARM | Order.HOLD, now + self._timeout, None
         home = Order.HOME if self._order.home else 0
@@ -340,9 +393,14 @@ class LinkSession:
         self.counts["received"] += 1
         if (frame := self._decode(data)) is None:
             return None
-        lost, echoed = self.lost, self._sent_at(frame)
-        if not self._reception.take(frame, echoed, now):
+        lost, echoed = self.lost, self._dialogue.sent_at(frame)
+        believed = self._reception.take(frame, self._dialogue.way(frame, now), now)
+        if believed or lost:
+            self._dialogue.hear(frame, now)
+        if not believed:
             return None
+        if self.rival:
+            self._disarm(self.rival)
         if lost:  # nothing is wanted of a link that was not followed until now
             self._disarm("the link was lost")
         return self._sample(frame, echoed, now)
@@ -355,11 +413,7 @@ class LinkSession:
         self.slow[frame.slow_id] = frame.slow_value
         if frame.slow_id == Slow.BATTERY:
             self.battery.take(0.1 * frame.slow_value, self._now)
-        self._follow_arming(frame, self._sent_at(frame))
-
-    def _sent_at(self, frame: Telemetry) -> int | None:
-        """When the command that a frame echoes was sent, if that is known."""
-        return self._sent.get(frame.echo) if frame.echo else None
+        self._follow_arming(frame, self._dialogue.sent_at(frame))
 
     def _decode(self, data: bytes) -> Telemetry | None:
         """The telemetry of this link that these bytes are, or None, counted."""

@@ -6,7 +6,6 @@ What both touch is the session, under a lock.
 
 import os
 import sys
-import time
 from threading import RLock
 from typing import Any
 
@@ -18,6 +17,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Empty
 from std_srvs.srv import SetBool, Trigger
 
+from fss_arm_driver.host_clock import HostClock
 from fss_arm_driver.link import SECOND, Arming, LinkSession
 from fss_arm_driver.messages import (
     LinkHealth,
@@ -49,10 +49,16 @@ class LinkNode(Node):
         number: of the link.
         url: where its electronics are.
         transport: instead of `url`.
+        clock: the computer's, but for tests.
     """
 
     def __init__(
-        self, number: int = 1, url: str = "", transport: Transport | None = None, **options: Any
+        self,
+        number: int = 1,
+        url: str = "",
+        transport: Transport | None = None,
+        clock: HostClock | None = None,
+        **options: Any,
     ) -> None:
         overrides = [Parameter("link", value=number), *options.pop("parameter_overrides", ())]
         if url:
@@ -60,7 +66,10 @@ class LinkNode(Node):
         super().__init__(f"link_{number}", parameter_overrides=overrides, **options)
         self.settings = settings = declare(self, LinkSettings)
         simulated = self.get_parameter("use_sim_time").value
-        self.now = self.simulated_now if simulated else time.time_ns
+        if simulated:
+            clock = HostClock(self.simulated_now, self.simulated_now)
+        self.clock = clock or HostClock()
+        self.now = self.clock.now
         self.session = LinkSession(
             number,
             settings.description(),
@@ -69,11 +78,14 @@ class LinkNode(Node):
             SIMULATED_STEP if simulated else 0.0,
             settings.key(),
             settings.empty,
+            self.clock.ahead,
         )
         self.transport = transport or open_transport(settings.url, number, settings.key())
         self.name, self.lock = f"link_{number}", RLock()
-        self.said = {"trouble": self.transport.trouble}  # by kind, as much is repeated
+        # By kind, as much is repeated.
+        self.said = {"trouble": self.transport.trouble, "strain": ""}
         self.told: tuple[Any, ...] = ()  # of the last command
+        self.given = 0, 0  # when that was given: by the session, and by the time of day then
         self.waiting: list[Future] = []
         if settings.is_exposed():
             self.get_logger().warning(
@@ -119,6 +131,7 @@ class LinkNode(Node):
         sample = self.session.measure(data, now)
         if sample is None:
             return
+        sample = sample._replace(stamp=sample.stamp + self.clock.ahead)
         if sample.referenced:  # else the position says nothing
             self.joint_states.publish(self.messages.joint_state(sample))
             os.sched_yield()  # on a busy processor, to who waits for it: the rest is not urgent
@@ -130,14 +143,19 @@ class LinkNode(Node):
         with self.lock:
             self.transport.send(self.session.command(self.now()))
         self.answer()
-        trouble = self.transport.trouble
+        session, trouble = self.session, self.transport.trouble
         self.warn("trouble", trouble and f"{self.settings.url}: {trouble}")
+        self.warn("rival", session.rival)
+        if bool(session.strain) != bool(self.said["strain"]):  # its figures change all the time
+            self.warn("strain", session.strain)
+        self.warn("standstill", session.standstill and f"{session.standstill}: disarmed")
 
     def on_command(self, message: LinkCommand) -> None:
         """Take a command, from the time that its stamp says it was given."""
         with self.lock:
-            now, before = self.now(), self.session.progress
-            given = min(stamp_ns(message.header.stamp) or now, now)
+            now, before, ahead = self.now(), self.session.progress, self.clock.ahead
+            given = stamp_ns(message.header.stamp)
+            given = min(given - ahead, now) if given else now
             try:
                 if not 0.0 < (lives := message.time_to_live) <= 3600.0:
                     raise CommandError(f"time_to_live is {lives} s, expected above 0")
@@ -150,7 +168,7 @@ class LinkNode(Node):
                     now,
                 )
             except CommandError as error:
-                self.status.publish(command_refused(str(error), given, now))
+                self.status.publish(command_refused(str(error), given + ahead, now + ahead))
                 self.warn("refused", f"command refused: {error}")
             if before and before is not self.session.progress:
                 self.tell(before)  # another command took its place
@@ -183,7 +201,8 @@ class LinkNode(Node):
         session = self.session
         done = session.armed if arm else session.released
         if done or arm or session.arming is not Arming.DISARMED:
-            return done, state_words(session)
+            words = state_words(session), "" if done else session.strain
+            return done, "; ".join(filter(None, words))
         how = "is lost" if session.lost else "does not say that it is off"
         return False, f"{self.name} {how}: told to disarm, not confirmed"
 
@@ -204,8 +223,10 @@ class LinkNode(Node):
     def tell(self, progress: Progress) -> None:
         """Publish how far a command has come, if that is new."""
         if (progress.given, progress.status) != self.told:
-            self.told = progress.given, progress.status
-            self.status.publish(command_status(progress, self.now()))
+            self.told, ahead = (progress.given, progress.status), self.clock.ahead
+            if progress.given != self.given[0]:
+                self.given = progress.given, progress.given + ahead
+            self.status.publish(command_status(progress, self.given[1], self.now() + ahead))
 
     def answer(self) -> None:
         """Tell what has changed: how far the last command has come, whether arming has ended."""

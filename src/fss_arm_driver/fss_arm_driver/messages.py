@@ -70,10 +70,10 @@ def _set(stamp: Time, ns: int) -> None:
     stamp.sec, stamp.nanosec = divmod(ns, SECOND)
 
 
-def command_status(progress: Progress, now: int) -> CommandStatus:
+def command_status(progress: Progress, given: int, now: int) -> CommandStatus:
     """How far a command has come."""
     message = CommandStatus(status=int(progress.status), reason=progress.reason)
-    message.header.stamp, message.given = to_time(now), to_time(progress.given)
+    message.header.stamp, message.given = to_time(now), to_time(given)
     return message
 
 
@@ -113,10 +113,12 @@ class LinkHealth:
         if now == then:
             return Health(WARN, "the clock stands still", values)
         if session.lost:
-            why = self.transport.trouble
+            why = self.transport.trouble or session.rival or session.strain or session.absence
             return Health(ERROR, f"link_{session.number} is lost{': ' * bool(why)}{why}", values)
-        if session.faults:
-            return Health(ERROR, words, values)
+        if session.rival or session.faults:
+            return Health(ERROR, session.rival or words, values)
+        if session.strain:
+            return Health(WARN, f"{words}; {session.strain}", values)
         if (left := session.battery.time_left()) < SHORT:
             return Health(WARN, f"{words}; the battery lasts {left / 60.0:.0f} min", values)
         if any(grown[name] for name in TROUBLES):

@@ -48,8 +48,8 @@ class Reception:
         scale: what the link could report at all.
         timeout: silence after which the link is lost [ns].
         resolution: step of the clock that the caller reads [ns].
-        prove: whether a frame that does not follow a link's last one must answer a command of the
-            last `timeout`, as signed frames may be a recording.
+        prove: whether a frame that does not follow a link's last one must prove by its echo to be
+            no older than `timeout`, as signed frames may be a recording.
         counts: what happened to the frames, by name.
     """
 
@@ -80,8 +80,8 @@ class Reception:
         self.lost, self.heard, self.track = True, now, None
         self._candidates.clear()
 
-    def take(self, frame: Telemetry, echoed: int | None, now: int) -> bool:
-        """Whether to believe `frame`, which echoes a command sent at `echoed`, if any known."""
+    def take(self, frame: Telemetry, way: int | None, now: int) -> bool:
+        """Whether to believe `frame`, under way for at most `way` [ns] by its echo, if known."""
         if not self._scale.possible(frame):
             self._counts["impossible"] += 1
             return False
@@ -91,8 +91,8 @@ class Reception:
         if verdict not in (Verdict.FOLLOWS, Verdict.JUMP):
             self._counts[verdict.value] += 1
             return False
-        answers = echoed is not None and now - echoed <= self._timeout
-        if self._prove and not answers and (self.lost or verdict is Verdict.JUMP):
+        fresh = way is not None and way <= self._timeout
+        if self._prove and not fresh and (self.lost or verdict is Verdict.JUMP):
             self._counts["unproven"] += 1
             return False
         return self._follow(verdict, frame, now)

@@ -13,13 +13,14 @@ class LinkSettings:
     """The parameters of a LinkNode."""
 
     link: int = setting(1, "number of the link, as in its frames; 1 beside the base")
-    url: str = setting(
-        "udp://127.0.0.1:5001?bind=6001",
-        "where the link is: udp://, tcp://, serial:// or copley://",
+    url: str = setting("", "where the link is: udp://, tcp://, serial:// or copley://; required")
+    urls: tuple[str, ...] = setting(
+        (), "instead of url: where links 1, 2, ... are, to host all in one process"
     )
-    urls: tuple[str, ...] = setting((), "urls of links 1, 2, ... to host all in one process")
     rate: float = setting(5.0, "command frames sent a second [1/s]")
-    timeout: float = setting(1.0, "silence after which the link counts as lost [s]")
+    timeout: float = setting(
+        1.0, "silence after which the link is lost, longest delay to arm at [s]"
+    )
     watchdog: float = setting(2.0, "silence after which the link brakes and holds, disarmed [s]")
     empty: float = setting(12.0, "battery voltage at which a link must be switched off [V]")
     keys: str = setting("", "file of the links' keys; empty: frames are not signed")

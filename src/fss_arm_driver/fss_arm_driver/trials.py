@@ -13,7 +13,7 @@ from statistics import mean, pstdev
 
 from fss_arm_driver.faults import present
 from fss_arm_driver.link import RELEASE, Arming, LinkSession, Sample
-from fss_arm_driver.protocol import CURRENT_UNIT, Mode, Slow, State, newer
+from fss_arm_driver.protocol import CURRENT_UNIT, Mode, Slow, State
 from fss_arm_driver.scale import CommandError
 from fss_arm_driver.transport import Transport
 from fss_arm_model.description import Link
@@ -49,7 +49,10 @@ class Rig:
 
     def __init__(self, number: int, link: Link, transport: Transport, key: bytes | None) -> None:
         self.number, self.link, self.transport = number, link, transport
-        self.session = LinkSession(number, link, timeout=1.0, watchdog=WATCHDOG, key=key)
+        epoch = time.time_ns() - time.monotonic_ns()
+        self.session = LinkSession(
+            number, link, timeout=1.0, watchdog=WATCHDOG, key=key, epoch=epoch
+        )
         self.sample: Sample | None = None
         self.talking = True
         self._sent = 0
@@ -65,15 +68,15 @@ class Rig:
 
     def turn(self) -> None:
         """Send a command when one is due; take what comes."""
-        if self.talking and time.time_ns() - self._sent > PERIOD:
+        if self.talking and time.monotonic_ns() - self._sent > PERIOD:
             self.send()
         if self.transport.wait(0.02):
             for data in self.transport.receive():
-                self.sample = self.session.feed(data, time.time_ns()) or self.sample
+                self.sample = self.session.feed(data, time.monotonic_ns()) or self.sample
 
     def send(self) -> None:
         """Send a command now."""
-        self._sent = time.time_ns()
+        self._sent = time.monotonic_ns()
         self.transport.send(self.session.command(self._sent))
 
     def listen(self, timeout: float) -> bool:
@@ -118,8 +121,8 @@ class Rig:
             CommandError: it cannot be armed, or is not seen to be released.
         """
         self.turn()  # a link that was not listened to while a person answered counts as lost
-        self.until(lambda: not self.session.lost, 3.0)
-        self.session.arm(time.time_ns())
+        self.until(lambda: not self.session.obstacle(time.monotonic_ns()), 3.0)
+        self.session.arm(time.monotonic_ns())
         try:
             self.until(lambda: self.session.arming is not Arming.ARMING, 3.0)
             if not self.session.armed:
@@ -130,7 +133,7 @@ class Rig:
 
     def set(self, mode: Mode, value: float, seconds: float) -> None:
         """Give a command that lasts so long."""
-        now = time.time_ns()
+        now = time.monotonic_ns()
         self.session.set(mode, value, 0.0, 0.0, now + round(seconds * SECOND), now)
 
     def rest(self) -> None:
@@ -141,14 +144,11 @@ class Rig:
         """
         self.talking = True
         self.session.disarm()
-        before = time.time_ns() // 1000 - 1  # [us], as commands are stamped
         self.send()  # even if the joint rests already: it may be held there under power
 
         def released() -> bool:
-            if (sample := self.sample) is None or not newer(sample.frame.echo, before):
-                return False  # measured before the link was told
-            off = sample.frame.mode == Mode.OFF and not sample.frame.flags & State.ARMED
-            return off and abs(sample.velocity) < STILL
+            at_rest = self.sample and abs(self.sample.velocity) < STILL
+            return bool(self.session.released and at_rest)
 
         if not self.until(released, 1e-9 * RELEASE):
             raise CommandError(f"link {self.number} is not seen to switch off: cut its power")

@@ -1,8 +1,9 @@
 """The arm as URDF, for robot_state_publisher, RViz and Foxglove.
 
-Links `fss`, `link_1` .. `link_n` and `end_effector`, joints `joint_1` .. `joint_n` as in
+Links `fss`, `fss_body`, `link_1` .. `link_n`, `end_effector`; joints `joint_1` .. `joint_n` as in
 `joint_states`: a joint's frame is turned by theta_0 against the link before it, so that the joint's
-position is the encoder's reading. The arm lies in the plane z = 0 of the base.
+position is the encoder's reading. The arm lies in the plane z = 0 of the base. The root `fss` has
+no mass, as KDL ignores that of a root: the base's is that of `fss_body`, fixed to it.
 """
 
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
@@ -19,7 +20,9 @@ def urdf(arm: Arm) -> str:
     robot = Element("robot", name=arm.name)
     material = SubElement(robot, "material", name="link")
     SubElement(material, "color", rgba="0.75 0.77 0.80 1")
-    base = _link(robot, "fss", arm.base.mass, arm.base.inertia, arm.base.com)
+    SubElement(robot, "link", name="fss")
+    _fixed(robot, "fss_body", "fss", (0.0, 0.0, 0.0))
+    base = _link(robot, "fss_body", arm.base.mass, arm.base.inertia, arm.base.com)
     _box(base, (BASE_SIZE, BASE_SIZE, BASE_SIZE), arm.base.com)
     x, y, theta = arm.base.mount
     parent, origin = "fss", (x, y, theta)
@@ -29,13 +32,17 @@ def urdf(arm: Arm) -> str:
         body = _link(robot, parent, link.mass, link.inertia, (link.g, link.lateral))
         _box(body, (link.a, WIDTH, HEIGHT), (0.5 * link.a, 0.0))
         origin = link.a, 0.0, 0.0
-    tip = SubElement(robot, "joint", name="tip", type="fixed")
-    _place(tip, (origin[0], 0.0, arm.theta_E))
-    SubElement(tip, "parent", link=parent)
-    SubElement(tip, "child", link="end_effector")
+    _fixed(robot, "end_effector", parent, (origin[0], 0.0, arm.theta_E))
     SubElement(robot, "link", name="end_effector")
     indent(robot)
-    return tostring(robot, encoding="unicode", xml_declaration=True) + "\n"
+    return tostring(robot, encoding="unicode") + "\n"  # a text with an encoding is refused by lxml
+
+
+def _fixed(robot: Element, child: str, parent: str, pose: tuple[float, float, float]) -> None:
+    joint = SubElement(robot, "joint", name=f"{child}_fixed", type="fixed")
+    _place(joint, pose)
+    SubElement(joint, "parent", link=parent)
+    SubElement(joint, "child", link=child)
 
 
 def _joint(

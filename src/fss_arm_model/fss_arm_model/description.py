@@ -12,15 +12,22 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from .files import ContentError, read_text, read_yaml, short, write_text
-from .layout import BASE_SIZE, LINK_SIZE, kinematic_index, kinematic_names  # noqa: F401
+from .layout import BASE_SIZE as BASE_SIZE
+from .layout import LINK_SIZE as LINK_SIZE
+from .layout import kinematic_index as kinematic_index
+from .layout import kinematic_names as kinematic_names
 
 MAX_LINKS = 12
+
+#: Descriptions that come with the package, by the name that settings take.
+ARMS = {"paper": "arm.yaml", "cad": "cad.yaml", "truth": "truth.yaml"}
 
 
 class DescriptionError(ContentError):
@@ -341,9 +348,29 @@ def load(path: str | os.PathLike[str]) -> Arm:
         return from_yaml(text)
 
 
-def described(path: str) -> Arm:
-    """The arm that a setting names; empty: the paper's. Raises as `load`."""
-    return load(path) if path else paper_arm()
+def described(arm: str) -> Arm:
+    """The arm that a setting names: one of ARMS, or a file; empty: the paper's.
+
+    Raises:
+        OSError: the file cannot be read.
+        DescriptionError: there is no arm of that name, or what the file says cannot be right.
+    """
+    if not arm:
+        return paper_arm()
+    if arm in ARMS:
+        return load(_installed() / ARMS[arm])
+    if Path(arm).name == arm and not Path(arm).suffix and not Path(arm).exists():
+        raise DescriptionError("arm", arm, f"a file or one of {', '.join(ARMS)}")
+    return load(arm)
+
+
+def _installed() -> Path:
+    """The folder of the descriptions in ARMS: in the source tree, or in share where installed."""
+    here = Path(__file__).resolve()
+    if (here.parents[1] / "package.xml").exists():
+        return here.parents[1] / "config"
+    places = (folder / "share/fss_arm_model/config" for folder in here.parents)
+    return next(filter(Path.is_dir, places))
 
 
 def _scalar(value: Any) -> str:

@@ -57,8 +57,8 @@ class Calibrated:
         C = vector_covariance(arm, message.names, message.covariance) if message.names else None
         of_another = arm.n != self.arm.n
         if topic.endswith("dynamic"):
-            tells = C is not None and _tells_kinematics(arm.n, C)
-            if of_another or self.kinematic is None or tells:
+            has_kinematics = C is not None and _has_kinematics(arm.n, C)
+            if of_another or self.kinematic is None or has_kinematics:
                 return Calibrated(arm, None, C)
             return Calibrated(_with_kinematics_of(self.arm, arm), self.kinematic, C)
         if of_another or self.dynamic is None:
@@ -72,7 +72,7 @@ def _with_kinematics_of(known: Arm, arm: Arm) -> Arm:
     return replace(arm.with_kinematics(kinematics), theta_E=known.theta_E)
 
 
-def _tells_kinematics(n: int, covariance: Floats) -> bool:
+def _has_kinematics(n: int, covariance: Floats) -> bool:
     """Whether lengths or angles are among what was estimated."""
     return bool(np.diag(covariance)[kinematic_index(n)].any())
 

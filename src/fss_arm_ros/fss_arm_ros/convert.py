@@ -11,7 +11,7 @@ from typing import Any
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseStamped
 
-from fss_arm_model.units import SECOND
+from fss_arm_model.units import SECOND as SECOND
 
 
 class PoseError(ValueError):
@@ -37,13 +37,13 @@ def seconds(ns: int) -> float:
 def joint_readings(message: Any) -> Iterator[tuple[int, float, float, float]]:
     """Number i, q [rad], qd [rad/s] and effort [N m] of each joint_<i> of a JointState.
 
-    Other joints are left out; what the message does not tell is NaN.
+    Other joints are left out; what the message leaves out is NaN.
     """
     values = message.position, message.velocity, message.effort
-    for name, *told in zip_longest(message.name, *values, fillvalue=nan):
+    for name, *reading in zip_longest(message.name, *values, fillvalue=nan):
         kind, _, number = str(name).partition("_")
         if kind == "joint" and number.isdecimal():
-            q, qd, effort = map(float, told)
+            q, qd, effort = map(float, reading)
             yield int(number), q, qd, effort
 
 

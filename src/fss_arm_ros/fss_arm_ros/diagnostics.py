@@ -24,14 +24,14 @@ class Health(NamedTuple):
 class Diagnostics:
     """Publishes what `health()` returns as one status named as the node, at 1 Hz of real time.
 
-    A new subscriber is told at once. Make it last in a node's constructor.
+    A new subscriber gets the last state at once. Make it last in a node's constructor.
     """
 
     def __init__(self, node: Node, health: Callable[[], Health], hardware_id: str = "") -> None:
         self.node, self.health, self.hardware_id = node, health, hardware_id
-        told = PublisherEventCallbacks(matched=lambda _: self.publish())
+        matched = PublisherEventCallbacks(matched=lambda _: self.publish())
         self.publisher = node.create_publisher(
-            DiagnosticArray, "/diagnostics", 10, event_callbacks=told
+            DiagnosticArray, "/diagnostics", 10, event_callbacks=matched
         )
         # Real time: a simulated clock that stands still is something to report.
         node.create_timer(1.0, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME))

@@ -17,6 +17,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from fss_arm_model.settings import SettingError, meaning, refuse
+from fss_arm_ros import alone
 
 Settings = TypeVar("Settings")
 
@@ -28,20 +29,27 @@ def declare(node: Node, kind: type[Settings], live: bool = False) -> Settings:
 
     Fields are bool, int, float, str or tuples of one of them (`tuple[str, ...]`). An integer is
     taken where a float is asked for. With `live`, `declare_live` follows, and looks for parameters
-    that do not exist.
+    that do not exist. When `run` makes the node, this is where it ends if it is a second of a kind.
 
     Raises:
         SettingError: a parameter was given a value of another type, or `kind` has no such field.
         ValueError: `kind` refuses a value.
+        DuplicateError: another node has its name.
     """
     hints = get_type_hints(kind)
+    about = ParameterDescriptor(description=alone.ABOUT, read_only=True, dynamic_typing=True)
+    allowed = node.declare_parameter(alone.ALLOW, False, about).value
+    allowed = _convert(alone.ALLOW, allowed, bool)
     if not live:
         _refuse(_given(node) - set(hints), hints)
     values = {}
     for f in fields(kind):  # type: ignore[arg-type]
         value = _declared(node, f.name, f, read_only=True)
         values[f.name] = _convert(f.name, value, hints[f.name])
-    return kind(**values)
+    settings = kind(**values)
+    if not allowed:
+        alone.check_name(node)
+    return settings
 
 
 def declare_live(

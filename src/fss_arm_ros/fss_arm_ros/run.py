@@ -14,7 +14,7 @@ from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
 
 from fss_arm_model.settings import meaning
-from fss_arm_ros import memory
+from fss_arm_ros import alone, memory
 from fss_arm_ros.executor import BatchExecutor
 
 # rclpy keeps these classes in its extension and offers no public names for them.
@@ -30,7 +30,9 @@ def run(
     """Make a node, spin it until it is told to stop or ends by itself, and clean up.
 
     A node ends by itself by raising SystemExit in a callback, with a code or a reason. A node
-    that has a `close()` is closed before it is destroyed, however it ends.
+    that has a `close()` is closed before it is destroyed, however it ends. One that has a job to
+    finish tells in `unfinished()` how far it is, or nothing once that is done. No node begins
+    beside another of its name, or that offers what it does, unless `allow_duplicate` is set.
 
     Args:
         make_node: the node's class, or a function that makes one or several; called with the
@@ -40,8 +42,9 @@ def run(
         takes: what the plain arguments are, as `BAG...`; without it there may be none.
 
     Returns:
-        The exit code: 0 after SIGINT, SIGTERM or shutdown, 1 when the node cannot be made (its
-        ValueError or OSError is printed in one line), 2 for a wrong command line.
+        The exit code: 0 after SIGINT, SIGTERM or shutdown, but 130 if they interrupted a job; 1
+        when the node cannot be made (its ValueError or OSError is printed in one line), 2 for a
+        wrong command line.
     """
     argv = list(sys.argv if args is None else args)
     name = argv[0].rsplit("/", 1)[-1]
@@ -62,8 +65,10 @@ def run(
     try:
         rclpy.init(args=argv)
         begun = True
-        made = make_node(*plain)
-        nodes = made if isinstance(made, Sequence) else [made]
+        with alone.looking():
+            made = make_node(*plain)
+            nodes = made if isinstance(made, Sequence) else [made]
+            alone.check_services(nodes)
         spinner = BatchExecutor()
         for node in nodes:
             spinner.add_node(node)
@@ -76,13 +81,12 @@ def run(
         return end.code or 0
     except (RCLError, NotInitializedException) as error:
         # A context shut down by a signal shows as one of these in whatever call it meets.
-        if begun and not rclpy.ok():
-            return 0
-        if nodes:
-            raise
-        return _failed(name, error, 2)
+        if rclpy.ok() or not begun:
+            if nodes:
+                raise
+            return _failed(name, error, 2)
     except (ValueError, OSError, ParameterException) as error:
-        if nodes:
+        if nodes and not isinstance(error, alone.DuplicateError):
             raise
         return _failed(name, error, 1)
     finally:
@@ -90,7 +94,8 @@ def run(
             getattr(node, "close", lambda: None)()
             node.destroy_node()
         rclpy.try_shutdown()
-    return 0
+    left = [words for node in nodes if (words := getattr(node, "unfinished", str)())]
+    return _failed(name, f"interrupted {'; '.join(left)}", 130) if left else 0
 
 
 def usage(name: str, make_node: Callable[..., Any], settings: type | None, takes: str) -> str:
@@ -100,6 +105,8 @@ def usage(name: str, make_node: Callable[..., Any], settings: type | None, takes
     for f in fields(settings) if settings else ():
         lines.append(f"  {f.name} (default {_shown(f.default)})")
         lines.append(indent(meaning(f), "      "))
+    if settings:
+        lines += [f"  {alone.ALLOW} (default false)", indent(alone.ABOUT, "      ")]
     return "\n".join(lines).rstrip()
 
 

@@ -3,11 +3,11 @@
 import sys
 from collections import defaultdict
 from functools import partial
-from math import cos, isfinite, sin
+from math import isfinite
 from time import monotonic
 from typing import Any
 
-from geometry_msgs.msg import PoseStamped, TransformStamped
+from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from sensor_msgs.msg import Imu, JointState
@@ -29,14 +29,21 @@ from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED, SENSOR, subscribe_sensor
 from fss_arm_ros.run import run
+from fss_arm_ros.stamps import Stamps
+from fss_gnc.navigation import BaseFilter, BaseState
+from fss_gnc.navigation.messages import odometry, transform
 
-from .base_filter import BaseFilter, Estimate
-from .reaction import BaseReaction, Reaction
+from .base_reaction import BaseReaction, Reaction
 from .settings import BaseReactionSettings
-from .stamps import Stamps
 
 #: Topics of results; a kinematic one's time_offset is the joints', a dynamic one's the gyro's, too.
 KINEMATIC, DYNAMIC = "calibration/kinematic", "calibration/dynamic"
+
+# Fields that a Reaction and its message have in common.
+VECTORS = (
+    *("predicted", "predicted_deviation", "measured", "measured_deviation", "twist"),
+    *("momentum", "momentum_deviation", "momentum_drift", "force", "q", "com"),
+)
 
 
 class BaseReactionNode(Node):
@@ -49,7 +56,7 @@ class BaseReactionNode(Node):
         self.offsets: dict[str, int] = {}  # of clocks against motion capture's [ns], by calibration
         self.begin()
         self.occluded = 0
-        self.told = monotonic()  # when the last reaction was
+        self.published = monotonic()  # when the last reaction was
         self.state = self.create_publisher(Odometry, "base/state", SENSOR)
         self.transform = self.create_publisher(TFMessage, "/tf", SENSOR)
         self.reacted = self.create_publisher(BaseReactionMessage, "base_reaction", SENSOR)
@@ -96,7 +103,7 @@ class BaseReactionNode(Node):
             return
         t = self.stamp(self.settings.base_topic, message)
         if pose == self.pose and self.reaction.moving():
-            self.filter.refused["frozen"] += 1  # a receiver repeats its last pose
+            self.filter.rejected["frozen"] += 1  # a receiver repeats its last pose
             return
         self.pose = pose
         self.take(self.filter.pose(t, *pose))
@@ -122,12 +129,13 @@ class BaseReactionNode(Node):
                 self.offsets[topic] = round(message.time_offset * SECOND)
             self.get_logger().info(f"predicts with {topic} of {known.arm.name}")
 
-    def take(self, estimates: list[Estimate]) -> None:
+    def take(self, states: list[BaseState]) -> None:
         """Publish the base's motion and keep it."""
-        for estimate in estimates:
-            self.reaction.base(estimate)
-            self.state.publish(odometry(estimate, self.settings))
-            self.transform.publish(transforms(estimate, self.settings))
+        frames = self.settings.world_frame, self.settings.base_frame
+        for state in states:
+            self.reaction.base(state)
+            self.state.publish(odometry(state, *frames))
+            self.transform.publish(transform(state, *frames))
 
     def advance(self) -> None:
         """Publish the reaction, `rate` times a second."""
@@ -141,55 +149,24 @@ class BaseReactionNode(Node):
         """Publish the reaction at t."""
         found = self.reaction.advance(t)
         if found:
-            self.told = monotonic()
+            self.published = monotonic()
             self.reacted.publish(to_message(found, self.known.arm.name, self.settings.world_frame))
 
     def health(self) -> Health:
         """For diagnostics."""
         values: dict[str, float] = {
             "poses occluded": self.occluded,
-            **{f"{what} refused": count for what, count in self.filter.refused.items()},
+            **{f"{what} rejected": count for what, count in self.filter.rejected.items()},
         }
-        count = self.filter.refused["late"]
+        count = self.filter.rejected["late"]
         late = f"; {count} samples of the base came late" if count else ""
-        if self.reaction.anchor is None:
+        if self.reaction.prediction is None:
             return Health(WARN, f"waiting for joints and base at rest{late}", values)
-        silence = monotonic() - self.told
+        silence = monotonic() - self.published
         values["silent for"] = silence
         if silence > 2.0:
             return Health(WARN, f"nothing to compute from for {silence:.1f} s{late}", values)
         return Health(OK, f"predicts with {self.known.arm.name}", values)
-
-
-def odometry(estimate: Estimate, settings: BaseReactionSettings) -> Odometry:
-    """The motion as a message; its twist is along the base's own axes, as the type has it."""
-    message = Odometry()
-    message.header.stamp = to_time(estimate.t)
-    message.header.frame_id, message.child_frame_id = settings.world_frame, settings.base_frame
-    x, y, heading = map(float, estimate.pose)
-    vx, vy, omega = map(float, estimate.twist)
-    message.pose.pose.position.x, message.pose.pose.position.y = x, y
-    message.pose.pose.orientation.z = sin(0.5 * heading)
-    message.pose.pose.orientation.w = cos(0.5 * heading)
-    message.twist.twist.linear.x = cos(heading) * vx + sin(heading) * vy
-    message.twist.twist.linear.y = cos(heading) * vy - sin(heading) * vx
-    message.twist.twist.angular.z = omega
-    for k, i in enumerate((0, 7, 35)):  # x, y and heading, on the diagonal of 6 x 6
-        message.pose.covariance[i] = float(estimate.pose_variance[k])
-        message.twist.covariance[i] = float(estimate.twist_variance[k])
-    return message
-
-
-def transforms(estimate: Estimate, settings: BaseReactionSettings) -> TFMessage:
-    """From the world to the base."""
-    message = TransformStamped()
-    message.header.stamp = to_time(estimate.t)
-    message.header.frame_id, message.child_frame_id = settings.world_frame, settings.base_frame
-    x, y, heading = map(float, estimate.pose)
-    message.transform.translation.x, message.transform.translation.y = x, y
-    message.transform.rotation.z = sin(0.5 * heading)
-    message.transform.rotation.w = cos(0.5 * heading)
-    return TFMessage(transforms=[message])
 
 
 def to_message(reaction: Reaction, arm: str, world_frame: str) -> BaseReactionMessage:
@@ -201,14 +178,8 @@ def to_message(reaction: Reaction, arm: str, world_frame: str) -> BaseReactionMe
         kinetic_energy=reaction.kinetic_energy,
         torque=reaction.torque,
         torque_measured=reaction.torque_measured,
-        **{
-            name: getattr(reaction, name).tolist()
-            for name in (
-                "predicted", "predicted_deviation", "measured", "measured_deviation", "twist",
-                "momentum", "momentum_deviation", "momentum_drift", "force", "q", "com",
-            )
-        },
-    )  # fmt: skip
+        **{name: getattr(reaction, name).tolist() for name in VECTORS},
+    )
     message.header.stamp, message.header.frame_id = to_time(reaction.t), world_frame
     return message
 

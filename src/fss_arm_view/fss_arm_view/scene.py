@@ -37,8 +37,11 @@ SHOWN = 60  # seconds of the plots
 STONE, STEEL, GHOST, BAND = (130, 130, 130), (40, 110, 200), (240, 130, 20), (250, 190, 120)
 TIP, PURPLE, RED = (30, 150, 70), (150, 80, 190), (220, 50, 50)
 #: Of series that stand side by side: x, y and the third; or the links.
-PALETTE = (STEEL, GHOST, TIP, PURPLE, RED, (120, 90, 60), (220, 120, 190), (120, 120, 30),
-           (30, 170, 190), (90, 90, 90), (130, 180, 60), (100, 60, 130))  # fmt: skip
+PALETTE = (
+    *(STEEL, GHOST, TIP, PURPLE, RED),
+    *((120, 90, 60), (220, 120, 190), (120, 120, 30), (30, 170, 190), (90, 90, 90)),
+    *((130, 180, 60), (100, 60, 130)),
+)
 
 LEGEND = (
     ("base and arm, measured", STEEL),
@@ -113,7 +116,7 @@ class Lines(NamedTuple):
 
 
 class Dots(NamedTuple):
-    """Likewise."""
+    """Points of one kind, before they are drawn."""
 
     points: Floats  # (m, 2)
     colour: Colour

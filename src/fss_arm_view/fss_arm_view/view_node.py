@@ -34,11 +34,11 @@ from fss_arm_ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED, sensor
 from fss_arm_ros.run import run
+from fss_arm_ros.stamps import Stamps
 
 from . import scene
 from .settings import ViewSettings
 from .sink import CONNECT, FILE, NATIVE, WEB, Sink, Viewer, host, new_file, open_stream
-from .stamps import Stamps
 
 LEAST_PLUME = 0.2  # a shorter pulse of a thruster is drawn so long [s]
 
@@ -149,9 +149,8 @@ class ViewNode(Node):
             if 1 <= i <= self.known.arm.n and isfinite(q):
                 self.q[i - 1] = q
                 if self.sink.due(f"joint {i}"):
-                    drawings += [
-                        scene.link("angle", i, degrees(q)), scene.link("effort", i, effort),
-                    ]  # fmt: skip
+                    angle = scene.link("angle", i, degrees(q))
+                    drawings += [angle, scene.link("effort", i, effort)]
         if drawings:
             self.sink.put(t, drawings)
 

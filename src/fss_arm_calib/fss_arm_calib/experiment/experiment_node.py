@@ -1,6 +1,7 @@
 """The node `experiment`: moves the arm through postures to be observed, or through maneuvers."""
 
 import sys
+import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
@@ -13,6 +14,7 @@ from rclpy.action import ActionClient
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.task import Future
+from unique_identifier_msgs.msg import UUID
 
 from fss_arm_calib import state
 from fss_arm_calib.experiment.design import Planned, from_yaml
@@ -29,6 +31,7 @@ from fss_arm_ros.qos import LATCHED
 from fss_arm_ros.run import run
 
 ROUNDS = 3  # of repeating the rests that gaps spoiled, or a maneuver, at most
+STALL = 2.0  # of this process, after which only a person has the arm move on [s]
 
 
 @dataclass(frozen=True)
@@ -48,10 +51,11 @@ class ExperimentSettings:
     patience: float = setting(20.0, "longest wait for an observation [s]")
     retry: float = setting(1.0, "wait before a move that failed is asked for again [s]")
     silence: float = setting(3.0, "a move without feedback for this long is lost [s]")
+    keep_alive: float = setting(0.5, "silence of this node that ends its move [s, real time]")
     state_file: str = setting("", "progress is kept here across restarts; empty: nowhere")
 
     def __post_init__(self) -> None:
-        for name in ("pause", "tolerance", "rest", "patience", "retry", "silence"):
+        for name in ("pause", "tolerance", "rest", "patience", "retry", "silence", "keep_alive"):
             if not getattr(self, name) > 0.0:
                 raise ValueError(f"{name} is {getattr(self, name)}, must be positive")
 
@@ -78,7 +82,8 @@ class ExperimentNode(Node):
     Each posture is left when it has been observed, or after a rest if nobody observes; a maneuver
     goes from one posture to the next at once, and ends with a pause. If somebody observes, what a
     gap spoiled is repeated; a maneuver after going back the way it came. It never arms a link:
-    until somebody has, as after any failed or lost move, it asks for the move again.
+    until somebody has, as after any failed or lost move, it asks for the move again. It ends if its
+    process stood still, as the arm has stopped then, and nobody may expect it to move on.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -89,6 +94,8 @@ class ExperimentNode(Node):
         self.progress = self.restore()
         self.progress.done = min(self.progress.done, len(self.stops))  # less what was repeated
         self.mover = ActionClient(self, MoveArm, "arm/move")
+        self.alive = self.create_publisher(UUID, "arm/move/alive", 10)
+        self.ticked = 0.0  # in real time [s]
         self.observed: list[tuple[int, tuple[float, ...]]] = []  # end [ns], readings [rad]
         self.spoiled: list[Floats] = []  # readings [rad]
         self.rounds = 0  # of repeating all spoiled rests, or the present maneuver
@@ -144,6 +151,7 @@ class ExperimentNode(Node):
 
     def tick(self) -> None:
         """Ten times a second, go on with whatever is next."""
+        self.show_life()
         now = self.now()
         if not now:
             return  # simulated time has not begun
@@ -158,6 +166,22 @@ class ExperimentNode(Node):
         elif not self.repeat():
             self.get_logger().info(f"all {len(self.stops)} postures done")
             raise SystemExit(0)
+
+    def show_life(self) -> None:
+        """Keep the move under way alive, unless this process has stood still."""
+        before, self.ticked = self.ticked, time.monotonic()
+        if before and (late := self.ticked - before) > STALL:
+            left = self.unfinished() or "at the end"
+            raise SystemExit(f"this program stood still for {late:.1f} s, {left}; not going on")
+        if self.goal.done() and not self.outcome.done():
+            self.alive.publish(self.goal.result().goal_id)
+
+    def unfinished(self) -> str:
+        """How far it is, unless it is done."""
+        done, path = self.progress.done, self.settings.state_file
+        later = f"goes on from {path}" if path else "begins anew, as there is no state_file"
+        words = f"after {done} of {len(self.stops)} postures; the next run {later}"
+        return words if done < len(self.stops) else ""
 
     def repeat(self) -> bool:
         """Go again to where a gap in the data spoiled a rest, as the verdict asks for it."""
@@ -183,7 +207,7 @@ class ExperimentNode(Node):
             self.say("waiting for arm/move")
             return
         q, duration, _ = self.stop
-        goal = MoveArm.Goal(q=q.tolist(), duration=duration)
+        goal = MoveArm.Goal(q=q.tolist(), duration=duration, keep_alive=self.settings.keep_alive)
         self.goal = self.mover.send_goal_async(goal, feedback_callback=self.on_feedback)
         self.goal.add_done_callback(self.on_answer)
         self.outcome = Future()

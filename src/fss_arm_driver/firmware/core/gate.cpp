@@ -32,7 +32,7 @@ bool Gate::admits(const Command& command, uint64_t now) const {
 // Whether it is newer than the last command, or may begin a session.
 bool Gate::follows(const Command& command, uint64_t now) const {
   if (silent(now)) return !(command.flags & kArm);
-  return key_.size || newer(command.sequence, newest_);
+  return newer(command.sequence, newest_);
 }
 
 }  // namespace fss

@@ -65,7 +65,7 @@ class Gate:
         """Whether it is newer than the last command, or may begin a session."""
         if self.command is None or clock - self.arrival > self.watchdog:
             return not command.flags & Order.ARM
-        return bool(self.key) or newer(command.sequence, self._newest)
+        return newer(command.sequence, self._newest)
 
     def _is_replayed(self, command: Command) -> bool:
         """Whether a signed command is not later than all that were taken."""

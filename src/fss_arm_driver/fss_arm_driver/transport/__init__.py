@@ -30,6 +30,8 @@ def open_transport(url: str, link: int = 1, key: bytes | None = None) -> Transpo
         TransportError: the URL is not understood, its host is not known, or its port cannot be
             opened.
     """
+    if not url:  # whatever were taken instead might answer, and not be meant
+        raise TransportError(f"url is missing, expected {' or '.join(FORMS.values())}")
     scheme = url.partition(":")[0]
     expected = f"expected {FORMS.get(scheme) or ' or '.join(FORMS.values())}"
     try:

@@ -15,16 +15,16 @@ import numpy as np
 import numpy.typing as npt
 
 from .settings import SensorErrors
-from .stamps import LOST
 
 Floats = npt.NDArray[np.float64]
 
-HORIZON = 50_000_000  # how long a stream may lag the other [ns]
-GATE = 5.0  # deviations at which a measurement is refused
+MAX_LAG = 50_000_000  # of a stream behind the other [ns]
+GATE = 5.0  # standard deviations beyond which a measurement is rejected
+MAX_REJECTED = 10  # poses in a row after which the next one is believed
 
 
-class Estimate(NamedTuple):
-    """The base at a moment."""
+class BaseState(NamedTuple):
+    """The base at a moment, estimated."""
 
     t: int  # [ns]
     pose: Floats  # (3,) x, y [m], unwrapped heading [rad]
@@ -32,7 +32,7 @@ class Estimate(NamedTuple):
     pose_variance: Floats  # (3,)
     twist_variance: Floats  # (3,)
 
-    def at(self, t: int) -> "Estimate":
+    def at(self, t: int) -> "BaseState":
         """The same motion a little earlier or later."""
         return self._replace(t=t, pose=self.pose + (t - self.t) * 1e-9 * self.twist)
 
@@ -73,40 +73,40 @@ _GYRO = np.array([0.0, 1.0, 1.0])
 
 
 class BaseFilter:
-    """Merges the two streams by their stamps; one may lag the other by HORIZON.
+    """Merges the two streams by their stamps; one may lag the other by MAX_LAG.
 
     A measurement further than GATE deviations off, or older than what was merged already, is
-    refused and counted; after LOST refused poses in a row the base is believed to be there.
+    rejected and counted; after MAX_REJECTED poses in a row the base is believed to be there.
     """
 
     def __init__(self, errors: SensorErrors | None = None) -> None:
         self.errors = errors or SensorErrors()
-        self.refused: Counter[str] = Counter()
-        self.waiting: list[tuple[int, int, tuple[float, ...]]] = []
+        self.rejected: Counter[str] = Counter()
+        self.buffer: list[tuple[int, int, tuple[float, ...]]] = []
         self.t = -1
-        self.lost = 0
+        self.streak = 0  # of rejected poses
         self.position: _Kalman | None = None
         self.heading: _Kalman | None = None
 
-    def pose(self, t: int, x: float, y: float, heading: float) -> list[Estimate]:
+    def pose(self, t: int, x: float, y: float, heading: float) -> list[BaseState]:
         """Take a VICON pose at t [ns]; return the estimates at all poses merged by it."""
         return self._take(t, (x, y, heading))
 
-    def rate(self, t: int, omega: float) -> list[Estimate]:
+    def rate(self, t: int, omega: float) -> list[BaseState]:
         """Take a gyro sample at t [ns]; return the estimates at all poses merged by it."""
         if not isfinite(omega):
-            self.refused["gyro not finite"] += 1
+            self.rejected["gyro not finite"] += 1
             return []
         return self._take(t, (omega,))
 
-    def _take(self, t: int, sample: tuple[float, ...]) -> list[Estimate]:
+    def _take(self, t: int, sample: tuple[float, ...]) -> list[BaseState]:
         if t < self.t:
-            self.refused["late"] += 1
+            self.rejected["late"] += 1
             return []
-        insort(self.waiting, (t, len(sample), sample))
-        until, merged = self.waiting[-1][0] - HORIZON, 0
+        insort(self.buffer, (t, len(sample), sample))
+        until, merged = self.buffer[-1][0] - MAX_LAG, 0
         found = []
-        for at, size, values in self.waiting:
+        for at, size, values in self.buffer:
             if at > until:
                 break
             merged += 1
@@ -114,7 +114,7 @@ class BaseFilter:
                 self._merge_rate(at, values[0])
             elif self._merge_pose(at, values):
                 found.append(self._estimate())
-        del self.waiting[:merged]
+        del self.buffer[:merged]
         return found
 
     def _move(self, t: int) -> None:
@@ -130,14 +130,14 @@ class BaseFilter:
         self._move(t)
         variance = self.errors.rate_error**2
         innovation = omega - _GYRO @ self.heading.x
-        if self.heading.distance(_GYRO, innovation, variance) > GATE and self.lost < LOST:
-            self.refused["gyro"] += 1
+        if self.heading.distance(_GYRO, innovation, variance) > GATE and self.streak < MAX_REJECTED:
+            self.rejected["gyro"] += 1
             return
         self.heading.update(_GYRO, innovation, variance)
 
     def _merge_pose(self, t: int, pose: tuple[float, ...]) -> bool:
         e = self.errors
-        if self.position is None or self.heading is None or self.lost >= LOST:
+        if self.position is None or self.heading is None or self.streak >= MAX_REJECTED:
             self._begin(t, pose)
             return True
         self._move(t)
@@ -148,10 +148,10 @@ class BaseFilter:
             self.heading.distance(_HEADING, turned, e.heading_error**2),
         )
         if off > GATE:
-            self.refused["pose"] += 1
-            self.lost += 1
+            self.rejected["pose"] += 1
+            self.streak += 1
             return False
-        self.lost = 0
+        self.streak = 0
         self.position.update(_POSITION, away, e.position_error**2)
         self.heading.update(_HEADING, turned, e.heading_error**2)
         return True
@@ -160,7 +160,7 @@ class BaseFilter:
         e, turns = self.errors, 0.0
         if self.heading is not None:
             turns = 2 * pi * round((self.heading.x[0] - pose[2]) / (2 * pi))
-        self.t, self.lost = t, 0
+        self.t, self.streak = t, 0
         self.position = _Kalman(
             np.array([pose[:2], (0.0, 0.0)]), (e.position_error**2, 0.1**2), (e.acceleration**2,)
         )
@@ -170,13 +170,13 @@ class BaseFilter:
             (e.angular_acceleration**2, e.bias_walk**2),
         )
 
-    def _estimate(self) -> Estimate:
+    def _estimate(self) -> BaseState:
         assert self.position is not None
         assert self.heading is not None
         (x, y), (vx, vy) = self.position.x
         heading, omega, _ = self.heading.x
         line, turn = np.diag(self.position.P), np.diag(self.heading.P)
-        return Estimate(
+        return BaseState(
             self.t,
             np.array([x, y, heading]),
             np.array([vx, vy, omega]),

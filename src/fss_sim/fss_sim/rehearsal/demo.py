@@ -5,22 +5,12 @@ died, closes the experiment, reads the bag back and compares.
 """
 
 import argparse
-import os
-import signal
-import socket
-import subprocess
 import sys
 import time
-from collections.abc import Callable
-from datetime import datetime
 from pathlib import Path
-from types import TracebackType
 
 import rclpy
-from ament_index_python.packages import get_package_prefix
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.executors import ExternalShutdownException
-from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
@@ -32,129 +22,34 @@ from fss_arm_calib.from_bag import solve_bag
 from fss_arm_calib.kinematic.report import kinematic_report
 from fss_arm_calib.kinematic.settings import CalibrationSettings
 from fss_arm_model import description
-from fss_arm_msgs.msg import KinematicCalibration, LinkTelemetry
-from fss_arm_ros.qos import LATCHED, SENSOR
+from fss_arm_msgs.msg import KinematicCalibration
+from fss_arm_ros.qos import LATCHED
+from fss_sim.rehearsal.domain import CONFIG, Domain
+from fss_sim.rehearsal.person import LINKS, Operator, own_domain
+from fss_sim.rehearsal.processes import Nodes, RehearsalError, rehearse, results
 
-CONFIG = Path(__file__).resolve().parent.parent / "config"
-LINKS = 4
 LISTENED = (
     "/joint_states",
     *(f"/link_{i}/telemetry" for i in range(1, LINKS + 1)),
     "/vicon/fss/fss",
     "/vicon/end_effector/end_effector",
 )
-STARTS_AT_MOST = 5  # of one node; a node that dies more often has a fault of its own
 
 
-class DemoError(RuntimeError):
-    """The demo cannot go on; the message says why and where to look."""
+class Calibrator(Operator):
+    """What the person does: arms the links, lets time go, asks for the solution."""
 
-
-class Nodes:
-    """The node processes, each with its log; stops them all on leaving."""
-
-    def __init__(self, logs: Path, say: Callable[[str], None]) -> None:
-        self.logs = logs
-        self.say = say
-        self.commands: dict[str, list[str]] = {}
-        self.processes: dict[str, subprocess.Popen[bytes]] = {}
-        self.starts: dict[str, int] = {}
-        logs.mkdir(parents=True)
-
-    def start(self, name: str, package: str, executable: str, **parameters: object) -> None:
-        """Start `executable` as `ros2 run` does, under the name `name`."""
-        path = Path(get_package_prefix(package), "lib", package, executable)
-        command = [str(path), "--ros-args"]
-        for key, value in parameters.items():
-            text = str(value).lower() if isinstance(value, bool) else value
-            command += ["-p", f"{key}:={text}"]
-        self.commands[name] = command
-        self._start(name)
-
-    def _start(self, name: str) -> None:
-        self.starts[name] = self.starts.get(name, 0) + 1
-        with (self.logs / f"{name}.log").open("ab") as log:
-            # A session of its own: Ctrl-C is for this script, which then stops them in order.
-            self.processes[name] = subprocess.Popen(
-                self.commands[name],
-                stdout=log,
-                stderr=log,
-                stdin=subprocess.DEVNULL,
-                start_new_session=True,
-            )
-
-    def restart_dead(self) -> None:
-        """Start again each node that was killed; one that gave up by itself ends the demo.
-
-        Raises:
-            DemoError: a node ended with an error of its own, or was killed too often.
-        """
-        for name, process in self.processes.items():
-            code = process.poll()
-            if code is None or code == 0:
-                continue
-            if code > 0 or self.starts[name] >= STARTS_AT_MOST:
-                raise DemoError(f"node {name} ended with {code}: {self.last_words(name)}")
-            self.say(f"node {name} was killed ({signal.Signals(-code).name}), starting it again")
-            self._start(name)
-
-    def last_words(self, name: str) -> str:
-        """The last line of the node's log, and where the rest is."""
-        log = self.logs / f"{name}.log"
-        lines = log.read_text(errors="replace").splitlines() or ["(nothing said)"]
-        return f"{lines[-1]} (see {log})"
-
-    def ended(self, name: str) -> bool:
-        """Whether the node has finished its work."""
-        return self.processes[name].poll() == 0
-
-    def stop(self, name: str, patience: float = 10.0) -> None:
-        """Interrupt one node and wait until it is gone."""
-        process = self.processes.pop(name)
-        if process.poll() is None:
-            process.send_signal(signal.SIGINT)
-        try:
-            process.wait(patience)
-        except subprocess.TimeoutExpired:
-            self.say(f"node {name} does not stop, killing it")
-            process.kill()
-            process.wait()
-
-    def __enter__(self) -> "Nodes":
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        for name in reversed(list(self.processes)):
-            self.stop(name)
-
-
-class Operator(Node):
-    """What the person does: looks at the links, arms them, asks for the solution."""
-
-    def __init__(self) -> None:
-        super().__init__("operator", parameter_overrides=[Parameter("use_sim_time", value=True)])
+    def __init__(self, domain: Domain) -> None:
+        super().__init__(domain, parameter_overrides=[Parameter("use_sim_time", value=True)])
         self.time, self.looked = self.get_clock().now(), time.monotonic()
-        self.armed = dict.fromkeys(range(1, LINKS + 1), False)
         self.done = 0  # postures
         self.result: KinematicCalibration | None = None
-        for i in self.armed:
-            self.create_subscription(LinkTelemetry, f"link_{i}/telemetry", self.on_link, SENSOR)
         self.create_subscription(DiagnosticArray, "/diagnostics", self.on_diagnostics, 10)
         self.create_subscription(
             KinematicCalibration, "calibration/kinematic", self.on_result, LATCHED
         )
         self.pause = self.create_client(SetBool, "sim/pause")
-        self.arm = self.create_client(SetBool, "arm/arm")
         self.solve = self.create_client(Trigger, "kinematic/solve")
-
-    def on_link(self, message: LinkTelemetry) -> None:
-        """Whether the link is armed."""
-        self.armed[message.link] = message.armed
 
     def on_diagnostics(self, message: DiagnosticArray) -> None:
         """How far the experiment is."""
@@ -198,15 +93,13 @@ def start_all(nodes: Nodes, options: argparse.Namespace, out: Path) -> None:
     clock = {"use_sim_time": True}
     # Processes take their real time: at higher speed, that is more of the clock's.
     patience = max(1.0, options.speed)
-    ports = free_ports(2 * LINKS)
     nodes.start(
         "testbed", "fss_sim", "testbed", arm=truth, seed=options.seed, preset=options.preset,
-        ports=ports[:LINKS], keep_clock=True, speed=options.speed, paused=True,
+        ports=nodes.domain.ports(LINKS), keep_clock=True, speed=options.speed, paused=True,
         state_file=out / "testbed.json",
     )  # fmt: skip
     nodes.start("record", "fss_arm_bags", "record", output=out / "bag", **clock)
-    for i in range(1, LINKS + 1):
-        url = f"udp://127.0.0.1:{ports[i - 1]}?bind={ports[LINKS + i - 1]}"
+    for i, url in enumerate(nodes.domain.urls(LINKS), 1):
         nodes.start(
             f"link_{i}", "fss_arm_driver", "link", link=i, url=url, timeout=patience,
             watchdog=2.0 * patience, **clock,
@@ -222,31 +115,32 @@ def start_all(nodes: Nodes, options: argparse.Namespace, out: Path) -> None:
     )  # fmt: skip
 
 
-def run(options: argparse.Namespace, out: Path, console: Console) -> KinematicCalibration:
+def run(
+    options: argparse.Namespace, out: Path, console: Console, domain: Domain
+) -> KinematicCalibration:
     """See the experiment through, close the last rest; return the result.
 
     Raises:
-        DemoError: a node gave up, or it took too long.
+        RehearsalError: a node gave up, or it took too long.
     """
     give_up = time.monotonic() + options.deadline
-    with Nodes(out / "logs", console.print) as nodes, progress(console) as bar:
+    with Nodes(out / "logs", console.print, domain) as nodes, progress(console) as bar:
         start_all(nodes, options, out)
-        operator = Operator()
+        operator = Calibrator(domain)
         task = bar.add_task("postures observed", total=options.postures)
         while not nodes.ended("experiment"):
             if time.monotonic() > give_up:
-                raise DemoError(f"not done after {options.deadline:.0f} s, see {nodes.logs}")
+                raise RehearsalError(f"not done after {options.deadline:.0f} s, see {nodes.logs}")
             nodes.restart_dead()
             rclpy.spin_once(operator, timeout_sec=0.1)
             bar.update(task, completed=operator.done)
             operator.let_time_go()
-            if not all(operator.armed.values()):
-                operator.service(operator.arm, SetBool.Request(data=True), 2.0)
+            operator.keep_armed()
         bar.update(task, completed=options.postures)
         # Results of earlier observations may still be on their way.
         while operator.result is None or len(operator.result.tip) < 3 * options.postures:
             if time.monotonic() > give_up:
-                raise DemoError(f"no solution: {nodes.last_words('kinematic')}")
+                raise RehearsalError(f"no solution: {nodes.last_words('kinematic')}")
             nodes.restart_dead()
             operator.service(operator.solve, Trigger.Request())
             rclpy.spin_once(operator, timeout_sec=0.5)
@@ -265,17 +159,6 @@ def progress(console: Console) -> Progress:
     )
 
 
-def free_ports(count: int) -> list[int]:
-    """UDP ports of the loopback that nobody has at this moment."""
-    sockets = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(count)]
-    for s in sockets:
-        s.bind(("127.0.0.1", 0))
-    ports = [s.getsockname()[1] for s in sockets]
-    for s in sockets:
-        s.close()
-    return ports
-
-
 def from_bag(bag: Path, live: KinematicCalibration) -> str:
     """Solve again from the bag alone, and say how well that agrees with the live result."""
     settings = CalibrationSettings(arm=str(CONFIG / "cad.yaml"), parametrization="equal")
@@ -288,18 +171,6 @@ def from_bag(bag: Path, live: KinematicCalibration) -> str:
         )
     worst = float(abs(again.values - live.values).max())
     return f"solved again from the bag: {again.verdict}, parameters differ by at most {worst:.1e}"
-
-
-def use_free_domain() -> None:
-    """Keep to a ROS domain of its own, unless one is asked for."""
-    for domain in range(1, 102):
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            try:
-                probe.bind(("", 7410 + 250 * domain))  # of the domain's first participant
-            except OSError:
-                continue
-        os.environ.setdefault("ROS_DOMAIN_ID", str(domain))
-        return
 
 
 def arguments() -> argparse.ArgumentParser:
@@ -330,30 +201,20 @@ def arguments() -> argparse.ArgumentParser:
 
 
 def main() -> int:
-    """Run; the exit code is 0 if the calibration passes."""
+    """Run; the exit code is 0 if the calibration passes, 2 if not."""
     options = arguments().parse_args()
-    out = (options.out or CONFIG.parent / "out" / f"demo-{datetime.now():%Y%m%d-%H%M%S}").absolute()
-    if out.exists():
-        print(f"demo: {out} is there already, give another --out", file=sys.stderr)
-        return 1
-    console = report.console()
-    use_free_domain()
-    console.print(f"starting simulator, {LINKS} drivers over UDP, recorder and calibration")
-    rclpy.init()
-    try:
-        result = run(options, out, console)
-        told = kinematic_report(result, description.load(CONFIG / "truth.yaml"))
-        console.print(report.printed(told))
-        console.print(from_bag(out / "bag", result))
-        report.write(out / "report", told)
-    except (DemoError, ValueError, OSError) as error:
-        print(f"demo: {error}", file=sys.stderr)
-        return 1
-    except (KeyboardInterrupt, ExternalShutdownException):
-        print("demo: interrupted", file=sys.stderr)
-        return 130
-    finally:
-        rclpy.try_shutdown()
+    out, console = results(options.out, "demo"), report.console()
+    with own_domain() as domain:
+        console.print(
+            f"starting simulator, {LINKS} drivers over UDP, recorder and calibration, "
+            f"in ROS domain {domain.number}",
+            soft_wrap=True,
+        )
+        result = run(options, out, console, domain)
+    told = kinematic_report(result, description.load(CONFIG / "truth.yaml"))
+    console.print(report.printed(told))
+    console.print(from_bag(out / "bag", result))
+    report.write(out / "report", told)
     for name, what in (
         ("bag", "recording"),
         ("arm.yaml", "calibrated description"),
@@ -368,4 +229,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(rehearse("demo", main))

@@ -1,7 +1,8 @@
 """When the stamps of a stream go back for good: a replay begins again, a clock is set back."""
 
-SECOND = 1_000_000_000  # [ns]
-LOST = 10  # samples in a row after which the newest one is believed
+from fss_arm_ros.convert import SECOND
+
+SAMPLES = 10  # in a row that are behind before the newest one is believed
 
 
 class Stamps:
@@ -9,12 +10,12 @@ class Stamps:
 
     def __init__(self) -> None:
         self.newest = -1
-        self.late = 0
+        self.behind = 0
 
     def set_back(self, t: int) -> bool:
-        """Take a stamp [ns]; whether as many as LOST in a row are more than 1 s back by now."""
+        """Take a stamp [ns]; whether SAMPLES in a row are more than 1 s behind by now."""
         if t > self.newest - SECOND:
-            self.newest, self.late = max(self.newest, t), 0
+            self.newest, self.behind = max(self.newest, t), 0
             return False
-        self.late += 1
-        return self.late >= LOST
+        self.behind += 1
+        return self.behind >= SAMPLES

@@ -5,7 +5,7 @@ import pytest
 
 from fss_arm_model.description import paper_arm
 from fss_arm_model.kinematics import tip_pose
-from fss_sim.mission import PERIOD, Guidance, Track, pulses
+from fss_sim.guidance import PERIOD, Guidance, Track, pulses
 from fss_sim.plant.drives import VELOCITY
 from fss_sim.plant.plant import Demand, Plant, World
 from fss_sim.plant.target import Target

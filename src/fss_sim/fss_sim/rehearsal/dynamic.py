@@ -9,19 +9,14 @@ import argparse
 import sys
 import time
 from dataclasses import dataclass, replace
-from datetime import datetime
 from math import radians
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import rclpy
-from demo import LINKS, DemoError, Nodes, free_ports, use_free_domain
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.executors import ExternalShutdownException
-from rclpy.node import Node
 from rich.console import Console
-from std_srvs.srv import SetBool
 
 from fss_arm_calib import report
 from fss_arm_calib.dynamic.checks import DynamicCalibration, calibrate
@@ -40,10 +35,10 @@ from fss_arm_calib.experiment.design import (
 from fss_arm_calib.from_bag import EXIT_CODES, solve_dynamic_bag
 from fss_arm_calib.segments.maneuvers import Maneuver
 from fss_arm_model.description import Arm, load, paper_arm, save
-from fss_arm_msgs.msg import LinkTelemetry
-from fss_arm_ros.qos import SENSOR
+from fss_sim.rehearsal.domain import Domain
+from fss_sim.rehearsal.person import LINKS, Operator, own_domain
+from fss_sim.rehearsal.processes import Nodes, RehearsalError, rehearse, results
 
-ROOT = Path(__file__).resolve().parent.parent
 PAUSE = 5.2  # between maneuvers [s]
 SESSION = 4  # maneuvers before somebody puts the base back to the middle of the table
 TABLE = 3.7  # to plan with: the table is larger, by what the base drifts in a session [m]
@@ -65,21 +60,13 @@ NOISE = {
 }
 
 
-class Person(Node):
+class Experimenter(Operator):
     """Arms the links, and sees how far the experiment is."""
 
-    def __init__(self) -> None:
-        super().__init__("person")
-        self.armed = dict.fromkeys(range(1, LINKS + 1), False)
+    def __init__(self, domain: Domain) -> None:
+        super().__init__(domain)
         self.said = "starting"
-        for i in self.armed:
-            self.create_subscription(LinkTelemetry, f"link_{i}/telemetry", self.on_link, SENSOR)
         self.create_subscription(DiagnosticArray, "/diagnostics", self.on_diagnostics, 10)
-        self.arm = self.create_client(SetBool, "arm/arm")
-
-    def on_link(self, message: LinkTelemetry) -> None:
-        """Whether the link is armed."""
-        self.armed[message.link] = message.armed
 
     def on_diagnostics(self, message: DiagnosticArray) -> None:
         """How far the experiment is."""
@@ -87,23 +74,17 @@ class Person(Node):
             if status.name == "experiment":
                 self.said = status.message
 
-    def arm_links(self) -> None:
-        """Ask for it where a link is not armed."""
-        if not all(self.armed.values()) and self.arm.service_is_ready():
-            future = self.arm.call_async(SetBool.Request(data=True))
-            rclpy.spin_until_future_complete(self, future, timeout_sec=2.0)
-
 
 def draw_truth(guess: Arm, settings: DynamicCalibrationSettings, seed: int) -> Arm:
     """An arm that the guess, and what is known of it, may be the description of."""
     rng, n = np.random.default_rng(seed), guess.n
     v = values(guess) + settings.deviations(n) * rng.standard_normal(5 * n + 6)
-    m, b, inertia = v[2 * n + 6 :].reshape(3, n)
+    masses = v[2 * n + 6 : 3 * n + 6]
     b = [link.b for link in guess.links] + rng.uniform(-0.015, 0.015, n)
     inertia = [link.inertia for link in guess.links] * rng.uniform(0.75, 1.25, n)
     arm = guess.with_kinematics(v[4 : 2 * n + 6])
     links = [
-        replace(link, mass=float(m[i]), b=float(b[i]), inertia=float(inertia[i]))
+        replace(link, mass=float(masses[i]), b=float(b[i]), inertia=float(inertia[i]))
         for i, link in enumerate(arm.links)
     ]
     base = replace(arm.base, mass=float(v[0]), inertia=float(v[1]), com=tuple(v[2:4].tolist()))
@@ -114,19 +95,18 @@ def start_all(
     nodes: Nodes, options: argparse.Namespace, out: Path, cameras: Cameras, session: int
 ) -> None:
     """Start the whole graph for a session, its base put back to the middle of the table."""
-    ports = free_ports(2 * LINKS)
     rng = np.random.default_rng((options.seed, session))
     twist = (rng.uniform(-1.0, 1.0, 3) * [0.003, 0.003, 0.004]).tolist()
     (first, *_) = from_yaml((out / f"plan_{session}.yaml").read_text(encoding="utf-8"), LINKS)
     nodes.start(
         "testbed", "fss_sim", "testbed", arm=out / "truth.yaml", seed=100 * options.seed + session,
-        ports=ports[:LINKS], position_noise=cameras.position, heading_noise=cameras.heading,
-        vicon_hold=cameras.hold, tilt=[options.tilt, -0.5 * options.tilt], twist=twist,
-        base=[0.0, 0.0, rng.uniform(-3.0, 3.0)], q=first.waypoints[0].tolist(),
+        ports=nodes.domain.ports(LINKS), position_noise=cameras.position,
+        heading_noise=cameras.heading, vicon_hold=cameras.hold, twist=twist,
+        tilt=[options.tilt, -0.5 * options.tilt], base=[0.0, 0.0, rng.uniform(-3.0, 3.0)],
+        q=first.waypoints[0].tolist(),
     )  # fmt: skip
     nodes.start("record", "fss_arm_bags", "record", output=out / "bags")
-    for i in range(1, LINKS + 1):
-        url = f"udp://127.0.0.1:{ports[i - 1]}?bind={ports[LINKS + i - 1]}"
+    for i, url in enumerate(nodes.domain.urls(LINKS), 1):
         nodes.start(f"link_{i}", "fss_arm_driver", "link", link=i, url=url)
     nodes.start("arm", "fss_arm_driver", "arm")
     nodes.start("dynamic", "fss_arm_calib", "dynamic", **known(out, cameras))
@@ -136,26 +116,28 @@ def start_all(
     )  # fmt: skip
 
 
-def run(options: argparse.Namespace, out: Path, cameras: Cameras, console: Console) -> None:
+def run(
+    options: argparse.Namespace, out: Path, cameras: Cameras, console: Console, domain: Domain
+) -> None:
     """Make all maneuvers, session after session.
 
     Raises:
-        DemoError: a node gave up, or it took too long.
+        RehearsalError: a node gave up, or it took too long.
     """
     give_up = time.monotonic() + options.deadline
     for session in range(len(list(out.glob("plan_*.yaml")))):
         logs = out / "logs" / f"session_{session}"
-        with Nodes(logs, console.print) as nodes, console.status("starting") as status:
+        with Nodes(logs, console.print, domain) as nodes, console.status("starting") as status:
             start_all(nodes, options, out, cameras, session)
-            person = Person()
+            operator = Experimenter(domain)
             while not nodes.ended("experiment"):
                 if time.monotonic() > give_up:
-                    raise DemoError(f"not done after {options.deadline:.0f} s, see {nodes.logs}")
+                    raise RehearsalError(f"not done after {options.deadline:.0f} s, see {logs}")
                 nodes.restart_dead()
-                rclpy.spin_once(person, timeout_sec=0.1)
-                status.update(f"session {session + 1}: {person.said}")
-                person.arm_links()
-            person.destroy_node()
+                rclpy.spin_once(operator, timeout_sec=0.1)
+                status.update(f"session {session + 1}: {operator.said}")
+                operator.keep_armed()
+            operator.destroy_node()
 
 
 def prepare(options: argparse.Namespace, out: Path, cameras: Cameras) -> tuple[Arm, list[Planned]]:
@@ -246,38 +228,28 @@ def arguments() -> argparse.ArgumentParser:
 def main() -> int:
     """Run; the exit code is that of the verdict."""
     options = arguments().parse_args()
-    stamp = f"{datetime.now():%Y%m%d-%H%M%S}"
-    out = (options.out or ROOT / "out" / f"dynamic-{stamp}").absolute()
-    if out.exists():
-        print(f"rehearse_dynamic: {out} is there already, give another --out", file=sys.stderr)
-        return 1
+    out = results(options.out, "dynamic")
     out.mkdir(parents=True)
     console, cameras = report.console(), NOISE[options.noise]
-    use_free_domain()
-    rclpy.init()
-    try:
-        console.print(f"designing {options.count} maneuvers")
-        truth, plan = prepare(options, out, cameras)
-        settings = DynamicCalibrationSettings(**known(out, cameras))
-        promised = expected(paper_arm(), plan, settings, PAUSE).deviations
-        console.print("making them: simulator, drivers over UDP, recorder and calibration")
-        run(options, out, cameras, console)
-        result, maneuvers = solve_first(out, settings, options.count)
-        told = dynamic_report(result, truth, maneuvers_message(maneuvers, "fss").maneuvers)
-        console.print(report.printed(told))
-        page = report.write(out / "report", told)
-        console.print(summary(result, truth, plan, promised))
-        console.print(f"report {page}\nrecording {out / 'bags'}", soft_wrap=True)
-    except (DemoError, ValueError, OSError) as error:
-        print(f"rehearse_dynamic: {error}", file=sys.stderr)
-        return 1
-    except (KeyboardInterrupt, ExternalShutdownException):
-        print("rehearse_dynamic: interrupted", file=sys.stderr)
-        return 130
-    finally:
-        rclpy.try_shutdown()
+    console.print(f"designing {options.count} maneuvers")
+    truth, plan = prepare(options, out, cameras)
+    settings = DynamicCalibrationSettings(**known(out, cameras))
+    promised = expected(paper_arm(), plan, settings, PAUSE).deviations
+    with own_domain() as domain:
+        console.print(
+            "making them: simulator, drivers over UDP, recorder and calibration, "
+            f"in ROS domain {domain.number}",
+            soft_wrap=True,
+        )
+        run(options, out, cameras, console, domain)
+    result, maneuvers = solve_first(out, settings, options.count)
+    told = dynamic_report(result, truth, maneuvers_message(maneuvers, "fss").maneuvers)
+    console.print(report.printed(told))
+    page = report.write(out / "report", told)
+    console.print(summary(result, truth, plan, promised))
+    console.print(f"report {page}\nrecording {out / 'bags'}", soft_wrap=True)
     return EXIT_CODES[result.verdict]
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(rehearse("rehearse_dynamic", main))

@@ -11,9 +11,9 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from fss_arm_bags.health import Stream, findings, remark, streams
+from fss_arm_bags.doctor.health import Stream, findings, remark, streams
+from fss_arm_bags.doctor.repair import repair
 from fss_arm_bags.reader import BagError, Bags, find, open_bags
-from fss_arm_bags.repair import repair
 from fss_arm_ros.command_line import Parser
 from fss_arm_ros.convert import seconds
 

@@ -1,6 +1,6 @@
 """Rehearse a capture on a simulated test bed: approach, grip, stop the target; show what happened.
 
-Stands for the spacecraft's computer: it listens to VICON and the links, and lets fss_sim.mission
+Stands for the spacecraft's computer: it listens to VICON and the links, and lets fss_sim.guidance
 decide. It steps the test bed's time, so that the rehearsal is the same on a slow computer.
 """
 
@@ -8,30 +8,29 @@ import argparse
 import sys
 import time
 from collections.abc import Callable
-from datetime import datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import rclpy
-from demo import CONFIG, LINKS, DemoError, Nodes, free_ports, use_free_domain
 from geometry_msgs.msg import PoseStamped
-from rclpy.node import Node
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
-from std_srvs.srv import SetBool
 
 from fss_arm_bags.reader import open_bags
 from fss_arm_model.description import Arm, load
 from fss_arm_model.kinematics import joint_positions
-from fss_arm_msgs.msg import GripperState, LinkCommand, LinkTelemetry, ThrusterCommand
+from fss_arm_msgs.msg import GripperState, LinkCommand, ThrusterCommand
 from fss_arm_msgs.srv import StepTime
 from fss_arm_ros.convert import SECOND, planar_pose, stamp_ns
 from fss_arm_ros.qos import COMMAND, SENSOR
-from fss_sim.mission import PERIOD, Guidance
+from fss_sim.guidance import PERIOD, Guidance
 from fss_sim.plant.target import Target
 from fss_sim.plant.thrusters import Propulsion, layout
+from fss_sim.rehearsal.domain import CONFIG, Domain
+from fss_sim.rehearsal.person import LINKS, Operator, own_domain
+from fss_sim.rehearsal.processes import Nodes, RehearsalError, rehearse, results
 from fss_sim.sensors import RATE
 
 TARGET = Target(mass=10.0, inertia=0.25)
@@ -48,15 +47,14 @@ STRIDE = 5  # frames at once; a driver whose clock is farther behind refuses tel
 AGREE = 1e-9  # momentum before and after the capture [N s, N m s]
 
 
-class Pilot(Node):
+class Pilot(Operator):
     """Hands what is seen to the guidance and its orders on; lets time pass between."""
 
-    def __init__(self, arm: Arm) -> None:
-        super().__init__("pilot", parameter_overrides=[Parameter("use_sim_time", value=True)])
+    def __init__(self, arm: Arm, domain: Domain) -> None:
+        super().__init__(domain, parameter_overrides=[Parameter("use_sim_time", value=True)])
         propulsion = Propulsion()
         self.guidance = Guidance(arm, TARGET, layout(propulsion.thrust, propulsion.lever))
         self.joints: dict[str, tuple[int, float, float]] = {}  # stamp, angle, rate
-        self.armed = dict.fromkeys(range(1, LINKS + 1), False)
         self.holds, self.now = False, 0
         tracks = self.guidance.base, self.guidance.tip, self.guidance.body
         for subject, track in zip(("fss", "end_effector", "target"), tracks, strict=True):
@@ -65,15 +63,12 @@ class Pilot(Node):
             )
         self.create_subscription(JointState, "joint_states", self.on_joints, SENSOR)
         self.create_subscription(GripperState, "gripper/state", self.on_gripper, SENSOR)
-        for i in self.armed:
-            self.create_subscription(LinkTelemetry, f"link_{i}/telemetry", self.on_link, SENSOR)
         self.thrust = self.create_publisher(ThrusterCommand, "thrusters/command", COMMAND)
         self.grip = self.create_publisher(Bool, "gripper/command", COMMAND)
         self.links = [
             self.create_publisher(LinkCommand, f"link_{i}/command", COMMAND) for i in self.armed
         ]
         self.stepping = self.create_client(StepTime, "sim/step")
-        self.arming = self.create_client(SetBool, "arm/arm")
 
     def on_pose(self, update: Callable[..., None]) -> Callable[[PoseStamped], None]:
         """Follow a subject."""
@@ -93,21 +88,14 @@ class Pilot(Node):
         """Whether it holds the target."""
         self.holds = message.holds
 
-    def on_link(self, message: LinkTelemetry) -> None:
-        """Whether the link is armed."""
-        self.armed[message.link] = message.armed
-
     def pass_time(self, seconds: float, fresh: bool = True) -> None:
         """Let time pass, and hear all that was seen meanwhile, joints at most a second ago.
 
         Raises:
-            DemoError: it is not heard.
+            RehearsalError: it is not heard.
         """
         for _ in range(round(seconds * RATE) // STRIDE):
-            answer = self.stepping.call_async(StepTime.Request(frames=STRIDE))
-            self.wait(answer.done, "sim/step does not answer")
-            stamp = stamp_ns(answer.result().stamp)
-            self.wait(lambda stamp=stamp: self.now >= stamp, "VICON is not heard")
+            stamp = self.step()
         if fresh:
             self.wait(
                 lambda: (
@@ -117,39 +105,51 @@ class Pilot(Node):
                 "the links are not heard",
             )
 
+    def step(self) -> int:
+        """Let a stride pass, and hear VICON of its end; the time then [ns]."""
+        answer = self.stepping.call_async(StepTime.Request(frames=STRIDE))
+        self.wait(answer.done, "sim/step does not answer")
+        stamp = stamp_ns(answer.result().stamp)
+        self.wait(lambda: self.now >= stamp, "VICON is not heard")
+        return stamp
+
     def wait(self, until: Callable[[], bool], complaint: str, patience: float = 60.0) -> None:
         """Spin until something holds.
 
         Raises:
-            DemoError: it does not within so many seconds.
+            RehearsalError: it does not within so many seconds.
         """
         deadline = time.monotonic() + patience
         while not until():
             if time.monotonic() > deadline:
-                raise DemoError(complaint)
+                raise RehearsalError(complaint)
             rclpy.spin_once(self, timeout_sec=0.05)
 
     def arm_links(self) -> None:
         """Arm all links, as a person does; time must pass meanwhile.
 
         Raises:
-            DemoError: they do not get armed.
+            RehearsalError: they do not get armed.
         """
         self.wait(self.stepping.service_is_ready, "there is no test bed")
-        self.wait(self.arming.service_is_ready, "there is no node `arm`")
-        deadline, answer = time.monotonic() + 60.0, None
+        self.wait(self.arm.service_is_ready, "there is no node `arm`")
+        deadline = time.monotonic() + 60.0
         while not all(self.armed.values()):
             if time.monotonic() > deadline:
-                raise DemoError(f"links are not armed: {self.armed}")
-            if answer is None or answer.done():
-                answer = self.arming.call_async(SetBool.Request(data=True))
+                raise RehearsalError(f"links are not armed: {self.armed}")
+            self.keep_armed()
             self.pass_time(0.1, fresh=False)
 
     def fly(self, progress: Callable[[str], None]) -> bool:
-        """See the mission through; return whether it came to its end."""
+        """See the mission through; return whether it came to its end.
+
+        Raises:
+            RehearsalError: what is needed is not heard, or somebody else drives links here.
+        """
         phase = ""
         while self.now < LONGEST * SECOND:
             self.pass_time(PERIOD)
+            self.drives_alone()
             seen = np.array([self.joints[f"joint_{i}"] for i in self.armed])
             qd = seen[:, 2]
             q = seen[:, 1] + qd * (self.now - seen[:, 0]) / SECOND
@@ -175,17 +175,15 @@ class Pilot(Node):
 
 def start_all(nodes: Nodes, arm: Path, out: Path, seed: int) -> None:
     """Start test bed, recorder, links and arm."""
-    ports = free_ports(2 * LINKS)
-    urls = [f"udp://127.0.0.1:{ports[i]}?bind={ports[LINKS + i]}" for i in range(LINKS)]
     clock = {"use_sim_time": True}
     nodes.start("record", "fss_arm_bags", "record", output=out / "bag", **clock)
     nodes.start(
-        "testbed", "fss_sim", "testbed", arm=arm, seed=seed, ports=ports[:LINKS], keep_clock=True,
-        paused=True, truth_rate=50.0, **BEGIN,
+        "testbed", "fss_sim", "testbed", arm=arm, seed=seed, ports=nodes.domain.ports(LINKS),
+        keep_clock=True, paused=True, truth_rate=50.0, **BEGIN,
     )  # fmt: skip
     nodes.start(
-        "links", "fss_arm_driver", "link", arm=arm, urls=urls, rate=20.0, timeout=10.0,
-        watchdog=10.0, **clock,
+        "links", "fss_arm_driver", "link", arm=arm, urls=nodes.domain.urls(LINKS), rate=20.0,
+        timeout=10.0, watchdog=10.0, **clock,
     )  # fmt: skip
     nodes.start("arm", "fss_arm_driver", "arm", arm=arm, time_to_live=10.0, **clock)
 
@@ -209,12 +207,12 @@ def read(bag: Path) -> Flight:
     """The mission from its bag.
 
     Raises:
-        DemoError: the bag has no truth in it.
+        RehearsalError: the bag has no truth in it.
     """
     with open_bags(bag) as bags:
         truths = [message for _, _, _, message in bags.messages({"/sim/truth"})]
     if not truths:
-        raise DemoError(f"there is no sim/truth in {bag}")
+        raise RehearsalError(f"there is no sim/truth in {bag}")
 
     def column(name: str) -> np.ndarray:
         return np.array([getattr(message, name) for message in truths])
@@ -313,36 +311,22 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1, help="of the simulated errors")
     parser.add_argument("--out", type=Path, help="folder for the results (out/mission-TIME)")
     options = parser.parse_args()
-    here = CONFIG.parent / "out" / f"mission-{datetime.now():%Y%m%d-%H%M%S}"
-    out = (options.out or here).absolute()
-    if out.exists():
-        print(f"mission: {out} is there already, give another --out", file=sys.stderr)
-        return 1
-    use_free_domain()
-    rclpy.init()
-    arm, ended = load(CONFIG / "arm.yaml"), False
-    try:
-        with Nodes(out / "logs", print) as nodes:
-            start_all(nodes, CONFIG / "arm.yaml", out, options.seed)
-            pilot = Pilot(arm)
-            pilot.arm_links()
-            ended = pilot.fly(print)
-            pilot.destroy_node()
-        flight = read(out / "bag")
-        good = judge(flight, print) and ended
-        plot(arm, flight, out / "mission.png")
-    except (DemoError, ValueError, OSError) as error:
-        print(f"mission: {error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        print("mission: interrupted", file=sys.stderr)
-        return 130
-    finally:
-        rclpy.try_shutdown()
+    out = results(options.out, "mission")
+    arm = load(CONFIG / "arm.yaml")
+    with own_domain() as domain, Nodes(out / "logs", print, domain) as nodes:
+        print(f"starting simulator, drivers, recorder and arm, in ROS domain {domain.number}")
+        start_all(nodes, CONFIG / "arm.yaml", out, options.seed)
+        pilot = Pilot(arm, domain)
+        pilot.arm_links()
+        ended = pilot.fly(print)
+        pilot.destroy_node()
+    flight = read(out / "bag")
+    good = judge(flight, print) and ended
+    plot(arm, flight, out / "mission.png")
     for name, what in (("bag", "recording"), ("mission.png", "drawing"), ("logs", "of the nodes")):
         print(f"{what:>16}  {out / name}")
     return 0 if good else 2
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(rehearse("mission", main))

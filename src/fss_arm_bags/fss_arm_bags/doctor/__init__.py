@@ -1,0 +1,1 @@
+"""How healthy bags are, and their repair."""

@@ -1,0 +1,47 @@
+"""Whether a move may go on, by the time that passes [s]: who asked for it, and this process."""
+
+from dataclasses import dataclass
+
+DISCOVERY = 3.0  # by then ROS knows of a client that has asked already [s]
+
+
+class Asker:
+    """Whoever asked for a move: shall tell so again and again, if it said it would.
+
+    Args:
+        keep_alive: silence that means it is gone [s]; 0: it never tells.
+        now: when it asked.
+    """
+
+    def __init__(self, keep_alive: float, now: float) -> None:
+        self.keep_alive, self.heard = keep_alive, now
+        self._unseen = now + DISCOVERY
+
+    def gone(self, now: float, seen: bool) -> str:
+        """That it is gone, in words; `seen`: ROS knows of a client that awaits a result."""
+        if self.keep_alive and now - self.heard > self.keep_alive:
+            return f"whoever asked for it is silent for {now - self.heard:.1f} s"
+        if seen:
+            self._unseen = 0.0  # from now on it is missed at once
+        return "whoever asked for it is gone" if not seen and now > self._unseen else ""
+
+
+@dataclass
+class Stall:
+    """Tells a process that it stood still, and for as long again that what it hears may be old.
+
+    `now` may jump back, as simulated time does when it begins anew.
+    """
+
+    longest: float  # from one look to the next without being a stall [s]
+    lasted: float = 0.0  # the last one [s]
+    ended: float = float("-inf")
+    looked: float | None = None
+
+    def look(self, now: float) -> str:
+        """What to say of a stall that was just now, if there was one."""
+        late, self.looked = now - (now if self.looked is None else self.looked), now
+        if late > self.longest:
+            self.lasted, self.ended = late, now
+        recent = 0.0 <= now - self.ended < self.longest
+        return f"this program stood still for {self.lasted:.1f} s" if recent else ""

@@ -1,0 +1,127 @@
+"""From a drift of the base to its later pose, by the joints' motion alone, and how well known."""
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from fss_arm_model.base_motion import base_pose_sensitivities
+from fss_arm_model.dynamics import inertia_matrix
+from fss_arm_model.momentum import momentum, system_com
+from fss_arm_model.units import GRAVITY
+from fss_gnc.navigation import SensorErrors
+
+from .joints import JointMotion
+
+Floats = npt.NDArray[np.float64]
+
+
+class Anchor(NamedTuple):
+    """Where a prediction begins."""
+
+    t: int  # [ns]
+    pose: Floats  # (3,) x, y [m], heading [rad]
+    momentum: Floats  # (3,) [N s, N s, N m s], angular about the system's centre of mass
+    covariance: Floats  # (6, 6) of both
+    by_parameter: Floats  # (3, 8 + 6 n) derivatives of the momentum
+
+
+def fit_drift(
+    p: Floats, t: int, times: Floats, poses: Floats, q: Floats, errors: SensorErrors, tilt: Floats
+) -> Anchor:
+    """The system's centre of mass on a straight line, turning evenly, while the arm rests.
+
+    Args:
+        p: (8 + 6 n,) Arm.vector().
+        t: where the prediction is to begin [ns].
+        times: (m,) of the poses, counted from t [s]; m >= 3.
+        poses: (m, 3) of the base.
+        q: (n,) of the resting joints [rad].
+        errors: standard deviations of the poses.
+        tilt: (2,) slope of the table [rad], along which all falls.
+    """
+    states = np.column_stack([poses, np.tile(q, (len(poses), 1))])
+    com = system_com(p, states) - 0.5 * times[:, None] ** 2 * (GRAVITY * tilt)
+    X = np.column_stack([np.ones_like(times), times])
+    line, slope = np.linalg.lstsq(X, np.column_stack([com, poses[:, 2]]), rcond=None)[0]
+    turn = line[2] - poses[-1, 2]
+    lever = complex(*(com[-1] - poses[-1, :2])) * complex(np.cos(turn), np.sin(turn))
+    pose = line - [lever.real, lever.imag, 0.0]
+    state = np.concatenate([pose, q])
+    # Filtered poses are smoother than those the filter is fed; these give the deviations.
+    of_pose = np.diag([errors.position_error, errors.position_error, errors.heading_error]) ** 2
+    to_com = np.array([[1.0, 0.0, -lever.imag], [0.0, 1.0, lever.real], [0.0, 0.0, 1.0]])
+    rates = np.zeros((3, len(state)))
+    rates[:, :3] = np.linalg.inv(to_com).T  # of the base, for each rate of the centre of mass
+    by_rate = momentum(p, state, rates).T
+    J = np.block([[np.eye(3), np.zeros((3, 3))], [np.zeros((3, 3)), by_rate @ to_com]])
+    rate = np.concatenate([np.linalg.solve(to_com, slope), np.zeros(len(q))])
+    return Anchor(
+        t,
+        pose,
+        by_rate @ slope,
+        J @ np.kron(np.linalg.inv(X.T @ X), of_pose) @ J.T,
+        _by_parameter(p, state, rate),
+    )
+
+
+def _by_parameter(p: Floats, q: Floats, qd: Floats) -> Floats:
+    """Derivatives of the momentum by the parameters, (3, 8 + 6 n); at most cubic in them."""
+    step = 1e-4 * np.eye(len(p))
+    up, down = (momentum(p + side * step, q, qd) for side in (1.0, -1.0))
+    return ((up - down) / 2e-4).T
+
+
+class Prediction:
+    """The base's pose from an anchor on, and its derivatives.
+
+    Args:
+        p: (8 + 6 n,) Arm.vector().
+        anchor: where it begins.
+        tilt: (2,) slope of the table [rad].
+    """
+
+    def __init__(self, p: Floats, anchor: Anchor, tilt: Floats) -> None:
+        self.p, self.anchor, self.t = p, anchor, anchor.t
+        self.weight = inertia_matrix(p, np.zeros(3 + (len(p) - 8) // 6))[0, 0] * GRAVITY  # [N]
+        self.tilt = tilt
+        self.state = np.concatenate([anchor.pose, anchor.momentum, GRAVITY * tilt])
+        # By the parameters, by the anchor's two parts, and by the tilt.
+        self.by_parameter = np.zeros((3, len(p)))
+        self.by_pose, self.by_momentum = np.eye(3), np.zeros((3, 3))
+        self.by_tilt = np.zeros((3, 2))
+
+    @property
+    def pose(self) -> Floats:
+        """The pose at t, (3,)."""
+        return self.state[:3].copy()
+
+    def advance(self, t: int, motion: JointMotion) -> None:
+        """Go on until t [ns], if that is later."""
+        if t <= self.t:
+            return
+        poses, J = base_pose_sensitivities(self.p, motion.path(self.t, t), self.state)
+        step, size = J[1], len(self.p)
+        onward = step[:, size : size + 3]
+        gained = self.weight * (self.t - self.anchor.t) * 1e-9 * step[:, size + 3 : size + 5]
+        self.by_tilt = onward @ self.by_tilt + gained + GRAVITY * step[:, size + 6 :]
+        self.by_parameter = onward @ self.by_parameter + step[:, :size]
+        self.by_momentum = onward @ self.by_momentum + step[:, size + 3 : size + 6]
+        self.by_pose = onward @ self.by_pose
+        self.state[:3] = poses[1]
+        self.state[3:5] += self.weight * self.tilt * (t - self.t) * 1e-9
+        self.t = t
+
+    def deviation(self, covariance: Floats, tilt_deviation: float) -> Floats:
+        """Standard deviations of the pose, (3,).
+
+        Args:
+            covariance: (8 + 6 n, 8 + 6 n) of Arm.vector().
+            tilt_deviation: standard deviation of the tilt along each axis [rad].
+        """
+        by_anchor = np.hstack([self.by_pose, self.by_momentum])
+        by_parameter = self.by_parameter + self.by_momentum @ self.anchor.by_parameter
+        total = by_anchor @ self.anchor.covariance @ by_anchor.T
+        total += by_parameter @ covariance @ by_parameter.T
+        total += tilt_deviation**2 * self.by_tilt @ self.by_tilt.T
+        return np.sqrt(np.diag(total))

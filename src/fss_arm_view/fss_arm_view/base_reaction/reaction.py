@@ -1,0 +1,198 @@
+"""A prediction that begins anew with each motion, and what follows from it at a moment."""
+
+from bisect import bisect_right
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from fss_arm_model.description import Arm
+from fss_arm_model.dynamics import bias, inertia_matrix, inverse_dynamics, kinetic_energy
+from fss_arm_model.momentum import momentum, system_com
+from fss_gnc.navigation import BaseState
+
+from ..settings import ReactionSettings
+from .joints import Joint, JointMotion, joint_motion
+from .prediction import Anchor, Prediction, fit_drift
+
+Floats = npt.NDArray[np.float64]
+
+_SECOND = 1_000_000_000  # [ns]
+_KEPT = 5 * _SECOND  # of the past
+_MAX_GAP = 60 * _SECOND  # without a moment of which all is known: a prediction ends
+
+
+@dataclass(frozen=True)
+class Reaction:
+    """One moment; vectors are x, y, heading or along x, y and about z. NaN: not known."""
+
+    t: int  # [ns]
+    anchor: int  # when the prediction began [ns]
+    predicted: Floats  # pose of the base (3,)
+    predicted_deviation: Floats
+    measured: Floats
+    measured_deviation: Floats
+    twist: Floats  # measured
+    momentum: Floats  # of the whole, angular about its centre of mass (3,) [N s, N s, N m s]
+    momentum_deviation: Floats
+    momentum_drift: Floats  # (3,) [N, N, N m]
+    kinetic_energy: float  # [J]
+    force: Floats  # of the base on link 1 at the first joint, (2,) [N]
+    torque: float  # of the base on link 1 about the first joint [N m]
+    torque_measured: float  # link 1's sensor [N m]
+    q: Floats  # (n,) joint readings [rad]
+    com: Floats  # (2,) centre of mass of the whole [m]
+
+
+class BaseReaction:
+    """Follows the joints and the base, and gives a Reaction whenever all of them are known.
+
+    Args:
+        arm: the description that predictions rest on.
+        covariance: (8 + 6 n, 8 + 6 n) of Arm.vector(); None: known exactly.
+        settings: thresholds.
+    """
+
+    def __init__(
+        self, arm: Arm, covariance: Floats | None = None, settings: ReactionSettings | None = None
+    ) -> None:
+        self.settings = settings or ReactionSettings()
+        self.tilt = np.array(self.settings.tilt)
+        self.half = int(self.settings.half_difference * _SECOND)
+        self.joints = [Joint() for _ in range(arm.n)]
+        self.past: deque[BaseState] = deque()
+        self.momenta: deque[tuple[float, Floats]] = deque()
+        self.t = -1
+        self.resting_since = -1
+        self.candidate: Anchor | None = None
+        self.describe(arm, covariance)
+
+    def describe(self, arm: Arm, covariance: Floats | None = None) -> None:
+        """Predict with another description from the next rest on."""
+        self.p = arm.vector()
+        size = len(self.p)
+        self.covariance = np.zeros((size, size)) if covariance is None else covariance
+        self.prediction: Prediction | None = None
+        self.momenta.clear()
+
+    def joint(self, i: int, t: int, q: float, qd: float, effort: float) -> bool:
+        """Take a reading of joint i (0 to n - 1) at t [ns]; False if it is not newer."""
+        if t - self.t > _MAX_GAP:
+            self.prediction, self.candidate, self.resting_since = None, None, -1
+            self.joints[i].forget(t - _KEPT)
+        return self.joints[i].add(t, q, qd, effort)
+
+    def base(self, state: BaseState) -> None:
+        """Take the base's measured motion."""
+        self.past.append(state)
+        while self.past[0].t < state.t - _KEPT:
+            self.past.popleft()
+
+    def moving(self) -> bool:
+        """Whether a joint moves, by its newest reading."""
+        return any(j.qd and abs(j.qd[-1]) > self.settings.motion_threshold for j in self.joints)
+
+    def known_until(self) -> int:
+        """The last moment of which all is known [ns]; -1: none."""
+        if not self.past or not all(joint.t for joint in self.joints):
+            return -1
+        return min(min(joint.t[-1] for joint in self.joints) - self.half, self.past[-1].t)
+
+    def advance(self, t: int) -> Reaction | None:
+        """The reaction at t [ns], later than before and not after known_until()."""
+        if t <= self.t:
+            return None
+        self.t = t
+        measured = self._measured(t)
+        if measured is None:  # the base was not seen then
+            return None
+        rests = not any(joint.moves(t, self.settings.motion_threshold) for joint in self.joints)
+        if rests:
+            self.resting_since = t if self.resting_since < 0 else self.resting_since
+            self.candidate = self._drift(t) or self.candidate
+        if self.candidate and (self.prediction is None or not rests):
+            self.prediction = Prediction(self.p, self.candidate, self.tilt)
+        if not rests:
+            self.candidate, self.resting_since = None, -1
+        if self.prediction is None:
+            return None
+        motion = joint_motion(self.joints, min(t, self.prediction.t), self.half)
+        self.prediction.advance(t, motion)
+        for joint in self.joints:
+            joint.forget(t - max(_SECOND, self.half))
+        return self._reaction(measured, motion, self.prediction)
+
+    def _measured(self, t: int) -> BaseState | None:
+        """The motion at t, between the states around it."""
+        k = bisect_right(self.past, t, key=lambda e: e.t) - 1
+        if k < 0:
+            return None
+        before, after = self.past[k], self.past[min(k + 1, len(self.past) - 1)]
+        w = (t - before.t) / max(after.t - before.t, 1)
+        pose = (1.0 - w) * before.at(t).pose + w * after.at(t).pose
+        return before._replace(t=t, pose=pose, twist=(1.0 - w) * before.twist + w * after.twist)
+
+    def _drift(self, t: int) -> Anchor | None:
+        """The base's drift since the arm rests; None: not long enough."""
+        s = self.settings
+        begin = max(self.resting_since, t - int(s.max_drift_duration * _SECOND))
+        drift = [state for state in self.past if begin <= state.t <= t]
+        if len(drift) < 3 or t - begin < s.min_drift_duration * _SECOND:
+            return None
+        times = np.array([(state.t - t) * 1e-9 for state in drift])
+        q = np.array([joint.q[joint.last(t)] for joint in self.joints])
+        return fit_drift(self.p, t, times, np.array([e.pose for e in drift]), q, s, self.tilt)
+
+    def _reaction(
+        self, measured: BaseState, motion: JointMotion, prediction: Prediction
+    ) -> Reaction:
+        s, p, t, n = self.settings, self.p, measured.t, len(self.joints)
+        q, qd = motion.at(t - self.half, t, t + self.half)
+        state = np.concatenate([measured.pose, q[1]])
+        rate = np.concatenate([measured.twist, qd[1]])
+        P = momentum(p, state, rate)
+        by_rate = np.column_stack([momentum(p, state, row) for row in np.eye(3 + n)[:3]])
+        # Without external force the base's acceleration follows from the joints'.
+        H, h = inertia_matrix(p, state), bias(p, state, rate)
+        qdd = (qd[2] - qd[0]) / (2.0 * s.half_difference)
+        base = -np.linalg.solve(H[:3, :3], H[:3, 3:] @ qdd + h[:3])
+        tau = inverse_dynamics(p, state, rate, np.concatenate([base, qdd]))
+        first = self.joints[0]
+        return Reaction(
+            t,
+            prediction.anchor.t,
+            prediction.pose,
+            prediction.deviation(self.covariance, s.tilt_deviation),
+            measured.pose,
+            np.sqrt(measured.pose_variance),
+            measured.twist,
+            P,
+            np.sqrt(by_rate**2 @ measured.twist_variance),
+            self._slope(t * 1e-9, P),
+            float(kinetic_energy(p, state, rate)),
+            _force(p, state, rate, base),
+            float(tau[3]),
+            first.effort[first.last(t)],
+            q[1],
+            system_com(p, state),
+        )
+
+    def _slope(self, now: float, P: Floats) -> Floats:
+        """The slope of the momentum within the window, this one included; NaN: too few."""
+        self.momenta.append((now, P))
+        while self.momenta[0][0] < now - self.settings.drift_window:
+            self.momenta.popleft()
+        if len(self.momenta) < 3:
+            return np.full(3, np.nan)
+        times = np.array([t for t, _ in self.momenta])
+        times -= times.mean()
+        return times @ np.array([P for _, P in self.momenta]) / (times @ times)
+
+
+def _force(p: Floats, state: Floats, rate: Floats, acceleration: Floats) -> Floats:
+    """On the base's centre of mass acts what link 1 answers: minus the force on the link."""
+    mass, com = p[0], complex(p[2], p[3])
+    turn = complex(np.cos(state[2]), np.sin(state[2]))
+    a = complex(*acceleration[:2]) + complex(-(rate[2] ** 2), acceleration[2]) * com * turn
+    return -mass * np.array([a.real, a.imag])

@@ -1,0 +1,1 @@
+"""Guidance, navigation and control of the floating base; so far navigation."""

@@ -1,0 +1,6 @@
+"""Where the base is and how it moves, from what its sensors measure. No ROS but in `messages`."""
+
+from .base_filter import BaseFilter, BaseState
+from .settings import SensorErrors
+
+__all__ = ["BaseFilter", "BaseState", "SensorErrors"]

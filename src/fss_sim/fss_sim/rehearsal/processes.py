@@ -1,0 +1,165 @@
+"""The processes of a rehearsal: started as `ros2 run` does, again when killed, stopped in order."""
+
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from datetime import datetime
+from pathlib import Path
+from types import FrameType
+from typing import Self
+
+import rclpy
+from ament_index_python.packages import get_package_prefix
+from rclpy.executors import ExternalShutdownException
+
+from fss_arm_ros.run import RCLError
+from fss_sim.rehearsal.domain import CONFIG, Domain
+
+STARTS_AT_MOST = 5  # of one node; a node that dies more often has a fault of its own
+#: Leads the process group of all nodes, and ends it when its standard input does: its supervisor is
+#: gone then, by whatever signal. Whoever is stopped or deaf to SIGTERM is killed in the end.
+LEADER = "trap '' TERM INT HUP; cat; kill -TERM 0; sleep 3; kill -KILL 0"
+
+
+class RehearsalError(RuntimeError):
+    """The rehearsal cannot go on; the message says why and where to look."""
+
+
+class Nodes:
+    """Node processes, each with its log; stops them all on leaving, the last one first.
+
+    They end with this process, too, however it ends. Signals of the terminal do not reach them.
+    """
+
+    def __init__(self, logs: Path, say: Callable[[str], None], domain: Domain) -> None:
+        self.logs = logs
+        self.say = say
+        self.domain = domain
+        self.commands: dict[str, list[str]] = {}
+        self.processes: dict[str, subprocess.Popen[bytes]] = {}
+        self.starts: dict[str, int] = {}
+        logs.mkdir(parents=True, exist_ok=True)
+        self.leader = subprocess.Popen(
+            ["/bin/sh", "-c", LEADER],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            process_group=0,
+        )
+
+    def start(self, name: str, package: str, executable: str, **parameters: object) -> None:
+        """Start `executable` as `ros2 run` does, under the name `name`."""
+        path = Path(get_package_prefix(package), "lib", package, executable)
+        self.run(name, [str(path)], **parameters)
+
+    def run(self, name: str, command: list[str], **parameters: object) -> None:
+        """Start a command with a node's parameters, under the name `name`."""
+        command = [*command, "--ros-args", "--enclave", self.domain.enclave]
+        for key, value in parameters.items():
+            text = str(value).lower() if isinstance(value, bool) else value
+            command += ["-p", f"{key}:={text}"]
+        self.commands[name] = command
+        self._start(name)
+
+    def _start(self, name: str) -> None:
+        self.starts[name] = self.starts.get(name, 0) + 1
+        with (self.logs / f"{name}.log").open("ab") as log:
+            self.processes[name] = subprocess.Popen(
+                # Linux hangs up on a group whose supervisor is gone while one of it stands still.
+                ["nohup", *self.commands[name]],
+                stdout=log,
+                stderr=log,
+                stdin=subprocess.DEVNULL,
+                process_group=self.leader.pid,
+            )
+
+    def restart_dead(self) -> None:
+        """Start again each node that was killed; one that gave up by itself ends the rehearsal.
+
+        Raises:
+            RehearsalError: a node ended with an error of its own, or was killed too often.
+        """
+        for name, process in self.processes.items():
+            code = process.poll()
+            if code is None or code == 0:
+                continue
+            if code > 0 or self.starts[name] >= STARTS_AT_MOST:
+                raise RehearsalError(f"node {name} ended with {code}: {self.last_words(name)}")
+            self.say(f"node {name} was killed ({signal.Signals(-code).name}), starting it again")
+            self._start(name)
+
+    def last_words(self, name: str) -> str:
+        """The last line of the node's log, and where the rest is."""
+        log = self.logs / f"{name}.log"
+        lines = log.read_text(errors="replace").splitlines() or ["(nothing said)"]
+        return f"{lines[-1]} (see {log})"
+
+    def ended(self, name: str) -> bool:
+        """Whether the node has finished its work."""
+        return self.processes[name].poll() == 0
+
+    def stop(self, name: str, patience: float = 10.0) -> None:
+        """Interrupt one node and wait until it is gone."""
+        process = self.processes[name]
+        if process.poll() is None:
+            process.send_signal(signal.SIGINT)
+        try:
+            process.wait(patience)
+        except subprocess.TimeoutExpired:
+            self.say(f"node {name} does not stop, killing it")
+            process.kill()
+            process.wait()
+        del self.processes[name]
+
+    def close(self) -> None:
+        """Stop all, the last one first."""
+        try:
+            for name in reversed(list(self.processes)):
+                self.stop(name)
+            self.leader.kill()  # nobody is left whom it should end
+        finally:
+            self.leader.communicate()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+
+def results(folder: Path | None, name: str) -> Path:
+    """The folder for results: the one given, or a new one of that name in out/.
+
+    Raises:
+        RehearsalError: it is there already.
+    """
+    new = CONFIG.parent / "out" / f"{name}-{datetime.now():%Y%m%d-%H%M%S}"
+    out = (folder or new).absolute()
+    if out.exists():
+        raise RehearsalError(f"{out} is there already, give another --out")
+    return out
+
+
+def rehearse(name: str, body: Callable[[], int]) -> int:
+    """Run a rehearsal; return its exit code, 1 after an error, 128 + the signal that ended it."""
+    told: list[int] = []
+
+    def interrupt(number: int, _: FrameType | None) -> None:
+        told.append(number)
+        raise KeyboardInterrupt
+
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, interrupt)
+    try:
+        return body()
+    except (RehearsalError, ValueError, OSError) as error:
+        print(f"{name}: {error}", file=sys.stderr)
+        return 1
+    except (KeyboardInterrupt, ExternalShutdownException, RCLError):
+        if not told:
+            raise
+        print(f"{name}: interrupted", file=sys.stderr)
+        return 128 + told[0]
+    finally:
+        rclpy.try_shutdown()

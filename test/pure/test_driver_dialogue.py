@@ -1,0 +1,367 @@
+"""What the echo tells: two drivers of one link, the order of signed commands, delay, standstill."""
+
+import heapq
+from functools import partial
+
+import pytest
+
+from fss_arm_driver.dialogue import DAY
+from fss_arm_driver.link import Arming, LinkSession
+from fss_arm_driver.protocol import Mode, Order, State, decode
+from fss_arm_driver.scale import CommandError
+from fss_arm_model.description import paper_arm
+from fss_sim.link.electronics import LinkElectronics
+from fss_sim.plant.plant import Motion
+
+SECOND = 1_000_000_000
+PERIOD, STEP = SECOND // 5, SECOND // 200
+DATE = 1_700_000_000 * SECOND  # the time of day when the tests' clock is 0
+HOUR, WATCHDOG = 3600.0, 2.0
+KEY = bytes(range(32))
+LINK = paper_arm().links[0]
+REST = Motion(q=0.1, qd=0.0, current=0.0, torque=0.0)
+
+
+class World:
+    """Drivers that talk to one link, in virtual time; all hear what it says."""
+
+    def __init__(self, key=None, delay=0.002):
+        self.key, self.delay = key, delay
+        self.now, self.ways, self.sent = 100 * SECOND, [], 0
+        self.drivers, self.commands, self.heard = [], [], []
+        self.link = LinkElectronics(1, LINK, boot=5, key=key)
+        self.at_link = []  # when it was at rest and disarmed, or moved
+
+    def driver(self, step=0.0):
+        """Another driver, on a computer whose time of day is off by `step` [s]."""
+        epoch = DATE + round(step * SECOND)
+        session = LinkSession(1, LINK, watchdog=WATCHDOG, key=self.key, epoch=epoch)
+        self.drivers.append([session, self.now])
+        return session
+
+    def kill(self, session):
+        self.drivers = [driver for driver in self.drivers if driver[0] is not session]
+
+    def clock(self):
+        return self.now // 1000 - 90_000_000
+
+    def send(self, session):
+        self.commands.append(session.command(self.now))
+        self.post(partial(self.to_link, self.commands[-1]))
+
+    def post(self, what):
+        self.sent += 1
+        heapq.heappush(self.ways, (self.now + round(self.delay * SECOND), self.sent, what))
+
+    def to_link(self, data):
+        self.link.receive(data, self.clock())
+
+    def to_drivers(self, data):
+        self.heard.append(data)
+        for session, _ in self.drivers:
+            session.feed(data, self.now)
+
+    def step(self):
+        self.now += STEP
+        while self.ways and self.ways[0][0] <= self.now:
+            heapq.heappop(self.ways)[2]()
+        for number, driver in enumerate(self.drivers):
+            if self.now >= driver[1] + number * PERIOD // 3:  # each at a time of its own
+                driver[1] += PERIOD
+                self.send(driver[0])
+        self.link.demand(self.clock(), REST)
+        if data := self.link.telemetry(self.clock(), REST):
+            self.post(partial(self.to_drivers, data))
+
+    def run(self, seconds, until=lambda: False):
+        """Let time pass until the condition holds; how long it took [s], or fail."""
+        begun, end = self.now, self.now + round(seconds * SECOND)
+        while not until():
+            if self.now >= end:
+                return seconds
+            self.step()
+        return (self.now - begun) / SECOND
+
+    def can_arm(self, session):
+        return not session.obstacle(self.now)
+
+    def arm(self, session):
+        session.arm(self.now)
+        self.send(session)
+        self.run(4.0, lambda: session.arming is not Arming.ARMING)
+        assert session.armed
+        return session
+
+    def turn(self, session, seconds=60.0):
+        expiry = self.now + round(seconds * SECOND)
+        session.set(Mode.VELOCITY, 0.1, 0.0, 0.0, expiry, self.now)
+        self.run(0.4)
+        assert self.turns()
+
+    def turns(self):
+        return self.link.demand(self.clock(), REST).mode == Mode.VELOCITY
+
+
+both = pytest.mark.parametrize("key", [None, KEY])
+
+
+# --- two drivers ---
+
+
+@both
+@pytest.mark.parametrize("step", [-HOUR, 0.0, HOUR])
+def test_a_second_driver_of_a_link_does_not_disturb_the_first_and_both_notice(key, step):
+    world = World(key)
+    first = world.driver()
+    world.run(3.0)
+    world.turn(world.arm(first))
+    second = world.driver(step)
+    taken = len(world.commands)
+    for _ in range(1000):
+        world.step()
+        assert first.armed
+        assert world.turns()
+    assert len(world.commands) - taken > 40
+    assert not first.rival  # it commands the link, and goes on
+    assert "somebody else: another driver?" in first.strain
+    assert second.rival == "another driver commands link 1"
+    with pytest.raises(CommandError, match="another driver commands link 1"):
+        second.arm(world.now)
+    second.stop()  # anybody may; signed, not with a clock behind
+    world.send(second)
+    world.run(0.5)
+    assert world.link.stopped == (key is None or step >= 0.0)
+    assert first.armed != world.link.stopped
+    world.kill(second)
+    world.run(5.0)
+    assert not first.strain
+    world.turn(world.arm(first))
+
+
+@both
+def test_when_the_first_driver_is_gone_the_second_has_the_link(key):
+    world = World(key)
+    first = world.driver()
+    world.run(3.0)
+    world.turn(world.arm(first))
+    second = world.driver()
+    world.run(4.0)
+    world.kill(first)
+    assert world.run(9.0, lambda: world.can_arm(second)) < WATCHDOG + 2.5
+    assert not world.link.armed
+    world.arm(second)
+
+
+@both
+def test_a_driver_that_lost_its_link_to_another_disarms_and_says_so(key):
+    world = World(key)
+    first, second = world.driver(), LinkSession(1, LINK, key=key, epoch=DATE)
+    world.run(3.0)
+    world.arm(first)
+    for _ in range(300):  # commands that the link takes for newer, as of an older session
+        second.command(world.now)
+    world.drivers.append([second, world.now])
+    world.run(1.0, lambda: first.rival)
+    assert first.rival
+    assert first.arming is Arming.DISARMED
+
+
+@both
+def test_a_driver_that_starts_again_does_not_take_itself_for_another(key):
+    world = World(key, delay=0.3)
+    first = world.driver()
+    world.run(4.0)
+    world.arm(first)
+    world.kill(first)
+    second = world.driver()
+    for _ in range(2000):
+        world.step()
+        assert not second.rival
+        assert not second.strain
+    assert world.can_arm(second)
+
+
+def test_single_strange_echoes_and_the_echo_of_an_old_command_are_no_driver():
+    world = World()
+    session = world.driver()
+    world.run(80.0)
+    world.arm(session)
+    old = decode(world.commands[0]).clock & 0xFFFFFFFF  # no longer remembered
+    dialogue = session._dialogue
+    for frame in map(decode, world.heard[-20:]):
+        strange = type(frame)(**{**fields_of(frame), "echo": old, "turnaround": 75_000_000})
+        dialogue.hear(strange, world.now)
+        assert not dialogue.rival(world.now)
+    forged = type(frame)(**{**fields_of(frame), "echo": 12345, "turnaround": 1000})
+    dialogue.hear(forged, world.now)
+    assert not dialogue.rival(world.now)
+    dialogue.hear(forged, world.now + SECOND)
+    assert dialogue.rival(world.now + SECOND)
+    assert not dialogue.rival(world.now + 4 * SECOND)
+
+
+def fields_of(frame):
+    return {name: getattr(frame, name) for name in frame.__slots__}
+
+
+# --- a clock that was set, and a driver that started again ---
+
+
+@both
+@pytest.mark.parametrize("pause", [0.0, 7.0, 5000.0])
+@pytest.mark.parametrize("step", [-HOUR, -30.0, 0.0, 30.0, HOUR])
+def test_a_driver_that_starts_again_after_the_clock_was_set_has_the_link_in_5_s(key, step, pause):
+    world = World(key)
+    first = world.driver()
+    world.run(3.0)
+    world.turn(world.arm(first))
+    world.kill(first)
+    world.run(WATCHDOG + 0.1 if pause else 0.0)
+    world.now += round(pause * SECOND)
+    second = world.driver(step)
+    assert world.run(9.0, lambda: world.can_arm(second)) < 5.0
+    world.turn(world.arm(second))
+    orders = [decode(data, key).clock for data in world.commands]
+    taken = orders.index(world.link.gate.command.clock)
+    if key:
+        assert orders[taken] > max(orders[: orders.index(orders[taken])])
+
+
+def test_a_day_is_made_up_for_in_seven_seconds_and_more_is_not():
+    world = World(KEY)
+    first = world.driver(23.5 * HOUR)
+    world.run(3.0)
+    world.kill(first)
+    second = world.driver()
+    assert world.run(20.0, lambda: world.can_arm(second)) < 7.0
+    world = World(KEY)
+    first = world.driver(50 * HOUR)
+    world.run(3.0)
+    world.kill(first)
+    second = world.driver()
+    world.run(60.0)
+    assert second.lost
+
+
+def test_old_telemetry_played_again_costs_a_day_at_most_and_executes_nothing():
+    world = World(KEY)
+    first = world.driver()
+    world.run(3.0)
+    world.turn(world.arm(first))
+    world.kill(first)
+    world.run(10.0)
+    commands, heard = list(world.commands), list(world.heard)
+    world.link = silent = LinkElectronics(1, LINK, boot=6, key=KEY)
+    silent.telemetry = lambda *_: None
+    second = world.driver()
+    for data in heard * 20:
+        world.to_drivers(data)
+        world.run(0.05)
+    latest = decode(world.commands[-1], KEY).clock
+    assert latest <= (world.now + DATE) // 1000 + DAY
+    assert second.lost
+    del silent.telemetry
+    assert world.run(5.0, lambda: world.can_arm(second)) < 5.0
+    world.arm(second)
+    for data in commands:
+        world.to_link(data)
+        assert not world.turns()
+    assert world.link.gate.command.clock > latest
+
+
+def test_a_way_that_is_down_for_an_hour_does_not_use_up_the_order():
+    world = World(KEY)
+    world.driver()
+    world.run(5.0)
+    world.to_link = lambda _: None
+    world.run(400.0)
+    assert decode(world.commands[-1], KEY).clock <= (world.now + DATE) // 1000
+
+
+# --- delay ---
+
+
+@both
+@pytest.mark.parametrize("delay", [0.0, 0.1, 0.2, 0.3, 0.4, 0.49])
+def test_up_to_half_a_second_each_way_a_link_can_be_armed_turned_and_armed_again(key, delay):
+    world = World(key, delay)
+    session = world.driver()
+    world.run(8.0)
+    world.arm(session)
+    expiry = world.now + 60 * SECOND
+    session.set(Mode.VELOCITY, 0.1, 0.0, 0.0, expiry, world.now)
+    world.run(delay + 0.3)
+    for _ in range(600):
+        world.step()
+        assert session.armed
+        assert world.turns()
+    session.stop()
+    world.send(session)
+    world.run(2.0)
+    assert world.link.stopped
+    world.arm(session)
+
+
+@both
+@pytest.mark.parametrize("delay", [0.55, 0.9, 1.2, 2.0])
+def test_beyond_that_it_is_refused_and_the_delay_is_said(key, delay):
+    world = World(key, delay)
+    session = world.driver()
+    world.run(12.0)
+    words = rf"delay of {2 * delay:.1f}\d s there and back, at most 1 s"
+    with pytest.raises(CommandError, match=words):
+        session.arm(world.now)
+    assert session.strain
+
+
+@both
+@pytest.mark.parametrize("delay", [0.0, 0.3, 0.5, 0.9, 1.2, 2.0])
+@pytest.mark.parametrize("since", [0.1, 1.0, 5.0])
+def test_a_stop_takes_effect_after_one_way_whatever_the_delay(key, delay, since):
+    world = World(key)
+    session = world.driver()
+    world.run(3.0)
+    world.turn(world.arm(session))
+    world.delay = delay
+    world.run(since)
+    session.stop()
+    assert world.run(5.0, lambda: world.link.stopped) <= delay + 0.21
+    assert not world.turns()
+
+
+# --- a process that stood still ---
+
+
+@both
+@pytest.mark.parametrize("still", [2.3, 5.0, 3600.0])
+def test_a_driver_that_stood_still_starts_from_rest(key, still):
+    world = World(key)
+    session = world.driver()
+    world.run(3.0)
+    world.turn(world.arm(session), seconds=7200.0)
+    world.drivers.clear()
+    world.run(min(still, 5.0))  # nobody talks to the link
+    world.now += round((still - min(still, 5.0)) * SECOND)
+    waiting = world.heard[-1]
+    assert decode(waiting, key).flags & State.WATCHDOG
+    world.drivers.append([session, world.now])
+    told = decode(session.command(world.now), key)
+    assert not told.flags & Order.ARM
+    assert session.progress.reason == f"stood still for {still:.1f} s"
+    session.feed(waiting, world.now)
+    with pytest.raises(CommandError, match="link 1"):
+        session.arm(world.now)  # asked for before, and only heard now
+    for _ in range(1000):
+        world.step()
+        assert not world.link.armed
+    world.arm(session)
+
+
+def test_a_stop_outlives_a_standstill():
+    world = World()
+    session = world.driver()
+    world.run(3.0)
+    world.arm(session)
+    session.stop()
+    world.now += 10 * SECOND
+    assert decode(session.command(world.now)).flags == Order.STOP

@@ -1,0 +1,40 @@
+"""Whoever asked for a move, and a process that stood still."""
+
+import pytest
+
+from fss_arm_driver.watch import DISCOVERY, Asker, Stall
+
+
+@pytest.mark.parametrize(
+    ("keep_alive", "heard", "now", "words"),
+    [
+        (0.5, 10.0, 10.5, ""),
+        (0.5, 10.0, 10.6, "whoever asked for it is silent for 0.6 s"),
+        (0.5, 10.4, 10.6, ""),
+        (0.0, 10.0, 1000.0, ""),
+    ],
+)
+def test_silence_ends_what_shall_be_kept_alive(keep_alive, heard, now, words):
+    asker = Asker(keep_alive, 10.0)
+    asker.heard = heard
+    assert asker.gone(now, seen=True) == words
+
+
+def test_a_client_may_take_its_time_to_be_seen_and_then_is_missed_at_once():
+    asker = Asker(0.0, 10.0)
+    assert asker.gone(10.0 + DISCOVERY, seen=False) == ""
+    assert asker.gone(10.1 + DISCOVERY, seen=False) == "whoever asked for it is gone"
+    asker = Asker(0.0, 10.0)
+    assert asker.gone(10.2, seen=True) == ""
+    assert asker.gone(10.4, seen=False) == "whoever asked for it is gone"
+
+
+def test_a_stall_is_told_for_as_long_as_what_is_heard_may_be_old():
+    stall, words = Stall(1.0), "this program stood still for 5.0 s"
+    assert [stall.look(t) for t in (100.0, 100.2, 101.2)] == ["", "", ""]
+    assert [stall.look(t) for t in (106.2, 106.4, 107.1, 107.3)] == [words, words, words, ""]
+
+
+def test_time_that_begins_anew_is_no_stall_and_ends_one():
+    stall = Stall(1.0)
+    assert [bool(stall.look(t)) for t in (100.0, 105.0, 1.0, 1.2)] == [False, True, False, False]
