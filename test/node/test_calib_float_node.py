@@ -15,7 +15,7 @@ from fss_arm_calib.dynamic_node import DynamicNode
 from fss_arm_calib.from_bag import main as from_bag
 from fss_arm_calib.from_bag import solve_float_bag
 from fss_arm_calib.segments.drifts import DriftFinder
-from fss_arm_model.simulation import GRAVITY
+from fss_arm_model.units import GRAVITY
 from fss_arm_msgs.msg import FloatCalibration
 from fss_arm_ros.qos import LATCHED, sensor
 from fss_arm_view.base_reaction_node import BaseReactionNode

@@ -25,8 +25,8 @@ from fss_arm_msgs.msg import (
 )
 from fss_arm_ros.convert import pose_stamped, stamp_ns
 from fss_arm_ros.qos import LATCHED, SENSOR
-from fss_arm_workspace.fixed import fixed_workspace
-from fss_arm_workspace.straight_path import arch
+from fss_arm_workspace.regions.fixed import fixed_workspace
+from fss_arm_workspace.straight_path.paths import arch
 from fss_arm_workspace.worker import Superseded, Worker
 from fss_arm_workspace.workspace_node import WorkspaceNode
 
@@ -172,8 +172,8 @@ def test_a_result_waits_for_who_comes_late(spin):
     ("settings", "complaint"),
     [
         ({"cell": 0.0}, "cell is 0.0 m"),
-        ({"redundancy": "luck"}, "redundancy is 'luck', expected minimum norm"),
-        ({"table": [1.0, 2.0]}, "expected low x, low y, high x, high y"),
+        ({"redundancy": "luck"}, "redundancy is 'luck', expected one of minimum norm"),
+        ({"table": [1.0, 2.0]}, "table has 2 numbers, expected 4"),
     ],
 )
 def test_impossible_settings_are_refused(ros, settings, complaint):

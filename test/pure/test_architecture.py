@@ -29,7 +29,7 @@ ALLOWED = {
     | {"fss_arm_model.settings", "fss_arm_ros", "numpy", "rosbags", "mcap", "rich"},
     "fss_arm_driver": ROS
     | {"fss_arm_model.description", "fss_arm_model.settings", "fss_arm_ros", "serial"},
-    "fss_sim": ROS | {"fss_arm_model", "fss_arm_ros", "fss_arm_driver.protocol", "numpy", "yaml"},
+    "fss_sim": ROS | {"fss_arm_model", "fss_arm_ros", "fss_arm_driver.protocol", "numpy"},
     "fss_sim.rehearsal": ROS
     | {
         "fss_sim",
@@ -53,6 +53,7 @@ ALLOWED = {
 }
 
 # What of the workspace a room of a package may import beside itself.
+REGIONS = "fss_arm_workspace.regions"
 PROTOCOL = "fss_arm_driver.protocol"
 ROOMS = {
     PROTOCOL: set(),
@@ -61,6 +62,16 @@ ROOMS = {
     },
     "fss_arm_driver.copley": {PROTOCOL, "fss_arm_driver.faults"},
     "fss_arm_driver.transport": {PROTOCOL, "fss_arm_driver.copley"},
+    "fss_sim.plant": {"fss_arm_model"},
+    "fss_sim.link": {
+        "fss_arm_model", "fss_arm_driver.protocol", "fss_sim.plant", "fss_sim.faults",
+        "fss_sim.noise",
+    },
+    REGIONS: {"fss_arm_model.description", "fss_arm_model.layout"},
+    "fss_arm_workspace.manipulability": {"fss_arm_model", REGIONS},
+    "fss_arm_workspace.straight_path": {
+        "fss_arm_model", REGIONS, "fss_arm_workspace.manipulability.measure",
+    },
 }  # fmt: skip
 
 # Where the mathematics of a package meets ROS: its nodes, and these.
@@ -195,6 +206,17 @@ def test_the_session_reads_no_clock_and_does_no_io() -> None:
     assert {name for name in session if not name.startswith("fss_")} <= pure
 
 
+def test_only_the_layout_knows_where_what_stands_in_the_parameter_vector() -> None:
+    by_hand = re.compile(r"\bp\[(\.\.\., )?(-?\d|\d \*)")
+    packages = ("fss_arm_model.", "fss_arm_workspace.", "fss_sim.")
+    found = {m for m in MODULES if m.startswith(packages) and by_hand.search(text(m))}
+    assert not found
+
+
+def text(module: str) -> str:
+    return MODULES[module].read_text(encoding="utf-8")
+
+
 @pytest.mark.parametrize("module", list(mathematics()))
 def test_mathematics_is_free_of_ros(module: str) -> None:
     assert not tops(reached(module)) & ROS
@@ -218,7 +240,8 @@ def test_the_plot_library_is_imported_only_where_it_is_used() -> None:
 
 
 @pytest.mark.parametrize(
-    "module", ["fss_arm_model.description", PROTOCOL, "fss_arm_driver.session"]
+    "module",
+    ["fss_arm_model.description", PROTOCOL, "fss_arm_driver.session", f"{REGIONS}.fixed"],
 )
 def test_importing_it_loads_neither_kernels_nor_ros(module: str) -> None:
     program = f"import sys, {module}; print({{'numba', 'rclpy', 'scipy'}} & sys.modules.keys())"

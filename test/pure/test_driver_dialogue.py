@@ -10,8 +10,8 @@ from fss_arm_driver.scale import CommandError
 from fss_arm_driver.session import Arming, LinkSession
 from fss_arm_driver.session.dialogue import MAX_STAMP_LEAD
 from fss_arm_model.description import paper_arm
-from fss_sim.electronics import LinkElectronics
-from fss_sim.plant import Motion
+from fss_sim.link.electronics import LinkElectronics
+from fss_sim.plant.plant import Motion
 
 SECOND = 1_000_000_000
 PERIOD, STEP = SECOND // 5, SECOND // 200

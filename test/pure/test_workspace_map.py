@@ -14,8 +14,8 @@ from fss_arm_msgs.msg import DynamicCalibration, KinematicCalibration
 from fss_arm_ros.calibrated import Calibrated
 from fss_arm_ros.qos import LATCHED
 from fss_arm_workspace.analysis import load_kernels
-from fss_arm_workspace.fixed import fixed_workspace
 from fss_arm_workspace.map import calibrated, main
+from fss_arm_workspace.regions.fixed import fixed_workspace
 
 TOPIC = "/calibration/kinematic"
 
@@ -56,7 +56,7 @@ def test_a_single_link_has_all_but_maps(tmp_path, capsys):
         (["/no/such.yaml"], "No such file"),
         (["/no/such/bag"], "no such file or folder"),
         (["--cell", "0"], "cell is 0.0 m, expected 0.001 or more"),
-        (["--table", "1", "1", "0", "2"], "table is (1.0, 1.0, 0.0, 2.0), expected low x"),
+        (["--table", "1", "1", "0", "2"], "table is (1.0, 1.0, 0.0, 2.0) m, expected low x"),
         (["--table", "5", "5", "6", "6"], "expected on the table"),
         (["--start", "10", "20"], "expected 7 finite numbers"),
         (["--start", "100", "0", "0", "0"], "joint 1 starts at 1.74533 rad"),

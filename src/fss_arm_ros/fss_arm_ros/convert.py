@@ -11,7 +11,7 @@ from typing import Any
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseStamped
 
-SECOND = 1_000_000_000  # [ns]
+from fss_arm_model.units import SECOND as SECOND
 
 
 class PoseError(ValueError):

@@ -35,7 +35,7 @@ from fss_arm_calib.report import Report, Table
 from fss_arm_calib.report_parts import origin, stages
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_model.description import Arm, to_yaml
-from fss_arm_model.simulation import GRAVITY
+from fss_arm_model.units import GRAVITY
 
 LIVE = "live"
 

@@ -1,17 +1,8 @@
 """The posture in which the arm moves its tip best while it is at a given point.
 
-    w = sqrt(det(J J^T))                                              (Yoshikawa 1985)
-
-J are the first r rows, r = 2 (position) or 3 (pose), of the tip's Jacobian J_m if the base is held
-and of the generalized Jacobian J* if it floats. w does not depend on the base's own pose.
-
 Arguments everywhere: p (..., 8 + 6 n) is Arm.vector(), q_m (..., n) the joint readings [rad],
-limits (..., n, 2) the lowest and highest of them, kind (2,) what is measured: whether the base
-floats (1 or 0), and r. Leading dimensions broadcast.
-
-In the kernels, q is a state whose base lies at the origin; d and e are its bodies' vectors as in
-kinematics.py. Beside a state, at joints moved by small angles x (n,), these are only turned, and
-no trigonometric function is needed.
+limits (..., n, 2) the lowest and highest of them, kind (2,) what is measured. Leading dimensions
+broadcast. The kernels' notation is self_motion.py's.
 """
 
 import math
@@ -19,136 +10,24 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from ._cache import Complexes, Floats, helper, kernel
-from .kinematics import _chain, _dot, checked
-from .momentum import _floating
+from fss_arm_model.kernels import Floats, helper, kernel
+from fss_arm_model.kinematics import _dot, checked
+from fss_arm_workspace.manipulability.measure import FIXED, _held, _square
+from fss_arm_workspace.manipulability.self_motion import (
+    _LONGEST,
+    _close,
+    _fit,
+    _self_motions,
+    _turned,
+)
 
-__all__ = ["FIXED", "FIXED_POSE", "FLOATING", "FLOATING_POSE", "climb"]
-
-# What is measured.
-FIXED, FLOATING = np.array([0.0, 2.0]), np.array([1.0, 2.0])
-FIXED_POSE, FLOATING_POSE = np.array([0.0, 3.0]), np.array([1.0, 3.0])
-
-_CLOSED = 1e-12  # distance from the target that counts as none [m]
 _AT_LIMIT = 1e-7  # distance from a limit that counts as none [rad]
-_LONGEST = 0.3  # step of a joint [rad]
 _SHORT = 1e-3  # step after which Newton's method leaves next to nothing [rad]
 _FLAT = 1e-8  # slope of w^2 that counts as none [m^4/rad]
 
 
 @helper
-def _held(d: Complexes, J: Floats) -> complex:
-    """Write J_m (3, n); return the tip's position from the base's."""
-    arm = 0j
-    for k in range(d.size - 1, 0, -1):
-        arm += d[k]
-        J[0, k - 1], J[1, k - 1], J[2, k - 1] = -arm.imag, arm.real, 1.0
-    return arm + d[0]
-
-
-@helper
-def _square(p: Floats, d: Complexes, e: Complexes, kind: Floats, J: Floats) -> float:
-    """w^2 = det(J J^T), J being scratch (3, n)."""
-    if kind[0] > 0.0:
-        _floating(p, d, e, J)
-    else:
-        _held(d, J)
-    xx = xy = yy = xz = yz = zz = 0.0
-    for k in range(J.shape[1]):
-        x, y, z = J[0, k], J[1, k], J[2, k]
-        xx += x * x
-        xy += x * y
-        yy += y * y
-        xz += x * z
-        yz += y * z
-        zz += z * z
-    plane = xx * yy - xy * xy
-    if kind[1] < 3.0:
-        return plane
-    return zz * plane - xz * (xz * yy - xy * yz) - yz * (yz * xx - xy * xz)
-
-
-@helper
-def _fit(J: Floats, free: Floats, x: float, y: float) -> complex:
-    """(J J^T)^-1 (x, y), J being two rows of the free joints; zero if they lack a direction."""
-    xx = xy = yy = 0.0
-    for k in range(free.size):
-        xx += free[k] * J[0, k] * J[0, k]
-        xy += free[k] * J[0, k] * J[1, k]
-        yy += free[k] * J[1, k] * J[1, k]
-    det = xx * yy - xy * xy
-    if not det > 1e-12 * (xx + yy) * (xx + yy):
-        return 0j
-    return complex(yy * x - xy * y, xx * y - xy * x) / det
-
-
-@helper
-def _close(
-    p: Floats,
-    limits: Floats,
-    target: complex,
-    q: Floats,
-    d: Complexes,
-    e: Complexes,
-    J: Floats,
-    free: Floats,
-    may: Floats,
-) -> bool:
-    """Bring the tip to the target by least motion within the limits, d and e too; False if in vain.
-
-    Only joints with 1 in `may` (n,) move; J (3, n) and free (n,) are scratch.
-    """
-    for _ in range(30):
-        _chain(p, q, d, e)
-        error = target - _held(d, J)
-        if _dot(error, error) < _CLOSED * _CLOSED:
-            return True
-        free[:] = may
-        longest, stopped = 0.0, True
-        while stopped:  # joints that would leave their limits stay
-            y = _fit(J, free, error.real, error.imag)
-            if y == 0j:
-                return False
-            longest, stopped = 0.0, False
-            for k in range(free.size):
-                move = free[k] * _dot(complex(J[0, k], J[1, k]), y)
-                longest = max(longest, abs(move))
-                room = limits[k, 1] - q[3 + k] if move > 0.0 else q[3 + k] - limits[k, 0]
-                if move != 0.0 and room <= 0.0:
-                    free[k], stopped = 0.0, True
-        y *= min(1.0, _LONGEST / longest)
-        for k in range(free.size):
-            move = free[k] * _dot(complex(J[0, k], J[1, k]), y)
-            q[3 + k] = min(max(q[3 + k] + move, limits[k, 0]), limits[k, 1])
-    return False
-
-
-@helper
-def _turned(
-    d: Complexes, e: Complexes, x: Floats, sign: float, d2: Complexes, e2: Complexes
-) -> None:
-    """Write d2 and e2: d and e with the joints moved by the small angles sign x (n,)."""
-    d2[0], e2[0] = d[0], e[0]
-    angle = 0.0
-    for k in range(x.size):
-        angle += sign * x[k]
-        s = angle * angle
-        turn = complex(1.0 - 0.5 * s + s * s / 24.0, angle * (1.0 - s / 6.0 + s * s / 120.0))
-        d2[k + 1], e2[k + 1] = d[k + 1] * turn, e[k + 1] * turn
-
-
-@helper
-def _gradient(
-    p: Floats,
-    d: Complexes,
-    e: Complexes,
-    kind: Floats,
-    d2: Complexes,
-    e2: Complexes,
-    J: Floats,
-    x: Floats,
-    g: Floats,
-) -> None:
+def _gradient(p, d, e, kind, d2, e2, J, x, g):  # type: ignore[no-untyped-def]
     """Write the derivative of w^2 by the joints, g (n,), by central differences."""
     step = 1e-5
     x[:] = 0.0
@@ -189,76 +68,9 @@ def _let_go(limits: Floats, q: Floats, J: Floats, g: Floats, free: Floats) -> No
 
 
 @helper
-def _rid(Z: Floats, count: int) -> float:
-    """Make row `count` of Z orthogonal to those before and of length 1; return what it was."""
-    for _ in range(2):
-        for i in range(count):
-            share = 0.0
-            for k in range(Z.shape[1]):
-                share += Z[i, k] * Z[count, k]
-            for k in range(Z.shape[1]):
-                Z[count, k] -= share * Z[i, k]
-    length = 0.0
-    for k in range(Z.shape[1]):
-        length += Z[count, k] * Z[count, k]
-    length = math.sqrt(length)
-    if length > 0.0:
-        for k in range(Z.shape[1]):
-            Z[count, k] /= length
-    return length
-
-
-@helper
-def _self_motions(J: Floats, free: Floats, Z: Floats) -> int:
-    """Write an orthonormal basis of the free joints' self-motions as rows of Z; return their count.
-
-    Gram and Schmidt: the Jacobian's two rows, then of the unit vectors the one with most left.
-    """
-    total = count = 0
-    for k in range(free.size):
-        total += int(free[k])
-    for r in range(2):
-        for k in range(free.size):
-            Z[count, k] = free[k] * J[r, k]
-        if _rid(Z, count) > 1e-6:
-            count += 1
-    moving = count
-    while count < total:
-        best, most = -1, 1e-12
-        for k in range(free.size):
-            left = free[k]
-            for i in range(count):
-                left -= Z[i, k] * Z[i, k]
-            if left > most:
-                best, most = k, left
-        if best < 0:
-            break
-        Z[count, :] = 0.0
-        Z[count, best] = 1.0
-        _rid(Z, count)
-        count += 1
-    for i in range(moving, count):
-        Z[i - moving] = Z[i]
-    return count - moving
-
-
-@helper
-def _curvature(
-    p: Floats,
-    d: Complexes,
-    e: Complexes,
-    kind: Floats,
-    square: float,
-    free: Floats,
-    J: Floats,
-    Z: Floats,
-    count: int,
-    d2: Complexes,
-    e2: Complexes,
-    J2: Floats,
-    x: Floats,
-    H: Floats,
-) -> None:
+def _curvature(  # type: ignore[no-untyped-def]
+    p, d, e, kind, square, free, J, Z, count, d2, e2, J2, x, H,
+):  # fmt: skip
     """Write the second derivatives of w^2 along the self-motions Z, H (count, count).
 
     Central differences of w^2 at points that are brought back to where the tip is.
@@ -322,16 +134,7 @@ def _uphill(H: Floats, b: Floats, count: int, L: Floats, u: Floats) -> None:
 
 
 @kernel("(p),(n,k),(k),(k),(n),()->(n),()")
-def _climbed(
-    p: Floats,
-    limits: Floats,
-    kind: Floats,
-    point: Floats,
-    start: Floats,
-    steps: Floats,
-    q_m: Floats,
-    w: Floats,
-) -> None:
+def _climbed(p, limits, kind, point, start, steps, q_m, w):  # type: ignore[no-untyped-def]
     n = start.size
     d, e, d2, e2 = np.empty((4, n + 1), np.complex128)
     q, trial = np.zeros((2, 3 + n))

@@ -4,12 +4,12 @@ from random import Random
 from typing import Any
 
 from fss_arm_model import description
-from fss_sim import instruments
-from fss_sim.channel import Channel, Datagram
-from fss_sim.electronics import LinkElectronics
 from fss_sim.faults import NO_FAULTS, LinkFaults
+from fss_sim.link import instruments
+from fss_sim.link.channel import Channel, Datagram
+from fss_sim.link.electronics import LinkElectronics
 from fss_sim.noise import Noise
-from fss_sim.plant import Demand, Motion
+from fss_sim.plant.plant import Demand, Motion
 
 UPTIME = 10_000_000  # a link was switched on within this time before the test bed [us]
 OFF = Demand(0)

@@ -21,10 +21,10 @@ gains and inertias as a drive's far faster current loop is. Friction and stops a
 
 import math
 
-from ._cache import helper
-from .centroidal import Bodies
-from .integration import STEP
-from .surroundings import _act_called
+from fss_arm_model.centroidal import Bodies
+from fss_arm_model.integration import STEP
+from fss_arm_model.kernels import helper
+from fss_sim.plant.surroundings import Forces, _act_called
 
 #: What a drive controls, by the numbers of docs/protocol.md.
 OFF, CURRENT, VELOCITY, POSITION = 0.0, 1.0, 11.0, 21.0
@@ -109,15 +109,15 @@ def _give(joint, q, qd, qdd, reference, law, torques):  # type: ignore[no-untype
 
 @helper
 def _drive(  # type: ignore[no-untyped-def]
-    bodies, surroundings, thrust, joints, demand, q, qd, reference, z, begin,
-    work, torque, dz, inertia, asked, laws, held, torques,
+    bodies, forces, joints, demand, q, qd, reference, z, begin, work, dz, inertia, asked, laws,
+    torques,
 ):  # fmt: skip
-    """Add what the joints do in the next step to the torques `held` (m,), and write torques (n, 2).
+    """Add what the joints do in the next step to forces.held, and write torques (n, 2).
 
     With the damping D of what is taken a step ahead, (A + STEP D) v' = forces(v' = 0). inertia
     (2, m), asked (m,) and laws (n, 6) are scratch, as what _act takes.
     """
-    n = demand.shape[0]
+    n, held = demand.shape[0], forces.held
     for k in range(n + 1):
         inertia[0, k], inertia[1, k] = bodies.inertia[0, k], bodies.inertia[1, k]
         asked[k] = held[k]
@@ -134,7 +134,8 @@ def _drive(  # type: ignore[no-untyped-def]
         inertia[0, j + 1] += damping
         inertia[1, j + 1] -= damping
     damped = Bodies(bodies.p, bodies.mass, bodies.arms, inertia)
-    _act_called(damped, surroundings, 0j, thrust, asked, begin, z, work, torque, dz)
+    tried = Forces(forces.around, forces.thrust, asked, forces.torque)
+    _act_called(damped, tried, begin, z, work, dz)
     for j in range(n):
         qdd = dz[1, 3 + j] - dz[1, 2 + j]
         given = _give(joints[j], q[3 + j], qd[3 + j], qdd, reference[j], laws[j], torques[j])

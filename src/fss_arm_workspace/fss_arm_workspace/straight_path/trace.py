@@ -1,21 +1,5 @@
 """The tip drawn along a straight line, from a start posture until no motion is left.
 
-Along the line's length s, the joints move at the rates x = dq_m/ds that minimize
-
-    (x - z)^T W (x - z)    with    A x = b    and no joint beyond its limits.
-
-A x = b are the line, the first two rows of the tip's Jacobian (J_m if the base is held, J* if it
-floats without momentum), x being in its direction; and for zero reaction a third row, the base's
-angular rate, which is to vanish. The rule that resolves the redundancy chooses z and W:
-
-    minimum norm          z = 0                                W = 1
-    away from limits      z_i = -gain (q_i - mid_i) / half_i   W = 1          (Liegeois 1977)
-    weighted least norm   z = 0                                W_i = 1 + |dH/dq_i| for joints that
-                          move from the middle, else 1              (Chan and Dubey 1995)
-    preferred             z given, piecewise constant in s     W = 1
-
-    H = sum of (max_i - min_i)^2 / (4 (max_i - q_i) (q_i - min_i))
-
 The base's heading is integrated with the joints (momentum is conserved but not integrable); its
 position follows from the centre of mass, which stays. Which limits hold is fixed within a step of
 the Runge-Kutta method of 4th order, and steps end where a joint meets its limit.
@@ -26,15 +10,18 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from ._cache import Complexes, Floats, helper, kernel
-from .kinematics import _chain, _mass, checked
-from .manipulability import _held
-from .momentum import _floating
+from fss_arm_model.kernels import Complexes, Floats, helper, kernel
+from fss_arm_model.kinematics import _chain, _mass, checked
+from fss_arm_workspace.manipulability.measure import _held
+from fss_arm_workspace.straight_path.redundancy import (
+    _MET,
+    _at_limit,
+    _choose,
+    _least,
+    _rates,
+    _rows,
+)
 
-__all__ = ["BASES", "REASONS", "RULES", "trace"]
-
-BASES = ("fixed", "floating", "zero reaction")
-RULES = ("minimum norm", "away from limits", "weighted least norm", "preferred")
 REASONS = (
     "the end of the table",
     "a joint limit that leaves no motion",
@@ -47,8 +34,6 @@ _TURN = 0.02  # of a joint in a step, at most [rad]
 _GROWTH = 0.2  # of the rates in a step, at most
 _NEARING = 0.1  # of a joint to a limit in a step, where weights grow without bound, at most
 _SHORTEST = 1e-5  # step, unless a joint meets its limit within [m]
-_HEAVY = 1e-3  # distance from which on weights all but stop a joint, and it counts as held [rad]
-_MET = 1e-11  # distance from a limit that counts as none [rad]
 _ON_LINE = 1e-6  # distance of the tip from its line that counts as none [m]
 
 
@@ -65,200 +50,9 @@ def _com(p: Floats, d: Complexes, e: Complexes) -> complex:
 
 
 @helper
-def _solve(C: Floats, rows: int, y: Floats) -> bool:
-    """Solve C y' = y in place, C (rows, rows) symmetric and spoiled; False if it is singular."""
-    for i in range(rows):
-        scale = C[i, i]
-        for k in range(i):
-            C[i, i] -= C[i, k] * C[i, k]
-        if not C[i, i] > 1e-13 * scale:
-            return False
-        C[i, i] = math.sqrt(C[i, i])
-        for j in range(i + 1, rows):
-            for k in range(i):
-                C[j, i] -= C[j, k] * C[i, k]
-            C[j, i] /= C[i, i]
-        for k in range(i):
-            y[i] -= C[i, k] * y[k]
-        y[i] /= C[i, i]
-    for i in range(rows - 1, -1, -1):
-        for k in range(i + 1, rows):
-            y[i] -= C[k, i] * y[k]
-        y[i] /= C[i, i]
-    return True
-
-
-@helper
-def _least(
-    A: Floats, rows: int, free: Floats, z: Floats, W: Floats, C: Floats, y: Floats, x: Floats
-) -> bool:
-    """Write the free joints' x with A x = y nearest to z, and multipliers y; False if in vain."""
-    for i in range(rows):
-        for j in range(i + 1):
-            C[i, j] = 0.0
-            for k in range(x.size):
-                C[i, j] += free[k] * A[i, k] * A[j, k] / W[k]
-        for k in range(x.size):
-            y[i] -= free[k] * A[i, k] * z[k]
-    if not _solve(C, rows, y):
-        return False
-    for k in range(x.size):
-        x[k] = 0.0
-        for i in range(rows):
-            x[k] += A[i, k] * y[i]
-        x[k] = free[k] * (z[k] + x[k] / W[k])
-    return True
-
-
-@helper
-def _rows(p: Floats, q: Floats, base: float, d: Complexes, e: Complexes, A: Floats) -> None:
-    """Write A (3, n): the tip's two rows, and the base's angular rate per joint rate."""
-    _chain(p, q, d, e)
-    if base > 0.0:
-        _floating(p, d, e, A)
-        for k in range(A.shape[1]):
-            A[2, k] -= 1.0
-    else:
-        _held(d, A)
-        A[2] = 0.0
-
-
-@helper
-def _weight(low: float, high: float, here: float) -> float:
-    """1 + |dH/dq| of one joint."""
-    room = max(high - here, _MET) * max(here - low, _MET)
-    side = (high - low) / (2.0 * room)
-    return 1.0 + side * side * abs(2.0 * here - high - low)
-
-
-@helper
-def _rates(
-    limits: Floats,
-    q: Floats,
-    A: Floats,
-    rows: int,
-    rule: float,
-    gain: float,
-    preferred: Floats,
-    direction: complex,
-    free: Floats,
-    z: Floats,
-    W: Floats,
-    C: Floats,
-    y: Floats,
-    x: Floats,
-) -> bool:
-    """Write the rates x (n,) [rad/m] of the free joints by the rule; False if there are none."""
-    z[:] = 0.0
-    W[:] = 1.0
-    for k in range(x.size):
-        low, high, here = limits[k, 0], limits[k, 1], q[3 + k]
-        if rule == 1.0:
-            z[k] = -gain * (2.0 * here - high - low) / (high - low)
-        elif rule == 2.0:
-            W[k] = _weight(low, high, here)
-        elif rule == 3.0:
-            z[k] = preferred[k]
-    # W of a rate that itself depends on W: the sum is convex, so few rounds lead to its least.
-    for _ in range(2 * x.size):
-        y[0], y[1], y[2] = direction.real, direction.imag, 0.0
-        if not _least(A, rows, free, z, W, C, y, x):
-            return False
-        settled = True
-        for k in range(x.size if rule == 2.0 else 0):
-            low, high, here = limits[k, 0], limits[k, 1], q[3 + k]
-            outward = x[k] * (2.0 * here - high - low) > 0.0
-            weight = _weight(low, high, here) if outward else 1.0
-            settled &= weight == W[k]
-            W[k] = weight
-        if settled:
-            break
-    return True
-
-
-@helper
-def _at_limit(limits: Floats, q: Floats, k: int, rule: float) -> float:
-    """-1 or 1 if joint k is at its lowest or highest reading, else 0."""
-    near = _HEAVY if rule == 2.0 else _MET
-    if q[3 + k] - limits[k, 0] <= near:
-        return -1.0
-    if limits[k, 1] - q[3 + k] <= near:
-        return 1.0
-    return 0.0
-
-
-@helper
-def _choose(
-    limits: Floats,
-    q: Floats,
-    A: Floats,
-    rows: int,
-    options: Floats,
-    wish: Floats,
-    direction: complex,
-    free: Floats,
-    rates: Floats,
-    C: Floats,
-    x: Floats,
-) -> tuple[bool, int]:
-    """Write which joints move (n,), and their rates x; return whether they do, and their count.
-
-    A joint that would leave its limit is held, the hastiest first, until none would; one whose
-    multiplier says that it would better move inwards is let go again.
-    """
-    n = x.size
-    z, W, y = rates[0, :n], rates[1, :n], rates[2]
-    free[:] = 1.0
-    left = n
-    for _ in range(4 * n):
-        if left < rows:
-            return False, left
-        if not _rates(
-            limits, q, A, rows, options[3], options[4], wish, direction, free, z, W, C, y, x
-        ):
-            return False, left
-        chosen, most = -1, 0.0
-        for k in range(n):
-            out = free[k] * x[k] * _at_limit(limits, q, k, options[3])
-            if out > most:
-                chosen, most = k, out
-        if chosen >= 0:
-            free[chosen] = 0.0
-            left -= 1
-            continue
-        most = 1e-9
-        for k in range(n):
-            pull = W[k] * z[k]
-            for i in range(rows):
-                pull += A[i, k] * y[i]
-            inward = -(1.0 - free[k]) * pull * _at_limit(limits, q, k, options[3])
-            if inward > most:
-                chosen, most = k, inward
-        if chosen < 0:
-            break
-        free[chosen] = 1.0
-        left += 1
-    return True, left
-
-
-@helper
-def _advance(
-    p: Floats,
-    limits: Floats,
-    options: Floats,
-    preferred: Floats,
-    direction: complex,
-    free: Floats,
-    q: Floats,
-    h: float,
-    d: Complexes,
-    e: Complexes,
-    A: Floats,
-    C: Floats,
-    rates: Floats,
-    stage: Floats,
-    new: Floats,
-) -> bool:
+def _advance(  # type: ignore[no-untyped-def]
+    p, limits, options, preferred, direction, free, q, h, d, e, A, C, rates, stage, new,
+):  # fmt: skip
     """Write the state `new` a distance h on: heading and joints by a step of Runge and Kutta.
 
     rates (4, n + 3) is scratch. False if a stage has no rates, or too high ones.
@@ -292,21 +86,9 @@ def _advance(
 
 
 @helper
-def _settle(
-    p: Floats,
-    limits: Floats,
-    base: float,
-    com: complex,
-    origin: complex,
-    tip: complex,
-    free: Floats,
-    q: Floats,
-    d: Complexes,
-    e: Complexes,
-    A: Floats,
-    C: Floats,
-    rates: Floats,
-) -> bool:
+def _settle(  # type: ignore[no-untyped-def]
+    p, limits, base, com, origin, tip, free, q, d, e, A, C, rates,
+):  # fmt: skip
     """Put the base where the centre of mass (or the base itself) stays, and the tip on its line.
 
     False if that takes more than a small correction, as it does past a singularity.
@@ -346,7 +128,8 @@ def _within(limits: Floats, free: Floats, q: Floats, new: Floats) -> float:
         bound = limits[k, 1] if new[3 + k] > q[3 + k] else limits[k, 0]
         turn, room = abs(new[3 + k] - q[3 + k]), abs(bound - q[3 + k])
         if free[k] > 0.0 and turn - room > _MET:
-            share = min(share, room / turn)
+            # Vectorized, this is computed for joints at rest too, and must not divide by zero.
+            share = min(share, room / max(turn, _MET))
     return share
 
 
@@ -364,24 +147,14 @@ def _state_rates(d: Complexes, A: Floats, x: Floats, J: Floats, qd: Floats) -> N
 
 
 @kernel("(p),(n,k),(m),(o),(c,n),(s),(r)->(s,m),(s,m),(m),(r)")
-def _traced(
-    p: Floats,
-    limits: Floats,
-    start: Floats,
-    options: Floats,
-    preferred: Floats,
-    samples: Floats,
-    _r: Floats,
-    states: Floats,
-    derivatives: Floats,
-    q: Floats,
-    result: Floats,
-) -> None:
+def _traced(  # type: ignore[no-untyped-def]
+    p, limits, start, options, preferred, samples, _r, states, derivatives, q, result,
+):  # fmt: skip
     n = start.size - 3
     d, e = np.empty((2, n + 1), np.complex128)
     A, J = np.empty((2, 3, n))
     C, rates = np.empty((3, 3)), np.empty((4, n + 3))
-    free, stage, new, x = np.empty(n), np.empty(n + 3), np.empty(n + 3), np.empty(n)
+    free, stage, new, x = np.empty(n), np.empty(n + 3), np.empty(n + 3), np.zeros(n)
     direction, base = complex(options[0], options[1]), options[2]
     fastest, longest_step, far = options[5], options[6], options[7]
     segment = options[8]
@@ -465,7 +238,9 @@ def _traced(
         q[:] = new
     result[0], result[1], result[2] = s, reason, peak
     # Near a singularity the rate grows as (s* - s)^-1/2, so that this much is left of the line.
-    result[3] = 0.5 * rate / slope if reason == _SINGULAR and slope > 0.0 else 0.0
+    # (Computed whatever the reason is, it must not divide by zero.)
+    left_over = 0.5 * rate / max(slope, 1e-300)
+    result[3] = left_over if reason == _SINGULAR and slope > 0.0 else 0.0
 
 
 def trace(

@@ -6,33 +6,43 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from fss_arm_model.simulation import STEP
+from fss_arm_model.integration import STEP
+from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, Settings, setting
+from fss_arm_model.units import GRAVITY
 
 Floats = npt.NDArray[np.float64]
 
 COUNT = 8
 CORNERS = ((1, 1), (-1, 1), (-1, -1), (1, -1))  # of the square, in the base's axes
-GRAVITY, GAS = 9.81, 287.0  # [m/s^2], gas constant of air [J/(kg K)]
+GAS = 287.0  # gas constant of air [J/(kg K)]
 
 
 @dataclass(frozen=True)
-class Propulsion:
+class Propulsion(Settings):
     """What the thrusters, their valves and their tank are like."""
 
-    thrust: float = 0.16  # of one thruster [N]
-    lever: float = 0.11  # from the base's origin to a thruster's line of action [m]
-    specific_impulse: float = 34.0  # [s]
-    minimum_on_time: float = 0.01  # of a valve [s]
-    valve_delay: float = 0.005  # from the command to the thrust, and to its end [s]
-    tank_volume: float = 0.43e-3  # [m^3]
-    tank_pressure: float = 20e6  # at the begin [Pa]
-    regulator_pressure: float = 0.7e6  # below which the thrust falls with the tank's pressure [Pa]
-    temperature: float = 293.0  # of tank and gas [K]
-
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not value >= 0.0 or (value == 0.0 and not name.endswith(("time", "delay"))):
-                raise ValueError(f"{name} is {value}, expected a positive number")
+    thrust: float = setting(0.16, "thrust of one of the thrusters", unit="N", check=POSITIVE)
+    lever: float = setting(
+        0.11, "lever of a thruster: from the base's origin to the line of thrust", unit="m",
+        check=POSITIVE,
+    )  # fmt: skip
+    specific_impulse: float = setting(
+        34.0, "specific impulse of the thrusters", unit="s", check=POSITIVE
+    )
+    minimum_on_time: float = setting(
+        0.01, "least time for which a thruster's valve opens", unit="s", check=NOT_NEGATIVE
+    )
+    valve_delay: float = setting(
+        0.005, "time from a command to the thrust, and to its end", unit="s", check=NOT_NEGATIVE
+    )
+    tank_volume: float = setting(0.43e-3, "volume of the gas tank", unit="m^3", check=POSITIVE)
+    tank_pressure: float = setting(
+        20e6, "pressure of the gas tank at the begin", unit="Pa", check=POSITIVE
+    )
+    regulator_pressure: float = setting(
+        0.7e6, "pressure below which the thrust falls with the tank's", unit="Pa", check=POSITIVE
+    )
+    temperature: float = setting(293.0, "temperature of tank and gas", unit="K", check=POSITIVE)
 
 
 def layout(thrust: float, lever: float) -> Floats:

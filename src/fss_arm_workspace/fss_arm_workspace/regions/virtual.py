@@ -18,10 +18,21 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import brentq
 
-from fss_arm_model.description import BASE_SIZE, LINK_SIZE, Arm
-
-from .arcs import Complexes, Floats, Region
-from .fixed import chain_workspace, checked_limits
+from fss_arm_model.description import Arm
+from fss_arm_model.layout import (
+    COM_X,
+    COM_Y,
+    LATERAL,
+    LENGTH,
+    LINK_MASS,
+    MASS,
+    MOUNT_X,
+    MOUNT_Y,
+    G,
+    each,
+)
+from fss_arm_workspace.regions.arcs import Complexes, Floats, Region
+from fss_arm_workspace.regions.fixed import chain_workspace, checked_limits
 
 
 def virtual_links(p: npt.ArrayLike) -> tuple[Floats, Floats, Complexes]:
@@ -37,17 +48,16 @@ def virtual_links(p: npt.ArrayLike) -> tuple[Floats, Floats, Complexes]:
         (..., n + 1) each [m], the vectors complex and each in its body's frame.
     """
     p = np.asarray(p, dtype=float)
-    links = p[..., BASE_SIZE:].reshape(*p.shape[:-1], -1, LINK_SIZE)
-    masses = np.concatenate([p[..., :1], links[..., 2]], axis=-1)
+    masses = np.concatenate([p[..., MASS, None], each(p, LINK_MASS)], axis=-1)
     inner = np.cumsum(masses, axis=-1) / masses.sum(axis=-1, keepdims=True)
-    before = np.concatenate([np.zeros_like(p[..., :1]), inner[..., :-1]], axis=-1)
-    mount = p[..., 4] - p[..., 2] + 1j * (p[..., 5] - p[..., 3])
-    lengths, g, lateral = links[..., 0], links[..., 4], links[..., 5]
-    b = np.concatenate([np.abs(mount)[..., None], lengths - g], axis=-1) * inner
-    g = np.concatenate([np.zeros_like(p[..., :1]), g], axis=-1) * before
+    none = np.zeros_like(inner[..., :1])
+    before = np.concatenate([none, inner[..., :-1]], axis=-1)
+    mount = p[..., MOUNT_X] - p[..., COM_X] + 1j * (p[..., MOUNT_Y] - p[..., COM_Y])
+    b = np.concatenate([np.abs(mount)[..., None], each(p, LENGTH) - each(p, G)], axis=-1) * inner
+    g = np.concatenate([none, each(p, G)], axis=-1) * before
     vectors = (b + g).astype(complex)
     vectors[..., 0] = mount * inner[..., 0]
-    vectors[..., 1:] -= 1j * lateral * (inner - before)[..., 1:]
+    vectors[..., 1:] -= 1j * each(p, LATERAL) * (inner - before)[..., 1:]
     return b, g, vectors
 
 

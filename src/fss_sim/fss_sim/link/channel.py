@@ -4,9 +4,8 @@ from heapq import heappop, heappush
 from random import Random
 from typing import Any, NamedTuple
 
+from fss_arm_model.units import SECOND
 from fss_sim.faults import NO_FAULTS, LinkFaults
-
-SECOND = 1_000_000_000  # [ns]
 
 
 class Datagram(NamedTuple):

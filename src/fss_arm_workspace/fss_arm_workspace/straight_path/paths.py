@@ -2,10 +2,10 @@
 
 From a start state without momentum the tip is drawn along a line, until a joint limit leaves no
 motion, all joints but one are at their limits, a singularity is met or the table ends. How the
-redundancy is resolved is part of the answer: see fss_arm_model.straight_path for the rules.
+redundancy is resolved is part of the answer: see redundancy.py for the rules.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from math import inf, pi
 from typing import Any
 
@@ -13,15 +13,23 @@ import numpy as np
 import numpy.typing as npt
 
 from fss_arm_model.description import Arm
+from fss_arm_model.kernels import Floats
 from fss_arm_model.kinematics import tip_pose
-from fss_arm_model.straight_path import BASES, RULES, trace
-
-from .arcs import Floats
-from .fixed import checked_limits, joint_limits
+from fss_arm_model.settings import (
+    FINITE,
+    NOT_NEGATIVE,
+    POSITIVE,
+    SettingError,
+    Settings,
+    one_of,
+    setting,
+)
+from fss_arm_workspace.regions.fixed import checked_limits, joint_limits
+from fss_arm_workspace.straight_path.redundancy import BASES, RULES
+from fss_arm_workspace.straight_path.trace import trace
 
 FIXED, FLOATING, ZERO_REACTION = BASES
 MINIMUM_NORM, AWAY_FROM_LIMITS, WEIGHTED, PREFERRED = RULES
-OPTIMAL = "optimal"
 
 GRAZED = 0.5  # share of the stopping rate that a path may reach and leave again unflagged
 NEAR = 5e-3  # length that a singularity may lie beyond a stop unflagged [m]
@@ -31,33 +39,43 @@ _EACH = ("direction", "distance", "reason", "last", "grazes")  # one row a path 
 
 
 @dataclass(frozen=True)
-class Rules:
-    """How a straight path is followed, and what ends it.
+class PathSettings(Settings):
+    """How straight paths are followed on any base, and what ends them.
 
     Raises:
-        ValueError: a rule is unknown or a number impossible.
+        SettingError: a setting is impossible.
     """
 
-    base: str = FLOATING  # one of BASES
-    redundancy: str = AWAY_FROM_LIMITS  # one of RULES
-    gain: float = 5.0  # pull away from limits, at a limit [rad/m]
-    stopping_rate: float = 100.0  # of a joint, counts as a singularity [rad/m]
-    step: float = 2e-3  # longest [m]
-    table: tuple[float, ...] = (-2.0, -2.0, 2.0, 2.0)  # x, y, x, y in the world [m]
-    segment: float = 0.1  # of the preferred rates [m]
-    preferred: Floats = field(default_factory=lambda: np.zeros((1, 1)))  # (..., c, n) [rad/m]
+    redundancy: str = setting(
+        AWAY_FROM_LIMITS, "rule by which straight paths use the redundancy", check=one_of(*RULES)
+    )
+    gain: float = setting(
+        5.0, "pull away from limits, at a limit", unit="rad/m", check=NOT_NEGATIVE
+    )
+    stopping_rate: float = setting(
+        100.0, "joint rate on a straight path that counts as a singularity", unit="rad/m",
+        check=POSITIVE,
+    )  # fmt: skip
+    table: tuple[float, ...] = setting(
+        (-2.0, -2.0, 2.0, 2.0), "table in the world: low x, low y, high x, high y", unit="m",
+        check=FINITE, size=4,
+    )  # fmt: skip
 
     def __post_init__(self) -> None:
-        for name, known in (("base", BASES), ("redundancy", RULES)):
-            if getattr(self, name) not in known:
-                raise ValueError(f"{name} is {getattr(self, name)!r}, expected {', '.join(known)}")
-        for name in ("stopping_rate", "step", "segment"):
-            if not 0.0 < getattr(self, name) < inf:
-                raise ValueError(f"{name} is {getattr(self, name)}, must be positive")
-        if not 0.0 <= self.gain < inf:
-            raise ValueError(f"gain is {self.gain} rad/m, must not be negative")
-        if len(self.table) != 4 or not np.less(self.table[:2], self.table[2:]).all():
-            raise ValueError(f"table is {self.table}, expected low x, low y, high x, high y")
+        super().__post_init__()
+        if not np.less(self.table[:2], self.table[2:]).all():
+            raise SettingError(f"table is {self.table} m, expected low x, low y, high x, high y")
+
+
+@dataclass(frozen=True)
+class Rules(PathSettings):
+    """How straight paths are followed on one kind of base."""
+
+    base: str = setting(FLOATING, "kind of base that straight paths are of", check=one_of(*BASES))
+    step: float = setting(2e-3, "longest step along a straight path", unit="m", check=POSITIVE)
+    segment: float = setting(
+        0.1, "length of path for which preferred rates stay", unit="m", check=POSITIVE
+    )
 
 
 @dataclass(frozen=True)
@@ -69,7 +87,7 @@ class Paths:
     tip: complex  # where they begin, in the world [m]
     direction: Floats  # (k,) in the world [rad]
     distance: Floats  # (k,) [m]
-    reason: npt.NDArray[np.intp]  # (k,) index in fss_arm_model.straight_path.REASONS
+    reason: npt.NDArray[np.intp]  # (k,) index in trace.REASONS
     last: Floats  # (k, 3 + n) state at the end
     grazes: npt.NDArray[np.bool_]  # (k,) the distance hangs on the stopping rate
 
@@ -108,8 +126,17 @@ def straight_paths(
     direction: npt.ArrayLike,
     rules: Rules | None = None,
     limits: npt.ArrayLike | None = None,
+    preferred: npt.ArrayLike | None = None,
 ) -> Paths:
     """Follow straight lines from a start state (3 + n,) in directions (k,) [rad, world].
+
+    Args:
+        arm: the arm.
+        start: state to begin from.
+        direction: of each path.
+        rules: how paths are followed.
+        limits: lowest and highest joint readings, (n, 2) [rad]; the arm's by default.
+        preferred: joint rates of the rule "preferred", (..., c, n) [rad/m], one row a segment.
 
     Raises:
         ValueError: the start lies outside the limits or the table, or shapes do not fit.
@@ -117,9 +144,8 @@ def straight_paths(
     rules = rules or Rules()
     direction = np.atleast_1d(np.asarray(direction, dtype=float))
     start, bounds, tip, options = _prepared(arm, start, direction, rules, limits)
-    _, _, last, result = trace(
-        arm.vector(), start, bounds, options, _preferred(arm, rules), np.zeros(1)
-    )
+    wish = np.zeros((1, arm.n)) if preferred is None else preferred
+    _, _, last, result = trace(arm.vector(), start, bounds, options, wish, np.zeros(1))
     length, reason, peak, left = np.moveaxis(result, -1, 0)
     grazes = (peak > GRAZED * rules.stopping_rate) | (left > NEAR)
     return Paths(start, rules.redundancy, tip, direction, length, reason.astype(int), last, grazes)
@@ -148,9 +174,8 @@ def states_along(
     """
     rules = rules or Rules()
     start, bounds, _, options = _prepared(arm, start, np.array([direction]), rules, limits)
-    states, rates, _, _ = trace(
-        arm.vector(), start, bounds, options[0], _preferred(arm, rules), lengths
-    )
+    wish = np.zeros((1, arm.n))
+    states, rates, _, _ = trace(arm.vector(), start, bounds, options[0], wish, lengths)
     return states, rates
 
 
@@ -199,76 +224,9 @@ def straight_workspace(
         open_gaps = np.zeros(len(paths.direction), dtype=bool)
         open_gaps[index[rough]] = True
         order = np.argsort(np.concatenate([paths.direction, kept.direction]), kind="stable")
-        paths = _joined(paths, kept)[order]
+        paths = joined(paths, kept)[order]
         gaps = np.concatenate([open_gaps, np.ones(len(kept.direction), dtype=bool)])[order]
     return paths
-
-
-def optimal_paths(
-    arm: Arm,
-    start: npt.ArrayLike,
-    direction: npt.ArrayLike,
-    rules: Rules | None = None,
-    limits: npt.ArrayLike | None = None,
-    *,
-    population: int = 64,
-    generations: int = 12,
-    seed: int = 0,
-) -> tuple[Paths, Floats]:
-    """The longest straight paths that a search over the redundancy finds.
-
-    Joint rates are preferred that are constant on each segment of the path; the cross-entropy
-    method chooses them. With unlimited self-motion the longest path is not defined; what is found
-    here is a path that exists, no shorter than those of the other rules that need no preference.
-
-    Args:
-        arm: the arm.
-        start: state to begin from, (3 + n,).
-        direction: (k,) in the world [rad].
-        rules: how paths are followed; the redundancy is this function's.
-        limits: lowest and highest joint readings, (n, 2) [rad]; the arm's by default.
-        population: preferences tried at once.
-        generations: how often.
-        seed: of the random choices.
-
-    Returns:
-        The paths, and the preferred rates that give them, (k, c, n) [rad/m]; NaN where another
-        rule goes at least as far.
-
-    Raises:
-        ValueError: as straight_paths.
-    """
-    rules = replace(rules or Rules(), redundancy=PREFERRED)
-    direction = np.atleast_1d(np.asarray(direction, dtype=float))
-    rng, k = np.random.default_rng(seed), len(direction)
-    segments = int(np.ceil(1.5 / rules.segment))
-    mean, spread = np.zeros((k, segments, arm.n)), np.full((k, segments, arm.n), 5.0)
-    best, chosen = np.full(k, -inf), mean.copy()
-    every = np.repeat(direction, population)
-    for _ in range(generations):
-        z = mean[:, None] + spread[:, None] * rng.standard_normal((k, population, *mean.shape[1:]))
-        z[:, 0] = chosen
-        trial = replace(rules, preferred=z.reshape(-1, segments, arm.n))
-        length = straight_paths(arm, start, every, trial, limits).distance.reshape(k, population)
-        order = np.argsort(-length, axis=1)[:, : population // 5]
-        elite = np.take_along_axis(z, order[..., None, None], axis=1)
-        mean, spread = elite.mean(axis=1), elite.std(axis=1) + 0.1
-        top = length.max(axis=1)
-        chosen = np.where((top > best)[:, None, None], elite[:, 0], chosen)
-        best = np.maximum(best, top)
-    paths = straight_paths(arm, start, direction, replace(rules, preferred=chosen), limits)
-    paths = replace(paths, redundancy=OPTIMAL)
-    for other in (MINIMUM_NORM, AWAY_FROM_LIMITS, WEIGHTED):
-        rival = straight_paths(arm, start, direction, replace(rules, redundancy=other), limits)
-        farther = rival.distance > paths.distance
-        chosen[farther] = np.nan
-        order = np.where(farther, np.arange(k) + k, np.arange(k))
-        paths = _joined(paths, rival)[order]
-    return paths, chosen
-
-
-def _preferred(arm: Arm, rules: Rules) -> Floats:
-    return rules.preferred if rules.redundancy == PREFERRED else np.zeros((1, arm.n))
 
 
 def _prepared(
@@ -303,7 +261,8 @@ def _prepared(
     return start, bounds, complex(x, y), options
 
 
-def _joined(one: Paths, other: Paths) -> Paths:
+def joined(one: Paths, other: Paths) -> Paths:
+    """The paths of both."""
     parts: dict[str, Any] = {
         name: np.concatenate([getattr(one, name), getattr(other, name)]) for name in _EACH
     }

@@ -21,8 +21,8 @@ from fss_arm_driver.protocol import (
     encode,
 )
 from fss_arm_model.description import Link
-from fss_sim.instruments import Instruments, make
-from fss_sim.plant import Demand, Motion
+from fss_sim.link.instruments import Instruments, make
+from fss_sim.plant.plant import Demand, Motion
 
 STILL = 1e-3  # a joint slower than this is at rest [rad/s]
 PATIENCE = 3_000_000  # with a joint that does not come to rest and shall be released [us]

@@ -17,8 +17,16 @@ import numpy as np
 import numpy.typing as npt
 
 from fss_arm_model.description import Arm
-
-from .arcs import CLOSE, Arcs, Complexes, Floats, Region, crossings, enclose, joined
+from fss_arm_workspace.regions.arcs import (
+    CLOSE,
+    Arcs,
+    Complexes,
+    Floats,
+    Region,
+    crossings,
+    enclose,
+    joined,
+)
 
 TURN = 2.0 * pi
 

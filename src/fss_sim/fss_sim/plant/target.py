@@ -13,37 +13,47 @@ from math import pi
 import numpy as np
 import numpy.typing as npt
 
+from fss_arm_model import layout
 from fss_arm_model.dynamics import inertia_matrix
 from fss_arm_model.kinematics import tip_jacobian, tip_pose
+from fss_arm_model.settings import FINITE, NOT_NEGATIVE, POSITIVE, Settings, setting
 
 Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Target:
+class Target(Settings):
     """The target as a body; its frame's origin is its centre of mass."""
 
-    mass: float = 10.0  # [kg]
-    inertia: float = 0.25  # about its centre of mass [kg m^2]
-    fixture: tuple[float, float, float] = (0.19, 0.0, 0.0)  # to grip it at: x, y [m], outward [rad]
-
-    def __post_init__(self) -> None:
-        for name in ("mass", "inertia"):
-            if not getattr(self, name) > 0.0:
-                raise ValueError(f"target's {name} is {getattr(self, name)}, expected above 0")
+    mass: float = setting(10.0, "mass of the target", unit="kg", check=POSITIVE)
+    inertia: float = setting(
+        0.25, "inertia of the target about its centre of mass", unit="kg m^2", check=POSITIVE
+    )
+    fixture: tuple[float, ...] = setting(
+        (0.19, 0.0, 0.0), "place to grip the target at, in its frame: x, y, outward heading",
+        unit="m, m, rad", check=FINITE, size=3,
+    )  # fmt: skip
 
     def vector(self) -> Floats:
         """As a base without an arm, for the kernel: (8,)."""
-        return np.array([self.mass, self.inertia, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+        p = np.zeros(layout.BASE_SIZE)
+        p[layout.MASS], p[layout.INERTIA] = self.mass, self.inertia
+        return p
 
 
 @dataclass(frozen=True)
-class Gripper:
+class Gripper(Settings):
     """How near, straight and slow the end effector must be to grip."""
 
-    reach: float = 0.03  # from the end effector to the fixture [m]
-    angle: float = pi / 6  # between the end effector and the line into the fixture [rad]
-    speed: float = 0.1  # of the fixture past the end effector [m/s]
+    reach: float = setting(
+        0.03, "largest distance of the gripper from what it grips", unit="m", check=NOT_NEGATIVE
+    )
+    angle: float = setting(
+        0.5, "largest angle of the gripper against what it grips", unit="rad", check=NOT_NEGATIVE
+    )
+    speed: float = setting(
+        0.1, "largest speed of what is gripped past the gripper", unit="m/s", check=NOT_NEGATIVE
+    )
 
 
 @dataclass(frozen=True)
@@ -77,17 +87,17 @@ def approach(p: Floats, q: Floats, qd: Floats, target: Target, state: Floats) ->
 def hold(p: Floats, q: Floats, pose: npt.ArrayLike) -> Floats:
     """The pose of a body in the frame of the last link: x, y [m], heading [rad]."""
     x, y, heading = tip_pose(p, q)
-    heading -= p[7]
+    heading -= p[layout.TIP_ANGLE]
     body_x, body_y, body_heading = np.asarray(pose)
     apart = (complex(body_x, body_y) - complex(x, y)) * np.exp(-1j * heading)
-    return np.array([apart.real + p[-6], apart.imag, body_heading - heading])
+    return np.array([apart.real + _length(p), apart.imag, body_heading - heading])
 
 
 def held(p: Floats, q: Floats, qd: Floats, place: Floats) -> Floats:
     """Pose and twist (2, 3) of a body held at `place` in the frame of the last link."""
     x, y, heading = tip_pose(p, q)
-    heading -= p[7]
-    apart = complex(place[0] - p[-6], place[1]) * np.exp(1j * heading)
+    heading -= p[layout.TIP_ANGLE]
+    apart = complex(place[0] - _length(p), place[1]) * np.exp(1j * heading)
     twist = held_jacobian(p, q, place) @ qd
     return np.array([[x + apart.real, y + apart.imag, heading + place[2]], twist])
 
@@ -95,8 +105,8 @@ def held(p: Floats, q: Floats, qd: Floats, place: Floats) -> Floats:
 def held_jacobian(p: Floats, q: Floats, place: Floats) -> Floats:
     """(3, 3 + n): the twist of a body held at `place`, by qd."""
     J = tip_jacobian(p, q)
-    heading = tip_pose(p, q)[2] - p[7]
-    apart = complex(place[0] - p[-6], place[1]) * np.exp(1j * heading)
+    heading = tip_pose(p, q)[2] - p[layout.TIP_ANGLE]
+    apart = complex(place[0] - _length(p), place[1]) * np.exp(1j * heading)
     J[0] -= apart.imag * J[2]
     J[1] += apart.real * J[2]
     return J
@@ -104,12 +114,22 @@ def held_jacobian(p: Floats, q: Floats, place: Floats) -> Floats:
 
 def with_held(p: Floats, target: Target, place: Floats) -> Floats:
     """The arm's parameters with the target at `place` made part of the last link."""
-    mass, moment, at = p[-4], p[-3], complex(p[-2], p[-1])
+    n = layout.count(p)
+    mass, moment, at = layout.mass(p, n), layout.inertia(p, n), layout.com(p, n)
     body = complex(place[0], place[1])
     whole = mass + target.mass
-    com = (mass * at + target.mass * body) / whole
-    moment += target.inertia + mass * abs(at - com) ** 2 + target.mass * abs(body - com) ** 2
-    return np.concatenate([p[:-4], [whole, moment, com.real, com.imag]])
+    middle = (mass * at + target.mass * body) / whole
+    moment += target.inertia + mass * abs(at - middle) ** 2 + target.mass * abs(body - middle) ** 2
+    p = p.copy()
+    link = p[layout.LINK_SIZE * n :]
+    link[layout.LINK_MASS], link[layout.LINK_INERTIA] = whole, moment
+    link[layout.G], link[layout.LATERAL] = middle.real, middle.imag
+    return p
+
+
+def _length(p: Floats) -> float:
+    """Of the last link [m]."""
+    return float(layout.each(p, layout.LENGTH)[-1])
 
 
 def caught(

@@ -1,15 +1,7 @@
-"""How well the tip can be moved: measure, ellipsoid, and maps of the best posture.
-
-    w = sqrt(det(J J^T)) = product of J's singular values             (Yoshikawa 1985)
-
-J (r, n) are the first r rows of the tip's Jacobian: 2 for its position, 3 for its pose. On a fixed
-base that is J_m, on a floating one without momentum the generalized Jacobian J* (Umetani and
-Yoshida 1989).
-"""
+"""The posture of largest manipulability at any point."""
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -17,70 +9,12 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from fss_arm_model.description import Arm
-from fss_arm_model.kinematics import tip_in_base, tip_jacobian
-from fss_arm_model.manipulability import (
-    FIXED,
-    FIXED_POSE,
-    FLOATING,
-    FLOATING_POSE,
-    climb,
-)
-from fss_arm_model.momentum import generalized_jacobian
-
-from .arcs import Complexes, Floats, Region
-from .fixed import checked_limits, fixed_workspace
-
-__all__ = [
-    "FIXED",
-    "FIXED_POSE",
-    "FLOATING",
-    "FLOATING_POSE",
-    "Ellipsoid",
-    "Grid",
-    "Map",
-    "Search",
-    "ellipsoid",
-    "jacobian",
-    "manipulability_map",
-    "measure",
-]
-
-
-def jacobian(arm: Arm, q_m: npt.ArrayLike, kind: npt.ArrayLike = FIXED) -> Floats:
-    """J of the kind, in axes of the base's frame, (..., r, n).
-
-    Raises:
-        ValueError: shapes do not fit.
-    """
-    q_m = np.asarray(q_m, dtype=float)
-    q = np.concatenate([np.zeros((*q_m.shape[:-1], 3)), q_m], axis=-1)
-    floating, rows = np.asarray(kind)
-    p = arm.vector()
-    J = generalized_jacobian(p, q) if floating else tip_jacobian(p, q)[..., 3:]
-    return J[..., : int(rows), :]
-
-
-def measure(arm: Arm, q_m: npt.ArrayLike, kind: npt.ArrayLike = FIXED) -> Floats:
-    """Manipulability w of postures (..., n), (...) [m^2 for the position, m^2 rad for the pose].
-
-    Raises:
-        ValueError: shapes do not fit.
-    """
-    J = jacobian(arm, q_m, kind)
-    return np.sqrt(np.linalg.det(J @ np.swapaxes(J, -1, -2)).clip(0.0))
-
-
-class Ellipsoid(NamedTuple):
-    """Twists that joint rates of norm 1 produce: axes[k] radii[k], r of them, longest first."""
-
-    radii: Floats  # (..., r) singular values of J [m, or of mixed units for the pose]
-    axes: Floats  # (..., r, r) unit vectors, one a row
-
-
-def ellipsoid(J: npt.ArrayLike) -> Ellipsoid:
-    """The manipulability ellipsoid of J (..., r, n): v^T (J J^T)^-1 v <= 1 (Yoshikawa 1985)."""
-    U, radii, _ = np.linalg.svd(np.asarray(J, dtype=float), full_matrices=False)
-    return Ellipsoid(radii, np.swapaxes(U, -1, -2))
+from fss_arm_model.kernels import Complexes, Floats
+from fss_arm_model.kinematics import tip_in_base
+from fss_arm_workspace.manipulability.climb import climb
+from fss_arm_workspace.manipulability.measure import FIXED, measure
+from fss_arm_workspace.regions.fixed import checked_limits, fixed_workspace
+from fss_arm_workspace.regions.grid import Grid
 
 
 class Best(NamedTuple):
@@ -129,7 +63,7 @@ class Search:
         self.region = fixed_workspace(arm, self.limits)
         inner = Grid.around(self.region, spacing).inside(self.region)
         edge = [np.concatenate(part) for part in zip(*self.region.outlines(spacing), strict=True)]
-        points = np.concatenate([_pairs(inner), _pairs(edge[0])])
+        points = np.concatenate([pairs(inner), pairs(edge[0])])
         first = self._first(points, edge[1], np.random.default_rng(seed))
         self.tree = cKDTree(points)
         self.coarse = self._exchange(points, first)
@@ -230,90 +164,6 @@ def _differ(q: Floats, other: Floats) -> npt.NDArray[np.bool_]:
     return ~(np.abs(q - other).max(axis=1) < 0.1)
 
 
-def _pairs(points: Complexes) -> Floats:
+def pairs(points: Complexes) -> Floats:
+    """Complex points (m,) as x, y, (m, 2)."""
     return np.stack([points.real, points.imag], axis=-1)
-
-
-@dataclass(frozen=True)
-class Grid:
-    """Square cells side by side, whose values belong to their centres."""
-
-    x: float  # of the first cell's corner [m]
-    y: float
-    cell: float  # [m]
-    width: int
-    height: int
-
-    @classmethod
-    def around(cls, region: Region, cell: float) -> "Grid":
-        """The cells that cover a region; the origin is a corner of some."""
-        edge = np.concatenate([points for points, _ in region.outlines(cell)])
-        low = np.floor(np.array([edge.real.min(), edge.imag.min()]) / cell).astype(int)
-        high = np.ceil(np.array([edge.real.max(), edge.imag.max()]) / cell).astype(int)
-        width, height = (high - low).tolist()
-        return cls(low[0] * cell, low[1] * cell, cell, width, height)
-
-    @property
-    def centers(self) -> Complexes:
-        """(height, width) [m]."""
-        x = self.x + self.cell * (np.arange(self.width) + 0.5)
-        y = self.y + self.cell * (np.arange(self.height) + 0.5)
-        return x + 1j * y[:, None]
-
-    def inside(self, region: Region) -> Complexes:
-        """The centres that lie in a region, (m,) [m]."""
-        centers = self.centers
-        return centers[region.contains(centers)]
-
-
-@dataclass(frozen=True)
-class Map:
-    """The largest manipulability in each cell of a grid; NaN in cells that cannot be reached."""
-
-    kind: Floats  # (2,) what is measured
-    grid: Grid
-    region: Region  # the fixed vehicle workspace
-    w: Floats  # (height, width)
-    q: Floats  # (height, width, n) the postures that have it [rad]
-
-
-def manipulability_map(
-    arm: Arm,
-    kind: npt.ArrayLike = FIXED,
-    limits: npt.ArrayLike | None = None,
-    *,
-    cell: float = 0.01,
-    workers: int = 1,
-    progress: Callable[[float], None] = lambda share: None,
-) -> Map:
-    """The map of the largest manipulability over the fixed vehicle workspace (Fig. 6).
-
-    Args:
-        arm: the arm.
-        kind: what is measured.
-        limits: lowest and highest joint readings, (n, 2) [rad]; the arm's by default.
-        cell: size of a cell [m].
-        workers: threads to use.
-        progress: told the share that is done, now and then; what it raises ends the work.
-
-    Raises:
-        ValueError: limits have the wrong shape or order, the arm has a single link, or no cell's
-            centre is reached.
-    """
-    search = Search(arm, kind, limits, workers=workers)
-    grid = Grid.around(search.region, cell)
-    centers = grid.centers
-    inside = search.region.contains(centers)
-    points = _pairs(centers[inside])
-    parts = []
-    for k, part in enumerate(np.array_split(points, max(1, len(points) // 5000))):
-        progress(0.3 + 0.7 * 5000 * k / max(1, len(points)))
-        parts.append(search.at(part))
-    w = np.full(centers.shape, np.nan)
-    q = np.full((*centers.shape, arm.n), np.nan)
-    w[inside] = np.concatenate([part.w for part in parts])
-    if np.isnan(w).all():
-        raise ValueError(f"cell is {cell:g} m, expected small enough for a centre to be reached")
-    q[inside] = np.concatenate([part.q for part in parts])
-    progress(1.0)
-    return Map(search.kind, grid, search.region, w, q)

@@ -4,50 +4,16 @@ Momentum and energy are audited as it goes: beside what the bodies have of both,
 the work of all that acts on them are integrated, and the two must stay alike.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 import numpy.typing as npt
 
-from ._cache import Floats, kernel
-from .centroidal import _bodies, _from_centroidal, _momenta, _to_centroidal
-from .drives import _drive
-from .integration import STEP, _classical, _controlled
+from fss_arm_model.centroidal import _bodies, _from_centroidal, _momenta, _to_centroidal
+from fss_arm_model.integration import STEP, classical, controlled
+from fss_arm_model.kernels import Floats, kernel
+from fss_sim.plant.drives import _drive
+from fss_sim.plant.surroundings import Forces, _act, _act_called
 
-GRAVITY = 9.81  # [m/s^2]
-
-__all__ = ["STEP", "Surroundings", "advance"]
-
-
-@dataclass(frozen=True)
-class Surroundings:
-    """What acts on all that floats; nothing by default but the table's border."""
-
-    tilt: tuple[float, float] = (0.0, 0.0)  # the table's slope along x and y, downhill positive
-    film: float = 0.0  # the air film's shear per mass that it carries and velocity [1/s]
-    tether: float = 0.0  # drag on the base's origin [N s/m]
-    tether_twist: float = 0.0  # and against its turning [N m s]
-    table: tuple[float, float] = (4.0, 4.0)  # its sides, x and y; its centre is the origin [m]
-    border_stiffness: float = 2000.0  # [N/m]
-    border_damping: float = 100.0  # [N s/m]
-    base_radius: float = 0.19  # within which the base lies about its origin [m]
-    link_radius: float = 0.06  # likewise, the ends of links about their joints [m]
-
-    def vector(self) -> Floats:
-        """The numbers the kernel takes, (SURROUNDINGS,)."""
-        return np.array(
-            [
-                *(GRAVITY * slope for slope in self.tilt),
-                self.film,
-                self.tether,
-                self.tether_twist,
-                *(0.5 * side for side in self.table),
-                self.border_stiffness,
-                self.border_damping,
-                self.base_radius,
-                self.link_radius,
-            ]
-        )
+_classical, _controlled = classical(_act), controlled(_act_called)
 
 
 @kernel("(p),(r),(n,l),(e),(t,f),(n,d),(c),(s,m),(n,g),(b,a)->(s,m),(n,g),(b,a),(n,s)")
@@ -71,17 +37,15 @@ def _advance(  # type: ignore[no-untyped-def]
             if valve[3] <= step < valve[4]:
                 thrust += complex(valve[0], valve[1])
                 held[0] += valve[2]
+        forces = Forces(around, thrust, held, torque)
         _drive(
-            bodies, around, thrust, tight, wants, q, qd, follows, z, begin,
-            work, torque, dz, inertia, asked, laws, held, gives,
+            bodies, forces, tight, wants, q, qd, follows, z, begin, work, dz, inertia, asked, laws,
+            gives,
         )  # fmt: skip
         if tolerance > 0.0:
-            _controlled(
-                bodies, around, 0j, thrust, held, STEP, tolerance,
-                z, begin, turned, work, torque, k,
-            )  # fmt: skip
+            _controlled(bodies, forces, STEP, tolerance, z, begin, turned, work, k)
         else:
-            _classical(bodies, around, 0j, thrust, held, STEP, z, begin, turned, work, torque, k)
+            _classical(bodies, forces, STEP, z, begin, turned, work, k)
         _from_centroidal(bodies, begin, z, q, qd)
     for i in range(2 + m):
         state[0, i], state[1, i] = q[i], qd[i]
@@ -118,7 +82,7 @@ def advance(
         joints: (n, 7) lowest and highest angle [rad], largest torque of the motor [N m]; viscous
             [N m s/rad] and Coulomb friction [N m]; the end stops' stiffness [N m/rad] and damping
             [N m s/rad].
-        surroundings: (SURROUNDINGS,) Surroundings.vector().
+        surroundings: (11,) Surroundings.vector().
         valves: (t, 5) force on the base's origin in its own axes [N] and torque [N m] of a thruster
             while its valve is open, and the steps from which and up to which it is.
         demand: (n, 4) of each drive: mode, set point [N m, rad/s or rad, by mode], speed [rad/s]

@@ -9,12 +9,16 @@ import numpy.typing as npt
 
 from fss_arm_model.clearance import clearance, edge_clearance
 from fss_arm_model.description import Arm
-from fss_arm_model.drives import CURRENT, OFF
+from fss_arm_model.integration import STEP
 from fss_arm_model.kinematics import tip_in_base
+from fss_arm_model.layout import BASE_SIZE, MASS
 from fss_arm_model.momentum import momentum
-from fss_arm_model.simulation import STEP, Surroundings, advance
-from fss_sim.target import Approach, Gripper, Target, approach, caught, held, hold, with_held
-from fss_sim.thrusters import Propulsion, Thrusters
+from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, Settings, setting
+from fss_sim.plant.drives import CURRENT, OFF
+from fss_sim.plant.simulation import advance
+from fss_sim.plant.surroundings import Surroundings
+from fss_sim.plant.target import Approach, Gripper, Target, approach, caught, held, hold, with_held
+from fss_sim.plant.thrusters import Propulsion, Thrusters
 
 Floats = npt.NDArray[np.float64]
 Pose = tuple[float, float, float]  # x [m], y [m], heading [rad]
@@ -53,19 +57,28 @@ class Audit(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Joints:
+class Joints(Settings):
     """The mechanics that all joints have in common."""
 
-    rotor_inertia: float = 0.0  # of the motor, felt at the joint: N^2 J [kg m^2]
-    gear_ratio: float = 30.0  # N
-    viscous: float = 0.5  # friction [N m s/rad]
-    coulomb: float = 0.3  # friction [N m]
-    stop_stiffness: float = 2000.0  # of the end stops [N m/rad]; 0 and
-    stop_damping: float = 20.0  # [N m s/rad] 0: there are none
+    rotor_inertia: float = setting(
+        0.0, "inertia of each motor, felt at its joint, 0.0026 in the FHA-8C-30; 0: none",
+        unit="kg m^2", check=NOT_NEGATIVE,
+    )  # fmt: skip
+    gear_ratio: float = setting(30.0, "gear ratio of the harmonic drives", check=POSITIVE)
+    viscous: float = setting(
+        0.5, "viscous friction of each joint", unit="N m s/rad", check=NOT_NEGATIVE
+    )
+    coulomb: float = setting(0.3, "Coulomb friction of each joint", unit="N m", check=NOT_NEGATIVE)
+    stop_stiffness: float = setting(
+        2000.0, "stiffness of the joints' end stops", unit="N m/rad", check=NOT_NEGATIVE
+    )
+    stop_damping: float = setting(
+        20.0, "damping of the joints' end stops", unit="N m s/rad", check=NOT_NEGATIVE
+    )
 
     @property
     def rotor(self) -> tuple[float, float]:
-        """N^2 J and N J [kg m^2]."""
+        """N^2 J and N J [kg m^2], of an inertia J that turns N times as fast as the joint."""
         return self.rotor_inertia, self.rotor_inertia / self.gear_ratio
 
 
@@ -109,7 +122,7 @@ class Plant:
         self.closed = holds  # the gripper, as it was told
         self._place: Floats | None = None  # of the target in the frame of the link that holds it
         self._p, self._step = arm.vector(), 0
-        self._p[0] -= propellant
+        self._p[MASS] -= propellant
         joints = self.world.joints
         alike = joints.viscous, joints.coulomb, joints.stop_stiffness, joints.stop_damping
         self._torque_constant = np.array([k.drive.torque_constant for k in arm.links])
@@ -171,7 +184,7 @@ class Plant:
         self._pass(steps, self.thrusters.valves(begin))
         spent = self.thrusters.spend(begin, steps)
         had = self._audit[0].copy()
-        self._p[0] -= spent
+        self._p[MASS] -= spent
         self._pass(0)
         self._audit[1] += self._audit[0] - had
 
@@ -284,5 +297,5 @@ class Plant:
     def _release(self) -> None:
         """Let the target go; nothing is lost."""
         self._target, self._place = self.target, None
-        self._p = np.concatenate([self._p[:8], self.arm.vector()[8:]])
+        self._p = np.concatenate([self._p[:BASE_SIZE], self.arm.vector()[BASE_SIZE:]])
         self._pass(0)
