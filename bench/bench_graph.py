@@ -23,7 +23,7 @@ TELEMETRY = [f"/link_{i}/telemetry" for i in range(1, LINKS + 1)]
 MODULES = {
     "testbed": "fss_sim.testbed_node",
     "link": "fss_arm_driver.link_node",
-    "kinematic": "fss_arm_calib.kinematic_node",
+    "kinematic": "fss_arm_calib.calibration_node:kinematic",
     "record": "fss_arm_bags.record_node",
 }
 
@@ -56,7 +56,8 @@ class Graph:
         for key, value in parameters.items():
             text = str(value).lower() if isinstance(value, bool) else value
             args += ["-p", f"{key}:={text}"]
-        code = f"import sys; from {MODULES[what]} import main; sys.exit(main())"
+        module, _, main = MODULES[what].partition(":")
+        code = f"import sys; from {module} import {main or 'main'} as main; sys.exit(main())"
         with (self.folder / f"{name or what}.log").open("wb") as log:
             self.processes[name or what] = subprocess.Popen(
                 [sys.executable, "-c", code, "--ros-args", *args], stdout=log, stderr=log

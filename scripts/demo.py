@@ -27,12 +27,17 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from std_srvs.srv import SetBool, Trigger
 
 from fss_arm_calib import report
+from fss_arm_calib.acceptance import PASS
 from fss_arm_calib.experiment.postures import DEFAULT
 from fss_arm_calib.from_bag import solve_bag
-from fss_arm_calib.kinematic.report import kinematic_report
-from fss_arm_calib.kinematic.settings import CalibrationSettings
+from fss_arm_calib.kinematic.kind import KINEMATIC
+from fss_arm_calib.kinematic.settings import KinematicSettings
+from fss_arm_calib.kinematic.solution import Solution
+from fss_arm_calib.outcome import Outcome
+from fss_arm_calib.recompute import again
+from fss_arm_calib.segments.rests import Observation
 from fss_arm_model import description
-from fss_arm_msgs.msg import KinematicCalibration, LinkTelemetry
+from fss_arm_msgs.msg import KinematicCalibration, KinematicObservations, LinkTelemetry
 from fss_arm_ros.qos import LATCHED, SENSOR
 
 CONFIG = Path(__file__).resolve().parent.parent / "config"
@@ -142,11 +147,15 @@ class Operator(Node):
         self.armed = dict.fromkeys(range(1, LINKS + 1), False)
         self.done = 0  # postures
         self.result: KinematicCalibration | None = None
+        self.observations = KinematicObservations()
         for i in self.armed:
             self.create_subscription(LinkTelemetry, f"link_{i}/telemetry", self.on_link, SENSOR)
         self.create_subscription(DiagnosticArray, "/diagnostics", self.on_diagnostics, 10)
         self.create_subscription(
             KinematicCalibration, "calibration/kinematic", self.on_result, LATCHED
+        )
+        self.create_subscription(
+            KinematicObservations, "calibration/observations", self.on_observations, LATCHED
         )
         self.pause = self.create_client(SetBool, "sim/pause")
         self.arm = self.create_client(SetBool, "arm/arm")
@@ -165,6 +174,18 @@ class Operator(Node):
     def on_result(self, message: KinematicCalibration) -> None:
         """The newest result."""
         self.result = message
+
+    def on_observations(self, message: KinematicObservations) -> None:
+        """What the newest result is from."""
+        self.observations = message
+
+    def live(self) -> Outcome[Observation, Solution] | None:
+        """The result with what it is from, as published; None: one of both is still on its way."""
+        if self.result is None:
+            return None
+        outcome = again(KINEMATIC, self.result, self.observations)
+        origin = self.result.calibration.provenance
+        return outcome if outcome.provenance.data_hash == origin.data_hash else None
 
     def let_time_go(self) -> None:
         """If time stands still, as in a test bed just started, end that once all are listened to.
@@ -222,7 +243,9 @@ def start_all(nodes: Nodes, options: argparse.Namespace, out: Path) -> None:
     )  # fmt: skip
 
 
-def run(options: argparse.Namespace, out: Path, console: Console) -> KinematicCalibration:
+def run(
+    options: argparse.Namespace, out: Path, console: Console
+) -> Outcome[Observation, Solution]:
     """See the experiment through, close the last rest; return the result.
 
     Raises:
@@ -244,14 +267,14 @@ def run(options: argparse.Namespace, out: Path, console: Console) -> KinematicCa
                 operator.service(operator.arm, SetBool.Request(data=True), 2.0)
         bar.update(task, completed=options.postures)
         # Results of earlier observations may still be on their way.
-        while operator.result is None or len(operator.result.tip) < 3 * options.postures:
+        while (live := operator.live()) is None or len(live.used) < options.postures:
             if time.monotonic() > give_up:
                 raise DemoError(f"no solution: {nodes.last_words('kinematic')}")
             nodes.restart_dead()
             operator.service(operator.solve, Trigger.Request())
             rclpy.spin_once(operator, timeout_sec=0.5)
         operator.destroy_node()
-    return operator.result
+    return live
 
 
 def progress(console: Console) -> Progress:
@@ -276,18 +299,18 @@ def free_ports(count: int) -> list[int]:
     return ports
 
 
-def from_bag(bag: Path, live: KinematicCalibration) -> str:
+def from_bag(bag: Path, live: Outcome[Observation, Solution]) -> str:
     """Solve again from the bag alone, and say how well that agrees with the live result."""
-    settings = CalibrationSettings(arm=str(CONFIG / "cad.yaml"), parametrization="equal")
-    again = solve_bag(bag, settings)
-    if len(again.tip) != len(live.tip) // 3:
+    settings = KinematicSettings(arm=str(CONFIG / "cad.yaml"), parametrization="equal")
+    offline = solve_bag(KINEMATIC, bag, settings)
+    if len(offline.used) != len(live.used):
         # One of the two was killed, and did not listen for a time.
         return (
-            f"solved again from the bag: {again.verdict}, "
-            f"from {len(again.tip)} rests in it, {len(live.tip) // 3} seen live"
+            f"solved again from the bag: {offline.verdict}, "
+            f"from {len(offline.used)} rests in it, {len(live.used)} seen live"
         )
-    worst = float(abs(again.values - live.values).max())
-    return f"solved again from the bag: {again.verdict}, parameters differ by at most {worst:.1e}"
+    worst = float(abs(offline.values - live.values).max())
+    return f"solved again from the bag: {offline.verdict}, parameters differ by at most {worst:.1e}"
 
 
 def use_free_domain() -> None:
@@ -342,7 +365,7 @@ def main() -> int:
     rclpy.init()
     try:
         result = run(options, out, console)
-        told = kinematic_report(result, description.load(CONFIG / "truth.yaml"))
+        told = KINEMATIC.report_of(result, description.load(CONFIG / "truth.yaml"))
         console.print(report.printed(told))
         console.print(from_bag(out / "bag", result))
         report.write(out / "report", told)
@@ -364,7 +387,7 @@ def main() -> int:
     ):
         if (out / name).exists():
             console.print(f"{what:>24}  {out / name}", soft_wrap=True)
-    return 0 if result.verdict == KinematicCalibration.PASS else 2
+    return 0 if result.verdict == PASS else 2
 
 
 if __name__ == "__main__":

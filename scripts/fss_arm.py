@@ -3,8 +3,8 @@
 arm, disarm: all links (arm/arm). stop: all links at once; those that are on hold, under power,
 until disarmed or armed anew (arm/stop). home: each armed link without a reference finds it, one
 after the other. clear: all links disarm and clear their drives' latched faults.
-solve: each calibration that runs closes its present datum and solves. forget: kinematic and
-dynamic drop all that they have observed.
+solve: each calibration that runs closes its present datum and solves. forget: they drop
+all that they have observed.
 """
 
 import argparse
@@ -29,7 +29,7 @@ PATIENCE = 10.0  # for an answer [s]
 SETTLED = 1.0  # without a new one, all are known [s]
 LINKS = range(1, 13)  # numbers that a link may have
 WORDS = ("arm", "disarm", "stop", "home", "clear", "solve", "forget")
-CALIBRATIONS = ("kinematic", "dynamic", "float")
+CALIBRATIONS = ("kinematic", "dynamic", "drift")
 LIVES = 2.0  # a HOME, so that the link holds soon after this has ended [s]
 
 Answer = tuple[bool, str]

@@ -103,7 +103,7 @@ def replayed_is_offline(bag, start, spin):
     """Replayed into a node or solved without any, bags in a row give the same."""
     offline = solve_bag(bag, CalibrationSettings(arm=str(ROOT / "config/cad.yaml")))
     start(
-        "fss_arm_calib.kinematic_node", "--ros-args", "-p", f"arm:={ROOT / 'config/cad.yaml'}"
+        "fss_arm_calib.calibration_node:kinematic", "--ros-args", "-p", f"arm:={ROOT / 'config/cad.yaml'}"
     )  # fmt: skip
     replay = start(
         "fss_arm_bags.replay_node", bag, "--ros-args", "-p", "rate:=0.0",

@@ -11,22 +11,22 @@ from calib_float import Float, feed, postures
 from calib_rig import ARM
 
 from fss_arm_calib import report
-from fss_arm_calib.dynamic.checks import calibrate as calibrate_dynamics
+from fss_arm_calib.dynamic.calibrate import calibrate as calibrate_dynamics
 from fss_arm_calib.dynamic.report import dynamic_report
-from fss_arm_calib.dynamic.settings import DynamicCalibrationSettings
+from fss_arm_calib.dynamic.settings import DynamicSettings
 from fss_arm_calib.dynamic_messages import maneuvers_message
 from fss_arm_calib.dynamic_messages import to_message as dynamic_message
 from fss_arm_calib.experiment.postures import DEFAULT
-from fss_arm_calib.kinematic.checks import calibrate
+from fss_arm_calib.kinematic.calibrate import calibrate
 from fss_arm_calib.kinematic.problem import OFFSETS
 from fss_arm_calib.kinematic.report import kinematic_report
-from fss_arm_calib.kinematic.settings import CalibrationSettings
+from fss_arm_calib.kinematic.settings import KinematicSettings
 from fss_arm_calib.messages import to_message
 from fss_arm_calib.segments.maneuvers import ManeuverFinder
 from fss_arm_calib.segments.rests import Observation
 from fss_arm_model.kinematics import joint_positions, tip_in_base
 
-SETTINGS = CalibrationSettings(max_outliers=1)
+SETTINGS = KinematicSettings(max_outliers=1)
 STATE = np.array([0.1, 0.2, 3.0, 0.2, -0.1, 0.03, 0.0002, -0.0001])
 
 
@@ -143,7 +143,7 @@ def maneuvers():
 
 @pytest.mark.slow
 def test_a_dynamic_calibration_is_told_as_well(maneuvers, tmp_path):
-    settings = DynamicCalibrationSettings(position_deviation=5e-4, heading_deviation=2e-3)
+    settings = DynamicSettings(position_deviation=5e-4, heading_deviation=2e-3)
     c = dynamic_message(calibrate_dynamics(maneuvers, ARM, settings), "fss")
     told = dynamic_report(c, ARM, maneuvers_message(maneuvers, "fss").maneuvers)
     text = printed(told)
@@ -168,7 +168,7 @@ def test_a_dynamic_calibration_is_told_as_well(maneuvers, tmp_path):
 
 
 def test_a_dynamic_calibration_without_a_solution_is_told(maneuvers, tmp_path):
-    c = dynamic_message(calibrate_dynamics(maneuvers[:2], ARM, DynamicCalibrationSettings()), "fss")
+    c = dynamic_message(calibrate_dynamics(maneuvers[:2], ARM, DynamicSettings()), "fss")
     told = dynamic_report(c, None, maneuvers_message(maneuvers[:2], "fss").maneuvers)
     assert "not evaluated: 2 maneuvers" in printed(told)
     report.write(tmp_path, told)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from sim_rehearsal import Rehearsal
 
-from fss_arm_calib.kinematic.checks import NOT_EVALUATED, PASS
+from fss_arm_calib.acceptance import NOT_EVALUATED, PASS
 from fss_arm_driver.protocol import Slow
 
 CONFIG = Path(__file__).parents[2] / "config"
