@@ -118,7 +118,10 @@ def test_the_experiment_ends_well_under_faults(graph, start, spin):
     graph(arm=ROOT / "config/truth.yaml", preset="paper")
     clock = {"use_sim_time": True}
     start("fss_arm_driver.arm_node", *parameters(**clock))
-    start("fss_arm_calib.calibration_node:kinematic", *parameters(arm=ROOT / "config/cad.yaml", **clock))
+    start(
+        "fss_arm_calib.calibration_node:kinematic",
+        *parameters(arm=ROOT / "config/cad.yaml", **clock),
+    )
     experiment = start("fss_arm_calib.experiment.experiment_node", *parameters(**clock))
     operator = Operator()
 

@@ -28,9 +28,9 @@ BAGS = {
     ),
     "float": lambda p: calib_float.record(
         p,
-        FLOAT(
-            calib_float.postures(10, 5), state=STATE, noise=(0.001, 0.005), seed=6
-        ).samples(tip=True),
+        FLOAT(calib_float.postures(10, 5), state=STATE, noise=(0.001, 0.005), seed=6).samples(
+            tip=True
+        ),
     ),
     "first": lambda _: DATA / "first",
 }

@@ -100,9 +100,7 @@ def test_live_is_what_the_bag_says_and_can_be_recomputed(spin, made, tmp_path):
 
 def test_each_datum_comes_back_from_its_message(made):
     data = made.kind.data
-    assert list(made.outcome.data) == data.from_message(
-        data.to_message(made.outcome.data, "fss")
-    )
+    assert list(made.outcome.data) == data.from_message(data.to_message(made.outcome.data, "fss"))
     unused = [replace(one, used=False, reason="a gap") for one in made.outcome.data]
     assert data.from_message(data.to_message(unused, "fss")) == unused
 

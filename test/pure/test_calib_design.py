@@ -215,7 +215,7 @@ def test_a_plan_is_read_back():
     ("conditions", "message"),
     [
         ({"duration": 0.0}, r"duration is 0.0.*, expected a positive number"),
-        ({"kinds": ("spin",)}, "expected some of single, sweep, loop"),
+        ({"kinds": ("spin",)}, "expected one of single, sweep, loop"),
     ],
 )
 def test_impossible_conditions_are_refused(conditions, message):

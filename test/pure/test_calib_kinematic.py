@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fss_arm_calib.experiment.postures import DEFAULT
 from fss_arm_calib.estimation.least_squares import CAUCHY, HUBER, SQUARE
+from fss_arm_calib.experiment.postures import DEFAULT
 from fss_arm_calib.kinematic.problem import (
     EQUAL,
     FULL,

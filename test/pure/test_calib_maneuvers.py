@@ -10,9 +10,9 @@ from calib_float import ARM, SECOND, Float, Sample, at, feed, postures
 from fss_arm_calib.dynamic.settings import DynamicSettings
 from fss_arm_calib.segments.maneuvers import ManeuverFinder
 from fss_arm_calib.segments.settings import ManeuverSettings
-from fss_arm_model.planar import wrap
 from fss_arm_model import base_motion
 from fss_arm_model.kinematics import tip_in_base
+from fss_arm_model.planar import wrap
 
 STATE = np.array([0.1, 0.2, 3.0, 0.2, -0.1, 0.03, 0.001, -0.0005])
 

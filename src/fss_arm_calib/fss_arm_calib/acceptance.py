@@ -123,7 +123,7 @@ def outliers(errors: Floats, kept: Mask, limit: float, most: int, noun: str, wha
     words = f"largest {what} {worst:.3g} (at most {limit:g})"
     if rejected := np.flatnonzero(~kept).tolist():
         words += f", {numbers(rejected, noun)} rejected (at most {most})"
-    far = np.flatnonzero(kept & (errors > limit)).tolist()
+    far = [k for k in np.argsort(-errors).tolist() if kept[k] and errors[k] > limit]
     return at_most("outliers", worst, limit, words, f"{numbers(far, noun)} off" if far else "")
 
 
