@@ -1,16 +1,23 @@
 """Data that make a calibration of each kind pass, and what publishes and hears them."""
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import calib_float
 import calib_rig
 import numpy as np
+from calib_toy import TOY
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.serialization import serialize_message
+from rosbags.serde import SerdeError
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from std_srvs.srv import Trigger
 
+from fss_arm_bags.definitions import definition
 from fss_arm_calib.calibration_node import CalibrationNode
 from fss_arm_calib.experiment.postures import DEFAULT
 from fss_arm_calib.kinds import KINDS
@@ -57,6 +64,8 @@ CASES = {
              lambda: calib_float.Float(
                  calib_float.postures(10, seed=3), TRUTH.vector(), STATE).samples(rate=20),
              calib_float, PRECISE, 10, {"max_place": 1e-6}, "max_maneuvers"),
+        Case("toy", lambda: calib_rig.Rig(DEFAULT[:4], rest=3.2, rate=50.0).samples(),
+             calib_rig, {}, 4, {"heading_deviation": 1e-9}, "max_observations"),
         Case("drift", drifting, calib_float, {}, 3, {"max_tilt": 1e-12}, "max_drifts"),
     )
 }  # fmt: skip
@@ -111,8 +120,25 @@ def play(spin, bed, node, samples, message):
 
 def ask(spin, bed, node, client):
     answer = client.call_async(Trigger.Request())
-    return spin([bed, node], lambda: answer.done() and answer.result(), 30.0)
+    return spin([bed, node], lambda: answer.done() and answer.result(), 120.0)
 
 
 def kind_of(case):
-    return KINDS[case.kind]
+    return TOY if case.kind == "toy" else KINDS[case.kind]
+
+
+@cache
+def types(kind):
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg(definition(kind).text, kind))
+    return store
+
+
+def serialized(message):
+    """As a publisher does it: serialize_message may leave some bytes more at the end."""
+    kind, data = f"fss_arm_msgs/msg/{type(message).__name__}", serialize_message(message)
+    for end in range(len(data), len(data) - 100, -1):
+        with suppress(SerdeError):
+            types(kind).deserialize_cdr(data[:end], kind)
+            return data[:end]
+    raise AssertionError(kind)

@@ -38,12 +38,27 @@ ALLOWED = {
 
 # Where the mathematics of a package meets ROS: its nodes, and these.
 EDGES = {
-    "settings", "messages", "dynamic_messages", "from_bag", "design_command", "recompute",
+    "settings", "messages", "kind", "kinds", "from_bag", "design_command", "recompute",
 }  # fmt: skip
 MATHEMATICS = {
     "fss_arm_model", "fss_arm_driver", "fss_sim", "fss_arm_calib", "fss_arm_workspace",
     "fss_arm_view",
 }  # fmt: skip
+
+
+# Within fss_arm_calib, a room may import itself and these; the three wings know nothing of each
+# other.
+_SHARED = {
+    "estimation", "segments", "acceptance", "calibration", "messages", "outcome", "report",
+    "report_figures", "report_tables", "settings",
+}  # fmt: skip
+ROOMS: dict[str, set[str]] = {
+    "estimation": set(),
+    "segments": {"estimation"},
+    "kinematic": _SHARED,
+    "dynamic": _SHARED,
+    "drift": _SHARED,
+}
 
 
 def find_modules() -> dict[str, Path]:
@@ -118,6 +133,20 @@ def test_a_package_imports_what_its_row_allows(package: str) -> None:
         if module.partition(".")[0] == package
         for name in imports(module)
         if not is_allowed(name, package)
+    }
+    assert not strangers
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_a_room_imports_what_its_row_allows(room: str) -> None:
+    allowed = [f"fss_arm_calib.{name}" for name in (room, *ROOMS[room])]
+    strangers = {
+        f"{module} imports {name}"
+        for module in MODULES
+        if f"{module}.".startswith(f"fss_arm_calib.{room}.")
+        for name in imports(module)
+        if name.startswith("fss_arm_calib")
+        and not any(f"{name}.".startswith(f"{one}.") for one in allowed)
     }
     assert not strangers
 
