@@ -40,7 +40,7 @@ from fss_arm_calib.experiment.design import (
 from fss_arm_calib.from_bag import EXIT_CODES, solve_bag
 from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.segments.maneuvers import Maneuver
-from fss_arm_model.description import Arm, load, paper_arm, save
+from fss_arm_model.description import Arm, paper_arm, save
 from fss_arm_msgs.msg import LinkTelemetry
 from fss_arm_ros.qos import SENSOR
 

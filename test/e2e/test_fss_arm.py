@@ -157,7 +157,7 @@ def test_faults_of_all_links_are_cleared(spin, bench, telling):
 
 
 def test_all_calibrations_that_run_solve_in_the_domain_of_the_configuration(ros, telling, tmp_path):
-    node, answers = Node("calibrations"), {"kinematic": "pass: fits", "float": "fail: a push"}
+    node, answers = Node("calibrations"), {"kinematic": "pass: fits", "drift": "fail: a push"}
 
     def answer(words):
         def solve(_, response):

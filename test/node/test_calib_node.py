@@ -156,7 +156,7 @@ def test_a_state_file_of_another_kind_or_arm_is_named(kept, made, tmp_path):
     for change, message in (
         ({"kind": "other"}, "kind is 'other', expected "),
         ({"joints": 5}, "joints is 5, expected 4"),
-        ({"data": [{**saved["data"][0], "q": []}]}, "nothing can be solved from it"),
+        ({"data": [{**one, "q": []} for one in saved["data"]]}, "nothing can be solved from it"),
     ):
         state.write_text(json.dumps({**saved, **change}))
         with pytest.raises(StateError, match=message) as caught:

@@ -32,7 +32,7 @@ class Case(NamedTuple):
     options: dict = {}  # of the test bed  # noqa: RUF012
 
 
-GAPS = "spoiled (joint_1 silent for"
+GAPS = "rejected (joint_1 silent for"
 CASES = {
     "nothing": Case(""),
     "loss": Case(on(LINKS, "at: 3, fault: loss, value: 0.3"), ("missed",), dynamic=GAPS),
@@ -127,7 +127,7 @@ def test_all_faults_at_once_leave_the_answer_within_three_sigma():
     rehearsal = Rehearsal(CONFIG, script, torque_rate=10)
     result = rehearsal.run()
     dynamic = check(Case(script, ("crc", "lost", "missed"), adopted=2), rehearsal, result)
-    told = any(words in dynamic.reason for words in ("spoiled", "too uncertain"))
+    told = any(words in dynamic.reason for words in ("rejected", "too uncertain"))
     assert dynamic.verdict == PASS or told, dynamic.reason
     counted = [link.counts for link in rehearsal.links]
     assert counted[0]["repeated"]

@@ -27,8 +27,8 @@ def reported(
         reason=o.reason,
         tables=tables,
         origin=origin(o),
-        figures=figures if o.solution else (),
-        details=(checks(o), *(details if o.solution else ()), streams(o)),
+        figures=() if o.solution is None else figures,
+        details=(checks(o), *(() if o.solution is None else details), streams(o)),
         texts={"Settings": o.provenance.parameters, "Description it began from": to_yaml(o.arm)},
     )
 
