@@ -95,7 +95,7 @@ def test_tilt_and_hose(tmp_path):
     state = [0.1, -0.2, 0.4, 0.02, -0.01, 0.01, 2e-4, -1e-4]
     flight = Float(postures(2), state=state, rest=40.0, noise=(0.001, 0.009))
     record(tmp_path / "monday", flight.samples(rate=20))
-    text = typed("float.md").replace("bags/monday", str(tmp_path / "monday"))
+    text = typed("drift.md").replace("bags/monday", str(tmp_path / "monday"))
     text = text.replace("float.yaml", str(tmp_path / "float.yaml"))
     text = text.replace("=arm.yaml", "=config/arm.yaml")
     said = shell(watched(text.replace(" arm.yaml", " config/arm.yaml")), 120)

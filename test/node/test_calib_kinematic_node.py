@@ -51,7 +51,7 @@ def test_an_observation_is_published_during_the_rest_and_the_verdict_says_what_l
 def test_solve_closes_the_last_rest(spin, samples):
     bed, node = kinematic()
     run(spin, bed, node, [s for s in samples if s.t < at(2.0)])
-    assert bed.found() == 0
+    assert not bed.data
     answer = ask(spin, bed, node, bed.solver)
     assert not answer.success
     assert "not_evaluated: 1 observation" in answer.message
