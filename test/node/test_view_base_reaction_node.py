@@ -245,10 +245,10 @@ def test_a_calibration_of_another_arm_is_left_out(run, spin, capfd):
 
 def test_a_parameter_that_nobody_knows_ends_nothing(run, spin, capfd):
     node, bench = run()
-    odd = KinematicCalibration(
+    odd = Calibration(
         verdict="pass", description=to_yaml(paper_arm()), names=["zeta"], covariance=[1.0]
     )
-    bench.calibration.publish(odd)
+    bench.calibration.publish(KinematicCalibration(calibration=odd))
     spin([node, bench], lambda: "'zeta' is no parameter" in capfd.readouterr().err)
     assert not node.reaction.covariance.any()
 

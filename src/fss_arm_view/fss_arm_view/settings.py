@@ -30,7 +30,7 @@ class ReactionSettings(SensorErrors):
     )
     drift_window: float = setting(30.0, "time that the slope of the momentum is taken over [s]")
     tilt: tuple[float, ...] = setting((0.0, 0.0), "of the table along x and y, downhill [rad]")
-    tilt_deviation: float = setting(0.0, "of each, 1 sigma; `float` tells both [rad]")
+    tilt_deviation: float = setting(0.0, "of each, 1 sigma; `drift` tells both [rad]")
 
     def __post_init__(self) -> None:
         if len(self.tilt) != 2:
