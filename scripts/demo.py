@@ -243,9 +243,7 @@ def start_all(nodes: Nodes, options: argparse.Namespace, out: Path) -> None:
     )  # fmt: skip
 
 
-def run(
-    options: argparse.Namespace, out: Path, console: Console
-) -> Outcome[Observation, Solution]:
+def run(options: argparse.Namespace, out: Path, console: Console) -> Outcome[Observation, Solution]:
     """See the experiment through, close the last rest; return the result.
 
     Raises:

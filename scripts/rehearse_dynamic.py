@@ -188,9 +188,7 @@ def known(out: Path, cameras: Cameras) -> dict[str, Any]:
     }
 
 
-def solve_first(
-    out: Path, settings: DynamicSettings, count: int
-) -> Outcome[Maneuver, Solution]:
+def solve_first(out: Path, settings: DynamicSettings, count: int) -> Outcome[Maneuver, Solution]:
     """What the first so many maneuvers tell: gaps may have made some be repeated, and more of them.
 
     Raises:
