@@ -62,11 +62,12 @@ class CalibrationNode(Node):
         self.finder = kind.finder(self.arm.n, s, kept)
         try:
             self.outcome, self.saved = self.solved(), self.flags
+            data = kind.data.to_message(self.data, self.frame)
         except (ArithmeticError, LookupError, ValueError) as error:
+            if not kept:
+                raise
             raise StateError(f"{s.state_file}: nothing can be solved from it: {error}") from error
-        self.found = self.create_publisher(
-            type(kind.data.to_message([], "")), kind.data.topic, LATCHED
-        )
+        self.found = self.create_publisher(type(data), kind.data.topic, LATCHED)
         self.result = self.create_publisher(kind.message, kind.topic, LATCHED)
         for one in kind.inputs(s, self.arm.n):
             subscribe_sensor(
