@@ -144,7 +144,6 @@ class Rehearsal:
         """Of each parameter, in its standard deviations."""
         true = self.truth.vector()[kinematic_index(4)]
         off = np.array(result.values) - true
-        off[np.array(result.estimate.units) == "rad"] = (off[np.array(result.units) == "rad"] + pi) % (
-            2 * pi
-        ) - pi
+        angles = np.array(result.estimate.units) == "rad"
+        off[angles] = (off[angles] + pi) % (2 * pi) - pi
         return off / np.sqrt(np.diag(np.asarray(result.covariance).reshape(len(off), -1)))

@@ -32,7 +32,7 @@ def test_data_are_kept_to_the_last_bit(tmp_path, datum):
     assert restore(tmp_path / "none.json", "toy", 2, Observation) == ([], Flags())
 
 
-def test_what_befell_the_streams_adds_up():
+def test_what_happened_to_the_streams_adds_up():
     streams = Streams(strange=("joint_9",), refused={"fss jump": 1, "fss occluded": 2},
                       set_back={"joint_1": 0.5, "joint_2": 1.0})  # fmt: skip
     after = FLAGS.and_then(streams)

@@ -22,7 +22,7 @@ class Finder(Protocol[D]):
         """What can be said with no more samples to come."""
 
     def streams(self) -> Streams:
-        """What befell the streams so far."""
+        """What happened to the streams so far."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Data(Generic[D]):
     topic: str
     to_message: Callable[[Sequence[D], str], Any]  # with a frame id
     from_message: Callable[[Any], list[D]]
-    said: Callable[[D], str] = lambda _: ""  # of one that is used, for the log
+    summary: Callable[[D], str] = lambda _: ""  # of one that is used, for the log
 
 
 @dataclass(frozen=True)

@@ -102,7 +102,7 @@ class CalibrationNode(Node):
         return response
 
     def on_forget(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Drop all data, in the state file too, and whatever befell the streams."""
+        """Drop all data, in the state file too, and whatever happened to the streams."""
         response.success = True
         response.message = f"{count(len(self.data), self.kind.data.noun)} forgotten"
         self.get_logger().info(response.message)
@@ -121,13 +121,13 @@ class CalibrationNode(Node):
         self.publish()
         data = self.kind.data
         for one in found:
-            what = data.said(one) if one.used else f"not used: {one.reason}"
+            what = data.summary(one) if one.used else f"not used: {one.reason}"
             self.get_logger().info(f"{data.noun} {len(self.data)}: {what}")
         self.get_logger().info(f"{self.outcome.verdict}: {self.outcome.reason}")
         return True
 
     def streams(self) -> Streams:
-        """What befell the streams, in runs before this one, too."""
+        """What happened to the streams, in runs before this one, too."""
         return self.flags.and_then(self.finder.streams())
 
     def solved(self) -> Outcome[Any, Any]:
@@ -157,8 +157,8 @@ class CalibrationNode(Node):
     def health(self) -> Health:
         """For diagnostics."""
         kind, streams = self.kind, self.streams()
-        befallen = Flags.of(streams)
-        if (befallen.unknown, befallen.set_back) != (self.saved.unknown, self.saved.set_back):
+        flags = Flags.of(streams)
+        if (flags.unknown, flags.set_back) != (self.saved.unknown, self.saved.set_back):
             self.save()  # no datum may come any more
         values = {
             f"{kind.data.noun}s": len(self.data),

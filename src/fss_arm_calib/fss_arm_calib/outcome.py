@@ -180,7 +180,7 @@ def concluded(
         arm: the guess.
         settings: the settings, or those of a node, which has more.
         kind: the class of the settings that decide.
-        streams: what befell the streams that the data are from.
+        streams: what happened to the streams that the data are from.
         source: of the data.
         checks: all of them.
         estimate: from the data.

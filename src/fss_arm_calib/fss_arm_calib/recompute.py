@@ -48,8 +48,8 @@ def again(kind: Calibration[Any, Any], result: Any, data: Any) -> Outcome[Any, A
     Raises:
         ValueError: the result does not tell its settings or its guess.
     """
-    told = common(result)
-    settings, arm = settings_of(told.provenance, kind.settings), from_yaml(told.guess)
+    found = common(result)
+    settings, arm = settings_of(found.provenance, kind.settings), from_yaml(found.guess)
     return kind.calibrate(kind.data.from_message(data), arm, settings, Streams(), LIVE)
 
 
@@ -59,14 +59,14 @@ def recompute(kind: Calibration[Any, Any], result: Any, data: Any) -> Comparison
     Raises:
         ValueError: the result does not tell its settings or its guess.
     """
-    outcome, told = again(kind, result, data), common(result)
-    if outcome.provenance.data_hash != told.provenance.data_hash:
+    outcome, found = again(kind, result, data), common(result)
+    if outcome.provenance.data_hash != found.provenance.data_hash:
         return None
     message = kind.to_message(outcome, "")
-    pairs = [(getattr(told, name), getattr(common(message), name)) for name in NUMBERS]
+    pairs = [(getattr(found, name), getattr(common(message), name)) for name in NUMBERS]
     pairs += [(getattr(result, name), getattr(message, name)) for name in kind.numbers]
     difference = max(_difference(*pair) for pair in pairs)
-    return Comparison(count(len(outcome.used), kind.data.noun), told.verdict, difference)
+    return Comparison(count(len(outcome.used), kind.data.noun), found.verdict, difference)
 
 
 def _difference(a: Any, b: Any) -> float:

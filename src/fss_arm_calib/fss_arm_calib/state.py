@@ -66,7 +66,7 @@ def read(path: str | Path, default: Any) -> Any:
 
 @dataclass(frozen=True)
 class Flags:
-    """What befell the streams and still holds after a restart."""
+    """What happened to the streams and still holds after a restart."""
 
     unknown: tuple[str, ...] = ()  # joints heard that the arm does not have
     set_back: Mapping[str, float] = field(default_factory=dict)  # of the stamps, by stream [s]
@@ -74,12 +74,12 @@ class Flags:
 
     @classmethod
     def of(cls, streams: Streams) -> "Flags":
-        """What befell some streams."""
+        """What happened to some streams."""
         back = {name: by for name, by in streams.set_back.items() if by > 0.0}
         return cls(tuple(streams.strange), back, dict(streams.refused))
 
     def and_then(self, streams: Streams) -> Streams:
-        """The streams with what befell them before."""
+        """The streams with what happened to them before."""
         back, counts = dict(streams.set_back), dict(streams.refused)
         for name, by in self.set_back.items():
             back[name] = max(by, back.get(name, 0.0))
@@ -90,7 +90,7 @@ class Flags:
 
 
 def save(path: str | Path, kind: str, joints: int, data: Sequence[Any], flags: Flags) -> None:
-    """Save the data of a calibration and what befell its streams.
+    """Save the data of a calibration and what happened to its streams.
 
     Raises:
         OSError: the file cannot be written.

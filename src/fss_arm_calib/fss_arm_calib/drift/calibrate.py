@@ -31,7 +31,7 @@ def calibrate(
         drifts: in order of time.
         arm: whose masses and inertias move.
         settings: what is known, and criteria.
-        streams: what befell the streams that the drifts are from.
+        streams: what happened to the streams that the drifts are from.
         source: of the drifts.
     """
     s, streams = settings or DriftSettings(), streams or Streams()

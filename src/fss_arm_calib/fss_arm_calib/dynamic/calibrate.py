@@ -29,7 +29,7 @@ def calibrate(
         maneuvers: in order of time.
         arm: the initial guess, and what is assumed.
         settings: what to estimate, what is known, and criteria.
-        streams: what befell the streams that the maneuvers are from.
+        streams: what happened to the streams that the maneuvers are from.
         source: of the maneuvers.
 
     Raises:

@@ -33,7 +33,7 @@ def calibrate(
             the offsets have changed by it.
         arm: the initial guess.
         settings: parametrization, deviations of an observation and criteria.
-        streams: what befell the streams that the observations are from.
+        streams: what happened to the streams that the observations are from.
         source: of the observations.
 
     Raises:
