@@ -67,7 +67,7 @@ CASES = {
     "subjects swapped": Case(
         on(["fss", "end_effector"], "at: 20, fault: swap, duration: 4"),
         unused="contradict",
-        dynamic="is off",
+        dynamic="off: largest error",
     ),
     "subjects swapped at times": Case(
         on(["fss", "end_effector"], "at: 3, fault: swap, value: 0.3")
@@ -75,7 +75,7 @@ CASES = {
     "markers swapped": Case(
         on(["fss"], "at: 20, fault: turn, value: 1.57, duration: 5"),
         unused="contradict",
-        dynamic="is off",
+        dynamic="off: largest error",
     ),
     "frozen end effector": Case(on(["end_effector"], "at: 20, fault: frozen, duration: 8")),
     "frozen base": Case(on(["fss"], "at: 20, fault: frozen, duration: 8")),
@@ -95,12 +95,12 @@ def check(case, rehearsal, result):
     assert result.verdict == case.verdict, result.reason
     if result.verdict == PASS:
         assert np.abs(rehearsal.errors(result)).max() < 3.0
-        assert len(result.q) >= 11
+        assert len(result.used) >= 11
     else:
         assert "observations" in result.reason
     dynamic = rehearsal.dynamic()
     if dynamic.verdict == PASS:
-        assert (np.abs(dynamic.values - dynamic.initial) < 3.0 * dynamic.deviations).all()
+        assert (np.abs(dynamic.values - dynamic.estimate.initial) < 3.0 * dynamic.deviations).all()
     return dynamic
 
 
