@@ -235,14 +235,14 @@ def test_older_data_go_and_what_is_rejected_takes_no_place(kept, made):
 
 
 def test_what_cannot_be_written_is_told_and_nothing_else_is_lost(kept, made, tmp_path):
-    out, state = tmp_path / "new" / "out.yaml", tmp_path / "state.json"
-    (tmp_path / ".state.json.part").mkdir()  # in the way
+    out, state = tmp_path / "new" / "out.yaml", tmp_path / "kept" / "state.json"
     node = kept(made, output=str(out), state_file=str(state))
+    (tmp_path / "kept").write_text("in the way")
     node.take(made.outcome.data)
     assert out.exists()
     assert node.health().level == ERROR
     assert node.health().message.startswith(f"cannot write {tmp_path}")
-    (tmp_path / ".state.json.part").rmdir()
+    (tmp_path / "kept").unlink()
     node.publish()
     assert node.health().level != ERROR
     assert len(json.loads(state.read_text())["data"]) == made.case.count

@@ -96,8 +96,9 @@ def test_a_wrong_file_ends_in_one_line_that_names_it(tmp_path, name):
 def test_a_file_is_replaced_whole(tmp_path):
     path = tmp_path / "new" / "text"
     write_text(path, "old")
-    (path.parent / ".text.part").mkdir()  # in the way
-    with pytest.raises(OSError, match=r"\.text\.part"):
-        write_text(path, "new")
+    with pytest.raises(UnicodeEncodeError):
+        write_text(path, "new \udcff")
     assert path.read_text() == "old"
+    with pytest.raises(OSError, match="text"):
+        write_text(path / "below", "new")
     assert read(tmp_path / "none", 7) == 7
