@@ -17,6 +17,7 @@ from visualization_msgs.msg import MarkerArray
 
 from fss_arm_model.description import from_yaml, paper_arm, save, to_yaml
 from fss_arm_msgs.msg import (
+    Calibration,
     DynamicCalibration,
     KinematicCalibration,
     ManipulabilityMap,
@@ -108,7 +109,9 @@ def test_a_calibration_and_a_posture_become_maps_and_paths(spin):
     longer = arm.with_kinematics(arm.vector()[[8, 14, 20, 26, 15, 21, 27, 4, 5, 6]] * 1.05)
     viewer.calibration.publish(
         KinematicCalibration(
-            verdict="pass", description=to_yaml(longer), names=["a_1"], covariance=[1e-6]
+            calibration=Calibration(
+                verdict="pass", description=to_yaml(longer), names=["a_1"], covariance=[1e-6]
+            )
         )
     )
     spin(nodes, lambda: viewer.last("result").area > 1.05 * found.area, 60.0)
@@ -146,10 +149,11 @@ def test_a_calibration_of_another_arm_is_left_out(ros):
     heavier = replace(arm, links=(*arm.links[:3], replace(arm.links[3], mass=3.0)))
     node.on_calibration(
         "calibration/kinematic",
-        KinematicCalibration(verdict="pass", description=to_yaml(shorter)),
+        KinematicCalibration(calibration=Calibration(verdict="pass", description=to_yaml(shorter))),
     )
     node.on_calibration(
-        "calibration/dynamic", DynamicCalibration(verdict="pass", description=to_yaml(heavier))
+        "calibration/dynamic",
+        DynamicCalibration(calibration=Calibration(verdict="pass", description=to_yaml(heavier))),
     )
     wait_until(lambda: node.calibrations, 10.0, lambda: None)
     assert list(node.calibrations) == ["calibration/dynamic"]
@@ -232,7 +236,9 @@ def test_ellipsoids_come_steadily_while_a_map_is_computed(spin, start):
         )
         if len(beat) % 10 == 0:  # calibrations follow one another: a map is always being computed
             viewer.calibration.publish(
-                KinematicCalibration(verdict="pass", description=to_yaml(arm))
+                KinematicCalibration(
+                    calibration=Calibration(verdict="pass", description=to_yaml(arm))
+                )
             )
         spin(viewer, lambda: len(viewer.heard["ellipsoids"]) > count)  # noqa: B023
         beat.append(stamp_ns(viewer.last("ellipsoids").markers[0].header.stamp) * 1e-9)

@@ -55,6 +55,14 @@ ALLOWED = {
 # What of the workspace a room of a package may import beside itself.
 REGIONS = "fss_arm_workspace.regions"
 PROTOCOL = "fss_arm_driver.protocol"
+WINGS = [f"fss_arm_calib.{kind}" for kind in ("kinematic", "dynamic", "drift")]
+SHARED = [
+    f"fss_arm_calib.{room}"
+    for room in (
+        *("estimation", "segments", "acceptance", "calibration", "messages", "outcome", "report"),
+        *("report_figures", "report_tables", "settings"),
+    )
+]
 ROOMS = {
     PROTOCOL: set(),
     "fss_arm_driver.session": {
@@ -67,6 +75,9 @@ ROOMS = {
         "fss_arm_model", "fss_arm_driver.protocol", "fss_sim.plant", "fss_sim.faults",
         "fss_sim.noise",
     },
+    "fss_arm_calib.estimation": set(),
+    "fss_arm_calib.segments": {"fss_arm_model", "fss_arm_calib.estimation"},
+    **{wing: {"fss_arm_model", "fss_arm_msgs", "fss_arm_ros", *SHARED} for wing in WINGS},
     REGIONS: {"fss_arm_model.description", "fss_arm_model.layout"},
     "fss_arm_workspace.manipulability": {"fss_arm_model", REGIONS},
     "fss_arm_workspace.straight_path": {
@@ -75,7 +86,7 @@ ROOMS = {
 }  # fmt: skip
 
 # Where the mathematics of a package meets ROS: its nodes, and these.
-EDGES = {"settings", "messages", "dynamic_messages", "from_bag", "design_command", "recompute"}
+EDGES = {"settings", "messages", "kind", "kinds", "from_bag", "design_command", "recompute"}
 MATHEMATICS = ALLOWED.keys() - {"fss_arm_ros", "fss_arm_bags", "fss_sim.rehearsal"}
 PACKAGES = sorted(row for row in ALLOWED if "." not in row)
 

@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 from calib_float import ARM, SECOND, Float, Sample, at, feed, postures
 
-from fss_arm_calib.dynamic.settings import DynamicCalibrationSettings, ManeuverSettings
-from fss_arm_calib.kinematic.problem import wrap
+from fss_arm_calib.dynamic.settings import DynamicSettings
 from fss_arm_calib.segments.maneuvers import ManeuverFinder
+from fss_arm_calib.segments.settings import ManeuverSettings
 from fss_arm_model import base_motion
 from fss_arm_model.kinematics import tip_in_base
+from fss_arm_model.planar import wrap
 
 STATE = np.array([0.1, 0.2, 3.0, 0.2, -0.1, 0.03, 0.001, -0.0005])
 
@@ -396,31 +397,31 @@ def test_the_same_however_telemetry_arrives(rig, samples):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"bin": 0.0}, "bin is 0.0, must be positive"),
-        ({"still": -1.0}, "still is -1.0, must be positive"),
-        ({"residuals": "tip"}, "residuals is 'tip', expected 'pose' or 'heading'"),
+        ({"bin": 0.0}, "bin is 0.0 s, expected a positive number"),
+        ({"motion_threshold": -1.0}, "motion_threshold is -1.0 rad, expected a positive number"),
+        ({"residuals": "tip"}, "residuals is 'tip', expected one of pose, heading"),
         ({"estimate": "b_i q"}, "estimate has 'q'"),
-        ({"fresh_rate": 0.0}, "fresh_rate is 0.0, must be positive"),
-        ({"tilt_deviation": -1.0}, "tilt_deviation is -1.0, must not be negative"),
-        ({"mass_deviation": -1.0}, "mass_deviation is -1.0, expected a deviation of 0 or more"),
+        ({"fresh_rate": 0.0}, "fresh_rate is 0.0 1/s, expected a positive number"),
+        ({"tilt_deviation": -1.0}, "tilt_deviation is -1.0 rad, expected 0 or more"),
+        ({"mass_deviation": -1.0}, "mass_deviation is -1.0 kg, expected 0 or more"),
         (
             {"base_com_deviation": 0.0},
             "estimate has 'com_0', said to be known exactly (its deviation is 0): leave it out",
         ),
         ({"inertia_deviation": 0.0, "estimate": "I"}, "estimate has 'I', said to be known"),
-        ({"min_probability": 1.0}, "min_probability is 1.0, must be in"),
-        ({"min_maneuvers": 0}, "min_maneuvers is 0, must be positive"),
-        ({"max_outliers": -1}, "max_outliers is -1, must not be negative"),
+        ({"min_probability": 1.0}, "min_probability is 1.0, expected 0 or more, and below 1"),
+        ({"min_maneuvers": 0}, "min_maneuvers is 0, expected 1 or more"),
+        ({"max_outliers": -1}, "max_outliers is -1, expected 0 or more"),
         ({"loss": "none"}, "loss is 'none', expected one of square, huber, cauchy"),
     ],
 )
 def test_impossible_settings_are_refused(change, message):
     with pytest.raises(ValueError, match=re.escape(message)):
-        DynamicCalibrationSettings(**change)
+        DynamicSettings(**change)
 
 
 def test_what_is_not_estimated_may_be_known_exactly():
-    DynamicCalibrationSettings(base_com_deviation=0.0, length_deviation=0.0, estimate="b_i I_i")
+    DynamicSettings(base_com_deviation=0.0, length_deviation=0.0, estimate="b_i I_i")
 
 
 @pytest.mark.parametrize("late", [-0.8, 0.05, 1.5])
@@ -429,7 +430,7 @@ def test_an_offset_between_the_clocks_is_allowed_for(samples, found, late):
     allowed = feed(finder, shifted(samples, late))
     assert_alike(allowed, found, round(late * SECOND))
     assert allowed[0].time_offset == late
-    with pytest.raises(ValueError, match="time_offset is nan s, must be within"):
+    with pytest.raises(ValueError, match="time_offset is nan s, expected within"):
         ManeuverSettings(time_offset=float("nan"))
 
 

@@ -13,11 +13,11 @@ from fss_arm_calib.segments.rests import (
     TIP,
     Observation,
     RestFinder,
-    RestSettings,
     homed,
     since_homed,
     spoiled,
 )
+from fss_arm_calib.segments.settings import RestSettings
 from fss_arm_calib.segments.streams import newest
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_ros.convert import SECOND
@@ -349,10 +349,10 @@ def test_observations_come_in_order_of_time():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"still": 0.0}, "still is 0.0, must be positive"),
-        ({"settle": -1.0}, "settle is -1.0 s, must not be negative"),
-        ({"shortest": 3.0}, "longest is 2.0 s, must be at least 3.0 s"),
-        ({"vicon_gap": float("nan")}, "vicon_gap is nan, must be positive"),
+        ({"motion_threshold": 0.0}, r"motion_threshold is 0.0.*, expected a positive number"),
+        ({"settle_time": -1.0}, "settle_time is -1.0 s, expected 0 or more"),
+        ({"min_duration": 3.0}, "max_duration is 2.0 s, expected 3.0 or more"),
+        ({"vicon_gap": float("nan")}, r"vicon_gap is nan.*, expected a positive number"),
     ],
 )
 def test_impossible_settings_are_refused(change, message):

@@ -10,7 +10,7 @@ from rclpy.serialization import serialize_message
 from fss_arm_bags.reader import BagError
 from fss_arm_bags.recorder import Recording
 from fss_arm_model.description import from_yaml, paper_arm, save, to_yaml
-from fss_arm_msgs.msg import DynamicCalibration, KinematicCalibration
+from fss_arm_msgs.msg import Calibration, DynamicCalibration, KinematicCalibration
 from fss_arm_ros.calibrated import Calibrated
 from fss_arm_ros.qos import LATCHED
 from fss_arm_workspace.analysis import load_kernels
@@ -83,7 +83,11 @@ def test_kernels_are_loaded_for_any_arm(links):
 def passed(kind, arm, names, deviation):
     size = len(names)
     covariance = (deviation**2 * np.eye(size)).ravel().tolist()
-    return kind(verdict="pass", description=to_yaml(arm), names=names, covariance=covariance)
+    return kind(
+        calibration=Calibration(
+            verdict="pass", description=to_yaml(arm), names=names, covariance=covariance
+        )
+    )
 
 
 def test_a_calibration_that_passed_is_taken_with_its_covariance():
@@ -91,7 +95,10 @@ def test_a_calibration_that_passed_is_taken_with_its_covariance():
     longer = arm.with_kinematics(arm.vector()[[8, 14, 20, 26, 15, 21, 27, 4, 5, 6]] * 1.01)
     known = Calibrated(arm)
     assert (
-        known.with_message("calibration/kinematic", KinematicCalibration(verdict="fail")) == known
+        known.with_message(
+            "calibration/kinematic", KinematicCalibration(calibration=Calibration(verdict="fail"))
+        )
+        == known
     )
     kinematic = passed(KinematicCalibration, longer, ["a", "a_4"], 1e-3)
     known = known.with_message("calibration/kinematic", kinematic)
@@ -145,7 +152,9 @@ def test_a_bag_tells_its_last_calibration_that_passed(tmp_path):
     messages = [passed(KinematicCalibration, a, ["a", "a_4"], 1e-3) for a in arms]
     bag = Recording(tmp_path / "bag")
     bag.add(TOPIC, "fss_arm_msgs/msg/KinematicCalibration", [LATCHED])
-    for t, message in enumerate([*messages, KinematicCalibration(verdict="fail")], 1):
+    for t, message in enumerate(
+        [*messages, KinematicCalibration(calibration=Calibration(verdict="fail"))], 1
+    ):
         bag.write(TOPIC, t, serialized(message))
     bag.close()
     known = calibrated([str(bag.path)])
@@ -156,7 +165,7 @@ def test_a_bag_tells_its_last_calibration_that_passed(tmp_path):
 def test_a_bag_without_a_calibration_is_refused(tmp_path):
     bag = Recording(tmp_path / "bag")
     bag.add(TOPIC, "fss_arm_msgs/msg/KinematicCalibration", [LATCHED])
-    bag.write(TOPIC, 1, serialized(KinematicCalibration(verdict="fail")))
+    bag.write(TOPIC, 1, serialized(KinematicCalibration(calibration=Calibration(verdict="fail"))))
     bag.close()
     with pytest.raises(BagError, match="no calibration that passed"):
         calibrated([str(bag.path)])

@@ -72,7 +72,7 @@ def calibrated(sources: Sequence[str]) -> Calibrated:
     with open_bags(sources) as bags:
         topics = {t for t, kind in bags.topics.items() if kind.msgtype in TOPICS.values()}
         for topic, _, _, message in bags.messages(topics):
-            if message.verdict == "pass":
+            if message.calibration.verdict == "pass":
                 known = (known or Calibrated(paper_arm())).with_message(topic, message)
     if known is None:
         raise BagError(f"{', '.join(sources)}: no calibration that passed")

@@ -84,7 +84,7 @@ class WorkspaceNode(Node):
 
     def on_calibration(self, topic: str, message: Any) -> None:
         """Begin anew with what a calibration found."""
-        if message.verdict == message.PASS:
+        if message.calibration.verdict == message.calibration.PASS:
             self.arrived.append((topic, message))
             self.maps.submit(topic)
 

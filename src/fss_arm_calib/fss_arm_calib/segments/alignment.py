@@ -18,7 +18,7 @@ from math import inf, isfinite, nan, sqrt
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from fss_arm_calib.kinematic.problem import Floats
+from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.segments.poses import SECOND, Stamps
 
 LONGEST_MOVE = 20.0  # of a move, only so much at its end is used [s]

@@ -4,27 +4,42 @@ As with maneuvers.py, samples are merged by their stamps and nothing is decided 
 has passed the moment in question: what is found is a function of the data alone.
 """
 
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
-from fss_arm_calib.drift.problem import Drift
-from fss_arm_calib.drift.settings import DriftSettings
 from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.segments.poses import FROZEN, SECOND, Poses
 from fss_arm_calib.segments.rests import BASE
 from fss_arm_calib.segments.samples import Samples
+from fss_arm_calib.segments.settings import DriftFinderSettings
 from fss_arm_calib.segments.streams import Merge, Streams
 
 _FEWEST = 10  # averaged poses of a drift
 _CLEANING = 1000  # poses between two looks at what may be forgotten
 
 
+@dataclass(frozen=True)
+class Drift:
+    """The base's averaged poses while the arm rests."""
+
+    start: int  # of the first pose [ns]
+    end: int
+    q: tuple[float, ...]  # (n) joint readings [rad]
+    times: tuple[float, ...]  # (m) of the poses, from `start` on [s]
+    poses: tuple[tuple[float, ...], ...]  # (m) x, y [m], heading [rad], counting turns
+    frames: tuple[int, ...]  # (m) averaged
+    seconds: tuple[float, ...]  # (m) over which [s]
+    used: bool = True
+    reason: str = ""  # why it is not used
+
+
 class DriftFinder:
     """Fed samples of n joints and the base, returns the drifts that they complete."""
 
-    def __init__(self, n: int, settings: DriftSettings | None = None) -> None:
-        self.settings = s = settings or DriftSettings()
+    def __init__(self, n: int, settings: DriftFinderSettings | None = None) -> None:
+        self.settings = s = settings or DriftFinderSettings()
         self.joints = [Samples(f"joint_{i}") for i in range(1, n + 1)]
         self.base = Poses(BASE, s.max_speed, s.max_turn)
         self._merge = Merge(self.joints, s.horizon)
@@ -44,7 +59,7 @@ class DriftFinder:
         self._until_cleaning -= 1
         if self._until_cleaning <= 0:  # the arm may say nothing
             self._until_cleaning = _CLEANING
-            span = self.settings.longest + self.settings.settle + self.settings.horizon
+            span = self.settings.max_duration + self.settings.settle_time + self.settings.horizon
             self.base.forget(self.base.newest - round(span * SECOND))
         return self._collect()
 
@@ -75,14 +90,14 @@ class DriftFinder:
     def _take(self, joint: Samples) -> None:
         """The next sample is a joint's."""
         begin, end = self.resting
-        moves = joint.take(self.settings.still)
-        if moves or end - begin >= self.settings.longest * SECOND:
+        moves = joint.take(self.settings.motion_threshold)
+        if moves or end - begin >= self.settings.max_duration * SECOND:
             self._end(begin, end)
 
     def _end(self, begin: int, end: int) -> None:
         """A rest is over, or long enough to count as one."""
         self._since = max(self._since, end)
-        if end - begin >= self.settings.shortest * SECOND:
+        if end - begin >= self.settings.min_duration * SECOND:
             self._pending.append((begin, end))
         kept = self._pending[0][0] if self._pending else end
         self.base.forget(kept)
@@ -103,7 +118,7 @@ class DriftFinder:
     def _drift(self, begin: int, end: int) -> Drift | None:
         """The drift of a rest; None if nobody knows how some joint stood."""
         s = self.settings
-        begin += round(s.settle * SECOND)
+        begin += round(s.settle_time * SECOND)
         readings = [joint.within(begin, end)[1] for joint in self.joints]
         if not all(map(len, readings)):
             return None

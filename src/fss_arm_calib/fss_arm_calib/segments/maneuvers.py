@@ -1,9 +1,10 @@
 """Maneuvers out of streams: the arm rests, moves and rests again, and the base has reacted.
 
-The arm rests while every joint's readings stay within `still`; a pause shorter than it takes to
-settle and to look twice is part of the motion. The second half of a rest, up to `longest`, is the
-look before the next maneuver, the first half that after the last one: no pose counts twice. In a
-look the base may drift, so its poses are averaged over short bins, each a mark of the path.
+The arm rests while every joint's readings stay within `motion_threshold`; a pause
+shorter than it takes to settle and to look twice is part of the motion. The second half of a rest,
+up to `max_duration`, is the look before the next maneuver, the first half that after the last one:
+no pose counts twice. In a look the base may drift, so its poses are averaged over short bins, each
+a mark of the path.
 
 A joint that moves while its link tells that it is not armed is moved by hand: then the base is
 held, and what it does tells nothing of the arm.
@@ -24,15 +25,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fss_arm_calib.dynamic.settings import ManeuverSettings
 from fss_arm_calib.estimation.least_squares import Floats
-from fss_arm_calib.kinematic.problem import wrap
 from fss_arm_calib.segments.alignment import NEWEST, WORST, Offset, mean_offset, offset_of_move
 from fss_arm_calib.segments.poses import FROZEN, SECOND, Hole, Poses, mean_pose, seen_from
 from fss_arm_calib.segments.rests import BASE, TIP
 from fss_arm_calib.segments.samples import Gyro, Link, Samples, Told
+from fss_arm_calib.segments.settings import ManeuverSettings
 from fss_arm_calib.segments.streams import Merge, Stream, Streams
 from fss_arm_model.base_motion import Path, path, sampled
+from fss_arm_model.planar import wrap
 
 SEARCH = 0.5  # for an offset, about the one allowed for [s]
 PATIENCE = 0.5  # of the horizon, for what may be absent
@@ -160,7 +161,7 @@ class ManeuverFinder:
     def _take(self, joint: Samples) -> None:
         """The next sample is a joint's."""
         rest = self._rest()
-        if joint.take(self.settings.still):
+        if joint.take(self.settings.motion_threshold):
             self._end(rest)
 
     def _rest(self) -> _Rest | None:
@@ -169,16 +170,16 @@ class ManeuverFinder:
             return None
         begin, end = max(j.start for j in self.joints), min(j.last for j in self.joints)
         rest = _Rest(begin, end, max(j.moved for j in self.joints))
-        return rest if self._look(rest) >= self.settings.shortest * SECOND else None
+        return rest if self._look(rest) >= self.settings.min_duration * SECOND else None
 
     def _look(self, rest: _Rest) -> int:
         """How long a look at each end of a rest may last [ns]."""
-        usable = rest.end - rest.begin - round(self.settings.settle * SECOND)
-        return min(round(self.settings.longest * SECOND), usable // 2)
+        usable = rest.end - rest.begin - round(self.settings.settle_time * SECOND)
+        return min(round(self.settings.max_duration * SECOND), usable // 2)
 
     def _looks(self, before: _Rest, after: _Rest) -> _Looks:
         """The looks before and after a maneuver."""
-        settled = after.begin + round(self.settings.settle * SECOND)
+        settled = after.begin + round(self.settings.settle_time * SECOND)
         return (
             (before.end - self._look(before), before.end),
             (settled, settled + self._look(after)),
@@ -196,7 +197,7 @@ class ManeuverFinder:
     def _collect(self, everything: bool = False) -> list[Maneuver]:
         """Maneuvers that every stream has passed by now."""
         before, rest = self._before, self._rest()
-        full = rest is not None and self._look(rest) == round(self.settings.longest * SECOND)
+        full = rest is not None and self._look(rest) == round(self.settings.max_duration * SECOND)
         if before and rest and full and rest.begin > before.end:
             # A long rest's look after the maneuver is settled before the rest is over.
             self._pending.append((before, rest))
@@ -272,7 +273,7 @@ class ManeuverFinder:
                 return f"{joint.name} homed or restarted"
             readings = (joint.within(*part)[1] for part in link.disarmed(*span))
             travel = max((float(np.ptp(q)) for q in readings if len(q)), default=0.0)
-            if i in maneuver.moved and travel > self.settings.still:
+            if i in maneuver.moved and travel > self.settings.motion_threshold:
                 return f"{joint.name} moved while disarmed"
         return ""
 
@@ -301,7 +302,9 @@ class ManeuverFinder:
         t, q, _ = joint.within(start, end)
         if not len(q):
             return [Hole(start, end, joint.name)]
-        moved = np.concatenate([[True], np.abs(np.diff(q)) > self.settings.still, [True]])
+        moved = np.concatenate(
+            [[True], np.abs(np.diff(q)) > self.settings.motion_threshold, [True]]
+        )
         t = np.concatenate([[start], t, [end]])
         late = np.flatnonzero((np.diff(t) > self.settings.joint_gap * SECOND) & moved)
         return [Hole(int(t[k]), int(t[k + 1]), joint.name) for k in late]
@@ -317,7 +320,7 @@ class ManeuverFinder:
         if not all(map(len, ends)):
             return np.empty(0), np.empty(0), np.empty(0)
         first, last = (float(np.mean(readings)) for readings in ends)
-        if np.abs(np.array([*q, last]) - first).max() <= self.settings.still:
+        if np.abs(np.array([*q, last]) - first).max() <= self.settings.motion_threshold:
             t, q, qd = (np.empty(0, kind) for kind in (np.int64, float, float))
             return np.array([(departure - start) / SECOND]), np.array([first]), np.zeros(1)
         times = (np.concatenate([[departure], t, [arrival]]) - start) / SECOND
@@ -376,7 +379,7 @@ class ManeuverFinder:
     def _forget(self) -> None:
         """Drop what no maneuver will ask for."""
         self._until_cleaning = _CLEANING
-        look = round((2.0 * self.settings.longest + 1.0) * SECOND)
+        look = round((2.0 * self.settings.max_duration + 1.0) * SECOND)
         rests = [pair[0] for pair in self._pending] + ([self._before] if self._before else [])
         kept = rests[0].end if rests else min(joint.last for joint in self.joints)
         # The longest maneuver, and as much again for streams that lag.

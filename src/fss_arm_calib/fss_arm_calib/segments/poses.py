@@ -13,7 +13,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from fss_arm_calib.kinematic.problem import Floats, wrap
+from fss_arm_calib.estimation.least_squares import Floats
+from fss_arm_model.planar import wrap
 
 Stamps = npt.NDArray[np.int64]
 

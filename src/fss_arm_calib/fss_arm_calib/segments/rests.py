@@ -1,9 +1,9 @@
 """Observations out of streams: where the arm rested, and the average of each rest.
 
-An arm rests while every joint's readings stay within `still` of each other; once it has settled,
-the first interval of `longest` without a gap in any stream becomes one Observation, or, if the arm
-moves on earlier, the longest such interval of at least `shortest`. There is one observation for
-each rest, whoever moved the arm.
+An arm rests while every joint's readings stay within `motion_threshold` of each other; once it
+has settled, the first interval of `max_duration` without a gap in any stream becomes one
+Observation, or, if the arm moves on earlier, the longest such interval of at least `min_duration`.
+There is one observation for each rest, whoever moved the arm.
 
 Streams arrive each in its own order and rate, and interleaved at will: samples are merged by their
 stamps, and nothing is decided before every stream has passed the moment in question. What is found
@@ -22,8 +22,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from fss_arm_calib.kinematic.problem import Floats, wrap
-from fss_arm_calib.kinematic.settings import RestSettings
+from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.segments.alignment import LONGEST_MOVE, Alignment
 from fss_arm_calib.segments.poses import (
     FROZEN,
@@ -37,7 +36,9 @@ from fss_arm_calib.segments.poses import (
     mean_pose,
     seen_from,
 )
+from fss_arm_calib.segments.settings import RestSettings
 from fss_arm_calib.segments.streams import Joint, Merge, Streams
+from fss_arm_model.planar import wrap
 
 BASE, TIP = "fss", "end_effector"  # the two subjects, as the motion capture system names them
 
@@ -175,7 +176,7 @@ class RestFinder:
         self.joints = [_Joint(f"joint_{i}") for i in range(1, n + 1)]
         s = self.settings
         self.subjects = {name: Poses(name, s.max_speed, s.max_turn) for name in (BASE, TIP)}
-        self.alignment = Alignment(n, s.still, s.settle + s.shortest)
+        self.alignment = Alignment(n, s.motion_threshold, s.settle_time + s.min_duration)
         self._merge = Merge(self.joints, s.horizon)
         self._pending: list[_Rest] = []
         self._settled = 0  # when the present rest began to count
@@ -254,7 +255,7 @@ class RestFinder:
         """The next sample is a joint's."""
         t, q, _ = joint.waiting.popleft()
         self.alignment.reading(self.joints.index(joint) + 1, t, q)
-        if joint.last >= 0 and joint.still_with(q, self.settings.still):
+        if joint.last >= 0 and joint.still_with(q, self.settings.motion_threshold):
             joint.extend(t, q, self.settings.joint_gap * SECOND)
         else:
             if joint.last >= 0:  # it moved
@@ -264,7 +265,7 @@ class RestFinder:
                 self._whole_since = 0
             joint.begin(t, q)
             start = max(j.start for j in self.joints)
-            self._settled = start + round(self.settings.settle * SECOND)
+            self._settled = start + round(self.settings.settle_time * SECOND)
         self._confirmed = min(j.last for j in self.joints)
 
     def _done(self) -> bool:
@@ -272,7 +273,7 @@ class RestFinder:
         return self._observed or (
             self._resting_at is not None
             and all(
-                joint.still_with(q, 2.0 * self.settings.still)
+                joint.still_with(q, 2.0 * self.settings.motion_threshold)
                 for joint, q in zip(self.joints, self._resting_at, strict=True)
             )
         )
@@ -344,11 +345,11 @@ class RestFinder:
 
     def _align(self, begin: int, until: int) -> None:
         """Learn the clocks' offset from the move before a rest that all have heard of by now."""
-        heard = begin + round(self.settings.shortest * SECOND)
+        heard = begin + round(self.settings.min_duration * SECOND)
         if self._aligned == begin or until < heard:
             return
         self._aligned = begin
-        move = self.alignment.move(begin - round(self.settings.settle * SECOND))
+        move = self.alignment.move(begin - round(self.settings.settle_time * SECOND))
         if not move:
             return
         search = round(self.alignment.search * SECOND)
@@ -365,14 +366,14 @@ class RestFinder:
 
     def _long_enough(self, seen: int) -> bool:
         """Whether the present rest may hold an interval of full length, told without arrays."""
-        least = self.settings.longest * SECOND
+        least = self.settings.max_duration * SECOND
         since = max(self._settled, self._whole_since)
         return min(seen, self._confirmed) - since >= least and not self._done()
 
     def _observe(self, rest: _Rest, over: bool) -> Observation | None:
         """The observation of a rest; None if it is too short, or may yet become longer."""
         shortest, longest = (
-            round(s * SECOND) for s in (self.settings.shortest, self.settings.longest)
+            round(s * SECOND) for s in (self.settings.min_duration, self.settings.max_duration)
         )
         # A stream that has not begun is no gap; what is older than the horizon may be forgotten.
         begun = max(poses.begun for poses in self.subjects.values())
@@ -446,7 +447,7 @@ class RestFinder:
             past = min(past, self._pending[0].begin)
         if not self._observed:
             past = min(past, max(j.start for j in self.joints))
-        oldest = self._newest - 2 * self._horizon - round(self.settings.longest * SECOND)
+        oldest = self._newest - 2 * self._horizon - round(self.settings.max_duration * SECOND)
         for joint in self.joints:
             joint.forget(max(past, oldest))
         # A rest's clocks are aligned by the move before it.

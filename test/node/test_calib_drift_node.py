@@ -1,23 +1,21 @@
-"""The node `float` and `from_bag --float` on the streams of a drifting base."""
+"""What is the drift calibration's own, on the streams of a drifting base."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import yaml
-from calib_float import ARM, SECOND, TYPES, Float, at, feed, message, postures, record
-from rclpy.node import Node
-from rclpy.parameter import Parameter
-from std_srvs.srv import Trigger
+from calib_float import ARM, SECOND, Float, at, feed, postures, record
 
-from fss_arm_calib.drift.checks import calibrate
+from fss_arm_calib.calibration_node import CalibrationNode
+from fss_arm_calib.drift.calibrate import calibrate
+from fss_arm_calib.drift.kind import DRIFT
 from fss_arm_calib.drift.settings import DriftSettings
-from fss_arm_calib.drift_node import FloatNode
-from fss_arm_calib.dynamic_node import DynamicNode
+from fss_arm_calib.dynamic.kind import DYNAMIC
 from fss_arm_calib.from_bag import main as from_bag
-from fss_arm_calib.from_bag import solve_float_bag
+from fss_arm_calib.from_bag import solve_bag
 from fss_arm_calib.segments.drifts import DriftFinder
 from fss_arm_model.units import GRAVITY
-from fss_arm_msgs.msg import FloatCalibration
-from fss_arm_ros.qos import LATCHED, sensor
 from fss_arm_view.base_reaction_node import BaseReactionNode
 
 TILT = np.array([2e-5, -1e-5])  # [rad]
@@ -44,34 +42,14 @@ class Finder(DriftFinder):
         return super().joint(i, t, q)
 
 
-class Bed(Node):
-    """Publishes samples, and hears what comes of them."""
-
-    def __init__(self):
-        super().__init__("bed")
-        self.outputs = {
-            topic: self.create_publisher(kind, topic, sensor(keep_all=True))
-            for topic, kind in list(TYPES.items())[:2]
-        }
-        self.results = []
-        self.create_subscription(
-            FloatCalibration, "calibration/float", self.results.append, LATCHED
-        )
-        self.solver = self.create_client(Trigger, "float/solve")
-
-    def ready(self):
-        listened = all(p.get_subscription_count() for p in self.outputs.values())
-        return listened and self.solver.service_is_ready()
-
-
 def test_each_rest_is_a_drift_and_long_ones_are_several(samples):
     found = feed(Finder(ARM.n), samples)
     assert [d.times[-1] > 35.0 for d in found] == [True] * 3
-    shorter = feed(Finder(ARM.n, DriftSettings(longest=22.0, shortest=10.0)), samples)
+    shorter = feed(Finder(ARM.n, DriftSettings(max_duration=22.0, min_duration=10.0)), samples)
     assert len(shorter) == 6
     ends = [d.end for d in shorter]
     assert all(b.start >= a for a, b in zip(ends, shorter[1:], strict=False))
-    assert not feed(Finder(ARM.n, DriftSettings(shortest=50.0)), samples)
+    assert not feed(Finder(ARM.n, DriftSettings(min_duration=50.0)), samples)
 
 
 def test_order_of_arrival_does_not_matter(samples):
@@ -80,39 +58,51 @@ def test_order_of_arrival_does_not_matter(samples):
     assert feed(Finder(ARM.n), samples) == feed(Finder(ARM.n, patient), late[1] + late[0])
 
 
-def test_the_node_says_what_the_bag_says(samples, bag, spin):
-    node, bed = FloatNode(parameter_overrides=[Parameter("com_deviation", value=0.005)]), Bed()
-    spin([node, bed], bed.ready)
-    for begin in range(0, len(samples), 500):
-        for sample in samples[begin : begin + 500]:
-            topic, content = message(sample)
-            bed.outputs[topic].publish(content)
-        last = max(s.t for s in samples[: begin + 500] if s.stream == "base")
-        spin([node, bed], lambda t=last: node.finder.base.newest >= t, 30.0)
-    answer = bed.solver.call_async(Trigger.Request())
-    spin([node, bed], lambda: answer.done() and bed.results and len(bed.results[-1].samples) == 3)
-    result = bed.results[-1]
-    assert answer.result().success, answer.result().message
-    assert (result.verdict, result.header.frame_id) == ("pass", "world")
-    offline = solve_float_bag(bag, DriftSettings(com_deviation=0.005))
-    assert offline.provenance.data_hash == result.provenance.data_hash
-    np.testing.assert_allclose(result.values, offline.values, rtol=0, atol=1e-12)
-    away = np.array(result.values[:2]) - GRAVITY * TILT
-    assert (np.abs(away) < 4.0 * offline.deviations[:2]).all()
-    assert abs(result.hose_torque) < 4.0 * result.hose_torque_deviation  # there is none
-    momenta = np.reshape(result.momenta, (3, 3))
+def test_the_truth_comes_back(bag):
+    found = solve_bag(DRIFT, bag, DriftSettings(com_deviation=0.005))
+    assert found.verdict == "pass"
+    away = found.values[:2] - GRAVITY * TILT
+    assert (np.abs(away) < 4.0 * found.deviations[:2]).all()
+    torque, deviation = found.solution.result.hose_torque
+    assert abs(torque) < 4.0 * deviation  # there is none
+    momenta, deviations = found.solution.result.momenta
     expected = STATE[3:6]  # at the first drift's begin, but for what the tilt added within 0.5 s
-    deviations = np.reshape(result.momentum_deviations, (3, 3))
     assert (np.abs(momenta[0] - expected) < 4.0 * deviations[0] + 1e-3).all()
 
 
+def test_a_pushed_drift_is_rejected_by_choice(samples):
+    drifts = feed(Finder(ARM.n), samples)
+    pushed = push(drifts[1])
+    found = calibrate([drifts[0], pushed, drifts[2]], ARM)
+    assert found.verdict == "fail"
+    assert "drift 2 off: largest error" in found.reason
+    found = calibrate([drifts[0], pushed, drifts[2]], ARM, DriftSettings(max_outliers=1))
+    assert found.verdict == "pass", found.reason
+    assert found.estimate.weights.tolist() == [1.0, 0.0, 1.0]
+    assert found.estimate.reasons[1].startswith("error ")
+    without = calibrate([drifts[0], drifts[2]], ARM)
+    np.testing.assert_array_equal(found.values, without.values)
+    robust = calibrate([drifts[0], pushed, drifts[2]], ARM, DriftSettings(loss="cauchy"))
+    assert robust.estimate.weights[1] < 0.5
+
+
+def push(drift):
+    """By 5 cm, in the middle."""
+    half = len(drift.poses) // 2
+    poses = [(x + 0.05 * (k > half), y, h) for k, (x, y, h) in enumerate(drift.poses)]
+    return replace(drift, poses=tuple(poses))
+
+
 def test_its_file_sets_the_other_nodes(bag, tmp_path, spin, capsys):
-    output = tmp_path / "float.yaml"
-    assert from_bag(["--float", str(bag), "--output", str(output)]) == 0
+    output = tmp_path / "drift.yaml"
+    assert from_bag(["--drift", str(bag), "--output", str(output)]) == 0
     assert "tilt along x" in capsys.readouterr().out
     told = yaml.safe_load(output.read_text())
     arguments = ["--ros-args", "--params-file", str(output)]
-    dynamic, reaction = DynamicNode(cli_args=arguments), BaseReactionNode(cli_args=arguments)
+    dynamic, reaction = (
+        CalibrationNode(DYNAMIC, cli_args=arguments),
+        BaseReactionNode(cli_args=arguments),
+    )
     spin([dynamic, reaction], lambda: True)
     for name, value in told["dynamic"]["ros__parameters"].items():
         assert getattr(dynamic.settings, name) == value
@@ -124,7 +114,7 @@ def test_its_file_sets_the_other_nodes(bag, tmp_path, spin, capsys):
 def test_a_frozen_base_does_not_drift(samples, begin):
     """In the first rest, or in the motion after it."""
     held = next(s.value for s in samples if s.stream == "base" and s.t >= at(begin))
-    finder = Finder(ARM.n, DriftSettings(longest=20.0))
+    finder = Finder(ARM.n, DriftSettings(max_duration=20.0))
     frozen = [
         s._replace(value=held) if s.stream == "base" and s.t >= at(begin) else s for s in samples
     ]
@@ -137,7 +127,7 @@ def test_a_frozen_base_does_not_drift(samples, begin):
 
 def test_a_drift_without_readings_of_a_joint_is_none(samples):
     """Silent through the second of the pieces that the first rest makes."""
-    finder = Finder(ARM.n, DriftSettings(longest=12.0, shortest=5.0))
+    finder = Finder(ARM.n, DriftSettings(max_duration=12.0, min_duration=5.0))
     pieces = feed(Finder(ARM.n, finder.settings), samples)
     silent = pieces[0].end + SECOND // 4, pieces[1].end
     found = feed(finder, [s for s in samples if s.stream != 2 or not silent[0] < s.t < silent[1]])
@@ -146,7 +136,7 @@ def test_a_drift_without_readings_of_a_joint_is_none(samples):
 
 
 def test_a_lost_base_is_waited_for_no_longer_than_the_horizon(samples):
-    finder = Finder(ARM.n, DriftSettings(longest=12.0, shortest=5.0, horizon=15.0))
+    finder = Finder(ARM.n, DriftSettings(max_duration=12.0, min_duration=5.0, horizon=15.0))
     lost = [s for s in samples if s.stream != "base" or s.t < at(14.0)]
     found = feed(finder, lost, close=False)
     assert len(found) == 1
@@ -154,11 +144,9 @@ def test_a_lost_base_is_waited_for_no_longer_than_the_horizon(samples):
 
 
 def test_too_little_is_not_evaluated_and_a_push_fails(samples, bag, capsys):
-    assert from_bag(["--float", str(bag), "--least-time", "500"]) == 3
+    assert from_bag(["--drift", str(bag), "--least-time", "500"]) == 3
     assert "at least 500 s needed" in " ".join(capsys.readouterr().out.split())
     drifts = feed(Finder(ARM.n), samples)
-    half = len(drifts[0].poses) // 2
-    poses = [(x + 0.05 * (k > half), y, h) for k, (x, y, h) in enumerate(drifts[0].poses)]
-    pushed = calibrate([drifts[0]._replace(poses=tuple(poses)), *drifts[1:]], ARM)
+    pushed = calibrate([push(drifts[0]), *drifts[1:]], ARM)
     assert pushed.verdict == "fail"
     assert "something else moved the base" in pushed.reason
