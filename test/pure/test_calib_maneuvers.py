@@ -283,14 +283,11 @@ def ahead(samples, stream, seconds, begin=0.0, end=np.inf):
 
 @pytest.mark.parametrize("stream", ["gyro", "tip"])
 def test_a_wrong_clock_of_what_may_be_absent_spoils_nothing(rig, stream):
-    """One stamp five minutes ahead, or all of them: as if the stream had ended then."""
+    """All of its stamps are five minutes ahead, or from some moment on: as if it had ended then."""
     samples = rig.samples(tip=True)
-    for wrong, end in (
-        (ahead(samples, stream, 300.0, 3.0, 3.01), 3.0),
-        (ahead(samples, stream, 300.0), 0.0),
-    ):
+    for end in (0.0, 3.0):
         finder = ManeuverFinder(4, ManeuverSettings(horizon=20.0))
-        found = feed(finder, wrong)
+        found = feed(finder, ahead(samples, stream, 300.0, end))
         ended = [s for s in samples if s.stream != stream or s.t < at(end)]
         assert [m.used for m in found] == [True] * 3
         assert found == feed(ManeuverFinder(4, ManeuverSettings(horizon=20.0)), ended)

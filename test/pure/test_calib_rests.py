@@ -256,7 +256,7 @@ def test_a_live_finder_forgets():
     samples = rig.samples()
     find(samples, close=False, finder=finder)
     assert all(len(poses.t) < 4500 for poses in finder.subjects.values())
-    assert all(len(joint.t) < 50 for joint in finder.joints)
+    assert all(len(joint.t) < 200 for joint in finder.joints)
     dead = RestFinder(4, RestSettings(horizon=20.0))
     find(without(samples, {2}, 1.0, 700.0), close=False, finder=dead)
     assert all(len(poses.t) < 4200 + 1000 for poses in dead.subjects.values())
@@ -273,7 +273,7 @@ def test_rests_of_a_lost_subject_are_told_and_forgotten(lost):
         assert len(finder._pending) <= 3
         assert all(len(poses.t) < 2200 + 1000 for poses in finder.subjects.values())
     assert [o.used for o in found] == [True] + [False] * 17
-    assert len(finder.alignment._readings[0]) < 500
+    assert len(finder.joints[0].t) < 500
     assert all("silent for" in o.reason for o in found[1:])
     assert np.abs(np.array([o.q for o in found]) - rig.postures[:18]).max() <= 1e-3
 
@@ -303,7 +303,7 @@ def test_a_subject_that_flickers_makes_no_work():
         samples = without(samples, {TIP}, begin, begin + 0.4)
     finder, looks = RestFinder(4), []
     look = finder._observe
-    finder._observe = lambda rest, over: looks.append(over) or look(rest, over)
+    finder._observe = lambda *rest, **how: looks.append(how) or look(*rest, **how)
     found = find(samples, finder=finder)
     assert [o.used for o in found] == [True] * 3
     assert SECOND < found[0].end - found[0].start < 1.2 * SECOND
