@@ -87,12 +87,12 @@ class Rests:
             self.unknown.add(i)
             return
         self.joints[i - 1].append(t, q, qd)
-        while (joint := self._oldest()) and self._passed(joint.waiting[0][0]):
+        while joint := self._next():
             yield self._merge(joint)
 
     def drain(self) -> Iterator[Rest | None]:
         """The same with no more to come."""
-        while joint := self._oldest():
+        while joint := self._next(closing=True):
             yield self._merge(joint)
 
     def present(self, until: int = -1) -> Rest:
@@ -114,9 +114,12 @@ class Rests:
         self.end = min(one.run.last for one in self.joints)
         return ended
 
-    def _oldest(self) -> Joint | None:
-        waiting = (joint for joint in self.joints if joint.waiting)
-        return min(waiting, key=lambda joint: joint.waiting[0][0], default=None)
-
-    def _passed(self, t: int) -> bool:
-        return all(joint.waiting for joint in self.joints) or self.newest - t > self.horizon
+    def _next(self, closing: bool = False) -> Joint | None:
+        """The joint whose oldest reading is next, if nothing older may come."""
+        waiting = [joint for joint in self.joints if joint.waiting]
+        if not waiting:
+            return None
+        oldest = min(waiting, key=lambda joint: joint.waiting[0][0])
+        complete = closing or len(waiting) == len(self.joints)
+        passed = complete or self.newest - oldest.waiting[0][0] > self.horizon
+        return oldest if passed else None

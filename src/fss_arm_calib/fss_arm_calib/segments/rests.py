@@ -123,7 +123,8 @@ class RestFinder(Finder[Rest, Observation]):
     def _observe_present(self, closing: bool) -> Observation | None:
         """The observation of the present rest, if it is long enough by now, or nothing follows."""
         begin = self.rests.begin + self.settle_time
-        if self._observed and self._aligned == begin:
+        early = self.rests.end - begin < self.min_duration and not closing
+        if early or (self._observed and self._aligned == begin):
             return None
         self._align(begin, self.rests.end)
         # Whether it may hold an interval of full length is told without arrays.
