@@ -27,7 +27,7 @@ from fss_arm_calib.segments.rests import TIP, Observation
 from fss_arm_model.description import from_yaml, load, paper_arm, save
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_msgs.msg import KinematicCalibration, KinematicObservations, LinkTelemetry
-from fss_arm_ros.convert import to_time
+from fss_arm_ros.convert import SECOND, to_time
 from fss_arm_ros.diagnostics import ERROR, OK, WARN
 from fss_arm_ros.qos import LATCHED, SENSOR, sensor
 
@@ -322,6 +322,27 @@ def test_a_gap_makes_the_verdict_not_evaluated_until_the_posture_is_repeated(spi
     assert lacking.gaps == 1
     play(bed, node, [s for s in gap if s.t >= at(36.0)])
     spin([bed, node], lambda: bed.observed() == 8 and bed.results[-1].verdict == "pass")
+
+
+def test_a_stamp_of_another_year_and_an_endless_name_stop_nothing(spin, play, samples):
+    """The stamp is rejected, first or not, also after all was forgotten; the name is no joint's."""
+    bed, node = Bed(), make_node()
+    spin([bed, node], bed.ready)
+    year_2038 = message(Sample(2**31 * SECOND - 1, 2, 0.3))[1]
+    bed.outputs["joint_states"].publish(year_2038)
+    play(bed, node, [s for s in samples if s.t < at(9.0)])
+    bed.outputs["joint_states"].publish(year_2038)
+    play(bed, node, [s for s in samples if s.t >= at(9.0)])
+    assert ask_to_solve(spin, bed, node).success
+    assert node.finder.streams().refused == {"joint_2 astray in time": 2}
+    bed.outputs["joint_states"].publish(year_2038)
+    answer = bed.forgetter.call_async(Trigger.Request())
+    spin([bed, node], lambda: answer.done() and bed.observed() == 0)
+    play(bed, node, samples)
+    assert ask_to_solve(spin, bed, node).success
+    year_2038.name = ["joint_" + 5000 * "1"]
+    bed.outputs["joint_states"].publish(year_2038)
+    spin([bed, node], lambda: node.health().message == "the arm has no joint_111111111")
 
 
 def test_occluded_poses_are_counted_and_harmless(spin, play, samples):
