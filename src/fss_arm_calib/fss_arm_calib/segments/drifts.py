@@ -4,6 +4,8 @@ A rest of at least `shortest`, less the time to settle, is a drift; a longer one
 taken as several.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from fss_arm_calib.drift.problem import Drift
@@ -16,7 +18,14 @@ from fss_arm_calib.segments.samples import SECOND
 FEWEST = 10  # averaged poses of a drift
 
 
-class DriftFinder(Finder[tuple[int, int], Drift]):
+class Interval(NamedTuple):
+    """A rest, or a part of a long one [ns]."""
+
+    begin: int
+    end: int
+
+
+class DriftFinder(Finder[Interval, Drift]):
     """Fed samples of n joints and the base, gives the drifts that they complete."""
 
     settings: DriftSettings
@@ -25,18 +34,17 @@ class DriftFinder(Finder[tuple[int, int], Drift]):
         super().__init__(n, settings or DriftSettings())
         self._since = -1  # what was before has been taken [ns]
 
-    # The old interface, until its callers are adapted.
-    def pose(self, t, pose):  # type: ignore
+    def pose(self, t, pose):  # type: ignore  # noqa: D102
         return super().pose("fss", t, pose)
 
-    def poses(self, t, poses):  # type: ignore
+    def poses(self, t, poses):  # type: ignore  # noqa: D102
         return super().poses("fss", t, poses)
 
     @property
-    def resting(self) -> tuple[int, int]:
-        """Begin and end of the arm's present rest, as far as all joints tell [ns]."""
+    def resting(self) -> Interval:
+        """The arm's present rest, as far as all joints tell."""
         begin = max(self._since, self.rests.begin)
-        return begin, max(begin, self.rests.end)
+        return Interval(begin, max(begin, self.rests.end))
 
     def _merged(self, ended: Rest | None) -> None:
         begin, end = self.resting
@@ -49,19 +57,16 @@ class DriftFinder(Finder[tuple[int, int], Drift]):
         """A rest is over, or long enough to count as one."""
         self._since = max(self._since, end)
         if end - begin >= self.min_duration:
-            self._pending.append((begin, end))
+            self._pending.append(Interval(begin, end))
 
     def _collect(self, closing: bool = False) -> list[Drift]:
         if closing:
             self._propose(*self.resting)
         return super()._collect(closing)
 
-    def _end(self, candidate: tuple[int, int]) -> int:
-        return candidate[1]
-
-    def _segment(self, candidate: tuple[int, int], closing: bool) -> Drift | None:
+    def _segment(self, candidate: Interval, closing: bool) -> Drift | None:
         """The drift of a rest; None if nobody knows how some joint stood, or saw the base."""
-        begin, end = candidate[0] + self.settle_time, candidate[1]
+        begin, end = candidate.begin + self.settle_time, candidate.end
         readings = [joint.within(begin, end)[1] for joint in self.joints]
         if not all(map(len, readings)):
             return None
@@ -78,4 +83,4 @@ class DriftFinder(Finder[tuple[int, int], Drift]):
         return Drift(start, end, q, tuple(at - times[0] for at in times), means, frames, seconds)
 
     def _needed_since(self) -> int:
-        return self._pending[0][0] if self._pending else self.resting[0]
+        return self._pending[0].begin if self._pending else self.resting.begin

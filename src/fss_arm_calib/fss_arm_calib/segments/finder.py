@@ -9,7 +9,7 @@ half of it, if they fall silent.
 
 from abc import ABC, abstractmethod
 from math import inf, nan
-from typing import ClassVar, Generic, TypeVar
+from typing import ClassVar, Generic, Protocol, TypeVar
 
 from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.kinematic.settings import RestSettings
@@ -22,9 +22,18 @@ from fss_arm_calib.segments.streams import Streams
 from fss_arm_calib.segments.telemetry import Link
 
 PATIENCE = 0.5  # of the horizon, for streams that need not be there
-CLEANING = 1000  # samples between two looks at what may be forgotten
+CLEANING = 1000  # samples from one forgetting to the next
 
-C = TypeVar("C")  # a candidate
+
+class Candidate(Protocol):
+    """What may be a segment."""
+
+    @property
+    def end(self) -> int:
+        """Up to when all must be heard before it is decided [ns]."""
+
+
+C = TypeVar("C", bound=Candidate)
 S = TypeVar("S")  # a segment
 
 
@@ -125,10 +134,6 @@ class Finder(ABC, Generic[C, S]):
         """Another reading was merged; it may have ended a rest, however short."""
 
     @abstractmethod
-    def _end(self, candidate: C) -> int:
-        """Up to when all must be heard before a candidate is decided [ns]."""
-
-    @abstractmethod
     def _segment(self, candidate: C, closing: bool) -> S | None:
         """What a candidate is; None: nothing."""
 
@@ -152,8 +157,7 @@ class Finder(ABC, Generic[C, S]):
 
     def _decided(self, candidate: C) -> bool:
         """Whether all has been heard of a candidate, or is waited for no longer."""
-        end = self._end(candidate)
-        return end <= self._heard or end < self._newest - self.horizon
+        return candidate.end <= self._heard or candidate.end < self._newest - self.horizon
 
     @property
     def _newest(self) -> int:

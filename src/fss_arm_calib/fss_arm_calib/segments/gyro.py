@@ -1,10 +1,11 @@
-"""The base's turn rates by stamp, and what it turned by."""
+"""The base's turn rates by stamp, and what it turned by where no camera saw it."""
 
 from array import array
 
 import numpy as np
 
 from fss_arm_calib.estimation.least_squares import Floats
+from fss_arm_calib.kinematic.problem import wrap
 from fss_arm_calib.segments.samples import LARGEST, OUT_OF_RANGE, SECOND, Stamps, Stream
 
 
@@ -45,7 +46,24 @@ class Gyro(Stream):
         steps = 0.5 * (rate[1:] + rate[:-1]) * np.diff(t) / SECOND
         return t, np.concatenate([[0.0], np.cumsum(steps)])
 
-    def turn(self, begin: int, end: int, gap: int) -> float | None:
-        """Angle turned in an interval [rad]; None if there is a longer gap [ns] in the rates."""
-        found = self.angles(begin, end, gap)
-        return None if found is None else float(np.diff(np.interp([begin, end], *found))[0])
+    def unwrap(self, t: Stamps, heading: Floats, step: int, gap: int) -> Floats | tuple[int, int]:
+        """Headings (k,) that count turns, the rates telling those between poses far apart.
+
+        Args:
+            t: (k,) their stamps [ns].
+            heading: (k,) as seen [rad].
+            step: the base turns by less than half a turn meanwhile [ns].
+            gap: longest in the rates [ns].
+
+        Returns:
+            (k,) headings; or an interval in which the base may have turned unseen.
+        """
+        bridge = np.zeros(len(t))
+        for k in np.flatnonzero(np.diff(t) > step):
+            unseen = int(t[k]), int(t[k + 1])
+            found = self.angles(*unseen, gap)
+            if found is None:
+                return unseen
+            bridge[k + 1] = np.diff(np.interp(unseen, *found))[0]
+        steps = np.diff(heading, prepend=heading[:1])
+        return np.asarray(heading[:1] + np.cumsum(bridge + wrap(steps - bridge)))

@@ -1,9 +1,9 @@
 """Maneuvers out of streams: the arm rests, moves and rests again, and the base has reacted.
 
-A pause shorter than it takes to settle and to look twice is part of the motion. The second half of
-a rest, up to `longest`, is the window before the next maneuver, the first half that after the last
-one: no pose counts twice. In a window the base may drift, so its poses are averaged over short
-bins, each a mark of the path.
+A pause too short to settle and for two windows is part of the motion. The second half of a rest,
+up to `longest`, is the window before the next maneuver, the first half that after the last one: no
+pose counts twice. In a window the base may drift, so its poses are averaged over short bins, each a
+mark of the path.
 
 A joint that moves while its link tells that it is not armed is moved by hand: then the base is
 held, and what it does tells nothing of the arm.
@@ -20,13 +20,11 @@ import numpy as np
 
 from fss_arm_calib.dynamic.settings import ManeuverSettings
 from fss_arm_calib.estimation.least_squares import Floats
-from fss_arm_calib.kinematic.problem import wrap
 from fss_arm_calib.segments.alignment import offset_of_move
 from fss_arm_calib.segments.finder import Finder
-from fss_arm_calib.segments.gyro import Gyro
 from fss_arm_calib.segments.joints import Joint, Rest
 from fss_arm_calib.segments.poses import BASE, FROZEN, bins, mean_pose, seen_from
-from fss_arm_calib.segments.samples import SECOND, Gap, Stamps
+from fss_arm_calib.segments.samples import SECOND, Gap
 from fss_arm_model.base_motion import Path, path, sampled
 
 
@@ -60,14 +58,26 @@ class Maneuver:
 
 
 class Window(NamedTuple):
-    """Where the base is looked at in a rest [ns]."""
+    """Where the base is averaged in a rest [ns]."""
 
     begin: int
     end: int
     moved: int  # a moment before, at which some joint was moving; -1: none is known
 
 
-class ManeuverFinder(Finder[tuple[Window, Window], Maneuver]):
+class Motion(NamedTuple):
+    """The windows before and after."""
+
+    before: Window
+    after: Window
+
+    @property
+    def end(self) -> int:
+        """Of the window after [ns]."""
+        return self.after.end
+
+
+class ManeuverFinder(Finder[Motion, Maneuver]):
     """Fed samples of n joints, the base and its gyro, gives the maneuvers that they complete.
 
     The gyro may be absent: it is needed only where the base was not seen for long. So may the end
@@ -82,17 +92,16 @@ class ManeuverFinder(Finder[tuple[Window, Window], Maneuver]):
         self._lag(s.time_offset)
         self._before: Rest | None = None  # the rest that the next maneuver begins with
 
-    # The old interface, until its callers are adapted.
-    def pose(self, t, pose):  # type: ignore
-        return super().pose(BASE, t, pose)
+    def pose(self, t, pose):  # type: ignore  # noqa: D102
+        return super().pose("fss", t, pose)
 
-    def poses(self, t, poses):  # type: ignore
-        return super().poses(BASE, t, poses)
+    def poses(self, t, poses):  # type: ignore  # noqa: D102
+        return super().poses("fss", t, poses)
 
-    def tip_pose(self, t, pose):  # type: ignore
+    def tip_pose(self, t, pose):  # type: ignore  # noqa: D102
         return super().pose("end_effector", t, pose)
 
-    def tip_poses(self, t, poses):  # type: ignore
+    def tip_poses(self, t, poses):  # type: ignore  # noqa: D102
         return super().poses("end_effector", t, poses)
 
     def _merged(self, ended: Rest | None) -> None:
@@ -112,7 +121,7 @@ class ManeuverFinder(Finder[tuple[Window, Window], Maneuver]):
         settled = rest.begin + self.settle_time
         departure = Window(before.end - self._window(before), before.end, before.moved)
         arrival = Window(settled, settled + self._window(rest), rest.moved)
-        self._pending.append((departure, arrival))
+        self._pending.append(Motion(departure, arrival))
         return True
 
     def _collect(self, closing: bool = False) -> list[Maneuver]:
@@ -124,12 +133,9 @@ class ManeuverFinder(Finder[tuple[Window, Window], Maneuver]):
             self._before = None  # the window after a maneuver is known before a long rest is over
         return super()._collect(closing)
 
-    def _end(self, candidate: tuple[Window, Window]) -> int:
-        return candidate[1].end
-
-    def _segment(self, candidate: tuple[Window, Window], closing: bool) -> Maneuver | None:
+    def _segment(self, candidate: Motion, closing: bool) -> Maneuver | None:
         """What happened between two rests; None if no joint moved far enough to be called so."""
-        start, end = candidate[0].begin, candidate[1].end
+        start, end = candidate.before.begin, candidate.end
         if end - start > self.horizon:  # its begin is forgotten
             lasts, most = (end - start) / SECOND, self.settings.horizon
             nothing = ((),) * len(self.joints)
@@ -147,16 +153,16 @@ class ManeuverFinder(Finder[tuple[Window, Window], Maneuver]):
         gaps += self._frozen(candidate)
         if reason := str(gaps[0]) if gaps else self._rejected(maneuver):
             return replace(maneuver, used=False, reason=reason)
-        tip = seen_from(self.base, self.tip, start, candidate[0].end)[1]
+        tip = seen_from(self.base, self.tip, start, candidate.before.end)[1]
         if len(tip) > 1:
             maneuver = replace(maneuver, tip=tuple(mean_pose(tip).tolist()))
         maneuver = replace(self._averaged(maneuver, candidate), time_offset=self.base.lag / SECOND)
         self._align(start, end)
         return maneuver
 
-    def _joint_gaps(self, joint: Joint, windows: tuple[Window, Window]) -> list[Gap]:
+    def _joint_gaps(self, joint: Joint, motion: Motion) -> list[Gap]:
         """Silences of a joint that tell nothing of where it went meanwhile."""
-        start, end = windows[0].begin, windows[1].end
+        start, end = motion.before.begin, motion.end
         t, q, _ = joint.within(start, end)
         if not len(q):
             return [Gap(start, end, joint.name)]
@@ -165,13 +171,13 @@ class ManeuverFinder(Finder[tuple[Window, Window], Maneuver]):
         late = np.flatnonzero((np.diff(t) > self.joint_gap) & moved)
         gaps = [Gap(int(t[k]), int(t[k + 1]), joint.name) for k in late]
         # A joint that rests may be silent for `joint_gap`, which may be longer than a window.
-        empty = [w for w in windows if not len(joint.within(w.begin, w.end)[0])]
+        empty = [w for w in motion if not len(joint.within(w.begin, w.end)[0])]
         return gaps + [Gap(w.begin, w.end, joint.name) for w in empty]
 
-    def _frozen(self, windows: tuple[Window, Window]) -> list[Gap]:
+    def _frozen(self, motion: Motion) -> list[Gap]:
         """Windows with poses that the base has had since before the arm came to rest."""
         gaps = []
-        for window in windows:
+        for window in motion:
             if number := self.base.frozen(*window):
                 self.base.rejected[FROZEN] += number
                 gaps.append(Gap(window.begin, window.end, BASE, FROZEN))
@@ -189,15 +195,15 @@ class ManeuverFinder(Finder[tuple[Window, Window], Maneuver]):
                 return f"{joint.name} moved while disarmed"
         return ""
 
-    def _averaged(self, maneuver: Maneuver, windows: tuple[Window, Window]) -> Maneuver:
+    def _averaged(self, maneuver: Maneuver, motion: Motion) -> Maneuver:
         """The maneuver with the base's poses, averaged over bins."""
         t, poses = self.base.within(maneuver.start, maneuver.end)
         step = round(pi / self.settings.max_base_turn * SECOND)
-        heading = unwrapped(t, poses[:, 2], step, self.gyro, self.vicon_gap)
-        if isinstance(heading, Gap):
-            return replace(maneuver, used=False, reason=f"{heading}, and no gyro")
+        heading = self.gyro.unwrap(t, poses[:, 2], step, self.vicon_gap)
+        if isinstance(heading, tuple):
+            return replace(maneuver, used=False, reason=f"{Gap(*heading, BASE)}, and no gyro")
         poses[:, 2], rows = heading, []
-        for begin, end, _ in windows:
+        for begin, end, _ in motion:
             seen = list(bins(t, poses, begin, end, self.settings.bin, maneuver.start))
             if not seen:
                 return replace(maneuver, used=False, reason=str(Gap(begin, end, BASE)))
@@ -220,7 +226,7 @@ class ManeuverFinder(Finder[tuple[Window, Window], Maneuver]):
             self._learn(replace(found, value=found.value + self.base.lag / SECOND))
 
     def _needed_since(self) -> int:
-        rest = self._pending[0][0] if self._pending else self._before or self.rests
+        rest = self._pending[0].before if self._pending else self._before or self.rests
         return rest.end - 2 * self.max_duration - SECOND
 
 
@@ -241,19 +247,3 @@ def joint_path(
     times = (np.concatenate([[before.end], t, [after.begin]]) - before.begin) / SECOND
     q, qd = np.concatenate([[first], q, [last]]), np.concatenate([[0.0], qd, [0.0]])
     return times, q, np.where(np.isfinite(qd), qd, np.gradient(q, times))
-
-
-def unwrapped(t: Stamps, heading: Floats, step: int, gyro: Gyro, gap: int) -> Floats | Gap:
-    """Headings that count turns, the gyro telling those between poses farther apart than `step`.
-
-    Or where the base may have turned by half a turn or more, unseen: what the gyro misses for
-    longer than `gap` [ns].
-    """
-    bridge = np.zeros(len(t))
-    for k in np.flatnonzero(np.diff(t) > step):
-        turned = gyro.turn(int(t[k]), int(t[k + 1]), gap)
-        if turned is None:
-            return Gap(int(t[k]), int(t[k + 1]), BASE)
-        bridge[k + 1] = turned
-    steps = np.diff(heading, prepend=heading[:1])
-    return np.asarray(heading[:1] + np.cumsum(bridge + wrap(steps - bridge)))

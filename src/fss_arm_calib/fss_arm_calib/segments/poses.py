@@ -11,6 +11,7 @@ from math import hypot, isfinite
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.kinematic.problem import wrap
@@ -36,9 +37,8 @@ OCCLUDED, JUMP, FROZEN = "occluded", "jump", "frozen"
 class Poses(Stream):
     """The poses of a subject.
 
-    It is asked in time as the joints' stamps tell it, `lag` more than motion capture's. Where it is
-    told of a moment at which the subject was moving, `moved`, poses that it has had since before
-    then are frozen.
+    It is asked in the joints' time, `lag` more than motion capture's. Poses that it has had since
+    before `moved`, a moment at which the subject was moving, are frozen.
 
     Args:
         name: of the subject.
@@ -163,6 +163,14 @@ def mean_pose(poses: Floats) -> Floats:
     """Of poses (k, 3) that differ by noise; headings are averaged on the circle."""
     heading = np.angle(np.mean(np.exp(1j * poses[:, 2])))
     return np.array([*poses[:, :2].mean(axis=0), heading])
+
+
+def near_most(seen: Floats) -> npt.NDArray[np.bool_]:
+    """Which poses (k, 3) are near most others: at rest the end effector stays where it is."""
+    x, y = (seen[:, :2] - np.median(seen[:, :2], axis=0)).T
+    mean = np.angle(np.median(np.cos(seen[:, 2])) + 1j * np.median(np.sin(seen[:, 2])))
+    away = np.abs(wrap(seen[:, 2] - mean))
+    return np.asarray((np.hypot(x, y) <= POSITION_NOISE) & (away <= HEADING_NOISE))
 
 
 class Bin(NamedTuple):

@@ -8,13 +8,10 @@ observation for each rest, whoever moved the arm.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from math import nan
 
 import numpy as np
-import numpy.typing as npt
 
-from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.kinematic.problem import wrap
 from fss_arm_calib.kinematic.settings import RestSettings
 from fss_arm_calib.segments.alignment import LONGEST_MOVE, last_move, offset_of_move
@@ -23,14 +20,13 @@ from fss_arm_calib.segments.joints import Rest
 from fss_arm_calib.segments.poses import (
     BASE,
     FROZEN,
-    HEADING_NOISE,
     JUMP,
-    POSITION_NOISE,
     TIP,
     mean_pose,
+    near_most,
     seen_from,
 )
-from fss_arm_calib.segments.samples import SECOND, Gap
+from fss_arm_calib.segments.samples import SECOND, Gap, between
 from fss_arm_calib.segments.telemetry import homed, since_homed
 
 __all__ = ["BASE", "TIP", "Observation", "RestFinder", "homed", "since_homed", "spoiled"]
@@ -87,14 +83,12 @@ class RestFinder(Finder[Rest, Observation]):
         s = settings or RestSettings()
         super().__init__(n, s, search=s.settle + s.shortest)
         self._observed = False  # the present rest is done with
-        self._whole_since = 0  # the present rest had a gap until then, as far as was looked
+        self._whole_since = 0  # the present rest had a gap until then, as far as known
         self._aligned = 0  # begin of the last rest that the clocks were aligned for
         self._resting_at = resting_at
 
-    def reference(self, i: int, t: int, boot: int, homings: int) -> None:
-        """What link i tells of its start and of how often its drive was referenced; 0: nothing."""
-        if homings:
-            self.telemetry(i, t, True, boot, homings)
+    def reference(self, i, t, boot, homings):  # type: ignore  # noqa: D102
+        return self.telemetry(i, t, True, boot, homings)
 
     def _merged(self, ended: Rest | None) -> None:
         if ended:
@@ -127,7 +121,7 @@ class RestFinder(Finder[Rest, Observation]):
         if early or (self._observed and self._aligned == begin):
             return None
         self._align(begin, self.rests.end)
-        # Whether it may hold an interval of full length is told without arrays.
+        # Without arrays: it may hold an interval of full length.
         until = min(self._heard, self.rests.end)
         if not closing and until - max(begin, self._whole_since) < self.max_duration:
             return None
@@ -136,9 +130,6 @@ class RestFinder(Finder[Rest, Observation]):
         if not settled:
             return None
         return self._observe(settled if closing else settled._replace(end=until), over=closing)
-
-    def _end(self, candidate: Rest) -> int:
-        return candidate.end
 
     def _decided(self, candidate: Rest) -> bool:
         if not super()._decided(candidate):
@@ -246,20 +237,3 @@ class RestFinder(Finder[Rest, Observation]):
             since = min(since, self.rests.begin)
         # A rest's clocks are aligned by the move before it.
         return since - round((LONGEST_MOVE + 2.0 * self.alignment.search) * SECOND)
-
-
-def between(begin: int, end: int, gaps: Sequence[Gap]) -> list[tuple[int, int]]:
-    """What gaps leave of an interval."""
-    edges = [begin]
-    for gap in sorted(gaps):
-        edges += [max(edges[-1], gap.start), max(edges[-1], gap.end)]
-    edges.append(max(edges[-1], end))
-    return [(a, b) for a, b in list(pairwise(edges))[::2] if b > a]
-
-
-def near_most(seen: Floats) -> npt.NDArray[np.bool_]:
-    """Which poses (k, 3) are near most others: at rest the end effector stays where it is."""
-    x, y = (seen[:, :2] - np.median(seen[:, :2], axis=0)).T
-    mean = np.angle(np.median(np.cos(seen[:, 2])) + 1j * np.median(np.sin(seen[:, 2])))
-    away = np.abs(wrap(seen[:, 2] - mean))
-    return np.asarray((np.hypot(x, y) <= POSITION_NOISE) & (away <= HEADING_NOISE))

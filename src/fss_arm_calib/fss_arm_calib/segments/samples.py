@@ -4,6 +4,7 @@ from array import array
 from bisect import bisect_left, bisect_right
 from collections import Counter
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,6 +13,7 @@ import numpy.typing as npt
 Stamps = npt.NDArray[np.int64]
 
 SECOND = 1_000_000_000  # [ns]
+CONFIRMED = SECOND  # how long samples must go on from a doubted one [ns]
 LARGEST = 1e3  # nothing on a test bed reads more [rad, rad/s, m]
 
 NOT_FINITE, OUT_OF_RANGE = "not finite", "out of range"
@@ -33,9 +35,9 @@ class Gap(NamedTuple):
 class Stream:
     """Samples in order of their stamps [ns].
 
-    A stamp farther than `horizon` [ns] from the stream's last one, the very first too, counts once
-    the next sample goes on from it: a clock that was set, or the end of a long gap. Else it is
-    astray, and rejected by itself.
+    A stamp farther than `horizon` [ns] from the stream's last one, the very first too, is doubted
+    until the samples after it have gone on from it for CONFIRMED: then a clock was set, or a long
+    gap has ended. Else they are astray, and rejected by themselves.
     """
 
     def __init__(self, name: str, horizon: int) -> None:
@@ -46,29 +48,35 @@ class Stream:
         self.set_back = 0  # longest step back of the stamps [ns]
         self.t = array("q")
         self.columns: list[tuple[array[Any], int]] = [(self.t, 1)]  # and how many for each stamp
-        self.doubted: tuple[int, Any] | None = None  # far from the last one: may be astray
+        self.doubted: list[tuple[int, Any]] = []
 
     def admit(self, t: int, value: Any) -> Sequence[tuple[int, Any]]:
-        """What is to be taken now: this sample, perhaps one doubted till now before it, or none."""
-        step, known = t - self.newest, self.newest >= 0
-        doubted = self.doubted
-        if doubted and t == doubted[0]:
-            self.rejected[REPEATED] += 1
-            return ()
-        self.doubted = None
-        goes_on = doubted is not None and 0 < t - doubted[0] <= self.horizon
-        if doubted and goes_on and step > 0:
-            return doubted, (t, value)
-        if doubted and goes_on:
-            self._late(doubted[0])
-        elif doubted:
-            self.rejected[ASTRAY] += 1
-        if known and 0 < step <= self.horizon:
+        """What is to be taken now: this sample, perhaps with those doubted till now, or none."""
+        if self.doubted:
+            since = t - self.doubted[-1][0]
+            if since == 0:
+                self.rejected[REPEATED] += 1
+                return ()
+            if 0 < since <= self.horizon:
+                self.doubted.append((t, value))
+                return self._confirmed() if t - self.doubted[0][0] >= CONFIRMED else ()
+            self.rejected[ASTRAY] += len(self.doubted)
+            self.doubted.clear()
+        step = t - self.newest
+        if self.newest < 0 or abs(step) > self.horizon:
+            self.doubted.append((t, value))
+        elif step > 0:
             return ((t, value),)
-        if known and -self.horizon <= step <= 0:
-            self._late(t)
         else:
-            self.doubted = (t, value)
+            self._late(t)
+        return ()
+
+    def _confirmed(self) -> Sequence[tuple[int, Any]]:
+        samples, self.doubted = self.doubted, []
+        if samples[0][0] > self.newest:
+            return samples
+        for t, _ in samples:
+            self._late(t)
         return ()
 
     def _late(self, t: int) -> None:
@@ -115,3 +123,12 @@ def silences(t: Stamps, begin: int, end: int, longest: int) -> list[tuple[int, i
     after = [end] if not len(t) or t[-1] < end else []
     t = np.concatenate([before, t, after]).astype(np.int64)
     return [(int(t[k]), int(t[k + 1])) for k in np.flatnonzero(np.diff(t) > longest)]
+
+
+def between(begin: int, end: int, gaps: Sequence[Gap]) -> list[tuple[int, int]]:
+    """What gaps leave of an interval."""
+    edges = [begin]
+    for gap in sorted(gaps):
+        edges += [max(edges[-1], gap.start), max(edges[-1], gap.end)]
+    edges.append(max(edges[-1], end))
+    return [(a, b) for a, b in list(pairwise(edges))[::2] if b > a]

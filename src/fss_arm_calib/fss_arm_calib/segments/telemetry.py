@@ -40,7 +40,7 @@ class Link(Stream):
         known = [state for state in self.states if state.reference[1]]
         if known:
             return known[max(bisect_right(known, t, key=itemgetter(0)) - 1, 0)].reference
-        once = self.doubted[1][1] if self.doubted else UNKNOWN
+        once = self.doubted[0][1][1] if self.doubted else UNKNOWN
         return once if once[1] else UNKNOWN
 
     def disarmed(self, begin: int, end: int) -> list[tuple[int, int]]:
