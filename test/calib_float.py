@@ -9,7 +9,6 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Imu, JointState
 
 from fss_arm_bags.recording import Recording
-from fss_arm_calib.segments.finder import Finder
 from fss_arm_calib.segments.poses import BASE, TIP
 from fss_arm_model import base_motion
 from fss_arm_model.kinematics import tip_in_base
@@ -153,7 +152,7 @@ def feed(finder, samples, close=True):
     found = []
     for t, stream, value in samples:
         if stream in SUBJECTS:
-            found += Finder.pose(finder, SUBJECTS[stream], t, value)
+            found += finder.pose(SUBJECTS[stream], t, value)
         elif stream == "gyro":
             found += finder.rate(t, value)
         elif isinstance(stream, str):

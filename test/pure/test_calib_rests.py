@@ -78,12 +78,12 @@ def test_headings_across_the_cut_are_averaged_on_the_circle():
 
 def test_an_observation_knows_how_often_its_links_were_homed():
     finder = RestFinder(4)
-    finder.reference(2, at(0.5), 7, 0)  # not told yet
-    finder.reference(2, at(1.0), 7, 1)
-    finder.reference(2, at(5.0), 7, 2)
-    finder.reference(2, at(4.0), 7, 3)  # late: the newer one stands
-    finder.reference(2, at(11.0), 8, 1)
-    finder.reference(5, at(0.0), 7, 1)  # another arm's
+    finder.telemetry(2, at(0.5), True, 7, 0)  # not told yet
+    finder.telemetry(2, at(1.0), True, 7, 1)
+    finder.telemetry(2, at(5.0), True, 7, 2)
+    finder.telemetry(2, at(4.0), True, 7, 3)  # late: the newer one stands
+    finder.telemetry(2, at(11.0), True, 8, 1)
+    finder.telemetry(5, at(0.0), True, 7, 1)  # another arm's
     found = find(Rig().samples(), finder=finder)
     assert [o.boots for o in found] == [(0, 7, 0, 0), (0, 7, 0, 0), (0, 8, 0, 0)]
     assert [o.homings for o in found] == [(0, 1, 0, 0), (0, 2, 0, 0), (0, 1, 0, 0)]

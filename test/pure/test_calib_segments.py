@@ -10,7 +10,6 @@ from fss_arm_calib.drift.settings import DriftSettings
 from fss_arm_calib.dynamic.settings import ManeuverSettings
 from fss_arm_calib.kinematic.settings import RestSettings
 from fss_arm_calib.segments.drifts import DriftFinder
-from fss_arm_calib.segments.finder import Finder
 from fss_arm_calib.segments.maneuvers import ManeuverFinder
 from fss_arm_calib.segments.rests import RestFinder
 
@@ -124,7 +123,7 @@ def test_poses_and_rates_may_come_in_bursts(make, samples, burst):
             if name == "gyro":
                 found += together.rates(t, np.array(values, dtype=float))
             else:
-                found += Finder.poses(together, SUBJECTS[name], t, np.array(values))
+                found += together.poses(SUBJECTS[name], t, np.array(values))
     assert found + together.close() == feed(one_by_one, worse)
     assert together.streams() == one_by_one.streams()
 

@@ -14,6 +14,7 @@ from fss_arm_calib.drift.problem import Drift
 from fss_arm_calib.drift.settings import DriftSettings
 from fss_arm_calib.messages import feed_joints, float_message, seen_pose
 from fss_arm_calib.segments.drifts import DriftFinder
+from fss_arm_calib.segments.poses import BASE
 from fss_arm_calib.state import Writes, write_text
 from fss_arm_model.description import described
 from fss_arm_model.settings import setting
@@ -60,7 +61,7 @@ class FloatNode(Node):
 
     def on_pose(self, message: PoseStamped) -> None:
         """A pose of the base."""
-        self.take(self.finder.pose(*seen_pose(message)))
+        self.take(self.finder.pose(BASE, *seen_pose(message)))
 
     def on_solve(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Close the present drift and solve; succeeds if the result passes."""

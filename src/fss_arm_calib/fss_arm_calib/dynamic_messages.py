@@ -10,6 +10,7 @@ import numpy as np
 from fss_arm_calib.dynamic.checks import DynamicCalibration
 from fss_arm_calib.messages import plain, provenance_message, seen_pose, stage_message
 from fss_arm_calib.segments.maneuvers import Maneuver, ManeuverFinder
+from fss_arm_calib.segments.poses import BASE, TIP
 from fss_arm_msgs import msg
 from fss_arm_ros.convert import joint_readings, stamp_ns, to_time
 
@@ -26,23 +27,17 @@ def feed_joints(finder: ManeuverFinder, message: Any) -> list[Maneuver]:
 
 def feed_pose(finder: ManeuverFinder, message: Any) -> list[Maneuver]:
     """Give a geometry_msgs/PoseStamped of the base to the finder."""
-    return finder.pose(*seen_pose(message))
+    return finder.pose(BASE, *seen_pose(message))
 
 
 def feed_tip(finder: ManeuverFinder, message: Any) -> list[Maneuver]:
     """Give a geometry_msgs/PoseStamped of the end effector to the finder."""
-    return finder.tip_pose(*seen_pose(message))
+    return finder.pose(TIP, *seen_pose(message))
 
 
 def feed_gyro(finder: ManeuverFinder, message: Any) -> list[Maneuver]:
     """Give a sensor_msgs/Imu of the base to the finder."""
     return finder.rate(stamp_ns(message.header.stamp), float(message.angular_velocity.z))
-
-
-def feed_telemetry(finder: ManeuverFinder, message: Any) -> list[Maneuver]:
-    """Give a LinkTelemetry to the finder: whether its link is armed, and how often it was homed."""
-    t = stamp_ns(message.header.stamp)
-    return finder.telemetry(message.link, t, message.armed, message.boot, message.homings)
 
 
 def to_message(calibration: DynamicCalibration, frame_id: str) -> msg.DynamicCalibration:

@@ -19,11 +19,11 @@ from fss_arm_calib.dynamic_messages import (
     feed_gyro,
     feed_joints,
     feed_pose,
-    feed_telemetry,
     feed_tip,
     maneuvers_message,
     to_message,
 )
+from fss_arm_calib.messages import feed_telemetry
 from fss_arm_calib.report import write
 from fss_arm_calib.segments.maneuvers import Maneuver, ManeuverFinder
 from fss_arm_calib.segments.streams import newest

@@ -111,7 +111,7 @@ def solve_float_bag(
         for piece in pieces(bags.raw({joints, base}), round(PIECE * s.horizon * SECOND)):
             for data in piece.get(joints, ()):
                 found += feed_joints(finder, bags.deserialize(data, JOINTS))
-            found += finder.poses(*poses(piece.get(base, ())))
+            found += finder.poses(BASE, *poses(piece.get(base, ())))
         found = (found + finder.close())[-s.kept :]
         return drift_verdict.calibrate(found, arm, s, finder.streams(), source(bags))
 
@@ -148,7 +148,7 @@ def observations(
     span = round(PIECE * s.horizon * SECOND)
     for piece in pieces(bags.raw({joints, base, tip, *links}), span):
         for data in (data for link in links for data in piece.get(link, ())):
-            feed_telemetry(finder, bags.deserialize(data, TELEMETRY))
+            found += feed_telemetry(finder, bags.deserialize(data, TELEMETRY))
         for data in piece.get(joints, ()):
             found += feed_joints(finder, bags.deserialize(data, JOINTS))
         for subject, topic in ((BASE, base), (TIP, tip)):
@@ -173,12 +173,12 @@ def maneuvers(
     span = round(PIECE * s.horizon * SECOND)
     for piece in pieces(bags.raw({joints, base, gyro, tip, *links}), span):
         for data in (data for link in links for data in piece.get(link, ())):
-            found += dynamic_messages.feed_telemetry(finder, bags.deserialize(data, TELEMETRY))
+            found += feed_telemetry(finder, bags.deserialize(data, TELEMETRY))
         for data in piece.get(joints, ()):
             found += dynamic_messages.feed_joints(finder, bags.deserialize(data, JOINTS))
         found += finder.rates(*turn_rates(piece.get(gyro, ())))
-        found += finder.tip_poses(*poses(piece.get(tip, ())))
-        found += finder.poses(*poses(piece.get(base, ())))
+        found += finder.poses(TIP, *poses(piece.get(tip, ())))
+        found += finder.poses(BASE, *poses(piece.get(base, ())))
     return found + finder.close()
 
 

@@ -92,7 +92,7 @@ class KinematicNode(Node):
 
     def on_telemetry(self, message: LinkTelemetry) -> None:
         """What a link tells of its zero."""
-        feed_telemetry(self.finder, message)
+        self.take(feed_telemetry(self.finder, message))
 
     def on_solve(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Close the present rest and solve; succeeds if the calibration passes."""

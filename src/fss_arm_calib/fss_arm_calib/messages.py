@@ -29,10 +29,12 @@ def feed_joints(finder: Any, message: Any) -> list[Any]:
     return found
 
 
-def feed_telemetry(finder: RestFinder, message: Any) -> None:
-    """Give a LinkTelemetry to the finder: how often the link was homed, and started."""
+def feed_telemetry(finder: Any, message: Any) -> list[Any]:
+    """Give a LinkTelemetry to a finder: whether its link is armed, and how often it was homed."""
     t = stamp_ns(message.header.stamp)
-    finder.reference(int(message.link), t, int(message.boot), int(message.homings))
+    return finder.telemetry(
+        int(message.link), t, bool(message.armed), int(message.boot), int(message.homings)
+    )
 
 
 def feed_pose(finder: RestFinder, subject: str, message: Any) -> list[Observation]:

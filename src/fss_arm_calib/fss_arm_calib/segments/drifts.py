@@ -34,12 +34,6 @@ class DriftFinder(Finder[Interval, Drift]):
         super().__init__(n, settings or DriftSettings())
         self._since = -1  # what was before has been taken [ns]
 
-    def pose(self, t, pose):  # type: ignore  # noqa: D102
-        return super().pose("fss", t, pose)
-
-    def poses(self, t, poses):  # type: ignore  # noqa: D102
-        return super().poses("fss", t, poses)
-
     @property
     def resting(self) -> Interval:
         """The arm's present rest, as far as all joints tell."""

@@ -92,18 +92,6 @@ class ManeuverFinder(Finder[Motion, Maneuver]):
         self._lag(s.time_offset)
         self._before: Rest | None = None  # the rest that the next maneuver begins with
 
-    def pose(self, t, pose):  # type: ignore  # noqa: D102
-        return super().pose("fss", t, pose)
-
-    def poses(self, t, poses):  # type: ignore  # noqa: D102
-        return super().poses("fss", t, poses)
-
-    def tip_pose(self, t, pose):  # type: ignore  # noqa: D102
-        return super().pose("end_effector", t, pose)
-
-    def tip_poses(self, t, poses):  # type: ignore  # noqa: D102
-        return super().poses("end_effector", t, poses)
-
     def _merged(self, ended: Rest | None) -> None:
         if ended and self._window(ended) >= self.min_duration:
             self._propose(ended)

@@ -87,9 +87,6 @@ class RestFinder(Finder[Rest, Observation]):
         self._aligned = 0  # begin of the last rest that the clocks were aligned for
         self._resting_at = resting_at
 
-    def reference(self, i, t, boot, homings):  # type: ignore  # noqa: D102
-        return self.telemetry(i, t, True, boot, homings)
-
     def _merged(self, ended: Rest | None) -> None:
         if ended:
             if not self._done(ended) and (rest := self._settled(ended)):
