@@ -77,7 +77,7 @@ class Rehearsal:
                 pose = None if seen.occluded else seen.pose
                 self.observations += self.finder.pose(name, self.now, pose)
                 if name == BASE:
-                    self.maneuvers += self.maneuver_finder.pose(self.now, pose)
+                    self.maneuvers += self.maneuver_finder.pose(name, self.now, pose)
         if report.sight.rate is not None:
             self.maneuvers += self.maneuver_finder.rate(self.now, report.sight.rate)
         if self.bed.frame % COMMANDS == 0:

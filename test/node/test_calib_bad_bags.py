@@ -138,6 +138,22 @@ def test_numbers_that_are_none_are_refused(samples, tmp_path, stream):
     assert f"samples rejected: {sum(s.value is value for s in every)} {why}" in calibration.reason
 
 
+@pytest.mark.parametrize("place", [0, 2000])
+def test_a_stamp_of_another_year_is_rejected_by_itself(samples, tmp_path, place):
+    """One of each stream, the first or not: the result is the same."""
+    year_2038 = {s.stream: s._replace(t=2**31 * SECOND - 1) for s in samples[:500]}
+    bad = [*samples[:place], *year_2038.values(), *samples[place:]]
+    heard = {id(s): samples[place].t - s.t for s in year_2038.values()}
+    bag = record(tmp_path / "bad", bad, late=lambda s: heard.get(id(s), 0))
+    calibration = solve_bag(KINEMATIC, bag)
+    expected = solve_bag(KINEMATIC, record(tmp_path / "bag", samples))
+    assert calibration.verdict == PASS
+    assert calibration.values.tolist() == expected.values.tolist()
+    refused = calibration.streams.refused
+    assert len(refused) == 6
+    assert {why.split(" ", 1)[1] for why in refused} == {"astray in time"}
+
+
 @pytest.mark.parametrize("streams", [{2}, {BASE, TIP}])
 def test_a_clock_that_runs_back_is_named(samples, tmp_path, streams):
     """By 12 s, at 25 s: what comes after may hide a rest."""

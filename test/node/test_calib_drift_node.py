@@ -35,27 +35,20 @@ def bag(samples, tmp_path_factory):
     return record(tmp_path_factory.mktemp("float") / "bag", samples)
 
 
-class Finder(DriftFinder):
-    """Takes the rates that `feed` gives, too."""
-
-    def joint(self, i, t, q, _qd):
-        return super().joint(i, t, q)
-
-
 def test_each_rest_is_a_drift_and_long_ones_are_several(samples):
-    found = feed(Finder(ARM.n), samples)
+    found = feed(DriftFinder(ARM.n), samples)
     assert [d.times[-1] > 35.0 for d in found] == [True] * 3
-    shorter = feed(Finder(ARM.n, DriftSettings(max_duration=22.0, min_duration=10.0)), samples)
+    shorter = feed(DriftFinder(ARM.n, DriftSettings(max_duration=22.0, min_duration=10.0)), samples)
     assert len(shorter) == 6
     ends = [d.end for d in shorter]
     assert all(b.start >= a for a, b in zip(ends, shorter[1:], strict=False))
-    assert not feed(Finder(ARM.n, DriftSettings(min_duration=50.0)), samples)
+    assert not feed(DriftFinder(ARM.n, DriftSettings(min_duration=50.0)), samples)
 
 
 def test_order_of_arrival_does_not_matter(samples):
     late = [s for s in samples if s.stream == "base"], [s for s in samples if s.stream != "base"]
     patient = DriftSettings(horizon=200.0)
-    assert feed(Finder(ARM.n), samples) == feed(Finder(ARM.n, patient), late[1] + late[0])
+    assert feed(DriftFinder(ARM.n), samples) == feed(DriftFinder(ARM.n, patient), late[1] + late[0])
 
 
 def test_the_truth_comes_back(bag):
@@ -71,7 +64,7 @@ def test_the_truth_comes_back(bag):
 
 
 def test_a_pushed_drift_is_rejected_by_choice(samples):
-    drifts = feed(Finder(ARM.n), samples)
+    drifts = feed(DriftFinder(ARM.n), samples)
     pushed = push(drifts[1])
     found = calibrate([drifts[0], pushed, drifts[2]], ARM)
     assert found.verdict == "fail"
@@ -114,7 +107,7 @@ def test_its_file_sets_the_other_nodes(bag, tmp_path, spin, capsys):
 def test_a_frozen_base_does_not_drift(samples, begin):
     """In the first rest, or in the motion after it."""
     held = next(s.value for s in samples if s.stream == "base" and s.t >= at(begin))
-    finder = Finder(ARM.n, DriftSettings(max_duration=20.0))
+    finder = DriftFinder(ARM.n, DriftSettings(max_duration=20.0))
     frozen = [
         s._replace(value=held) if s.stream == "base" and s.t >= at(begin) else s for s in samples
     ]
@@ -127,8 +120,8 @@ def test_a_frozen_base_does_not_drift(samples, begin):
 
 def test_a_drift_without_readings_of_a_joint_is_none(samples):
     """Silent through the second of the pieces that the first rest makes."""
-    finder = Finder(ARM.n, DriftSettings(max_duration=12.0, min_duration=5.0))
-    pieces = feed(Finder(ARM.n, finder.settings), samples)
+    finder = DriftFinder(ARM.n, DriftSettings(max_duration=12.0, min_duration=5.0))
+    pieces = feed(DriftFinder(ARM.n, finder.settings), samples)
     silent = pieces[0].end + SECOND // 4, pieces[1].end
     found = feed(finder, [s for s in samples if s.stream != 2 or not silent[0] < s.t < silent[1]])
     assert [d.end for d in found[:2]] == [pieces[0].end, pieces[2].end]
@@ -136,17 +129,17 @@ def test_a_drift_without_readings_of_a_joint_is_none(samples):
 
 
 def test_a_lost_base_is_waited_for_no_longer_than_the_horizon(samples):
-    finder = Finder(ARM.n, DriftSettings(max_duration=12.0, min_duration=5.0, horizon=15.0))
+    finder = DriftFinder(ARM.n, DriftSettings(max_duration=12.0, min_duration=5.0, horizon=15.0))
     lost = [s for s in samples if s.stream != "base" or s.t < at(14.0)]
     found = feed(finder, lost, close=False)
     assert len(found) == 1
-    assert len(finder.joints[0].t) < 5 * (12.0 + 15.0 + 12.0)
+    assert len(finder.joints[0].t) < 5 * (2 * 15.0 + 12.0) + 1000 / 4
 
 
 def test_too_little_is_not_evaluated_and_a_push_fails(samples, bag, capsys):
     assert from_bag(["--drift", str(bag), "--least-time", "500"]) == 3
     assert "at least 500 s needed" in " ".join(capsys.readouterr().out.split())
-    drifts = feed(Finder(ARM.n), samples)
+    drifts = feed(DriftFinder(ARM.n), samples)
     pushed = calibrate([push(drifts[0]), *drifts[1:]], ARM)
     assert pushed.verdict == "fail"
     assert "something else moved the base" in pushed.reason

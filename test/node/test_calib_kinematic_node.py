@@ -5,7 +5,7 @@ from math import pi
 import numpy as np
 import pytest
 from calib_kinds import Bed, ask, make_node, play
-from calib_rig import ARM, TYPES, Rig, at, message, record
+from calib_rig import ARM, TYPES, Rig, Sample, at, message, record
 from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
 
@@ -19,7 +19,7 @@ from fss_arm_calib.kinematic.kind import KINEMATIC
 from fss_arm_calib.kinematic.problem import FULL, KinematicProblem, quantization_bound
 from fss_arm_calib.segments.rests import TIP
 from fss_arm_msgs.msg import LinkTelemetry
-from fss_arm_ros.convert import to_time
+from fss_arm_ros.convert import SECOND, to_time
 from fss_arm_ros.qos import SENSOR
 
 
@@ -123,6 +123,27 @@ def test_a_gap_makes_the_verdict_not_evaluated_until_the_posture_is_repeated(spi
     assert lacking.left_out == 1
     run(spin, bed, node, [s for s in gap if s.t >= at(36.0)])
     spin([bed, node], lambda: bed.found() == 8 and bed.results[-1].calibration.verdict == "pass")
+
+
+def test_a_stamp_of_another_year_and_an_endless_name_stop_nothing(spin, samples):
+    """The stamp is rejected, first or not, also after all was forgotten; the name is no joint's."""
+    bed, node = kinematic()
+    spin([bed, node], bed.ready)
+    year_2038 = message(Sample(2**31 * SECOND - 1, 2, 0.3))[1]
+    bed.outputs["joint_states"].publish(year_2038)
+    run(spin, bed, node, [s for s in samples if s.t < at(9.0)])
+    bed.outputs["joint_states"].publish(year_2038)
+    run(spin, bed, node, [s for s in samples if s.t >= at(9.0)])
+    assert ask(spin, bed, node, bed.solver).success
+    assert node.finder.streams().refused == {"joint_2 astray in time": 2}
+    bed.outputs["joint_states"].publish(year_2038)
+    ask(spin, bed, node, bed.forgetter)
+    spin([bed, node], lambda: bed.found() == 0)
+    run(spin, bed, node, samples)
+    assert ask(spin, bed, node, bed.solver).success
+    year_2038.name = ["joint_" + 5000 * "1"]
+    bed.outputs["joint_states"].publish(year_2038)
+    spin([bed, node], lambda: "joint_111111111" in node.health().message)
 
 
 def test_occluded_poses_are_counted_and_harmless(spin, samples):

@@ -18,6 +18,7 @@ from fss_arm_calib.messages import common
 from fss_arm_calib.recompute import again, recompute
 from fss_arm_calib.recompute import main as recompute_command
 from fss_arm_calib.state import StateError
+from fss_arm_ros.convert import SECOND
 from fss_arm_ros.diagnostics import ERROR, OK, WARN
 from fss_arm_ros.qos import LATCHED
 
@@ -195,9 +196,9 @@ def test_a_clock_that_ran_back_is_remembered_across_restarts(kept, made, tmp_pat
     state, output = tmp_path / "state.json", tmp_path / "output.yaml"
     files = {"state_file": str(state), "output": str(output)}
     first = kept(made, **files)
-    feed, late = made.joints(made.samples[-1].t)
-    first.on_sample(feed, late)
-    first.on_sample(feed, made.joints(made.samples[0].t)[1])
+    end = made.samples[-1].t
+    for at in (end, end + 2 * SECOND, end - 20 * SECOND):  # the first counts once confirmed
+        first.on_sample(*made.joints(at))
     first.health()  # as diagnostics ask: no datum needs to come after it
     assert json.loads(state.read_text())["flags"]["set_back"]["joint_1"] > 10.0
     first.take(made.outcome.data)
@@ -253,7 +254,7 @@ def test_silent_streams_and_unknown_joints_are_named(kept, made):
     health = node.health()
     assert health.level == WARN
     assert health.message.startswith("waiting for joint_1, joint_2, joint_3, joint_4, fss")
-    heard = [s for s in made.samples if s.t < made.samples[0].t + 10**9]
+    heard = [s for s in made.samples if s.t < made.samples[0].t + 2 * SECOND]
     inputs = {one.topic: one.feed for one in made.kind.inputs(made.settings, 4)}
     for topic, message in map(made.case.module.message, heard):
         if topic in inputs:

@@ -1,11 +1,10 @@
 """Between calibrations of every kind and ROS, by attribute: rclpy's and rosbags' both pass."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import fields
 from typing import Any, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import Imu, JointState
 
@@ -13,15 +12,14 @@ from fss_arm_bags.bulk import poses, turn_rates
 from fss_arm_calib.calibration import Input
 from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.outcome import Provenance as Origin
+from fss_arm_calib.segments.finder import Finder
 from fss_arm_model.description import to_yaml
 from fss_arm_msgs.msg import Calibration, Check, LinkTelemetry, Provenance
 from fss_arm_ros.convert import PoseError, joint_readings, planar_pose, stamp_ns, to_time
 
-F = TypeVar("F")
+AnyFinder = Finder[Any, Any]
 M = TypeVar("M", bound=Any)
 Pose = tuple[float, float, float]
-Stamps = npt.NDArray[np.int64]
-Floats = npt.NDArray[np.float64]
 
 #: Fields of Calibration.msg that are computed from the data alone.
 NUMBERS = (
@@ -30,63 +28,47 @@ NUMBERS = (
 )  # fmt: skip
 
 
-def joints_input(topic: str, take: Callable[[F, int, int, float, float], Sequence[Any]]) -> Input:
-    """Readings q [rad] and rates qd [rad/s], NaN if not told, of joints by their names, joint_<i>.
+def joints_input(topic: str) -> Input:
+    """Readings and rates of joints by their names, joint_<i>, of a sensor_msgs/JointState."""
 
-    Args:
-        topic: of sensor_msgs/JointState.
-        take: called with finder, joint, stamp [ns], q and qd.
-    """
-
-    def feed(finder: F, message: Any) -> list[Any]:
+    def feed(finder: AnyFinder, message: Any) -> list[Any]:
         t = stamp_ns(message.header.stamp)
-        found: list[Any] = []
-        for i, q, qd, *_ in joint_readings(message):
-            found += take(finder, i, t, q, qd)
-        return found
+        return [one for i, q, qd, _ in joint_readings(message) for one in finder.joint(i, t, q, qd)]
 
     return Input(topic, JointState, feed)
 
 
-def poses_input(
-    topic: str,
-    one: Callable[[F, int, Pose | None], Sequence[Any]],
-    many: Callable[[F, Stamps, Floats], Sequence[Any]],
-    needed: bool = True,
-) -> Input:
-    """Planar poses of a subject.
+def poses_input(topic: str, subject: str, needed: bool = True) -> Input:
+    """Planar poses of a subject, of geometry_msgs/PoseStamped; `needed`: a bag must have them."""
 
-    Args:
-        topic: of geometry_msgs/PoseStamped.
-        one: called with finder, stamp [ns] and pose; None: it was not visible.
-        many: called with finder, stamps (k,) and poses (k, 3); NaN: it was not visible.
-        needed: whether a bag must have it.
-    """
+    def feed(finder: AnyFinder, message: Any) -> list[Any]:
+        return finder.pose(subject, stamp_ns(message.header.stamp), seen_pose(message))
 
-    def feed(finder: F, message: Any) -> Sequence[Any]:
-        return one(finder, stamp_ns(message.header.stamp), seen_pose(message))
+    def feed_many(finder: AnyFinder, data: Sequence[bytes]) -> list[Any]:
+        return finder.poses(subject, *poses(data))
 
-    return Input(topic, PoseStamped, feed, lambda f, data: many(f, *poses(data)), needed)
+    return Input(topic, PoseStamped, feed, feed_many, needed)
 
 
-def rates_input(
-    topic: str,
-    one: Callable[[F, int, float], Sequence[Any]],
-    many: Callable[[F, Stamps, Floats], Sequence[Any]],
-) -> Input:
-    """Turn rates [rad/s] of the base, which may be absent."""
+def rates_input(topic: str) -> Input:
+    """Turn rates of the base, of sensor_msgs/Imu, which may be absent."""
 
-    def feed(finder: F, message: Any) -> Sequence[Any]:
-        return one(finder, stamp_ns(message.header.stamp), float(message.angular_velocity.z))
+    def feed(finder: AnyFinder, message: Any) -> list[Any]:
+        return finder.rate(stamp_ns(message.header.stamp), float(message.angular_velocity.z))
 
-    return Input(topic, Imu, feed, lambda f, data: many(f, *turn_rates(data)), needed=False)
+    def feed_many(finder: AnyFinder, data: Sequence[bytes]) -> list[Any]:
+        return finder.rates(*turn_rates(data))
+
+    return Input(topic, Imu, feed, feed_many, needed=False)
 
 
-def telemetry_inputs(n: int, take: Callable[[F, int, Any], Sequence[Any]]) -> list[Input]:
-    """What n links tell, which may be absent; `take` is called with finder, stamp and message."""
+def telemetry_inputs(n: int) -> list[Input]:
+    """Whether each of n links is armed, and how often it was homed; may be absent."""
 
-    def feed(finder: F, message: Any) -> Sequence[Any]:
-        return take(finder, stamp_ns(message.header.stamp), message)
+    def feed(finder: AnyFinder, message: Any) -> list[Any]:
+        t, armed = stamp_ns(message.header.stamp), bool(message.armed)
+        link, boot, homings = int(message.link), int(message.boot), int(message.homings)
+        return finder.telemetry(link, t, armed, boot, homings)
 
     topics = (f"link_{i}/telemetry" for i in range(1, n + 1))
     return [Input(topic, LinkTelemetry, feed, needed=False) for topic in topics]

@@ -18,20 +18,14 @@ from fss_arm_calib.messages import (
 )
 from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.segments.drifts import Drift, DriftFinder
+from fss_arm_calib.segments.poses import BASE
 from fss_arm_msgs import msg
 from fss_arm_ros.convert import SECOND, stamp_ns, to_time
 
 
 def inputs(s: DriftSettings, _: int) -> list[Input]:
     """Joints and base."""
-
-    def joint(finder: DriftFinder, i: int, t: int, q: float, _: float) -> list[Drift]:
-        return finder.joint(i, t, q)
-
-    return [
-        joints_input(s.joints_topic, joint),
-        poses_input(s.base_topic, DriftFinder.pose, DriftFinder.poses),
-    ]
+    return [joints_input(s.joints_topic), poses_input(s.base_topic, BASE)]
 
 
 def to_message(outcome: Outcome[Drift, Solution], frame_id: str) -> msg.DriftCalibration:

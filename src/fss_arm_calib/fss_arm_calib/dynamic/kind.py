@@ -23,22 +23,19 @@ from fss_arm_calib.messages import (
 )
 from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.segments.maneuvers import Maneuver, ManeuverFinder
+from fss_arm_calib.segments.poses import BASE, TIP
 from fss_arm_msgs import msg
 from fss_arm_ros.convert import stamp_ns, to_time
 
 
 def inputs(s: DynamicSettings, n: int) -> list[Input]:
     """Joints and base; gyro, end effector and what links tell may be absent."""
-
-    def telemetry(finder: ManeuverFinder, t: int, m: msg.LinkTelemetry) -> list[Maneuver]:
-        return finder.telemetry(m.link, t, m.armed, m.boot, m.homings)
-
     return [
-        *telemetry_inputs(n, telemetry),
-        joints_input(s.joints_topic, ManeuverFinder.joint),
-        rates_input(s.gyro_topic, ManeuverFinder.rate, ManeuverFinder.rates),
-        poses_input(s.tip_topic, ManeuverFinder.tip_pose, ManeuverFinder.tip_poses, needed=False),
-        poses_input(s.base_topic, ManeuverFinder.pose, ManeuverFinder.poses),
+        *telemetry_inputs(n),
+        joints_input(s.joints_topic),
+        rates_input(s.gyro_topic),
+        poses_input(s.tip_topic, TIP, needed=False),
+        poses_input(s.base_topic, BASE),
     ]
 
 

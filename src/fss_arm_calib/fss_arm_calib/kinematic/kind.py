@@ -8,9 +8,6 @@ from fss_arm_calib.kinematic.report import kinematic_report
 from fss_arm_calib.kinematic.settings import KinematicSettings
 from fss_arm_calib.kinematic.solution import Solution
 from fss_arm_calib.messages import (
-    Floats,
-    Pose,
-    Stamps,
     common_message,
     flat,
     joints_input,
@@ -25,35 +22,17 @@ from fss_arm_msgs.msg import (
     KinematicCalibration,
     KinematicObservation,
     KinematicObservations,
-    LinkTelemetry,
 )
 from fss_arm_ros.convert import stamp_ns, to_time
 
 
 def inputs(s: KinematicSettings, n: int) -> list[Input]:
     """Joints, base, end effector, and what links tell of their zeros."""
-
-    def reference(finder: RestFinder, t: int, message: LinkTelemetry) -> list[Observation]:
-        finder.reference(int(message.link), t, int(message.boot), int(message.homings))
-        return []
-
-    def joint(finder: RestFinder, i: int, t: int, q: float, _: float) -> list[Observation]:
-        return finder.joint(i, t, q)
-
-    def subject(name: str, topic: str) -> Input:
-        def one(finder: RestFinder, t: int, pose: Pose | None) -> list[Observation]:
-            return finder.pose(name, t, pose)
-
-        def many(finder: RestFinder, t: Stamps, poses: Floats) -> list[Observation]:
-            return finder.poses(name, t, poses)
-
-        return poses_input(topic, one, many)
-
     return [
-        *telemetry_inputs(n, reference),
-        joints_input(s.joints_topic, joint),
-        subject(BASE, s.base_topic),
-        subject(TIP, s.tip_topic),
+        *telemetry_inputs(n),
+        joints_input(s.joints_topic),
+        poses_input(s.base_topic, BASE),
+        poses_input(s.tip_topic, TIP),
     ]
 
 
