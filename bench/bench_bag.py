@@ -16,10 +16,9 @@ import numpy as np
 from rosbags.highlevel import AnyReader
 
 from fss_arm_bags.recorder import Recording
-from fss_arm_calib.dynamic.settings import DynamicCalibrationSettings
 from fss_arm_calib.experiment.postures import DEFAULT
-from fss_arm_calib.from_bag import solve_bag, solve_dynamic_bag
-from fss_arm_calib.kinematic.settings import CalibrationSettings
+from fss_arm_calib.from_bag import solve_bag
+from fss_arm_calib.kinds import KINDS
 from fss_arm_model.base_motion import base_poses, path
 from fss_arm_model.description import paper_arm
 from fss_arm_model.kinematics import tip_pose
@@ -108,14 +107,14 @@ def read(bag: Path) -> int:
 
 def kinematic(bag: Path) -> str:
     """From rests to lengths and angles."""
-    calibration = solve_bag(bag, CalibrationSettings())
-    return f"{calibration.verdict}, {calibration.observations_used} observations"
+    found = solve_bag(KINDS["kinematic"], bag)
+    return f"{found.verdict}, {found.accepted} observations"
 
 
 def dynamic(bag: Path) -> str:
     """From maneuvers to masses and inertias."""
-    calibration, _ = solve_dynamic_bag(bag, DynamicCalibrationSettings())
-    return f"{calibration.verdict}, {calibration.maneuvers_used} maneuvers"
+    found = solve_bag(KINDS["dynamic"], bag)
+    return f"{found.verdict}, {found.accepted} maneuvers"
 
 
 def main() -> None:

@@ -22,7 +22,7 @@ TELEMETRY = [f"/link_{i}/telemetry" for i in range(1, LINKS + 1)]
 MODULES = {
     "testbed": "fss_sim.testbed_node",
     "link": "fss_arm_driver.link_node",
-    "kinematic": "fss_arm_calib.kinematic_node",
+    "kinematic": "fss_arm_calib.calibration_node:kinematic",
     "record": "fss_arm_bags.record_node",
 }
 
@@ -56,7 +56,8 @@ class Graph:
 
     def start(self, what: str, name: str = "", **parameters: object) -> None:
         """Start a node's main as a process."""
-        code = f"import sys; from {MODULES[what]} import main; sys.exit(main())"
+        module, _, main = MODULES[what].partition(":")
+        code = f"import sys; from {module} import {main or 'main'} as main; sys.exit(main())"
         self.nodes.run(name or what, [sys.executable, "-c", code], **parameters)
 
     def cpu(self) -> dict[str, float]:

@@ -31,7 +31,7 @@ from fss_arm_bags.recovery import is_sound
 from fss_arm_msgs.action import MoveArm
 
 MODULES |= {
-    "dynamic": "fss_arm_calib.dynamic_node",
+    "dynamic": "fss_arm_calib.calibration_node:dynamic",
     "arm": "fss_arm_driver.arm_node",
     "reaction": "fss_arm_view.base_reaction_node",
     "view": "fss_arm_view.view_node",

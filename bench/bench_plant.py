@@ -19,7 +19,8 @@ from model_arms import random_arm
 from model_oracles import mujoco_model, pinocchio_model
 
 from fss_arm_model.description import paper_arm
-from fss_arm_model.rollout import STEP, rollout
+from fss_arm_model.integration import STEP
+from fss_arm_model.rollout import rollout
 
 STEPS, RUNS = 5000, 15
 FORCES = mujoco.mjtState.mjSTATE_QFRC_APPLIED.value

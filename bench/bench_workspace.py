@@ -16,9 +16,11 @@ from typing import Any
 import numpy as np
 
 from fss_arm_model.description import Arm, paper_arm
-from fss_arm_workspace.fixed import fixed_workspace, joint_limits
-from fss_arm_workspace.manipulability import FIXED, FLOATING, Grid, Map, manipulability_map
-from fss_arm_workspace.straight_path import Rules, arch, straight_paths
+from fss_arm_workspace.manipulability.map import Map, manipulability_map
+from fss_arm_workspace.manipulability.measure import FIXED, FLOATING
+from fss_arm_workspace.regions.fixed import fixed_workspace, joint_limits
+from fss_arm_workspace.regions.grid import Grid
+from fss_arm_workspace.straight_path.paths import Rules, arch, straight_paths
 
 CELL = 0.01  # [m]
 RUNS = 3

@@ -4,8 +4,8 @@ arm, disarm: all links (arm/enable). stop: all links at once, of any namespace; 
 hold, under power, until disarmed or armed anew (arm/stop); it fails unless each link says that it
 has stopped. home: each armed link without a reference finds it, one
 after the other. clear: all links disarm and clear their drives' latched faults.
-solve: each calibration that runs closes its present datum and solves. forget: kinematic and
-dynamic drop all that they have observed.
+solve: each calibration that runs closes its present datum and solves. forget: they drop
+all that they have observed.
 """
 
 import argparse
@@ -35,7 +35,7 @@ PATIENCE = 10.0  # for an answer [s]
 SETTLED = 1.0  # without a new one, all are known [s]
 LINKS = range(1, 13)  # numbers that a link may have
 WORDS = ("arm", "disarm", "stop", "home", "clear", "solve", "forget")
-CALIBRATIONS = ("kinematic", "dynamic", "float")
+CALIBRATIONS = ("kinematic", "dynamic", "drift")
 REPEAT = 0.05  # from one stop to the next [s]
 GRAPH = 0.5  # by then a program that has begun knows who is there [s]
 CONFIRM = 1.0  # by then a link that is known has said that it stopped [s]

@@ -100,7 +100,7 @@ class Listener(Node):
             kind = message_class(msgtype)
         except NotInstalledError:
             return
-        if into is self.results and not hasattr(kind, "verdict"):
+        if into is self.results and not (hasattr(kind, "verdict") or hasattr(kind, "calibration")):
             return
         into[topic] = Heard(kind)
         self.create_subscription(kind, topic, into[topic].take, qos, raw=True)
@@ -217,7 +217,8 @@ def verdicts(listener: Listener) -> Table:
     table = _table("result", "verdict", "reason")
     for topic, heard in sorted(listener.results.items()):
         if heard.last:
-            m = heard.message()
+            message = heard.message()
+            m = getattr(message, "calibration", message)
             table.add_row(topic, _in(m.verdict, VERDICTS.get(m.verdict, "")), escape(m.reason))
     return table
 

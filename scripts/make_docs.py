@@ -88,6 +88,11 @@ def parameters() -> str:
         for entry in sorted(distribution(package).entry_points):
             module = sys.modules[entry.load().__module__]
             camel = entry.name.title().replace("_", "")
+            if hasattr(module, "node_settings"):  # of a record
+                kind = module.KINDS[entry.name]
+                table = _parameters(module.node_settings(kind))
+                parts += [f"## `{package} {entry.name}`", kind.about, table]
+                continue
             settings = getattr(module, f"{camel}Settings", None)
             if settings is None:
                 words = " ".join((module.__doc__ or "").split("\n\n")[0].split())

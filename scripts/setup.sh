@@ -264,11 +264,15 @@ build() {
 
 # A kernel is kept under the path of its source, which is colcon's link to it.
 compile_kernels() {
-  local built=$root/build/fss_arm_model
+  local package path=
   say "compiling the kernels"
-  mkdir -p "$built"
-  [[ -e $built/fss_arm_model ]] || ln -s "$root/src/fss_arm_model/fss_arm_model" "$built"
-  PYTHONPATH=$built "$venv/bin/python" -m fss_arm_model.warm >"$log" 2>&1 ||
+  for package in "${with_kernels[@]}"; do
+    mkdir -p "$root/build/$package"
+    [[ -e $root/build/$package/$package ]] ||
+      ln -s "$root/src/$package/$package" "$root/build/$package"
+    path+=:$root/build/$package
+  done
+  PYTHONPATH=${path:1} "$venv/bin/python" -m fss_arm_model.warm >"$log" 2>&1 ||
     { tail -n 25 "$log" >&2; die "the kernels did not compile"; }
   touch "$warm"
 }
@@ -289,8 +293,10 @@ if ! current "$venv/.stamp" "$kind" || ! "$venv/bin/python" -c '' 2>/dev/null; t
   make_venv
 fi
 
-kernels=$({ cat "$root"/src/fss_arm_model/fss_arm_model/*.py && echo "$pins $kind"; } |
-  sha256sum | cut -c -16)
+mapfile -t with_kernels < <(cd "$root/src" &&
+  grep -rl --include='*.py' '^@kernel(' fss_*/fss_* | cut -d / -f 1 | sort -u)
+kernels=$({ cd "$root/src" && find "${with_kernels[@]}" -path '*/fss_*/*.py' -exec sha256sum {} + |
+  sort && echo "$pins $kind"; } | sha256sum | cut -c -16)
 home=~
 caches=${NUMBA_CACHE_DIR:-${XDG_CACHE_HOME:-$home/.cache}/fss_arm}
 warm=$caches/warm-$kernels

@@ -4,10 +4,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fss_arm_calib.drift.problem import Drift, DriftProblem, rigid_body
+from fss_arm_calib.drift.problem import DriftProblem, rigid_body
+from fss_arm_calib.segments.drifts import Drift
 from fss_arm_model.description import paper_arm
-from fss_arm_model.simulation import GRAVITY, Surroundings
-from fss_sim.plant import Demand, Plant, World
+from fss_arm_model.units import GRAVITY
+from fss_sim.plant.plant import Demand, Plant, World
+from fss_sim.plant.surroundings import Surroundings
 
 ARM = paper_arm()
 TILT = (8e-5, -5e-5)  # [rad]

@@ -9,6 +9,7 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Imu, JointState
 
 from fss_arm_bags.recorder import Recording
+from fss_arm_calib.segments.poses import BASE, TIP
 from fss_arm_model import base_motion
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_ros.convert import SECOND, pose_stamped, to_time
@@ -16,6 +17,7 @@ from fss_arm_ros.qos import SENSOR
 
 START = 1_700_000_000 * SECOND
 COUNT = 2 * np.pi / 240_000
+SUBJECTS = {"base": BASE, "tip": TIP}
 
 
 class Sample(NamedTuple):
@@ -125,7 +127,7 @@ def message(sample):
         imu.header.stamp = to_time(t)
         imu.angular_velocity.z = value
         return "fog/imu", imu
-    subject = {"base": "fss", "tip": "end_effector"}[stream]
+    subject = SUBJECTS[stream]
     return f"vicon/{subject}/{subject}", pose_stamped(t, "world", value)
 
 
@@ -149,10 +151,8 @@ def feed(finder, samples, close=True):
     """What the finder makes of samples in the order given."""
     found = []
     for t, stream, value in samples:
-        if stream == "base":
-            found += finder.pose(t, value)
-        elif stream == "tip":
-            found += finder.tip_pose(t, value)
+        if stream in SUBJECTS:
+            found += finder.pose(SUBJECTS[stream], t, value)
         elif stream == "gyro":
             found += finder.rate(t, value)
         elif isinstance(stream, str):
@@ -160,3 +160,13 @@ def feed(finder, samples, close=True):
         else:
             found += finder.joint(stream, t, *value)
     return found + (finder.close() if close else [])
+
+
+def telemetry(samples, armed=lambda i, t: True, reference=lambda i, t: (7, 1)):
+    """The samples, each of a joint with what its link tells before: armed, start, homings."""
+    extra = [
+        Sample(s.t, f"link_{s.stream}", (armed(s.stream, s.t), *reference(s.stream, s.t)))
+        for s in samples
+        if isinstance(s.stream, int)
+    ]
+    return sorted([*extra, *samples], key=lambda s: s.t)

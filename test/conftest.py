@@ -103,7 +103,9 @@ class Program:
     """A process of ours under test: its output so far, and how it ended."""
 
     def __init__(self, module: str, args: tuple[Any, ...], log: Path, env: dict[str, str]) -> None:
-        code = f"import sys; from {module} import main; sys.exit(main())"
+        module, _, main = module.partition(":")
+        main = main or "main"
+        code = f"import sys; from {module} import {main}; sys.exit({main}())"
         self.log = log
         with log.open("wb") as output:
             self.process = subprocess.Popen(
@@ -133,7 +135,7 @@ class Program:
 
 @pytest.fixture
 def start(tmp_path: Path) -> Iterator[Callable[..., Program]]:
-    """start(module, *args, **env): run the `main` of a module as a process of its own."""
+    """start(module, *args, **env): run a module's main, or MODULE:FUNCTION, as a process."""
     programs: list[Program] = []
 
     def begin(module: str, *args: Any, **env: str) -> Program:

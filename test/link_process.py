@@ -14,8 +14,8 @@ from select import select
 
 from fss_arm_driver.protocol import Telemetry, decode
 from fss_arm_model.description import paper_arm
-from fss_sim.electronics import LinkElectronics
-from fss_sim.plant import Motion
+from fss_sim.link.electronics import LinkElectronics
+from fss_sim.plant.plant import Motion
 
 DRIFT = 40e-6
 STEP = 0.002  # [s]

@@ -10,16 +10,16 @@ from math import pi, radians
 
 import numpy as np
 
-from fss_arm_calib.dynamic import checks as dynamic_verdict
-from fss_arm_calib.dynamic.settings import DynamicCalibrationSettings
+from fss_arm_calib.dynamic.calibrate import calibrate as calibrate_dynamics
+from fss_arm_calib.dynamic.settings import DynamicSettings
 from fss_arm_calib.experiment.postures import DEFAULT
-from fss_arm_calib.kinematic.checks import calibrate
-from fss_arm_calib.kinematic.settings import CalibrationSettings
+from fss_arm_calib.kinematic.calibrate import calibrate
+from fss_arm_calib.kinematic.settings import KinematicSettings
 from fss_arm_calib.segments.maneuvers import ManeuverFinder
 from fss_arm_calib.segments.rests import BASE, TIP, RestFinder, spoiled
-from fss_arm_driver.link import Arming, LinkSession
 from fss_arm_driver.move import plan
 from fss_arm_driver.scale import CommandError
+from fss_arm_driver.session import Arming, LinkSession
 from fss_arm_model.description import kinematic_index, load
 from fss_sim import testbed
 from fss_sim.faults import read_script
@@ -29,7 +29,7 @@ from fss_sim.testbed import SECOND, State
 COMMANDS = 20  # frames from one command to the next
 EPOCH = 1_700_000_000 * SECOND
 # White noise of every frame, with something left for the encoders.
-DYNAMIC = DynamicCalibrationSettings(
+DYNAMIC = DynamicSettings(
     position_deviation=0.0005, heading_deviation=radians(0.1), fresh_rate=100.0
 )
 WAIT = 6.0  # for an observation of a rest [s]
@@ -51,7 +51,7 @@ class Rehearsal:
             **options,
         )
         self.links = [LinkSession(i, k) for i, k in enumerate(self.guess.links, 1)]
-        self.finder, self.observations = RestFinder(4, CalibrationSettings()), []
+        self.finder, self.observations = RestFinder(4, KinematicSettings()), []
         self.maneuver_finder, self.maneuvers = ManeuverFinder(4, DYNAMIC), []
         self.postures, self.samples = list(np.asarray(postures)), [[] for _ in self.links]
         self.deviations = [[] for _ in self.links]  # of the samples' stamps [s]
@@ -77,7 +77,7 @@ class Rehearsal:
                 pose = None if seen.occluded else seen.pose
                 self.observations += self.finder.pose(name, self.now, pose)
                 if name == BASE:
-                    self.maneuvers += self.maneuver_finder.pose(self.now, pose)
+                    self.maneuvers += self.maneuver_finder.pose(name, self.now, pose)
         if report.sight.rate is not None:
             self.maneuvers += self.maneuver_finder.rate(self.now, report.sight.rate)
         if self.bed.frame % COMMANDS == 0:
@@ -132,19 +132,18 @@ class Rehearsal:
                 self.go(lost.q)
         self.observations += self.finder.close()
         self.maneuvers += self.maneuver_finder.close()
-        settings = CalibrationSettings(parametrization="full")
+        settings = KinematicSettings(parametrization="full")
         return calibrate(self.observations, self.guess, settings, self.finder.streams())
 
     def dynamic(self):
         """The dynamic calibration from the moves between the postures, kinematics known."""
         streams = self.maneuver_finder.streams()
-        return dynamic_verdict.calibrate(self.maneuvers, self.truth, DYNAMIC, streams)
+        return calibrate_dynamics(self.maneuvers, self.truth, DYNAMIC, streams)
 
     def errors(self, result):
         """Of each parameter, in its standard deviations."""
         true = self.truth.vector()[kinematic_index(4)]
         off = np.array(result.values) - true
-        off[np.array(result.units) == "rad"] = (off[np.array(result.units) == "rad"] + pi) % (
-            2 * pi
-        ) - pi
+        angles = np.array(result.estimate.units) == "rad"
+        off[angles] = (off[angles] + pi) % (2 * pi) - pi
         return off / np.sqrt(np.diag(np.asarray(result.covariance).reshape(len(off), -1)))

@@ -17,11 +17,11 @@ setup(
     extras_require={"test": ["pytest"]},
     entry_points={
         "console_scripts": [
-            "kinematic = fss_arm_calib.kinematic_node:main",
+            "kinematic = fss_arm_calib.calibration_node:kinematic",
             "design = fss_arm_calib.experiment.design_command:main",
-            "dynamic = fss_arm_calib.dynamic_node:main",
+            "drift = fss_arm_calib.calibration_node:drift",
+            "dynamic = fss_arm_calib.calibration_node:dynamic",
             "experiment = fss_arm_calib.experiment.experiment_node:main",
-            "float = fss_arm_calib.drift_node:main",
             "from_bag = fss_arm_calib.from_bag:main",
             "recompute = fss_arm_calib.recompute:main",
         ],

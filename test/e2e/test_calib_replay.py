@@ -6,9 +6,9 @@ from calib_float import ARM, TYPES, Float, postures, record
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
-from fss_arm_calib.dynamic.settings import DynamicCalibrationSettings
-from fss_arm_calib.from_bag import solve_dynamic_bag
-from fss_arm_calib.recompute import KINDS, recompute
+from fss_arm_calib.from_bag import solve_bag
+from fss_arm_calib.kinds import KINDS
+from fss_arm_calib.recompute import recompute
 from fss_arm_msgs.msg import DynamicCalibration, Maneuvers
 from fss_arm_ros.qos import LATCHED
 
@@ -31,12 +31,13 @@ def bag(tmp_path_factory):
 @pytest.mark.slow
 @pytest.mark.parametrize("rate", [0.0, 0.5, 1.0, 5.0, 20.0])
 def test_the_result_is_that_of_the_bag(bag, start, spin, rate):
-    offline, found = solve_dynamic_bag(bag, DynamicCalibrationSettings(**PRECISE))
+    kind = KINDS["dynamic"]
+    offline = solve_bag(kind, bag, kind.settings(**PRECISE))
     assert offline.verdict == "pass", offline.reason
-    assert len(found) == 8
+    assert len(offline.data) == 8
 
     given = [word for k, v in PRECISE.items() for word in ("-p", f"{k}:={v}")]
-    start("fss_arm_calib.dynamic_node", "--ros-args", *given)
+    start("fss_arm_calib.calibration_node:dynamic", "--ros-args", *given)
     node, got, told = Node("asks"), [], []
     node.create_subscription(DynamicCalibration, "calibration/dynamic", got.append, LATCHED)
     node.create_subscription(Maneuvers, "calibration/maneuvers", told.append, LATCHED)
@@ -49,12 +50,14 @@ def test_the_result_is_that_of_the_bag(bag, start, spin, rate):
     assert client.wait_for_service(20.0)
     answer = client.call_async(Trigger.Request())
     spin(node, answer.done, 60.0)
-    live = spin(node, lambda: got and got[-1].maneuvers_used == 8 and got[-1], 20.0)
-    assert live.provenance.data_hash == offline.provenance.data_hash
+    live = spin(node, lambda: got and got[-1].calibration.used == 8 and got[-1], 20.0)
+    assert live.calibration.provenance.data_hash == offline.provenance.data_hash
     for name in ("values", "covariance", "residuals"):
         np.testing.assert_allclose(
-            getattr(live, name), getattr(offline, name).ravel(), rtol=0, atol=1e-9
+            getattr(live.calibration, name),
+            getattr(offline.estimate, name).ravel(),
+            rtol=0,
+            atol=1e-9,
         )
     # What was published is enough to compute it again.
-    (kind,) = (kind for kind in KINDS if kind.parts == "maneuvers")
     assert spin(node, lambda: told and recompute(kind, live, told[-1]), 20.0).same

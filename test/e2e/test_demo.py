@@ -20,9 +20,10 @@ from std_srvs.srv import SetBool, Trigger
 
 from fss_arm_bags.reader import open_bags
 from fss_arm_calib.from_bag import solve_bag
+from fss_arm_calib.kinematic.kind import KINEMATIC
 from fss_arm_calib.kinematic.problem import KinematicProblem, quantization_bound, solve
-from fss_arm_calib.kinematic.settings import CalibrationSettings
-from fss_arm_calib.state import read_observations
+from fss_arm_calib.kinematic.settings import KinematicSettings
+from fss_arm_calib.state import read
 from fss_arm_model.description import kinematic_index, load
 from fss_arm_msgs.msg import KinematicCalibration, LinkTelemetry
 from fss_arm_ros.qos import LATCHED, SENSOR
@@ -72,7 +73,7 @@ class Demo:
     def observed(self):
         """How many rests have been observed, by the node's own file."""
         path = self.out / "observations.json"
-        return sum(o.used for o in read_observations(str(path), 4)) if path.exists() else 0
+        return sum(o["used"] for o in read(path, {"data": []})["data"])
 
     def pid(self, word):
         """The demo's child whose command line holds the word."""
@@ -102,18 +103,20 @@ def demo(tmp_path):
             one.process.wait(60)
 
 
-def results(out):
-    """All results in the demo's bags, in order."""
+TOPICS = "/calibration/kinematic", "/calibration/observations"
+
+
+def results(out, topic=TOPICS[0]):
+    """All messages of a topic in the demo's bags, in order."""
     with open_bags(out / "bag") as bags:
-        return [message for _, _, _, message in bags.messages({"/calibration/kinematic"})]
+        return [message for _, _, _, message in bags.messages({topic})]
 
 
 def replayed_is_offline(bag, start, spin):
     """Replayed into a node or solved without any, bags in a row give the same."""
-    offline = solve_bag(bag, CalibrationSettings(arm=str(ROOT / "config/cad.yaml")))
-    start(
-        "fss_arm_calib.kinematic_node", "--ros-args", "-p", f"arm:={ROOT / 'config/cad.yaml'}"
-    )  # fmt: skip
+    offline = solve_bag(KINEMATIC, bag, KinematicSettings(arm=str(ROOT / "config/cad.yaml")))
+    node = "fss_arm_calib.calibration_node:kinematic"
+    start(node, "--ros-args", "-p", f"arm:={ROOT / 'config/cad.yaml'}")
     replay = start(
         "fss_arm_bags.replay_node", bag, "--ros-args", "-p", "rate:=0.0",
         "-p", f"wait_for:={SENSORS}",
@@ -126,9 +129,9 @@ def replayed_is_offline(bag, start, spin):
     answer = client.call_async(Trigger.Request())
     spin(node, answer.done, 60.0)
     replayed = spin(
-        node, lambda: got and got[-1].observations_used == len(offline.tip) and got[-1], 20.0
-    )
-    assert replayed.observations_hash == offline.observations_hash
+        node, lambda: got and got[-1].calibration.used == len(offline.used) and got[-1], 20.0
+    ).calibration
+    assert replayed.provenance.data_hash == offline.provenance.data_hash
     np.testing.assert_allclose(replayed.values, offline.values, rtol=0, atol=1e-9)
 
 
@@ -154,10 +157,11 @@ def test_the_truth_comes_back_live_and_from_the_bag_whatever_node_dies(demo, sta
     assert len(list((run.out / "bag").iterdir())) == 1 + ("record" in killed)
     assert load(run.out / "arm.yaml").n == 4
 
-    live = results(run.out)[-1]
-    assert live.verdict == KinematicCalibration.PASS
+    (live, observations) = (results(run.out, topic)[-1] for topic in TOPICS)
+    live, used = live.calibration, [o for o in observations.observations if o.used]
+    assert live.verdict == live.PASS
     cad = load(ROOT / "config/cad.yaml")
-    problem = KinematicProblem(np.reshape(live.q, (-1, 4)), np.reshape(live.tip, (-1, 3)), cad)
+    problem = KinematicProblem([o.q for o in used], [o.tip for o in used], cad)
     assert len(problem.q) >= postures
     # A rest lets a joint creep by less than a count beside the half count of rounding.
     bound = quantization_bound(problem, 1.5 * 2 * np.pi / 240_000, live.values)

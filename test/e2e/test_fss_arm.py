@@ -296,7 +296,7 @@ def test_faults_of_all_links_are_cleared(spin, bench, telling):
 
 
 def test_all_calibrations_that_run_solve_in_the_domain_of_the_configuration(ros, telling, tmp_path):
-    node, answers = Node("calibrations"), {"kinematic": "pass: fits", "float": "fail: a push"}
+    node, answers = Node("calibrations"), {"kinematic": "pass: fits", "drift": "fail: a push"}
 
     def answer(words):
         def solve(_, response):
@@ -314,7 +314,7 @@ def test_all_calibrations_that_run_solve_in_the_domain_of_the_configuration(ros,
     )
     code, out, err = telling(node, (SCRIPT.with_suffix(".sh"), "solve", config), ROS_DOMAIN_ID="0")
     assert (code, out) == (1, "")
-    assert err == "kinematic/solve: pass: fits\nfloat/solve: fail: a push\n"
+    assert err == "kinematic/solve: pass: fits\ndrift/solve: fail: a push\n"
     node.create_service(Trigger, "kinematic/forget", answer("pass: 13 observations forgotten"))
     told = telling(node, (sys.executable, SCRIPT, "forget"))
     assert told == (0, "kinematic/forget: pass: 13 observations forgotten\n", "")

@@ -6,9 +6,10 @@ import sys
 import numpy as np
 import pytest
 
+from fss_arm_calib.dynamic.kind import DYNAMIC
 from fss_arm_calib.dynamic.parameters import parameter_names, values
-from fss_arm_calib.dynamic.settings import DynamicCalibrationSettings
-from fss_arm_calib.from_bag import solve_dynamic_bag
+from fss_arm_calib.dynamic.settings import DynamicSettings
+from fss_arm_calib.from_bag import solve_bag
 from fss_arm_calib.recompute import main as recompute
 from fss_arm_model.description import load
 
@@ -25,11 +26,11 @@ def test_the_truth_lies_within_what_is_claimed(tmp_path):
     # What was said live follows from the maneuvers that were published with it.
     assert recompute([str(out / "bags")]) == 0
     # As eight are too few for every inertia, what CAD tells of the links is taken as a prior.
-    settings = DynamicCalibrationSettings(
+    settings = DynamicSettings(
         arm=str(out / "guess.yaml"), priors="b_i I_i I_0 com_0", max_relative=9.0, max_place=1.0
     )
-    result, maneuvers = solve_dynamic_bag(out / "bags", settings)
-    assert sum(m.used for m in maneuvers) >= 6
+    result = solve_bag(DYNAMIC, out / "bags", settings)
+    assert len(result.used) >= 6
     assert result.verdict == "pass", result.reason
     chosen = [name for name in result.names if not name.startswith("g_")]
     every = dict(zip(parameter_names(4), values(load(out / "truth.yaml")), strict=True))

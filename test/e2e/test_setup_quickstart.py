@@ -94,12 +94,12 @@ def test_tilt_and_hose(tmp_path):
     state = [0.1, -0.2, 0.4, 0.02, -0.01, 0.01, 2e-4, -1e-4]
     flight = Float(postures(2), state=state, rest=40.0, noise=(0.001, 0.009))
     record(tmp_path / "monday", flight.samples(rate=20))
-    text = typed("float.md").replace("bags/monday", str(tmp_path / "monday"))
-    text = text.replace("float.yaml", str(tmp_path / "float.yaml"))
+    text = typed("drift.md").replace("bags/monday", str(tmp_path / "monday"))
+    text = text.replace("drift.yaml", str(tmp_path / "drift.yaml"))
     text = text.replace("=arm.yaml", "=config/arm.yaml")
     said = shell(watched(text.replace(" arm.yaml", " config/arm.yaml")), 120)
     assert "tilt along x" in said
-    told = yaml.safe_load((tmp_path / "float.yaml").read_text())
+    told = yaml.safe_load((tmp_path / "drift.yaml").read_text())
     assert told.keys() == {"dynamic", "base_reaction"}
 
 

@@ -118,7 +118,10 @@ def test_the_experiment_ends_well_under_faults(graph, start, spin):
     graph(arm=ROOT / "config/truth.yaml", preset="paper")
     clock = {"use_sim_time": True}
     start("fss_arm_driver.arm_node", *parameters(**clock))
-    start("fss_arm_calib.kinematic_node", *parameters(arm=ROOT / "config/cad.yaml", **clock))
+    start(
+        "fss_arm_calib.calibration_node:kinematic",
+        *parameters(arm=ROOT / "config/cad.yaml", **clock),
+    )
     experiment = start("fss_arm_calib.experiment.experiment_node", *parameters(**clock))
     operator = Operator()
 
@@ -132,8 +135,9 @@ def test_the_experiment_ends_well_under_faults(graph, start, spin):
     solved = operator.solve.call_async(Trigger.Request())
     spin(operator, lambda: solved.done() and operator.results, 60.0)
     result = operator.results[-1]
-    assert result.verdict == KinematicCalibration.PASS, result.reason
+    found = result.calibration
+    assert found.verdict == found.PASS, found.reason
     true = load(ROOT / "config/truth.yaml").vector()[kinematic_index(4)]
-    true = true[2:] if len(result.values) == len(true) - 2 else true  # one length for three
-    sigma = np.sqrt(np.diag(np.reshape(result.covariance, (len(true), -1))))
-    assert (np.abs(result.values - true) < 3 * sigma).all()
+    true = true[2:] if len(found.values) == len(true) - 2 else true  # one length for three
+    sigma = np.sqrt(np.diag(np.reshape(found.covariance, (len(true), -1))))
+    assert (np.abs(found.values - true) < 3 * sigma).all()

@@ -1,35 +1,28 @@
 """Recorded results computed again from what was recorded with them."""
 
-from contextlib import suppress
 from dataclasses import replace
-from functools import cache
 
 import pytest
 from calib_float import Float, feed, postures
+from calib_kinds import serialized
 from calib_rig import ARM
-from rclpy.serialization import serialize_message
-from rosbags.serde import SerdeError
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from fss_arm_bags.definitions import definition
 from fss_arm_bags.recorder import Recording
-from fss_arm_calib.dynamic.checks import calibrate as calibrate_dynamics
-from fss_arm_calib.dynamic_messages import maneuvers_message
-from fss_arm_calib.dynamic_messages import to_message as dynamic_message
-from fss_arm_calib.dynamic_node import DynamicSettings
+from fss_arm_calib.calibration_node import node_settings
+from fss_arm_calib.dynamic.kind import DYNAMIC as DYNAMIC_KIND
 from fss_arm_calib.experiment.postures import DEFAULT
-from fss_arm_calib.kinematic.checks import calibrate
-from fss_arm_calib.kinematic.settings import CalibrationSettings
-from fss_arm_calib.messages import observations_message, observations_of, to_message
+from fss_arm_calib.kinematic.calibrate import calibrate
+from fss_arm_calib.kinematic.kind import observations_message, observations_of, to_message
+from fss_arm_calib.kinematic.settings import KinematicSettings
 from fss_arm_calib.recompute import main
 from fss_arm_calib.segments.maneuvers import ManeuverFinder
-from fss_arm_calib.segments.rests import TIP, Observation
+from fss_arm_calib.segments.rests import Observation
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_ros.qos import LATCHED
 
 KINEMATIC = "/calibration/observations", "/calibration/kinematic"
 DYNAMIC = "/calibration/maneuvers", "/calibration/dynamic"
-SETTINGS = CalibrationSettings(max_outliers=2, loss="huber")
+SETTINGS = KinematicSettings(max_outliers=2, loss="huber")
 
 
 @pytest.fixture
@@ -45,26 +38,9 @@ def published():
     found = []
     for count in range(1, len(rests) + 1):
         result = calibrate(rests[:count], ARM, SETTINGS)
-        observations = observations_message(rests[:count], "fss", TIP)
+        observations = observations_message(rests[:count], "fss")
         found.append((observations, to_message(result, "fss")))
     return found
-
-
-@cache
-def types(kind):
-    store = get_typestore(Stores.EMPTY)
-    store.register(get_types_from_msg(definition(kind).text, kind))
-    return store
-
-
-def serialized(message):
-    """As a publisher does it: serialize_message may leave some bytes more at the end."""
-    kind, data = f"fss_arm_msgs/msg/{type(message).__name__}", serialize_message(message)
-    for end in range(len(data), len(data) - 100, -1):
-        with suppress(SerdeError):
-            types(kind).deserialize_cdr(data[:end], kind)
-            return data[:end]
-    raise AssertionError(kind)
 
 
 def record(folder, published, topics=KINEMATIC):
@@ -82,7 +58,7 @@ def test_every_result_follows_from_its_observations(published, tmp_path, capsys)
     assert main([record(tmp_path, published)]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 14
-    assert lines[0] == "1 observations, not_evaluated: the same, to 0.0e+00"
+    assert lines[0] == "1 observation, not_evaluated: the same, to 0.0e+00"
     assert all("the same, to " in line for line in lines)
     assert lines[-1].startswith("13 observations, ")
 
@@ -93,38 +69,44 @@ def test_a_result_may_end_before_the_last_observation_used(published, tmp_path, 
     told = [replace(o, homings=4 * (2 if k in (4, 5, 13) else 1,)) for k, o in enumerate(rests)]
     told[13] = replace(told[13], used=False)
     result = calibrate(told, ARM, SETTINGS)
-    pair = observations_message(told, "fss", TIP), to_message(result, "fss")
+    pair = observations_message(told, "fss"), to_message(result, "fss")
     assert main([record(tmp_path, [pair])]) == 0
     assert capsys.readouterr().out.startswith("2 observations, not_evaluated: the same")
 
 
 def test_a_result_that_does_not_is_told(published, tmp_path, capsys):
-    published[-1][1].values[2] += 1e-8
+    published[-1][1].calibration.values[2] += 1e-8
     assert main([record(tmp_path, published)]) == 2
     assert capsys.readouterr().out.splitlines()[-1].endswith("NOT the same, to 1.0e-08")
 
 
 def test_dynamic_results_follow_from_their_maneuvers(tmp_path, capsys):
     """Given by a node's settings, of which it tells those that matter."""
-    noise, settings = (5e-4, 2e-3), DynamicSettings(output="arm.yaml", heading_deviation=2e-3)
+    noise, settings = (
+        (5e-4, 2e-3),
+        node_settings(DYNAMIC_KIND)(output="arm.yaml", heading_deviation=2e-3),
+    )
     found = feed(ManeuverFinder(4), Float(postures(7, seed=5), noise=noise).samples())
-    results = [calibrate_dynamics(found[:k], ARM, settings) for k in (2, 6, 7)]
+    results = [DYNAMIC_KIND.calibrate(found[:k], ARM, settings) for k in (2, 6, 7)]
     published = [
-        (maneuvers_message(found[:k], "fss"), dynamic_message(result, "fss"))
+        (DYNAMIC_KIND.data.to_message(found[:k], "fss"), DYNAMIC_KIND.to_message(result, "fss"))
         for k, result in zip((2, 6, 7), results, strict=True)
     ]
     assert main([record(tmp_path / "a", published, DYNAMIC)]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert [line.split(",")[0] for line in lines] == ["2 maneuvers", "6 maneuvers", "7 maneuvers"]
     assert all("the same, to " in line for line in lines)
-    published[-1][1].values[0] += 1e-8
+    published[-1][1].calibration.values[0] += 1e-8
     assert main([record(tmp_path / "b", published, DYNAMIC)]) == 2
 
 
 def test_what_is_missing_is_named(published, tmp_path, capsys):
     assert main([record(tmp_path / "a", published, KINEMATIC[:1])]) == 1
     error = capsys.readouterr().err
-    assert "no result on /calibration/kinematic or /calibration/dynamic in " in error
+    assert (
+        "no result on /calibration/kinematic or /calibration/dynamic or /calibration/drift in "
+        in error
+    )
     others = [(published[0][0], result) for _, result in published]
     assert main([record(tmp_path / "b", others)]) == 1
     error = capsys.readouterr().err

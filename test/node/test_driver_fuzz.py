@@ -16,9 +16,9 @@ from zlib import crc32
 import pytest
 from driver_link import SECOND, FakeLink
 
-from fss_arm_driver.link import COUNTS, LinkSession
 from fss_arm_driver.messages import SampleMessages
 from fss_arm_driver.protocol import decode, encode
+from fss_arm_driver.session import COUNTS, LinkSession
 from fss_arm_model.description import paper_arm
 
 BETWEEN = 20  # datagrams from one true frame to the next

@@ -269,7 +269,7 @@ def test_disarming_a_link_that_does_not_hear_fails_in_words(bench):
     transport.hears = False
     answer = arm(user, until, data=False)
     assert not answer.success
-    words = "link_1 does not say that it is off: told to disarm, not confirmed"
+    words = "link_1 does not say that it is off: asked to disarm, not confirmed"
     assert answer.message == words
 
 
@@ -282,7 +282,7 @@ def test_disarming_a_lost_link_fails_in_words(bench):
         assert node.session.lost == lost
         answer = arm(user, until, data=False)
         assert not answer.success
-        assert answer.message == "link_1 is lost: told to disarm, not confirmed"
+        assert answer.message == "link_1 is lost: asked to disarm, not confirmed"
 
 
 def test_arming_a_link_that_does_not_hear_fails_in_words(bench):
@@ -419,7 +419,7 @@ def test_a_wrong_baud_rate_is_said_in_one_line(start, tmp_path):
         (("-p", "url:=serial:///dev/no"), "'serial:///dev/no' cannot be opened: No such file"),
         (("-p", "keys:=/no/keys"), "No such file or directory: '/no/keys'"),
         (("-p", "link:=5"), "link is 5, expected 1 to 4, as arm 'paper' has"),
-        (("-p", "timeout:=0.0"), "timeout is 0.0 s, expected above 0"),
+        (("-p", "timeout:=0.0"), "timeout is 0.0 s, expected 0.001 to 3600"),
         (("-p", "watchdog:=100.0"), "watchdog is 100.0 s"),
         (("-p", "rate:=0.5"), "watchdog is 2.0 s, expected more than the 2 s"),
         (("-p", "arm:=/no/such.yaml"), "/no/such.yaml"),

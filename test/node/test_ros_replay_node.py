@@ -212,14 +212,14 @@ def test_messages_of_the_first_version_are_played_as_present_ones(spin, tmp_path
     topic = "calibration/kinematic"
     with open_bags(FIRST) as bags:
         ((_, _, _, recorded),) = bags.messages([f"/{topic}"])
-    assert not hasattr(recorded, "provenance")
+    assert not hasattr(recorded, "homings")
     node, got = Node("reader"), []
     node.create_subscription(KinematicCalibration, f"recorded/{topic}", got.append, LATCHED)
     player = replay(FIRST, rate=0.0, hold=True)
     spin([player, node], lambda: got)
-    assert got[0].verdict == recorded.verdict
-    assert list(got[0].values) == list(recorded.values)
-    assert got[0].provenance == KinematicCalibration().provenance
+    assert got[0].calibration.verdict == recorded.calibration.verdict
+    assert list(got[0].calibration.values) == list(recorded.calibration.values)
+    assert got[0].homings == KinematicCalibration().homings
 
 
 def test_a_type_in_two_versions_is_not_played(ros, tmp_path):

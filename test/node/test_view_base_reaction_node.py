@@ -12,7 +12,7 @@ from view_bench import BEGIN, Bench
 from view_flight import paper_flight
 
 from fss_arm_model.description import load, paper_arm, to_yaml
-from fss_arm_msgs.msg import DynamicCalibration, KinematicCalibration
+from fss_arm_msgs.msg import Calibration, DynamicCalibration, KinematicCalibration
 from fss_arm_ros.convert import SECOND, pose_stamped, stamp_ns, to_time
 from fss_arm_ros.diagnostics import OK
 from fss_arm_view.base_reaction_node import DYNAMIC, KINEMATIC, BaseReactionNode
@@ -89,10 +89,12 @@ def test_a_calibration_that_passed_is_used_and_one_that_failed_is_not(run, spin)
     node, bench = run()
     truth = load("config/truth.yaml")
     message = KinematicCalibration(
-        verdict="fail", description=to_yaml(truth), names=["a"], covariance=[1e-4]
+        calibration=Calibration(
+            verdict="fail", description=to_yaml(truth), names=["a"], covariance=[1e-4]
+        )
     )
     bench.calibration.publish(message)
-    message.verdict = "pass"
+    message.calibration.verdict = "pass"
     bench.calibration.publish(message)
     spin([node, bench], lambda: node.known.arm == truth)
     assert node.reaction.covariance.any()
@@ -183,7 +185,12 @@ def test_the_clocks_offset_that_a_calibration_found_is_allowed_for(ros, flight, 
         node, found = BaseReactionNode(), []
         node.reacted.publish = found.append
         description = to_yaml(paper_arm())
-        node.on_calibration(topic, kind(verdict="pass", description=description, time_offset=told))
+        node.on_calibration(
+            topic,
+            kind(
+                calibration=Calibration(verdict="pass", description=description, time_offset=told)
+            ),
+        )
         for k in range(0, len(flight.t), 10):
             t = 0.001 * k
             names = [f"joint_{i + 1}" for i in range(4)]
@@ -229,17 +236,19 @@ def test_joints_of_others_and_readings_without_rate_are_left_out(ros):
 def test_a_calibration_of_another_arm_is_left_out(run, spin, capfd):
     node, bench = run()
     three = replace(paper_arm(), links=paper_arm().links[:3])
-    bench.calibration.publish(KinematicCalibration(verdict="pass", description=to_yaml(three)))
+    bench.calibration.publish(
+        KinematicCalibration(calibration=Calibration(verdict="pass", description=to_yaml(three)))
+    )
     spin([node, bench], lambda: "it is of 3 links, expected 4" in capfd.readouterr().err)
     assert node.known.arm == paper_arm()
 
 
 def test_a_parameter_that_nobody_knows_ends_nothing(run, spin, capfd):
     node, bench = run()
-    odd = KinematicCalibration(
+    odd = Calibration(
         verdict="pass", description=to_yaml(paper_arm()), names=["zeta"], covariance=[1.0]
     )
-    bench.calibration.publish(odd)
+    bench.calibration.publish(KinematicCalibration(calibration=odd))
     spin([node, bench], lambda: "'zeta' is no parameter" in capfd.readouterr().err)
     assert not node.reaction.covariance.any()
 

@@ -24,6 +24,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from fss_arm_model.description import paper_arm
 from fss_arm_msgs.msg import (
     BaseReaction,
+    Calibration,
     DynamicCalibration,
     KinematicCalibration,
     LinkTelemetry,
@@ -84,8 +85,12 @@ def test_what_is_published_is_shown(spin, flight, tmp_path):
     stops.publish(Empty())
     thrust.publish(ThrusterCommand(on_time=[0.0, 9.0, *[0.0] * 6]))
     target.publish(pose_stamped(1, "world", (1.0, 1.0, 0.0)))
-    dynamic.publish(DynamicCalibration(verdict="fail", reason="no maneuvers"))
-    bench.calibration.publish(KinematicCalibration(verdict="fail", reason="too few"))
+    dynamic.publish(
+        DynamicCalibration(calibration=Calibration(verdict="fail", reason="no maneuvers"))
+    )
+    bench.calibration.publish(
+        KinematicCalibration(calibration=Calibration(verdict="fail", reason="too few"))
+    )
     bench.play(400)
     spin([node, bench], lambda: node.losses.get(2))
     spin([node, bench], lambda: {"thrusters", "target"} <= set(node.legend))
@@ -112,7 +117,9 @@ def test_what_is_no_measurement_is_drawn_at_the_time_of_one(ros, tmp_path, measu
     today = Header(stamp=to_time(1_800_000_000 * SECOND), frame_id="fss")
     node.on_diagnostics(DiagnosticArray(header=today, status=[DiagnosticStatus(name="replay")]))
     node.on_stop(Empty())
-    node.on_calibration("calibration/kinematic", KinematicCalibration(header=today))
+    node.on_calibration(
+        "calibration/kinematic", KinematicCalibration(calibration=Calibration(header=today))
+    )
     line = Marker(header=today, type=Marker.LINE_STRIP, points=[Point(), Point(x=1.0)])
     node.on_outlines("workspace/markers", MarkerArray(markers=[line]))
     assert [what for _, what in drawn].count("log") == 3

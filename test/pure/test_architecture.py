@@ -30,7 +30,7 @@ ALLOWED = {
     | {"numpy", "rosbags", "mcap", "rich"},
     "fss_arm_driver": ROS
     | {"fss_arm_model.description", "fss_arm_model.settings", "fss_arm_ros", "serial"},
-    "fss_sim": ROS | {"fss_arm_model", "fss_arm_ros", "fss_arm_driver.protocol", "numpy", "yaml"},
+    "fss_sim": ROS | {"fss_arm_model", "fss_arm_ros", "fss_arm_driver.protocol", "numpy"},
     "fss_sim.rehearsal": ROS
     | {
         "fss_sim",
@@ -53,8 +53,41 @@ ALLOWED = {
     | {"numpy", "rerun", "rerun_cli"},
 }
 
+# What of the workspace a room of a package may import beside itself.
+REGIONS = "fss_arm_workspace.regions"
+PROTOCOL = "fss_arm_driver.protocol"
+WINGS = [f"fss_arm_calib.{kind}" for kind in ("kinematic", "dynamic", "drift")]
+SHARED = [
+    f"fss_arm_calib.{room}"
+    for room in (
+        *("estimation", "segments", "acceptance", "calibration", "messages", "outcome", "report"),
+        *("report_figures", "report_tables", "settings"),
+    )
+]
+ROOMS = {
+    PROTOCOL: set(),
+    "fss_arm_driver.session": {
+        "fss_arm_model.description", PROTOCOL, "fss_arm_driver.scale", "fss_arm_driver.faults",
+    },
+    "fss_arm_driver.copley": {PROTOCOL, "fss_arm_driver.faults"},
+    "fss_arm_driver.transport": {PROTOCOL, "fss_arm_driver.copley"},
+    "fss_sim.plant": {"fss_arm_model"},
+    "fss_sim.link": {
+        "fss_arm_model", "fss_arm_driver.protocol", "fss_sim.plant", "fss_sim.faults",
+        "fss_sim.noise",
+    },
+    "fss_arm_calib.estimation": set(),
+    "fss_arm_calib.segments": {"fss_arm_model", "fss_arm_calib.estimation"},
+    **{wing: {"fss_arm_model", "fss_arm_msgs", "fss_arm_ros", *SHARED} for wing in WINGS},
+    REGIONS: {"fss_arm_model.description", "fss_arm_model.layout"},
+    "fss_arm_workspace.manipulability": {"fss_arm_model", REGIONS},
+    "fss_arm_workspace.straight_path": {
+        "fss_arm_model", REGIONS, "fss_arm_workspace.manipulability.measure",
+    },
+}  # fmt: skip
+
 # Where the mathematics of a package meets ROS: its nodes, and these.
-EDGES = {"settings", "messages", "dynamic_messages", "from_bag", "design_command", "recompute"}
+EDGES = {"settings", "messages", "kind", "kinds", "from_bag", "design_command", "recompute"}
 MATHEMATICS = ALLOWED.keys() - {"fss_arm_ros", "fss_arm_bags", "fss_sim.rehearsal"}
 PACKAGES = sorted(row for row in ALLOWED if "." not in row)
 
@@ -170,6 +203,32 @@ def test_a_package_imports_what_its_row_allows(row: str) -> None:
     assert not strangers
 
 
+@pytest.mark.parametrize("room", ROOMS)
+def test_a_room_imports_what_its_row_allows(room: str) -> None:
+    inside = [module for module in MODULES if module.startswith(f"{room}.")]
+    given = tuple(f"{name}." for name in {room, *ROOMS[room]})
+    ours = {n for m in inside for n in imports(m) if n.startswith("fss_")}
+    assert inside
+    assert not {name for name in ours if not f"{name}.".startswith(given)}
+
+
+def test_the_session_reads_no_clock_and_does_no_io() -> None:
+    session = {n for m in MODULES if m.startswith("fss_arm_driver.session.") for n in imports(m)}
+    pure = {"collections", "dataclasses", "enum", "math", "statistics", "typing"}
+    assert {name for name in session if not name.startswith("fss_")} <= pure
+
+
+def test_only_the_layout_knows_where_what_stands_in_the_parameter_vector() -> None:
+    by_hand = re.compile(r"\bp\[(\.\.\., )?(-?\d|\d \*)")
+    packages = ("fss_arm_model.", "fss_arm_workspace.", "fss_sim.")
+    found = {m for m in MODULES if m.startswith(packages) and by_hand.search(text(m))}
+    assert not found
+
+
+def text(module: str) -> str:
+    return MODULES[module].read_text(encoding="utf-8")
+
+
 @pytest.mark.parametrize("module", list(mathematics()))
 def test_mathematics_is_free_of_ros(module: str) -> None:
     assert not tops(reached(module)) & ROS
@@ -193,7 +252,8 @@ def test_the_plot_library_is_imported_only_where_it_is_used() -> None:
 
 
 @pytest.mark.parametrize(
-    "module", ["fss_arm_model.description", "fss_arm_driver.protocol", "fss_arm_driver.link"]
+    "module",
+    ["fss_arm_model.description", PROTOCOL, "fss_arm_driver.session", f"{REGIONS}.fixed"],
 )
 def test_importing_it_loads_neither_kernels_nor_ros(module: str) -> None:
     program = f"import sys, {module}; print({{'numba', 'rclpy', 'scipy'}} & sys.modules.keys())"

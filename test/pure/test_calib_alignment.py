@@ -5,7 +5,14 @@ import pytest
 from calib_rig import ARM, POSTURES, SECOND, Rig
 
 from fss_arm_calib.experiment.postures import DEFAULT
-from fss_arm_calib.segments.alignment import Alignment, Offset, mean_offset, offset_of_move
+from fss_arm_calib.segments.alignment import (
+    Alignment,
+    Offset,
+    last_move,
+    mean_offset,
+    offset_of_move,
+)
+from fss_arm_calib.segments.joints import Rests
 from fss_arm_calib.segments.rests import RestFinder
 from fss_arm_model.kinematics import tip_in_base
 
@@ -82,15 +89,13 @@ def test_moves_that_contradict_each_other_widen_the_deviation():
 
 
 def one_joint():
-    """The alignment of a joint that has turned by 1 rad, its moves taught by `learn`."""
-    alignment, t = Alignment(1, 1e-3, 1.0), np.arange(-2.0, 4.0, 0.2)
-    for q, stamp in zip(path(t, 1.0), t, strict=True):
-        alignment.reading(1, round(stamp * SECOND), q)
+    """What a joint that turns by 1 rad tells: the alignment, and `learn` that teaches a move."""
+    alignment, t = Alignment(1.0), np.arange(-2.0, 4.0, 0.2)
+    seen = np.arange(-2.0, 4.0, 0.01)
 
     def learn(psi, late=0.0):
-        seen = np.arange(-2.0, 4.0, 0.01)
-        stamps = np.round((seen - late) * SECOND).astype(np.int64)
-        alignment.learn(0, 5 * SECOND // 2, 4 * SECOND, stamps, psi(seen))
+        q = [(t, path(t, 1.0))]
+        alignment.learn(offset_of_move(np.array([0.0, 2.5]), q, seen - late, psi(seen), 1.0))
 
     return alignment, learn
 
@@ -105,14 +110,24 @@ def test_a_move_that_looks_like_another_tells_nothing():
     assert alignment.offset.value == pytest.approx(0.1, abs=0.003)
 
 
-def test_without_moves_there_is_nothing_to_learn():
-    alignment = Alignment(2, 1e-3, 1.0)
-    for k in range(20):
+def rested(*times):
+    """Two joints at rest but for moves of the first one that begin at such times [s]."""
+    rests = Rests(2, 1e-3, 60 * SECOND)
+    for k in range(150):
+        at = 0.2 * k
         for i in (1, 2):
-            alignment.reading(i, k * SECOND // 5, 0.5)
-    assert alignment.move(3 * SECOND) is None
-    alignment.learn(0, SECOND, SECOND, np.empty(0, np.int64), np.empty(0))
-    assert alignment.offset.deviation == np.inf
+            q = sum(float(path(at - begin, 1.0)) for begin in times) if i == 1 else 0.5
+            for _ in rests.add(i, round(at * SECOND), q):
+                pass
+    return rests.joints
+
+
+def test_the_last_move_is_found():
+    assert last_move(rested(), 29 * SECOND, 1e-3) is None
+    begin, end = last_move(rested(1.0, 20.0), 29 * SECOND, 1e-3)
+    assert (begin, end) == (20 * SECOND, pytest.approx(22.4 * SECOND, abs=0.2 * SECOND))
+    assert last_move(rested(1.0, 20.0), 19 * SECOND, 1e-3)[0] == SECOND
+    assert last_move(rested(1.0), 29 * SECOND, 1e-3) is None  # too long ago
 
 
 def test_only_the_newest_moves_count():

@@ -280,5 +280,5 @@ def test_to_vector_follows_the_description():
 
 @pytest.mark.parametrize("value", [-1.0, np.inf, np.nan])
 def test_impossible_knowledge_is_refused(value):
-    with pytest.raises(ValueError, match=r"b_deviation is .*, expected a deviation of 0 or more"):
+    with pytest.raises(ValueError, match=r"b_deviation is .* m, expected 0 or more"):
         Knowledge(b_deviation=value)

@@ -5,22 +5,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fss_arm_calib.estimation.least_squares import CAUCHY, HUBER, SQUARE
 from fss_arm_calib.experiment.postures import DEFAULT
 from fss_arm_calib.kinematic.problem import (
-    CAUCHY,
     EQUAL,
     FULL,
-    HUBER,
     OFFSETS,
-    SQUARE,
     KinematicProblem,
     NotIdentifiable,
     quantization_bound,
     solve,
-    wrap,
 )
 from fss_arm_model.description import Arm, Link, kinematic_names, paper_arm
 from fss_arm_model.kinematics import tip_in_base
+from fss_arm_model.planar import wrap
 
 HALF_COUNT = np.pi / 240_000
 

@@ -8,13 +8,13 @@ from calib_float import COUNT
 
 from fss_arm_calib.dynamic.parameters import to_vector, values
 from fss_arm_calib.dynamic.problem import solve
-from fss_arm_calib.dynamic.settings import DynamicCalibrationSettings
+from fss_arm_calib.dynamic.settings import DynamicSettings
 from fss_arm_calib.experiment.design import Conditions, design, marks, problem
 from fss_arm_model.base_motion import base_poses, path, sampled, stack
 from fss_arm_model.description import paper_arm
 
 ARM, REST = paper_arm(), 5.2
-SETTINGS = DynamicCalibrationSettings()
+SETTINGS = DynamicSettings()
 PERIOD = 0.2  # of telemetry [s]
 
 
@@ -41,7 +41,7 @@ def as_read(one, rng):
 def looks(one):
     """Times of the marks [s]."""
     t = marks(one, SETTINGS, REST)[0].marks[:, -1]
-    return t - 0.5 * (t[0] + t[-1] - one.length - SETTINGS.settle)
+    return t - 0.5 * (t[0] + t[-1] - one.length - SETTINGS.settle_time)
 
 
 def draw_truth(rng):
@@ -77,8 +77,8 @@ def trials(maneuvers, count, seed):
 def test_looks_are_before_and_after():
     (one,) = plan(1, 10)
     t = looks(one)
-    assert t[3] < 0.0 < one.length + SETTINGS.settle < t[4]
-    assert -t[0] == pytest.approx(t[-1] - one.length - SETTINGS.settle)
+    assert t[3] < 0.0 < one.length + SETTINGS.settle_time < t[4]
+    assert -t[0] == pytest.approx(t[-1] - one.length - SETTINGS.settle_time)
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""What people are told: all of it from the published message, and all in one page."""
+"""What people are told: all in one page."""
 
 import re
 import xml.etree.ElementTree as ET
@@ -11,22 +11,19 @@ from calib_float import Float, feed, postures
 from calib_rig import ARM
 
 from fss_arm_calib import report
-from fss_arm_calib.dynamic.checks import calibrate as calibrate_dynamics
+from fss_arm_calib.dynamic.calibrate import calibrate as calibrate_dynamics
 from fss_arm_calib.dynamic.report import dynamic_report
-from fss_arm_calib.dynamic.settings import DynamicCalibrationSettings
-from fss_arm_calib.dynamic_messages import maneuvers_message
-from fss_arm_calib.dynamic_messages import to_message as dynamic_message
+from fss_arm_calib.dynamic.settings import DynamicSettings
 from fss_arm_calib.experiment.postures import DEFAULT
-from fss_arm_calib.kinematic.checks import calibrate
+from fss_arm_calib.kinematic.calibrate import calibrate
 from fss_arm_calib.kinematic.problem import OFFSETS
 from fss_arm_calib.kinematic.report import kinematic_report
-from fss_arm_calib.kinematic.settings import CalibrationSettings
-from fss_arm_calib.messages import to_message
+from fss_arm_calib.kinematic.settings import KinematicSettings
 from fss_arm_calib.segments.maneuvers import ManeuverFinder
 from fss_arm_calib.segments.rests import Observation
 from fss_arm_model.kinematics import joint_positions, tip_in_base
 
-SETTINGS = CalibrationSettings(max_outliers=1)
+SETTINGS = KinematicSettings(max_outliers=1)
 STATE = np.array([0.1, 0.2, 3.0, 0.2, -0.1, 0.03, 0.0002, -0.0001])
 
 
@@ -41,8 +38,8 @@ def observations(count=13):
     return [Observation(k, k + 1, tuple(q), tuple(tip)) for k, (q, tip) in enumerate(pairs)]
 
 
-def message(count=13, settings=SETTINGS):
-    return to_message(calibrate(observations(count), ARM, settings, source="a <bag>"), "fss")
+def outcome(count=13, settings=SETTINGS):
+    return calibrate(observations(count), ARM, settings, source="a <bag>")
 
 
 def printed(told):
@@ -53,11 +50,11 @@ def printed(told):
 
 
 def test_the_tables_compare_with_the_paper_and_the_truth():
-    text = printed(kinematic_report(message(), ARM))
+    text = printed(kinematic_report(outcome(), ARM))
     for words in ("a_1 .. a_3", "0.3825", "5.801", "18.211", "0.0150", "0.683", "truth", "pass: "):
         assert words in text
     assert "from a <bag>" in text
-    text = printed(kinematic_report(message(3)))
+    text = printed(kinematic_report(outcome(3)))
     assert "not evaluated: 3 observations" in text
     assert "truth" not in text
 
@@ -82,7 +79,7 @@ class Page(HTMLParser):
 
 
 def test_the_page_holds_all_and_needs_no_other_file(tmp_path):
-    told = kinematic_report(message())
+    told = kinematic_report(outcome())
     path = report.write(tmp_path / "report", told)
     page = Page()
     page.feed(path.read_text())
@@ -102,7 +99,7 @@ def test_the_page_holds_all_and_needs_no_other_file(tmp_path):
 
 
 def test_without_a_solution_the_page_tells_why(tmp_path):
-    told = kinematic_report(message(3))
+    told = kinematic_report(outcome(3))
     assert told.figures == ()
     text = report.write(tmp_path, told).read_text()
     assert "3 observations, at least 6 needed" in text
@@ -112,8 +109,8 @@ def test_without_a_solution_the_page_tells_why(tmp_path):
 def test_the_drawings_show_the_estimated_arm():
     """Also where most of it was not estimated."""
     settings = replace(SETTINGS, parametrization=OFFSETS, theta_e=True)
-    c = message(settings=settings)
-    (drawing, *_), q = kinematic_report(c).figures, np.reshape(c.q, (-1, 4))
+    c = outcome(settings=settings)
+    (drawing, *_), q = kinematic_report(c).figures, np.array([o.q for o in c.used])
     lines = drawing.draw().axes[0].lines
     values = dict(zip(c.names, c.values, strict=True))
     arm = ARM.with_kinematics([
@@ -143,13 +140,12 @@ def maneuvers():
 
 @pytest.mark.slow
 def test_a_dynamic_calibration_is_told_as_well(maneuvers, tmp_path):
-    settings = DynamicCalibrationSettings(position_deviation=5e-4, heading_deviation=2e-3)
-    c = dynamic_message(calibrate_dynamics(maneuvers, ARM, settings), "fss")
-    told = dynamic_report(c, ARM, maneuvers_message(maneuvers, "fss").maneuvers)
+    settings = DynamicSettings(position_deviation=5e-4, heading_deviation=2e-3)
+    told = dynamic_report(calibrate_dynamics(maneuvers, ARM, settings), ARM)
     text = printed(told)
     for words in ("b_1", "0.1910", "0.0340", "I_0", "g_x", "prior [%]", "1.540"):
         assert words in text
-    page = report.write(tmp_path, told, kinematic_report(message())).read_text()
+    page = report.write(tmp_path, told, kinematic_report(outcome())).read_text()
     for words in (
         "Bias by what was assumed",
         "mass_deviation: 0.005",
@@ -168,8 +164,7 @@ def test_a_dynamic_calibration_is_told_as_well(maneuvers, tmp_path):
 
 
 def test_a_dynamic_calibration_without_a_solution_is_told(maneuvers, tmp_path):
-    c = dynamic_message(calibrate_dynamics(maneuvers[:2], ARM, DynamicCalibrationSettings()), "fss")
-    told = dynamic_report(c, None, maneuvers_message(maneuvers[:2], "fss").maneuvers)
+    told = dynamic_report(calibrate_dynamics(maneuvers[:2], ARM, DynamicSettings()))
     assert "not evaluated: 2 maneuvers" in printed(told)
     report.write(tmp_path, told)
     assert list(tmp_path.iterdir()) == [tmp_path / "index.html"]

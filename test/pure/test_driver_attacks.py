@@ -13,11 +13,11 @@ from zlib import crc32
 
 import pytest
 
-from fss_arm_driver.link import Arming, LinkSession
 from fss_arm_driver.protocol import Mode, Order, Refused, State, decode, encode
+from fss_arm_driver.session import Arming, LinkSession
 from fss_arm_model.description import paper_arm
-from fss_sim.electronics import LinkElectronics
-from fss_sim.plant import Motion
+from fss_sim.link.electronics import LinkElectronics
+from fss_sim.plant.plant import Motion
 
 KEY, OTHER = bytes(range(32)), bytes(range(1, 33))
 SECOND = 1_000_000_000

@@ -23,9 +23,9 @@ from fss_arm_driver.copley.language import (
     trajectory,
 )
 from fss_arm_driver.copley.link import DriveLink
-from fss_arm_driver.link import Arming, LinkSession
 from fss_arm_driver.protocol import Command, Mode, Order, State, decode, encode
 from fss_arm_driver.scale import HOME
+from fss_arm_driver.session import Arming, LinkSession
 from fss_arm_driver.transport import TransportError, open_transport
 from fss_arm_model.description import paper_arm
 

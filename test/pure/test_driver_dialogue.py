@@ -5,13 +5,13 @@ from functools import partial
 
 import pytest
 
-from fss_arm_driver.dialogue import DAY
-from fss_arm_driver.link import Arming, LinkSession
 from fss_arm_driver.protocol import Mode, Order, State, decode
 from fss_arm_driver.scale import CommandError
+from fss_arm_driver.session import Arming, LinkSession
+from fss_arm_driver.session.dialogue import MAX_STAMP_LEAD
 from fss_arm_model.description import paper_arm
-from fss_sim.electronics import LinkElectronics
-from fss_sim.plant import Motion
+from fss_sim.link.electronics import LinkElectronics
+from fss_sim.plant.plant import Motion
 
 SECOND = 1_000_000_000
 PERIOD, STEP = SECOND // 5, SECOND // 200
@@ -258,7 +258,7 @@ def test_old_telemetry_played_again_costs_a_day_at_most_and_executes_nothing():
         world.to_drivers(data)
         world.run(0.05)
     latest = decode(world.commands[-1], KEY).clock
-    assert latest <= (world.now + DATE) // 1000 + DAY
+    assert latest <= (world.now + DATE) // 1000 + MAX_STAMP_LEAD
     assert second.lost
     del silent.telemetry
     assert world.run(5.0, lambda: world.can_arm(second)) < 5.0

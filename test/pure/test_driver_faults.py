@@ -7,12 +7,12 @@ from pathlib import Path
 import pytest
 from driver_link import SAMPLE, SECOND, FakeLink
 
-from fss_arm_driver.battery import Battery
 from fss_arm_driver.faults import FAULTS, IN_MOTION, Word, as_markdown, blocking, present
-from fss_arm_driver.link import Arming, LinkSession
-from fss_arm_driver.progress import PATIENCE, SETTLING, Progress, Status
 from fss_arm_driver.protocol import Mode, Order, Slow, State, decode
 from fss_arm_driver.scale import HOME, CommandError, Scale
+from fss_arm_driver.session import Arming, LinkSession
+from fss_arm_driver.session.battery import Battery
+from fss_arm_driver.session.progress import STALL_TIME, START_TIMEOUT, Progress, Status
 from fss_arm_model.description import Drive, paper_arm
 
 LINK = paper_arm().links[0]
@@ -191,13 +191,13 @@ MOVING = {"status": IN_MOTION, "velocity": 100, "position": HALF // 2}
     ("frames", "status", "reason"),
     [
         ([(1, False, MOVING)], Status.ACCEPTED, ""),
-        ([(PATIENCE + 1, False, {})], Status.TIMED_OUT, "the link has not taken it"),
+        ([(START_TIMEOUT + 1, False, {})], Status.TIMED_OUT, "the link has not taken it"),
         ([(1, True, {})], Status.ACCEPTED, ""),
-        ([(PATIENCE + 1, True, {})], Status.TIMED_OUT, "the joint has not begun to move"),
+        ([(START_TIMEOUT + 1, True, {})], Status.TIMED_OUT, "the joint has not begun to move"),
         ([(1, True, MOVING)], Status.MOVING, ""),
         ([(1, True, MOVING), (2, True, {"position": HALF // 2})], Status.MOVING, ""),
         (
-            [(1, True, MOVING), (SETTLING + 2, True, {"position": HALF // 2})],
+            [(1, True, MOVING), (STALL_TIME + 2, True, {"position": HALF // 2})],
             Status.ABORTED,
             "the joint came to rest before it",
         ),

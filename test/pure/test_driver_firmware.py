@@ -16,8 +16,8 @@ from firmware_vectors import cases
 from fss_arm_driver.faults import FAULTS, Word
 from fss_arm_driver.protocol import Command, Mode, Order, Slow, State, decode, encode
 from fss_arm_model.description import paper_arm
-from fss_sim.electronics import LinkElectronics
-from fss_sim.plant import Motion
+from fss_sim.link.electronics import LinkElectronics
+from fss_sim.plant.plant import Motion
 
 VECTORS = Path(__file__).parents[1] / "vectors/firmware.txt"
 

@@ -6,9 +6,9 @@ from math import inf, isnan, nan, pi
 import pytest
 from driver_link import MILLISECOND, SECOND, FakeLink
 
-from fss_arm_driver.link import Arming, LinkSession
 from fss_arm_driver.protocol import Mode, Order, Slow, State, decode, encode
 from fss_arm_driver.scale import CommandError
+from fss_arm_driver.session import Arming, LinkSession
 from fss_arm_model.description import Drive, TorqueSensor, paper_arm
 
 PERIOD = SECOND // 5

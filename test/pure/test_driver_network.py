@@ -11,12 +11,12 @@ from random import Random
 import pytest
 from driver_network import SECOND, Network
 
-from fss_arm_driver.link import LinkSession
 from fss_arm_driver.protocol import Mode, Order
 from fss_arm_driver.scale import CommandError
+from fss_arm_driver.session import LinkSession
 from fss_arm_model.description import paper_arm
-from fss_sim.electronics import LinkElectronics
-from fss_sim.plant import Motion
+from fss_sim.link.electronics import LinkElectronics
+from fss_sim.plant.plant import Motion
 
 START = 1_700_000_000 * SECOND
 PERIOD = SECOND // 5

@@ -49,12 +49,67 @@ def test_kernels_are_kept_until_any_source_changes(copy):
     assert kept
     assert copy.energy() == first
     assert copy.kept() == kept
-    helpers = copy.package / "kinematics.py"  # dynamics.py, where the kernel is, stays as it was
+    helpers = copy.package / "layout.py"  # dynamics.py, where the kernel is, stays as it was
     text = helpers.read_text()
-    assert "return p[0] if k == 0 else" in text
-    helpers.write_text(text.replace("return p[0] if k == 0 else", "return 9.0 if k == 0 else"))
+    assert "return p[MASS] if k == 0 else" in text
+    helpers.write_text(text.replace("return p[MASS] if k == 0 else", "return 9.0 if k == 0 else"))
     assert copy.energy() == pytest.approx(first - 1.0)  # the base 1 kg lighter, at v^2 = 2
     assert kept.items() <= copy.kept().items()
+
+
+OTHER = {
+    "__init__.py": "",
+    "helpers.py": """
+from fss_arm_model.kernels import helper
+
+@helper
+def more(x):
+    return x + 1.0
+""",
+    "room/__init__.py": "",
+    "room/sums.py": """
+from fss_arm_model.kernels import kernel
+from fss_other.helpers import more
+
+@kernel("()->()")
+def total(x, out):
+    out[0] = more(x[0])
+""",
+}
+
+
+def test_kernels_of_other_packages_follow_their_own_sources_and_the_models(copy):
+    other = copy.package.parent / "fss_other"
+    for name, text in OTHER.items():
+        (other / name).parent.mkdir(parents=True, exist_ok=True)
+        (other / name).write_text(text)
+
+    def total() -> float:
+        return float(
+            copy.run("-c", "from fss_other.room.sums import total; print(total(1))").stdout
+        )
+
+    def edit(file: Path, old: str, new: str) -> None:
+        assert old in file.read_text()
+        file.write_text(file.read_text().replace(old, new))
+
+    def kernels() -> set[Path]:
+        return {f.parent for f in copy.kept() if "total" in f.name}
+
+    assert total() == 2.0
+    kept = copy.kept()
+    assert total() == 2.0
+    assert copy.kept() == kept
+    edit(other / "helpers.py", "x + 1.0", "x + 2.0")  # not where the kernel stands
+    assert total() == 3.0
+    assert len(kernels()) == 2
+    edit(copy.package / "units.py", "9.81", "9.8")
+    assert total() == 3.0
+    assert len(kernels()) == 3
+    (copy.package / "units.py").write_text("GRAVITY = 9.81")
+    found = "from fss_arm_model.warm import modules; print(*modules())"
+    assert "fss_other.room.sums" in copy.run("-c", found).stdout.split()
+    assert "fss_arm_model.dynamics" in copy.run("-c", found).stdout.split()
 
 
 @pytest.mark.slow
@@ -75,6 +130,6 @@ def test_folder_that_cannot_be_written_to_is_done_without(copy):
 
 
 def test_cache_lies_in_the_users_cache_folder(copy, tmp_path):
-    code = "from fss_arm_model import _cache; print(_cache.cache_folder())"
+    code = "from fss_arm_model import kernels; print(kernels.cache_folder('fss_arm_model'))"
     folder = copy.run("-c", code, NUMBA_CACHE_DIR="", XDG_CACHE_HOME=str(tmp_path / "home"))
     assert Path(folder.stdout.strip()).parent == tmp_path / "home" / "fss_arm"

@@ -6,7 +6,8 @@ from model_arms import random_arm, random_states
 from numpy.testing import assert_allclose
 
 from fss_arm_model import kinematics
-from fss_arm_model.description import kinematic_index, paper_arm
+from fss_arm_model.description import paper_arm
+from fss_arm_model.layout import kinematic_index
 
 STEP = 1e-6  # of central differences; their error is about STEP^2 and 1e-16 / STEP
 TOLERANCE = 1e-8

@@ -11,8 +11,9 @@ from numpy.testing import assert_allclose
 
 from fss_arm_model import dynamics
 from fss_arm_model.description import paper_arm
+from fss_arm_model.integration import STEP
 from fss_arm_model.momentum import momentum
-from fss_arm_model.rollout import STEP, rollout
+from fss_arm_model.rollout import rollout
 
 STEPS = 3000
 

@@ -37,6 +37,13 @@ def test_readings_are_told_by_their_joints_names():
     assert list(joint_readings(JointState(position=[1.0]))) == []
 
 
+def test_a_joint_of_thousands_of_digits_is_another_arms():
+    """It ended nodes: int() takes no more than 4300."""
+    message = JointState(name=["joint_" + 5000 * "1", "joint_" + 5000 * "0" + "2"])
+    message.position = [0.1, 0.2]
+    assert [i for i, *_ in joint_readings(message)] == [111_111_111, 0]
+
+
 def test_seconds():
     assert seconds(1_500_000_000) == 1.5
 

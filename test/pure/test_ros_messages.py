@@ -11,7 +11,7 @@ from fss_arm_bags.definitions import definition, extends, message_class, upgrade
 from fss_arm_bags.doctor.command import main as doctor
 from fss_arm_bags.reader import BagError, find, open_bags
 from fss_arm_calib.from_bag import solve_bag
-from fss_arm_calib.kinematic.settings import CalibrationSettings
+from fss_arm_calib.kinematic.kind import KINEMATIC
 
 
 def test_all_of_the_first_bag_is_read_and_is_of_types_that_only_grew():
@@ -43,7 +43,8 @@ def test_bags_from_before_and_after_a_type_grew_are_not_misread(tmp_path, capsys
 def test_the_first_bag_gives_the_result_that_was_found_then():
     with open_bags(FIRST) as bags:
         ((_, _, _, then),) = bags.messages({"/calibration/kinematic"})
-    now = solve_bag(FIRST, CalibrationSettings(arm="config/cad.yaml"))
+    then = then.calibration
+    now = solve_bag(KINEMATIC, FIRST, KINEMATIC.settings(arm="config/cad.yaml"))
     assert (now.verdict, list(now.names)) == (then.verdict, list(then.names))
     deviations = np.sqrt(np.diag(np.reshape(then.covariance, (len(then.names), -1))))
     # The poses were thinned to a tenth when the bag was put away.

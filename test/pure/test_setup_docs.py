@@ -75,9 +75,13 @@ def check_node(package, executable, *arguments):
     if "--ros-args" in arguments:
         plain = arguments[: arguments.index("--ros-args")]
     if hasattr(module, "parser"):
-        module.parser().parse_args(plain)
+        kind = [module.asked(plain)] if hasattr(module, "asked") else []
+        module.parser(*kind).parse_args(plain)
         return
-    settings = getattr(module, f"{executable.title().replace('_', '')}Settings")
+    if hasattr(module, "node_settings"):  # of a record
+        settings = module.node_settings(module.KINDS[executable])
+    else:
+        settings = getattr(module, f"{executable.title().replace('_', '')}Settings")
     hints, given = get_type_hints(settings), {}
     for flag, word in pairwise(arguments):
         if flag == "-p":

@@ -8,8 +8,9 @@ from random import Random
 
 import pytest
 
-from fss_sim.channel import SECOND, Channel, Datagram
+from fss_arm_model.units import SECOND
 from fss_sim.faults import Event, FaultError, Faults, LinkFaults, kinds, read_script
+from fss_sim.link.channel import Channel, Datagram
 
 ROOT = Path(__file__).parents[2]
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from fss_arm_model.description import TorqueSensor
-from fss_sim.instruments import CAPACITY, EMPTY, FULL, IDLE, Battery, Encoder, TorqueConverter
+from fss_sim.link.instruments import CAPACITY, EMPTY, FULL, IDLE, Battery, Encoder, TorqueConverter
 
 ERROR = radians(150 / 3600)
 

@@ -4,12 +4,13 @@ import pytest
 
 from fss_arm_driver.protocol import Command, Mode, Slow, decode, encode
 from fss_arm_model.description import paper_arm
+from fss_arm_model.units import SECOND
 from fss_sim import testbed
 from fss_sim.faults import Event, LinkFaults
-from fss_sim.link import Link
+from fss_sim.link.link import Link
 from fss_sim.noise import PRESETS, Noise
-from fss_sim.plant import Motion
-from fss_sim.testbed import FRAME, SECOND, State
+from fss_sim.plant.plant import Motion
+from fss_sim.testbed import FRAME, State
 
 REST = Motion(q=0.5, qd=0.0, current=0.25, torque=0.2)
 BEGIN = State(frame=0, boots=1, rests=0, q=(0.0,) * 7, qd=(0.0,) * 7)

@@ -6,11 +6,11 @@ from model_arms import random_arm
 from scipy.integrate import solve_ivp
 
 from fss_arm_model.description import paper_arm
-from fss_arm_model.drives import CURRENT, OFF, POSITION, VELOCITY
 from fss_arm_model.dynamics import forward_dynamics, kinetic_energy
 from fss_arm_model.momentum import system_com
-from fss_arm_model.simulation import Surroundings
-from fss_sim.plant import Demand, Joints, Plant, World
+from fss_sim.plant.drives import CURRENT, OFF, POSITION, VELOCITY
+from fss_sim.plant.plant import Demand, Joints, Plant, World
+from fss_sim.plant.surroundings import Surroundings
 
 COUNT = 2 * np.pi / 240_000  # [rad]
 POSTURES = [(0.3, -0.2, 0.4, 0.1), (-1.4, 1.4, -1.3, 1.4), (1.5, -1.5, 1.5, 0.0)]

@@ -104,13 +104,17 @@ def test_a_link_whose_battery_was_empty_starts_again_when_charged():
     assert {decode(r.telemetry[3][0].data).boot for r in reports if r.telemetry[3]} == {5}
 
 
-@pytest.mark.parametrize("text", ["", "{}", "[1]", '{"frame": 1, "boots": 1, "rests": 0, "q": [0],'
-                                  ' "qd": [0]}'])  # fmt: skip
+@pytest.mark.parametrize(
+    "text",
+    ["", "{}", "[1]", 10**5 * "[", '{"frame": .inf, "boots": 1, "rests": 0}', "\0",
+     '{"frame": 1, "boots": 1, "rests": 0, "q": [0], "qd": [0]}'],
+)  # fmt: skip
 def test_a_file_that_is_no_state_is_refused_by_name(tmp_path, text):
     path = tmp_path / "state.json"
     path.write_text(text)
-    with pytest.raises(StateError, match=r"state\.json"):
+    with pytest.raises(StateError, match=r"state\.json") as error:
         State.load(path, 4)
+    assert "\n" not in str(error.value)
 
 
 def look(faults, frames=2000, **gyro):

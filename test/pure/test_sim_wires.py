@@ -6,7 +6,7 @@ import tty
 import pytest
 
 from fss_arm_driver.protocol import StreamDecoder, pack
-from fss_sim.pty import LinkTerminal
+from fss_sim.link.pty import LinkTerminal
 
 FRAME = bytes(range(72))
 

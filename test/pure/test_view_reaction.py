@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from view_flight import STEP, Flight, paper_flight
 
-from fss_arm_model.description import kinematic_index, load, paper_arm
+from fss_arm_model.description import load, paper_arm
 from fss_arm_model.dynamics import bias, inertia_matrix
-from fss_arm_model.simulation import GRAVITY
+from fss_arm_model.layout import kinematic_index
+from fss_arm_model.units import GRAVITY
 from fss_arm_ros.calibrated import vector_covariance
 from fss_arm_view.base_reaction import BaseReaction
 from fss_arm_view.settings import ReactionSettings

@@ -9,8 +9,8 @@ from model_arms import random_arm
 from workspace_oracle import reachable, sampled, tips
 
 from fss_arm_model.description import paper_arm
-from fss_arm_workspace.arcs import Arcs, enclose
-from fss_arm_workspace.fixed import fixed_workspace, joint_limits
+from fss_arm_workspace.regions.arcs import Arcs, enclose
+from fss_arm_workspace.regions.fixed import fixed_workspace, joint_limits
 
 FAR = 1e-6  # from the boundary, where membership must be right [m]
 

@@ -8,8 +8,8 @@ from numpy.testing import assert_allclose
 from fss_arm_model.description import paper_arm
 from fss_arm_model.dynamics import forward_dynamics
 from fss_arm_model.momentum import momentum
-from fss_arm_workspace.fixed import joint_limits
-from fss_arm_workspace.straight_path import Rules, arch, states_along
+from fss_arm_workspace.regions.fixed import joint_limits
+from fss_arm_workspace.straight_path.paths import Rules, arch, states_along
 from fss_arm_workspace.torque import effort_along
 from fss_arm_workspace.zero_reaction import (
     angular_coupling,

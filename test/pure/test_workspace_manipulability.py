@@ -11,19 +11,19 @@ from numpy.testing import assert_allclose
 from workspace_oracle import exhaustive, tips
 
 from fss_arm_model.description import paper_arm
-from fss_arm_workspace.fixed import joint_limits
-from fss_arm_workspace.manipulability import (
+from fss_arm_workspace.manipulability.map import manipulability_map
+from fss_arm_workspace.manipulability.measure import (
     FIXED,
     FIXED_POSE,
     FLOATING,
     FLOATING_POSE,
-    Grid,
-    Search,
     ellipsoid,
     jacobian,
-    manipulability_map,
     measure,
 )
+from fss_arm_workspace.manipulability.search import Search
+from fss_arm_workspace.regions.fixed import joint_limits
+from fss_arm_workspace.regions.grid import Grid
 
 KINDS = [FIXED, FLOATING, FIXED_POSE, FLOATING_POSE]
 

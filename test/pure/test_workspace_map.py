@@ -10,12 +10,12 @@ from rclpy.serialization import serialize_message
 from fss_arm_bags.reader import BagError
 from fss_arm_bags.recorder import Recording
 from fss_arm_model.description import from_yaml, paper_arm, save, to_yaml
-from fss_arm_msgs.msg import DynamicCalibration, KinematicCalibration
+from fss_arm_msgs.msg import Calibration, DynamicCalibration, KinematicCalibration
 from fss_arm_ros.calibrated import Calibrated
 from fss_arm_ros.qos import LATCHED
 from fss_arm_workspace.analysis import load_kernels
-from fss_arm_workspace.fixed import fixed_workspace
 from fss_arm_workspace.map import calibrated, main
+from fss_arm_workspace.regions.fixed import fixed_workspace
 
 TOPIC = "/calibration/kinematic"
 
@@ -56,7 +56,7 @@ def test_a_single_link_has_all_but_maps(tmp_path, capsys):
         (["/no/such.yaml"], "No such file"),
         (["/no/such/bag"], "no such file or folder"),
         (["--cell", "0"], "cell is 0.0 m, expected 0.001 or more"),
-        (["--table", "1", "1", "0", "2"], "table is (1.0, 1.0, 0.0, 2.0), expected low x"),
+        (["--table", "1", "1", "0", "2"], "table is (1.0, 1.0, 0.0, 2.0) m, expected low x"),
         (["--table", "5", "5", "6", "6"], "expected on the table"),
         (["--start", "10", "20"], "expected 7 finite numbers"),
         (["--start", "100", "0", "0", "0"], "joint 1 starts at 1.74533 rad"),
@@ -83,7 +83,11 @@ def test_kernels_are_loaded_for_any_arm(links):
 def passed(kind, arm, names, deviation):
     size = len(names)
     covariance = (deviation**2 * np.eye(size)).ravel().tolist()
-    return kind(verdict="pass", description=to_yaml(arm), names=names, covariance=covariance)
+    return kind(
+        calibration=Calibration(
+            verdict="pass", description=to_yaml(arm), names=names, covariance=covariance
+        )
+    )
 
 
 def test_a_calibration_that_passed_is_taken_with_its_covariance():
@@ -91,7 +95,10 @@ def test_a_calibration_that_passed_is_taken_with_its_covariance():
     longer = arm.with_kinematics(arm.vector()[[8, 14, 20, 26, 15, 21, 27, 4, 5, 6]] * 1.01)
     known = Calibrated(arm)
     assert (
-        known.with_message("calibration/kinematic", KinematicCalibration(verdict="fail")) == known
+        known.with_message(
+            "calibration/kinematic", KinematicCalibration(calibration=Calibration(verdict="fail"))
+        )
+        == known
     )
     kinematic = passed(KinematicCalibration, longer, ["a", "a_4"], 1e-3)
     known = known.with_message("calibration/kinematic", kinematic)
@@ -145,7 +152,9 @@ def test_a_bag_tells_its_last_calibration_that_passed(tmp_path):
     messages = [passed(KinematicCalibration, a, ["a", "a_4"], 1e-3) for a in arms]
     bag = Recording(tmp_path / "bag")
     bag.add(TOPIC, "fss_arm_msgs/msg/KinematicCalibration", [LATCHED])
-    for t, message in enumerate([*messages, KinematicCalibration(verdict="fail")], 1):
+    for t, message in enumerate(
+        [*messages, KinematicCalibration(calibration=Calibration(verdict="fail"))], 1
+    ):
         bag.write(TOPIC, t, serialized(message))
     bag.close()
     known = calibrated([str(bag.path)])
@@ -156,7 +165,7 @@ def test_a_bag_tells_its_last_calibration_that_passed(tmp_path):
 def test_a_bag_without_a_calibration_is_refused(tmp_path):
     bag = Recording(tmp_path / "bag")
     bag.add(TOPIC, "fss_arm_msgs/msg/KinematicCalibration", [LATCHED])
-    bag.write(TOPIC, 1, serialized(KinematicCalibration(verdict="fail")))
+    bag.write(TOPIC, 1, serialized(KinematicCalibration(calibration=Calibration(verdict="fail"))))
     bag.close()
     with pytest.raises(BagError, match="no calibration that passed"):
         calibrated([str(bag.path)])

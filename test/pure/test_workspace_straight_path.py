@@ -10,9 +10,10 @@ from numpy.testing import assert_allclose
 from fss_arm_model.description import paper_arm
 from fss_arm_model.kinematics import tip_pose
 from fss_arm_model.momentum import momentum, system_com
-from fss_arm_model.straight_path import BASES, REASONS, RULES
-from fss_arm_workspace.fixed import fixed_workspace, joint_limits
-from fss_arm_workspace.straight_path import (
+from fss_arm_workspace.regions.fixed import fixed_workspace, joint_limits
+from fss_arm_workspace.regions.virtual import VirtualManipulator
+from fss_arm_workspace.straight_path.optimal import optimal_paths
+from fss_arm_workspace.straight_path.paths import (
     AWAY_FROM_LIMITS,
     FIXED,
     FLOATING,
@@ -21,12 +22,12 @@ from fss_arm_workspace.straight_path import (
     ZERO_REACTION,
     Rules,
     arch,
-    optimal_paths,
     states_along,
     straight_paths,
     straight_workspace,
 )
-from fss_arm_workspace.virtual import VirtualManipulator
+from fss_arm_workspace.straight_path.redundancy import BASES, RULES
+from fss_arm_workspace.straight_path.trace import REASONS
 
 ARM = paper_arm()
 AROUND = np.linspace(0.0, 2.0 * np.pi, 73)[:-1]
@@ -220,9 +221,17 @@ def test_a_search_over_the_redundancy_goes_at_least_as_far():
         other = straight_paths(ARM, arch(ARM), directions, replace(rules, redundancy=rule))
         assert (found.distance >= other.distance).all()
     won = np.isfinite(preferred).all(axis=(1, 2))
-    again = replace(rules, redundancy="preferred", preferred=preferred[won])
-    paths = straight_paths(ARM, arch(ARM), directions[won], again)
+    again = replace(rules, redundancy="preferred")
+    paths = straight_paths(ARM, arch(ARM), directions[won], again, None, preferred[won])
     assert_allclose(paths.distance, found.distance[won], atol=1e-12)
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+@pytest.mark.parametrize("base", BASES)
+def test_nothing_is_divided_by_zero_on_the_way(base):
+    for rule in (MINIMUM_NORM, AWAY_FROM_LIMITS, WEIGHTED):
+        for arm in (ARM, replace(ARM, links=ARM.links[:1])):
+            straight_paths(arm, arch(arm), AROUND, Rules(base=base, redundancy=rule))
 
 
 def test_a_free_base_shortens_paths_as_the_paper_says():
@@ -247,8 +256,8 @@ def test_other_numbers_of_links(n):
         (np.zeros(6), {}, "expected 7 finite numbers"),
         (np.array([0, 0, 0, 2.0, 0, 0, 0]), {}, "joint 1 starts at 2 rad, expected -1.5708 to"),
         (np.array([3.0, 0, 0, 0, 0, 0, 0]), {}, "expected on the table"),
-        (arch(ARM), {"base": "moon"}, "base is 'moon', expected fixed, floating, zero reaction"),
-        (arch(ARM), {"step": 0.0}, "step is 0.0, must be positive"),
+        (arch(ARM), {"base": "moon"}, "base is 'moon', expected one of fixed, floating"),
+        (arch(ARM), {"step": 0.0}, "step is 0.0 m, expected a positive number"),
     ],
 )
 def test_what_cannot_be_is_refused(start, rules, complaint):

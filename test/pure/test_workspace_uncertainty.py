@@ -7,17 +7,18 @@ import pytest
 from numpy.testing import assert_allclose
 
 from fss_arm_model.description import paper_arm
-from fss_arm_model.manipulability import climb
 from fss_arm_ros.calibrated import Calibrated, vector_covariance
 from fss_arm_workspace.analysis import AnalysisSettings, analyse
-from fss_arm_workspace.fixed import fixed_workspace, joint_limits
-from fss_arm_workspace.manipulability import FIXED, FLOATING, Search
+from fss_arm_workspace.manipulability.climb import climb
+from fss_arm_workspace.manipulability.measure import FIXED, FLOATING
+from fss_arm_workspace.manipulability.search import Search
+from fss_arm_workspace.regions.fixed import fixed_workspace, joint_limits
+from fss_arm_workspace.regions.virtual import VirtualManipulator
 from fss_arm_workspace.uncertainty import (
     boundary_deviation,
     measure_deviation,
     radius_deviation,
 )
-from fss_arm_workspace.virtual import VirtualManipulator
 
 NAMES = ("a", "a_4", "theta_0_2", "theta_0_3", "theta_0_4", "x_BJ1", "y_BJ1", "theta_BJ1")
 DEVIATIONS = np.array([4e-3, 6e-3, 0.02, 0.03, 0.03, 5e-3, 5e-3, 0.015])

@@ -10,8 +10,8 @@ from workspace_oracle import sampled
 from fss_arm_model.description import paper_arm
 from fss_arm_model.kinematics import tip_pose
 from fss_arm_model.momentum import system_com
-from fss_arm_workspace.fixed import joint_limits
-from fss_arm_workspace.virtual import VirtualManipulator, base_mass_for
+from fss_arm_workspace.regions.fixed import joint_limits
+from fss_arm_workspace.regions.virtual import VirtualManipulator, base_mass_for
 
 
 def from_com(arm, q):

@@ -1,61 +1,60 @@
-"""What every calibration says about its result: the verdict of each stage, and where it is from."""
+"""When to believe a result: checks that calibrations of every kind share, and their verdict."""
 
-import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import dataclass, replace
 
-import numpy.typing as npt
-import yaml
-from scipy.special import gammaincc
+import numpy as np
 
-from fss_arm_calib import __version__
+from fss_arm_calib.estimation.least_squares import Floats, Mask
+from fss_arm_calib.estimation.statistics import probability
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_model.description import Arm
 
 PASS, FAIL, NOT_EVALUATED = "pass", "fail", "not_evaluated"
 
+TOLERANCE = 1e-9  # of the last update [deviations]
+
 
 @dataclass(frozen=True)
-class Stage:
-    """One of the things that a calibration must meet to pass, as Stage.msg tells it."""
+class Check:
+    """One of the things that a calibration must meet to pass, as Check.msg has it."""
 
     name: str
     verdict: str
     value: float
     threshold: float
     reason: str  # with value and threshold, in words
-    needed: bool = True  # to be evaluated; a stage that fails always counts
+    needed: bool = True  # to be evaluated; a check that fails always counts
 
 
-def at_most(name: str, value: float, threshold: float, reason: str, failing: str = "") -> Stage:
-    """A stage that passes if the value is not above the threshold; `failing` says what it means."""
+def at_most(name: str, value: float, threshold: float, reason: str, failing: str = "") -> Check:
+    """A check that passes if the value is not above the threshold; `failing` says what it means."""
     passed = value <= threshold  # NaN is not
     words = reason if passed or not failing else f"{failing}: {reason}"
-    return Stage(name, PASS if passed else FAIL, value, threshold, words)
+    return Check(name, PASS if passed else FAIL, value, threshold, words)
 
 
-def by_chance(name: str, chi_square: float, freedom: int, least: float, failing: str) -> Stage:
-    """A stage that passes unless residuals as large as found are less probable than `least`."""
-    probability = float(gammaincc(freedom / 2, chi_square / 2)) if freedom else 1.0
+def by_chance(name: str, chi_square: float, freedom: int, least: float, failing: str) -> Check:
+    """A check that passes unless residuals as large as found are less probable than `least`."""
+    chance = probability(chi_square, freedom)
     facts = (
         f"chi-square {chi_square:.4g} for {freedom} degrees of freedom, "
-        f"probability {probability:.2g} (at least {least:g})"
+        f"probability {chance:.2g} (at least {least:g})"
     )
-    passed = probability >= least
+    passed = chance >= least
     reason = facts if passed else f"{failing}: {facts}"
-    return Stage(name, PASS if passed else FAIL, probability, least, reason)
+    return Check(name, PASS if passed else FAIL, chance, least, reason)
 
 
-def joints_known(streams: Streams, arm: Arm) -> Stage:
+def joints_known(streams: Streams, arm: Arm) -> Check:
     """Whether no joint was heard that the arm does not have."""
-    strange = streams.strange
-    reason = f"{', '.join(strange)} heard, but {arm.name!r} has {count(arm.n, 'joint')}"
-    verdict = NOT_EVALUATED if strange else PASS
-    return Stage("joints", verdict, arm.n + len(strange), arm.n, reason if strange else "")
+    unknown = streams.strange
+    reason = f"{', '.join(unknown)} heard, but {arm.name!r} has {count(arm.n, 'joint')}"
+    verdict = NOT_EVALUATED if unknown else PASS
+    return Check("joints", verdict, arm.n + len(unknown), arm.n, reason if unknown else "")
 
 
-def clocks_kept(streams: Streams, most: float) -> Stage:
+def clocks_kept(streams: Streams, most: float) -> Check:
     """Whether no clock ran back by more than `most` [s], which may have hidden what happened.
 
     Clocks too far apart to be aligned are only told: swapped subjects look the same.
@@ -68,68 +67,99 @@ def clocks_kept(streams: Streams, most: float) -> Stage:
         reason = f"by most moves the clocks differ by more than {streams.offset_beyond:g} s"
         reason += ", or the subjects are swapped"
     verdict = NOT_EVALUATED if reason else PASS
-    return Stage("clocks", verdict, back, most, reason, needed=bad)
+    return Check("clocks", verdict, back, most, reason, needed=bad)
 
 
-def conclude(stages: Sequence[Stage]) -> tuple[str, str]:
-    """The verdict of all stages, and its reason: what lacks, what failed, what is well.
+def enough(name: str, found: float, needed: float, reason: str, streams: Streams) -> Check:
+    """Whether there are data enough to judge by; if not, what the streams say of it."""
+    if found >= needed:
+        return Check(name, PASS, found, needed, reason)
+    if streams.silent:
+        reason += f"; nothing heard of {', '.join(streams.silent)}"
+    if rejected := [f"{number} {why}" for why, number in streams.refused.items() if number]:
+        reason += f"; samples rejected: {', '.join(rejected)}"
+    return Check(name, NOT_EVALUATED, found, needed, reason)
+
+
+def determined(
+    undetermined: Sequence[str], missing: int, condition: float, most: float, hint: str = ""
+) -> Check:
+    """Whether the data tell all parameters apart.
+
+    Args:
+        undetermined: names of those that they do not.
+        missing: number of their combinations that are not determined.
+        condition: number of the column-scaled regressor.
+        most: that it may be.
+        hint: at what it may lie.
+    """
+    facts = f"condition number {condition:.3g} (at most {most:g})"
+    if not undetermined:
+        return at_most("determined", condition, most, facts)
+    reason = f"{', '.join(undetermined)} cannot be told apart: "
+    reason += f"{count(missing, 'combination')} undetermined, {facts}{hint}"
+    return Check("determined", NOT_EVALUATED, condition, most, reason)
+
+
+def converged(well: bool, iterations: int, last_update: float, most: float = TOLERANCE) -> Check:
+    """Whether the last update was negligible."""
+    words = f"{count(iterations, 'iteration')}, last update {last_update:.2g} deviations"
+    words = words if well else f"not converged: {words} (at most {most:g})"
+    return Check("convergence", PASS if well else FAIL, last_update, most, words)
+
+
+def outliers(errors: Floats, kept: Mask, limit: float, most: int, noun: str, what: str) -> Check:
+    """Whether each datum kept agrees with the others.
+
+    Args:
+        errors: (s,) of each datum, in its deviations.
+        kept: (s,) which were not rejected.
+        limit: largest error.
+        most: data that may be rejected.
+        noun: what a datum is.
+        what: the error is, in words.
+    """
+    worst = float(np.max(errors[kept]))
+    words = f"largest {what} {worst:.3g} (at most {limit:g})"
+    if rejected := np.flatnonzero(~kept).tolist():
+        words += f", {numbers(rejected, noun)} rejected (at most {most})"
+    far = [k for k in np.argsort(-errors).tolist() if kept[k] and errors[k] > limit]
+    return at_most("outliers", worst, limit, words, f"{numbers(far, noun)} off" if far else "")
+
+
+def checked(redundancy: Floats, kept: Mask, least: float, noun: str) -> Check:
+    """Whether the others check each datum: of one that decides alone no error is seen.
+
+    Args:
+        redundancy: (k,) of those kept, as estimation.statistics has it.
+        kept: (s,) which were not rejected.
+        least: redundancy that is asked for.
+        noun: what a datum is.
+    """
+    worst = int(np.argmin(redundancy))
+    which, value = numbers([int(np.flatnonzero(kept)[worst])], noun), float(redundancy[worst])
+    facts = f"redundancy {value:.2g} (at least {least:g})"
+    if value >= least:
+        return Check("redundancy", PASS, value, least, "")
+    reason = f"{which} hardly checked by the others: {facts}"
+    return Check("redundancy", NOT_EVALUATED, value, least, reason)
+
+
+def conclude(checks: Sequence[Check]) -> tuple[str, str]:
+    """The verdict of all checks, and its reason: what lacks, what failed, what is well.
 
     What lacks something that is needed is not judged: a failure may follow from that.
     """
-    missing = [s for s in stages if s.verdict == NOT_EVALUATED and s.needed]
-    failed = [s for s in stages if s.verdict == FAIL]
-    others = [s for s in stages if s not in missing and s not in failed]
+    missing = [s for s in checks if s.verdict == NOT_EVALUATED and s.needed]
+    failed = [s for s in checks if s.verdict == FAIL]
+    others = [s for s in checks if s not in missing and s not in failed]
     verdict = NOT_EVALUATED if missing else FAIL if failed else PASS
     return verdict, "; ".join(s.reason for s in [*missing, *failed, *others] if s.reason)
 
 
-@dataclass(frozen=True)
-class Provenance:
-    """From what a result was computed, as Provenance.msg tells it."""
-
-    software: str
-    parameters: str  # the settings, as YAML
-    data_hash: str  # SHA-256 of what was solved from
-    source: str
-    begin: int  # of the data [ns]
-    end: int
-    seed: int = 0  # of random choices; 0: none were made
-
-
-def provenance(
-    settings: Any,
-    kind: type[Any],
-    data: Sequence[npt.NDArray[Any]],
-    source: str,
-    begin: int,
-    end: int,
-) -> Provenance:
-    """The provenance of what this package computes from `data` by settings of a kind."""
-    digest = hashlib.sha256()
-    for array in data:
-        digest.update(array.tobytes())
-    parameters = {f.name: getattr(settings, f.name) for f in fields(kind)}
-    return Provenance(
-        software=f"fss_arm_calib {__version__}",
-        parameters=yaml.safe_dump(parameters, sort_keys=False),
-        data_hash=digest.hexdigest(),
-        source=source,
-        begin=begin,
-        end=end,
-    )
-
-
-def settings_of(provenance: Any, kind: type[Any]) -> Any:
-    """The settings that a Provenance, or its message, tells.
-
-    Raises:
-        ValueError: they are not those of `kind`.
-    """
-    given = yaml.safe_load(provenance.parameters)
-    known = {f.name: f for f in fields(kind)}
-    if not isinstance(given, dict) or not given.keys() <= known.keys():
-        raise ValueError(f"parameters are not those of {kind.__name__}")
-    return kind(**{k: tuple(v) if isinstance(v, list) else v for k, v in given.items()})
+def quiet(check: Check) -> Check:
+    """The check without words if it passes: nothing worth a reader's time."""
+    return check if check.verdict != PASS else replace(check, reason="")
 
 
 def count(number: int, what: str) -> str:
@@ -137,6 +167,6 @@ def count(number: int, what: str) -> str:
     return f"{number} {what}{'s' * (number != 1)}"
 
 
-def numbers(which: Sequence[int]) -> str:
-    """Observations counted from 1, in words."""
-    return f"observation{'s' * (len(which) > 1)} {', '.join(str(k + 1) for k in which)}"
+def numbers(which: Sequence[int], noun: str = "observation") -> str:
+    """Data counted from 1, in words."""
+    return f"{noun}{'s' * (len(which) > 1)} {', '.join(str(k + 1) for k in which)}"

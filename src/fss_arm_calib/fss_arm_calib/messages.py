@@ -1,137 +1,164 @@
-"""Between the calibration and ROS messages, by attribute: rclpy's and rosbags' both pass."""
+"""Between calibrations of every kind and ROS, by attribute: rclpy's and rosbags' both pass."""
 
 from collections.abc import Sequence
 from dataclasses import fields
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
+from geometry_msgs.msg import PoseStamped
+from sensor_msgs.msg import Imu, JointState
 
-from fss_arm_calib import acceptance as judgement
-from fss_arm_calib.drift import checks as drift_verdict
-from fss_arm_calib.kinematic.checks import Calibration
-from fss_arm_calib.segments.rests import Observation, RestFinder
-from fss_arm_msgs.msg import (
-    FloatCalibration,
-    KinematicCalibration,
-    KinematicObservation,
-    KinematicObservations,
-    Provenance,
-    Stage,
-)
+from fss_arm_bags.bulk import poses, turn_rates
+from fss_arm_calib.calibration import Input
+from fss_arm_calib.outcome import Outcome
+from fss_arm_calib.outcome import Provenance as Origin
+from fss_arm_calib.segments.finder import Finder
+from fss_arm_model.description import to_yaml
+from fss_arm_msgs.msg import Calibration, Check, LinkTelemetry, Provenance
 from fss_arm_ros.convert import PoseError, joint_readings, planar_pose, stamp_ns, to_time
 
+AnyFinder = Finder[Any, Any]
+M = TypeVar("M", bound=Any)
+Pose = tuple[float, float, float]
 
-def feed_joints(finder: Any, message: Any) -> list[Any]:
-    """Give a sensor_msgs/JointState to a finder; joints are told by their names, joint_<i>."""
-    t, found = stamp_ns(message.header.stamp), []
-    for i, q, *_ in joint_readings(message):
-        found += finder.joint(i, t, q)
-    return found
-
-
-def feed_telemetry(finder: RestFinder, message: Any) -> None:
-    """Give a LinkTelemetry to the finder: how often the link was homed, and started."""
-    t = stamp_ns(message.header.stamp)
-    finder.reference(int(message.link), t, int(message.boot), int(message.homings))
+#: Fields of Calibration.msg that are computed from the data alone.
+NUMBERS = (
+    "values", "deviations", "covariance", "residuals", "weights", "leverage", "errors",
+    "position_residual", "heading_residual", "chi_square", "condition_number",
+)  # fmt: skip
 
 
-def feed_pose(finder: RestFinder, subject: str, message: Any) -> list[Observation]:
-    """Give a geometry_msgs/PoseStamped of a subject to the finder."""
-    return finder.pose(subject, *seen_pose(message))
+def joints_input(topic: str) -> Input:
+    """Readings and rates of joints by their names, joint_<i>, of a sensor_msgs/JointState."""
+
+    def feed(finder: AnyFinder, message: Any) -> list[Any]:
+        t = stamp_ns(message.header.stamp)
+        return [one for i, q, qd, _ in joint_readings(message) for one in finder.joint(i, t, q, qd)]
+
+    return Input(topic, JointState, feed)
 
 
-def seen_pose(message: Any) -> tuple[int, tuple[float, float, float] | None]:
-    """Stamp [ns] and planar pose of a geometry_msgs/PoseStamped; None: it was not visible."""
+def poses_input(topic: str, subject: str, needed: bool = True) -> Input:
+    """Planar poses of a subject, of geometry_msgs/PoseStamped; `needed`: a bag must have them."""
+
+    def feed(finder: AnyFinder, message: Any) -> list[Any]:
+        return finder.pose(subject, stamp_ns(message.header.stamp), seen_pose(message))
+
+    def feed_many(finder: AnyFinder, data: Sequence[bytes]) -> list[Any]:
+        return finder.poses(subject, *poses(data))
+
+    return Input(topic, PoseStamped, feed, feed_many, needed)
+
+
+def rates_input(topic: str) -> Input:
+    """Turn rates of the base, of sensor_msgs/Imu, which may be absent."""
+
+    def feed(finder: AnyFinder, message: Any) -> list[Any]:
+        return finder.rate(stamp_ns(message.header.stamp), float(message.angular_velocity.z))
+
+    def feed_many(finder: AnyFinder, data: Sequence[bytes]) -> list[Any]:
+        return finder.rates(*turn_rates(data))
+
+    return Input(topic, Imu, feed, feed_many, needed=False)
+
+
+def telemetry_inputs(n: int) -> list[Input]:
+    """Whether each of n links is armed, and how often it was homed; may be absent."""
+
+    def feed(finder: AnyFinder, message: Any) -> list[Any]:
+        t, armed = stamp_ns(message.header.stamp), bool(message.armed)
+        link, boot, homings = int(message.link), int(message.boot), int(message.homings)
+        return finder.telemetry(link, t, armed, boot, homings)
+
+    topics = (f"link_{i}/telemetry" for i in range(1, n + 1))
+    return [Input(topic, LinkTelemetry, feed, needed=False) for topic in topics]
+
+
+def seen_pose(message: Any) -> Pose | None:
+    """Planar pose of a geometry_msgs/PoseStamped; None: it was not visible."""
     try:
-        pose = planar_pose(message.pose)
+        return planar_pose(message.pose)
     except PoseError:
-        pose = None
-    return stamp_ns(message.header.stamp), pose
+        return None
 
 
-def to_message(calibration: Calibration, frame_id: str) -> KinematicCalibration:
-    """What a calibration concludes, as it is published."""
-    message = KinematicCalibration()
-    message.header.stamp = to_time(calibration.stamp)
+def common_message(kind: str, outcome: Outcome[Any, Any], frame_id: str) -> Calibration:
+    """What calibrations of every kind conclude, as it is published."""
+    e, streams = outcome.estimate, outcome.streams
+    message = Calibration(
+        kind=kind,
+        verdict=outcome.verdict,
+        reason=outcome.reason,
+        checks=[
+            Check(
+                name=check.name,
+                verdict=check.verdict,
+                value=float(check.value),
+                threshold=float(check.threshold),
+                reason=check.reason,
+            )
+            for check in outcome.checks
+        ],
+        provenance=provenance_message(outcome.provenance),
+        names=list(e.names),
+        units=list(e.units),
+        values=flat(e.values),
+        initial=flat(e.initial),
+        deviations=flat(e.deviations),
+        covariance=flat(e.covariance),
+        undetermined=list(e.undetermined),
+        residuals=flat(e.residuals),
+        weights=flat(e.weights),
+        leverage=flat(e.leverage),
+        errors=flat(e.errors),
+        reasons=list(e.reasons),
+        position_residual=e.position_residual,
+        heading_residual=e.heading_residual,
+        chi_square=e.chi_square,
+        degrees_of_freedom=e.degrees_of_freedom,
+        condition_number=e.condition_number,
+        iterations=e.iterations,
+        last_update=e.last_update,
+        used=outcome.accepted,
+        left_out=outcome.left_out,
+        rejected_kinds=list(streams.refused),
+        rejected=list(streams.refused.values()),
+        time_offset=streams.offset.value,
+        time_offset_deviation=streams.offset.deviation,
+        arm=outcome.arm.name,
+        guess=to_yaml(outcome.arm),
+        description=outcome.description,
+    )
+    message.header.stamp = to_time(outcome.provenance.end)
     message.header.frame_id = frame_id
-    message.provenance = provenance_message(calibration.provenance)
-    message.stages = [stage_message(stage) for stage in calibration.stages]
-    for name in set(message.get_fields_and_field_types()) - {"header", "provenance", "stages"}:
-        setattr(message, name, plain(getattr(calibration, name)))
     return message
 
 
-def provenance_message(provenance: judgement.Provenance) -> Provenance:
+def provenance_message(origin: Origin) -> Provenance:
     """From what a result was computed."""
-    known = {f.name: getattr(provenance, f.name) for f in fields(provenance)}
+    known = {f.name: getattr(origin, f.name) for f in fields(origin)}
     return Provenance(**{k: to_time(v) if k in ("begin", "end") else v for k, v in known.items()})
 
 
-def stage_message(stage: judgement.Stage) -> Stage:
-    """One stage of a verdict."""
-    return Stage(
-        name=stage.name,
-        verdict=stage.verdict,
-        value=float(stage.value),
-        threshold=float(stage.threshold),
-        reason=stage.reason,
-    )
+def common(message: Any) -> Any:
+    """The Calibration in the message of a kind of calibration, which may be no more than that."""
+    return getattr(message, "calibration", message)
 
 
-def observations_message(
-    observations: Sequence[Observation], frame_id: str, subject: str
-) -> KinematicObservations:
-    """All observations so far, as they are published."""
-    message = KinematicObservations(subject=subject)
+def stamped(message: M, ones: Sequence[Any], frame_id: str) -> M:
+    """The message of all data, `ones`, with the stamp of the last one's end."""
     message.header.frame_id = frame_id
-    message.header.stamp = to_time(observations[-1].end if observations else 0)
-    for observation in observations:
-        one = KinematicObservation()
-        for name in one.get_fields_and_field_types():
-            value = getattr(observation, name)
-            setattr(one, name, to_time(value) if name in ("start", "end") else plain(value))
-        message.observations.append(one)
+    message.header.stamp = ones[-1].end if ones else to_time(0)
     return message
 
 
-def float_message(calibration: drift_verdict.FloatCalibration, frame_id: str) -> FloatCalibration:
-    """What a float concludes, as it is published, with its drifts."""
-    c, message = calibration, FloatCalibration()
-    message.header.stamp, message.header.frame_id = to_time(c.stamp), frame_id
-    message.provenance = provenance_message(c.provenance)
-    message.stages = [stage_message(stage) for stage in c.stages]
-    message.starts = [to_time(drift.start) for drift in c.drifts]
-    message.samples = [len(drift.times) for drift in c.drifts]
-    message.q = [q for drift in c.drifts for q in drift.q]
-    message.poses = [number for drift in c.drifts for pose in drift.poses for number in pose]
-    for name in ("times", "frames", "seconds"):
-        setattr(message, name, [value for drift in c.drifts for value in getattr(drift, name)])
-    for name in (
-        "verdict", "reason", "names", "units", "values", "covariance", "hose_torque",
-        "hose_torque_deviation", "momenta", "momentum_deviations", "position_residual",
-        "heading_residual", "chi_square", "degrees_of_freedom", "arm", "guess",
-    ):  # fmt: skip
-        setattr(message, name, plain(getattr(c, name)))
-    return message
+def flat(values: Any) -> list[Any]:
+    """An array, or a tuple that may hold tuples, as the list that a message takes."""
+    if isinstance(values, np.ndarray):
+        return list(values.ravel().tolist())
+    return [x for value in values for x in (flat(value) if isinstance(value, tuple) else [value])]
 
 
-def observations_of(message: Any) -> list[Observation]:
-    """The observations that a KinematicObservations message holds."""
-
-    def value(one: Any, name: str) -> Any:
-        given = getattr(one, name)
-        if name in ("start", "end"):
-            return stamp_ns(given)
-        if name in ("boots", "homings"):
-            return tuple(map(int, given))
-        return tuple(map(float, given)) if name in ("q", "tip", "scatter") else given
-
-    names = [f.name for f in fields(Observation)]
-    return [Observation(**{n: value(one, n) for n in names}) for one in message.observations]
-
-
-def plain(value: Any) -> Any:
-    """An array or a tuple as the list that a message takes."""
-    if isinstance(value, np.ndarray):
-        return value.ravel().tolist()
-    return list(value) if isinstance(value, tuple) else value
+def rows(numbers: Any, width: int) -> tuple[tuple[float, ...], ...]:
+    """A message's numbers as rows."""
+    return tuple(map(tuple, np.reshape(numbers, (-1, width)).astype(float).tolist()))

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
-from fss_arm_calib.dynamic.checks import known_beforehand
-from fss_arm_calib.dynamic.problem import DynamicProblem, DynamicResult
+from fss_arm_calib.dynamic.problem import DynamicResult
 from fss_arm_calib.dynamic.problem import solve as solve_dynamics
-from fss_arm_calib.dynamic.settings import DynamicCalibrationSettings
+from fss_arm_calib.dynamic.settings import DynamicSettings
+from fss_arm_calib.dynamic.solution import known_beforehand
 from fss_arm_calib.experiment.design import Conditions, Planned, design, expected, timed
 from fss_arm_calib.experiment.postures import DEFAULT
 from fss_arm_calib.kinematic.problem import EQUAL, KinematicProblem
@@ -69,7 +69,7 @@ def single_joint(others: np.ndarray, way: float) -> list[Planned]:
 
 def as_the_paper(plan: Sequence[Planned], position: float = np.inf) -> DynamicResult:
     """The common inertia from the base's turn alone, momentum and tilt taken to be zero."""
-    settings = DynamicCalibrationSettings(
+    settings = DynamicSettings(
         estimate="I", priors="", momentum_deviation=0.0, spin_deviation=0.0, tilt_deviation=0.0
     )
     batch = stack([path(law, edges, [0.0, one.length])
@@ -77,8 +77,7 @@ def as_the_paper(plan: Sequence[Planned], position: float = np.inf) -> DynamicRe
     sigma = np.empty((len(plan), 2, 3))
     sigma[...] = position, position, TURN_NOISE / np.sqrt(2.0)
     poses = base_poses(ARM.vector(), batch, np.zeros(8))
-    known = known_beforehand(settings, ARM.n)
-    return solve_dynamics(DynamicProblem(batch, poses, sigma, ARM, **known))
+    return solve_dynamics(known_beforehand(ARM, settings, batch, poses, sigma))
 
 
 def shares(result: DynamicResult) -> tuple[float, float]:
@@ -89,7 +88,7 @@ def shares(result: DynamicResult) -> tuple[float, float]:
 
 def designed(count: int, words: str, **settings: float) -> DynamicResult:
     """Maneuvers chosen for the common inertia, headings and positions of averaged looks."""
-    s = DynamicCalibrationSettings(estimate=words, **settings)  # type: ignore[arg-type]
+    s = DynamicSettings(estimate=words, **settings)  # type: ignore[arg-type]
     conditions = Conditions(rest=REST, kinds=("single", "sweep"))
     plan = design(ARM, min(count, 16), s, conditions, chosen=["I"], tried=100)
     return expected(ARM, plan * (count // len(plan)), s, REST)

@@ -2,74 +2,26 @@
 
 import argparse
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from fss_arm_bags.reader import BagError, Bags, open_bags
-from fss_arm_calib import dynamic_messages, messages
-from fss_arm_calib.acceptance import settings_of
-from fss_arm_calib.dynamic import checks as dynamic_verdict
-from fss_arm_calib.dynamic.settings import DynamicCalibrationSettings
-from fss_arm_calib.kinematic import checks as verdict
-from fss_arm_calib.kinematic.settings import CalibrationSettings
-from fss_arm_calib.segments.maneuvers import Maneuver
-from fss_arm_calib.segments.rests import Observation, since_homed
-from fss_arm_model.description import Arm, from_yaml
+from fss_arm_calib.acceptance import count
+from fss_arm_calib.calibration import Calibration
+from fss_arm_calib.kinds import KINDS
+from fss_arm_calib.messages import NUMBERS, common
+from fss_arm_calib.outcome import LIVE, Outcome, settings_of
+from fss_arm_calib.segments.streams import Streams
+from fss_arm_model.description import from_yaml
 from fss_arm_ros.command_line import USER_ERROR, Parser
 from fss_arm_ros.convert import stamp_ns
 
 LARGEST = 1e-9  # difference of any number, in its unit
 
 SAME, OTHER = 0, 2
-
-
-class Kind(NamedTuple):
-    """A kind of calibration: where its results and their data are published."""
-
-    results: str
-    data: str
-    parts: str  # what the data are, in words
-    used: Callable[[Any], Sequence[Any]]  # of the data, what a result is from
-    settings: type[Any]
-    again: Callable[[Any, Any, Any], Any]  # the message, of data, arm and settings
-    numbers: tuple[str, ...]  # to compare
-
-
-def _observations(data: Any) -> list[Observation]:
-    return [o for o in since_homed(messages.observations_of(data)) if o.used]
-
-
-def _maneuvers(data: Any) -> list[Maneuver]:
-    return [m for m in dynamic_messages.maneuvers_of(data) if m.used]
-
-
-def _kinematic(data: Any, arm: Arm, settings: CalibrationSettings) -> Any:
-    found = verdict.calibrate(messages.observations_of(data), arm, settings)
-    return messages.to_message(found, "")
-
-
-def _dynamic(data: Any, arm: Arm, settings: DynamicCalibrationSettings) -> Any:
-    found = dynamic_verdict.calibrate(dynamic_messages.maneuvers_of(data), arm, settings)
-    return dynamic_messages.to_message(found, "")
-
-
-KINDS = (
-    Kind(
-        "/calibration/kinematic", "/calibration/observations", "observations", _observations,
-        CalibrationSettings, _kinematic,
-        ("values", "covariance", "residuals", "leverage", "normalized_residuals",
-         "held_out_residuals", "chi_square", "position_residual", "heading_residual"),
-    ),
-    Kind(
-        "/calibration/dynamic", "/calibration/maneuvers", "maneuvers", _maneuvers,
-        DynamicCalibrationSettings, _dynamic,
-        ("values", "covariance", "residuals", "leverage", "prediction_errors", "momenta",
-         "combination_values", "chi_square", "position_residual", "heading_residual"),
-    ),
-)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -90,25 +42,39 @@ class Comparison:
         return f"{self.what}, {self.verdict}: {same}, to {self.difference:.1e}"
 
 
-def recompute(kind: Kind, result: Any, data: Any) -> Comparison | None:
+def again(kind: Calibration[Any, Any], result: Any, data: Any) -> Outcome[Any, Any]:
+    """The outcome of a published result's data by its settings and its guess.
+
+    Raises:
+        ValueError: the result does not tell its settings or its guess.
+    """
+    found = common(result)
+    settings, arm = settings_of(found.provenance, kind.settings), from_yaml(found.guess)
+    return kind.calibrate(kind.data.from_message(data), arm, settings, Streams(), LIVE)
+
+
+def recompute(kind: Calibration[Any, Any], result: Any, data: Any) -> Comparison | None:
     """Compute a published result again from its data; None: it has others.
 
     Raises:
         ValueError: the result does not tell its settings or its guess.
     """
-    settings = settings_of(result.provenance, kind.settings)
-    again = kind.again(data, from_yaml(result.guess), settings)
-    if again.provenance.data_hash != result.provenance.data_hash:
+    outcome, found = again(kind, result, data), common(result)
+    if outcome.provenance.data_hash != found.provenance.data_hash:
         return None
-    difference = max(_difference(getattr(result, n), getattr(again, n)) for n in kind.numbers)
-    return Comparison(f"{len(kind.used(data))} {kind.parts}", result.verdict, difference)
+    message = kind.to_message(outcome, "")
+    pairs = [(getattr(found, name), getattr(common(message), name)) for name in NUMBERS]
+    pairs += [(getattr(result, name), getattr(message, name)) for name in kind.numbers]
+    difference = max(_difference(*pair) for pair in pairs)
+    return Comparison(count(len(outcome.used), kind.data.noun), found.verdict, difference)
 
 
 def _difference(a: Any, b: Any) -> float:
-    a, b = np.atleast_1d(a), np.atleast_1d(b)
-    if a.shape != b.shape or np.any(np.isnan(a) != np.isnan(b)):
+    a, b = np.atleast_1d(a).astype(float), np.atleast_1d(b).astype(float)
+    if a.shape != b.shape:
         return np.inf
-    return float(np.max(np.nan_to_num(np.abs(a - b)), initial=0.0))
+    other = (a != b) & ~(np.isnan(a) & np.isnan(b))
+    return float(np.max(np.nan_to_num(np.abs(a[other] - b[other]), nan=np.inf), initial=0.0))
 
 
 def comparisons(bags: Bags) -> list[Comparison]:
@@ -119,20 +85,22 @@ def comparisons(bags: Bags) -> list[Comparison]:
         ValueError: a result does not tell its settings.
     """
     found = []
-    for kind in KINDS:
-        read = [(topic, m) for topic, _, _, m in bags.messages({kind.results, kind.data})]
-        data = [m for topic, m in reversed(read) if topic == kind.data]
-        every = [(used[-1].end if (used := kind.used(m)) else 0, m) for m in data]
-        for result in (m for topic, m in read if topic == kind.results):
-            # Solving takes longer than to tell that others end at another time.
-            alike = (m for end, m in every if end == stamp_ns(result.provenance.end))
-            again = next((c for m in alike if (c := recompute(kind, result, m))), None)
-            if again is None:
-                begin = result.provenance.data_hash[:8]
-                raise BagError(f"a result on {kind.results} lacks its {kind.parts} ({begin}..)")
-            found.append(again)
+    for kind in KINDS.values():
+        results, source, parts = f"/{kind.topic}", f"/{kind.data.topic}", f"{kind.data.noun}s"
+        read = [(topic, m) for topic, _, _, m in bags.messages({results, source})]
+        data = [m for topic, m in read if topic == source]
+        ends = [{0, *(one.end for one in kind.data.from_message(m))} for m in data]
+        for result in (m for topic, m in read if topic == results):
+            # Solving takes longer than to tell that a datum is missing; the first that has it fits.
+            end = stamp_ns(common(result).provenance.end)
+            alike = (m for those, m in zip(ends, data, strict=True) if end in those)
+            same = next((c for m in alike if (c := recompute(kind, result, m))), None)
+            if same is None:
+                begin = common(result).provenance.data_hash[:8]
+                raise BagError(f"a result on {results} lacks its {parts} ({begin}..)")
+            found.append(same)
     if not found:
-        topics = " or ".join(kind.results for kind in KINDS)
+        topics = " or ".join(f"/{kind.topic}" for kind in KINDS.values())
         raise BagError(f"no result on {topics} in {', '.join(map(str, bags.paths))}")
     return found
 

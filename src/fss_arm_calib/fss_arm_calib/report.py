@@ -1,6 +1,6 @@
 """What a calibration found, for people: printed as tables, or a page to read and to print.
 
-A kind of calibration gives a Report of its published message; how a report looks is told here.
+A kind of calibration gives a Report of its outcome; how a report looks is said here.
 """
 
 import base64
@@ -15,7 +15,7 @@ from rich.console import Console, Group
 from rich.table import Table as PrintedTable
 from rich.text import Text
 
-from fss_arm_calib.state import write_text
+from fss_arm_model.files import write_text
 
 STYLE = {"pass": "bold green", "fail": "bold red", "not_evaluated": "bold yellow"}
 

@@ -1,39 +1,130 @@
 """What a node must not forget when it is killed: JSON files, replaced whole."""
 
 import json
-from collections.abc import Callable, Sequence
-from dataclasses import asdict
-from math import isfinite
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import MISSING, asdict, dataclass, field, fields, is_dataclass, replace
+from itertools import accumulate
+from math import isfinite, nan
 from pathlib import Path
-from typing import Any
+from reprlib import Repr
+from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
-from fss_arm_calib.segments.rests import Observation
+from fss_arm_calib.segments.streams import Streams
+from fss_arm_model.files import write_text
+
+LARGEST = 2**24  # of a state file [bytes]: a day's state is a tenth of it
+DEEPEST = 10  # nesting of lists and objects
+LONGEST = 200  # characters of a value in an error
+
+_TOKENS = re.compile(r'"(?:[^"\\]|\\.)*"|[\[\]{}]', re.DOTALL)
+_STEPS = {"[": 1, "{": 1, "]": -1, "}": -1}
+
+_shown = Repr()
+_shown.maxstring = _shown.maxother = _shown.maxlong = LONGEST
+
+D = TypeVar("D")
 
 
 class StateError(ValueError):
-    """A state file cannot be understood; the message names it."""
-
-
-def write_text(path: str | Path, text: str) -> None:
-    """Replace the file: a reader, or the next start, finds the old text or the new one.
-
-    Raises:
-        OSError: it cannot be written.
-    """
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(f".{path.name}.part")
-    part.write_text(text, encoding="utf-8")
-    part.replace(path)
+    """A state file cannot be understood; the message names it, in one line."""
 
 
 def write(path: str | Path, state: Any) -> None:
-    """Replace the file by a state, likewise.
+    """Replace the file by a state; numbers that are not finite become null.
 
     Raises:
         OSError: it cannot be written.
     """
-    write_text(path, json.dumps(state, indent=1))
+    write_text(path, json.dumps(_finite(state), indent=1))
+
+
+def read(path: str | Path, default: Any) -> Any:
+    """The state in the file, `default` if there is none.
+
+    Raises:
+        StateError: it is too large, too deep, or not JSON.
+        OSError: it cannot be read.
+    """
+    path = Path(path)
+    try:
+        with path.open("rb") as file:
+            data = file.read(LARGEST + 1)
+    except FileNotFoundError:
+        return default
+    if len(data) > LARGEST:
+        raise StateError(f"{path} is no state file: more than {LARGEST} bytes")
+    try:
+        text = data.decode()
+        steps = (_STEPS.get(token[0], 0) for token in _TOKENS.findall(text))
+        if max(accumulate(steps), default=0) > DEEPEST:
+            raise ValueError(f"nested more than {DEEPEST} deep")
+        return json.loads(text, parse_constant=_no_constant)
+    except ValueError as error:
+        raise StateError(f"{path} is no state file: {str(error)[:LONGEST]}") from None
+
+
+@dataclass(frozen=True)
+class Flags:
+    """What happened to the streams and still holds after a restart."""
+
+    unknown: tuple[str, ...] = ()  # joints heard that the arm does not have
+    set_back: Mapping[str, float] = field(default_factory=dict)  # of the stamps, by stream [s]
+    rejected: Mapping[str, int] = field(default_factory=dict)  # samples, by stream and reason
+
+    @classmethod
+    def of(cls, streams: Streams) -> "Flags":
+        """What happened to some streams."""
+        back = {name: by for name, by in streams.set_back.items() if by > 0.0}
+        return cls(tuple(streams.strange), back, dict(streams.refused))
+
+    def and_then(self, streams: Streams) -> Streams:
+        """The streams with what happened to them before."""
+        back, counts = dict(streams.set_back), dict(streams.refused)
+        for name, by in self.set_back.items():
+            back[name] = max(by, back.get(name, 0.0))
+        for why, number in self.rejected.items():
+            counts[why] = number + counts.get(why, 0)
+        unknown = tuple(dict.fromkeys([*self.unknown, *streams.strange]))
+        return replace(streams, strange=unknown, set_back=back, refused=counts)
+
+
+def save(path: str | Path, kind: str, joints: int, data: Sequence[Any], flags: Flags) -> None:
+    """Save the data of a calibration and what happened to its streams.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    saved = [asdict(one) for one in data]
+    write(path, {"kind": kind, "joints": joints, "data": saved, "flags": asdict(flags)})
+
+
+def restore(path: str | Path, kind: str, joints: int, datum: type[D]) -> tuple[list[D], Flags]:
+    """What was saved of a calibration, nothing if there is no such file.
+
+    Args:
+        path: of the file.
+        kind: of calibration that it must be of.
+        joints: of the arm that it must be of.
+        datum: the dataclass of its data.
+
+    Raises:
+        StateError: the file holds something else.
+        OSError: it cannot be read.
+    """
+    saved = read(path, None)
+    if saved is None:
+        return [], Flags()
+    try:
+        if not isinstance(saved, dict) or set(saved) != {"kind", "joints", "data", "flags"}:
+            raise _wrong("it", saved, "an object of kind, joints, data and flags")
+        for name, value in (("kind", kind), ("joints", joints)):
+            if saved[name] != value:
+                raise _wrong(name, saved[name], repr(value))
+        data = _read(tuple[datum, ...], saved["data"], "data")  # type: ignore[valid-type]
+        return list(data), _read(Flags, saved["flags"], "flags")
+    except ValueError as error:
+        raise StateError(f"{path}: {error}") from None
 
 
 class Writes:
@@ -52,57 +143,54 @@ class Writes:
             self.log.error(self.trouble)
 
 
-def read(path: str | Path, default: Any) -> Any:
-    """The state in the file, `default` if there is none.
+def _no_constant(name: str) -> Any:
+    raise ValueError(f"{name} is no number")
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(one) for one in value]
+    return None if isinstance(value, float) and not isfinite(value) else value
+
+
+def _wrong(where: str, value: Any, expected: str) -> ValueError:
+    return ValueError(f"{where} is {_shown.repr(value)[:LONGEST]}, expected {expected}")
+
+
+def _read(hint: Any, value: Any, where: str) -> Any:
+    """A JSON value as a type says: of a dataclass, tuple, mapping, float, int, bool or str.
 
     Raises:
-        StateError: it is not JSON.
-        OSError: it cannot be read.
+        ValueError: it is of another; the message names the place.
     """
-    try:
-        return json.loads(Path(path).read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        return default
-    except ValueError as error:
-        raise StateError(f"{path} is not a state file: {error}") from None
-
-
-def write_observations(path: str | Path, observations: Sequence[Observation]) -> None:
-    """Save observations; numbers come back to the last bit, NaN as null in between.
-
-    Raises:
-        OSError: the file cannot be written.
-    """
-    write(path, [{k: _null(v) for k, v in asdict(o).items()} for o in observations])
-
-
-def read_observations(path: str | Path, n: int) -> list[Observation]:
-    """Observations of an arm of n links, none if there is no such file.
-
-    Raises:
-        StateError: the file holds something else.
-        OSError: it cannot be read.
-    """
-    saved = read(path, [])
-    try:
-        observations = [Observation(**{k: _nan(k, v) for k, v in o.items()}) for o in saved]
-    except (AttributeError, TypeError, ValueError) as error:
-        raise StateError(f"{path} holds no observations: {error}") from None
-    for observation in observations:
-        if len(observation.q) != n:
-            raise StateError(f"{path} is of {len(observation.q)} joints, expected {n}")
-    return observations
-
-
-def _null(value: Any) -> Any:
-    if isinstance(value, tuple):
-        return [v if isfinite(v) else None for v in value]
+    if is_dataclass(hint) and isinstance(hint, type):
+        return _instance(hint, value, where)
+    kind, args = get_origin(hint), get_args(hint)
+    if kind is tuple:
+        if not isinstance(value, list):
+            raise _wrong(where, value, "a list")
+        return tuple(_read(args[0], one, f"{where}[{k}]") for k, one in enumerate(value))
+    if kind is not None:  # a mapping
+        if not isinstance(value, dict):
+            raise _wrong(where, value, "an object")
+        return {key: _read(args[1], one, f"{where}.{key[:LONGEST]}") for key, one in value.items()}
+    if hint is float:
+        if value is None:
+            return nan
+        if type(value) not in (int, float) or not -1e300 < value < 1e300:
+            raise _wrong(where, value, "a number")
+        return float(value)
+    if type(value) is not hint or (hint is int and not 0 <= value < 2**63):
+        expected = {int: "an integer from 0 on", bool: "true or false", str: "a string"}[hint]
+        raise _wrong(where, value, expected)
     return value
 
 
-def _nan(name: str, value: Any) -> Any:
-    if name in ("boots", "homings"):
-        return tuple(map(int, value))
-    if isinstance(value, list):
-        return tuple(float("nan") if v is None else float(v) for v in value)
-    return value
+def _instance(kind: type[Any], value: Any, where: str) -> Any:
+    hints = get_type_hints(kind)
+    needed = [f.name for f in fields(kind) if f.default is MISSING and f.default_factory is MISSING]
+    if not isinstance(value, dict) or not set(needed) <= value.keys() <= hints.keys():
+        raise _wrong(where, value, f"an object of {', '.join(hints)}")
+    return kind(**{name: _read(hints[name], one, f"{where}.{name}") for name, one in value.items()})

@@ -97,8 +97,8 @@ def run(given: argparse.Namespace) -> int:
             with closing(rig.transport):
                 for finding in trials(rig, input, given.current):
                     findings.append(finding)
-                    told = f"{finding.name}: {finding.verdict}: {finding.found}"
-                    print(f"link {finding.link}: {told}")
+                    result = f"{finding.name}: {finding.verdict}: {finding.found}"
+                    print(f"link {finding.link}: {result}")
     except (EOFError, KeyboardInterrupt) as end:
         why = "no more input" if isinstance(end, EOFError) else "interrupted"
         findings.append(Finding(number, COMPLETE, NOT_TRIED, why))

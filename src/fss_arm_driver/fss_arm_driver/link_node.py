@@ -18,7 +18,6 @@ from std_msgs.msg import Empty
 from std_srvs.srv import SetBool, Trigger
 
 from fss_arm_driver.host_clock import HostClock
-from fss_arm_driver.link import SECOND, Arming, LinkSession
 from fss_arm_driver.messages import (
     LinkHealth,
     SampleMessages,
@@ -26,13 +25,13 @@ from fss_arm_driver.messages import (
     command_status,
     state_words,
 )
-from fss_arm_driver.progress import Progress
 from fss_arm_driver.receiver import Receiver
 from fss_arm_driver.scale import CommandError
+from fss_arm_driver.session import Arming, LinkSession, Progress
 from fss_arm_driver.settings import LinkSettings
 from fss_arm_driver.transport import Transport, open_transport
 from fss_arm_msgs.msg import CommandStatus, LinkCommand, LinkTelemetry
-from fss_arm_ros.convert import stamp_ns
+from fss_arm_ros.convert import SECOND, stamp_ns
 from fss_arm_ros.diagnostics import Diagnostics, Health
 from fss_arm_ros.pace import pace
 from fss_arm_ros.parameters import declare
@@ -82,9 +81,8 @@ class LinkNode(Node):
         )
         self.transport = transport or open_transport(settings.url, number, settings.key())
         self.name, self.lock = f"link_{number}", RLock()
-        # By kind, as much is repeated.
-        self.said = {"trouble": self.transport.trouble, "strain": ""}
-        self.told: tuple[Any, ...] = ()  # of the last command
+        self.warned = {"trouble": self.transport.trouble, "strain": ""}  # by kind
+        self.reported: tuple[Any, ...] = ()  # of the last command
         self.given = 0, 0  # when that was given: by the session, and by the time of day then
         self.waiting: list[Future] = []
         if settings.is_exposed():
@@ -146,7 +144,7 @@ class LinkNode(Node):
         session, trouble = self.session, self.transport.trouble
         self.warn("trouble", trouble and f"{self.settings.url}: {trouble}")
         self.warn("rival", session.rival)
-        if bool(session.strain) != bool(self.said["strain"]):  # its figures change all the time
+        if bool(session.strain) != bool(self.warned["strain"]):  # its figures change all the time
             self.warn("strain", session.strain)
         self.warn("standstill", session.standstill and f"{session.standstill}: disarmed")
 
@@ -171,7 +169,7 @@ class LinkNode(Node):
                 self.status.publish(command_refused(str(error), given + ahead, now + ahead))
                 self.warn("refused", f"command refused: {error}")
             if before and before is not self.session.progress:
-                self.tell(before)  # another command took its place
+                self.report(before)  # another command took its place
         self.answer()
 
     def on_stop(self, _: Empty) -> None:
@@ -204,10 +202,10 @@ class LinkNode(Node):
             words = state_words(session), "" if done else session.strain
             return done, "; ".join(filter(None, words))
         how = "is lost" if session.lost else "does not say that it is off"
-        return False, f"{self.name} {how}: told to disarm, not confirmed"
+        return False, f"{self.name} {how}: asked to disarm, not confirmed"
 
     def on_clear_faults(self, _: Trigger.Request, response: Trigger.Response) -> Any:
-        """Disarm and clear what the drive has latched; telemetry tells what remains."""
+        """Disarm and clear what the drive has latched; telemetry says what remains."""
         with self.lock:
             self.session.clear_faults(self.now())
         self.send()
@@ -216,25 +214,25 @@ class LinkNode(Node):
         return response
 
     def progressed(self) -> bool:
-        """Whether the last command has come to a station that has not been told."""
+        """Whether the last command has come to a stage that is not yet reported."""
         progress = self.session.progress
-        return progress is not None and (progress.given, progress.status) != self.told
+        return progress is not None and (progress.given, progress.status) != self.reported
 
-    def tell(self, progress: Progress) -> None:
+    def report(self, progress: Progress) -> None:
         """Publish how far a command has come, if that is new."""
-        if (progress.given, progress.status) != self.told:
-            self.told, ahead = (progress.given, progress.status), self.clock.ahead
+        if (progress.given, progress.status) != self.reported:
+            self.reported, ahead = (progress.given, progress.status), self.clock.ahead
             if progress.given != self.given[0]:
                 self.given = progress.given, progress.given + ahead
             self.status.publish(command_status(progress, self.given[1], self.now() + ahead))
 
     def answer(self) -> None:
-        """Tell what has changed: how far the last command has come, whether arming has ended."""
+        """Report what has changed: how far the last command has come, whether arming has ended."""
         if self.receiver.error and self.context.ok():
             raise self.receiver.error
         with self.lock:
             if self.session.progress:
-                self.tell(self.session.progress)
+                self.report(self.session.progress)
         while self.waiting and self.session.settled:
             self.waiting.pop().set_result(None)
 
@@ -245,9 +243,9 @@ class LinkNode(Node):
 
     def warn(self, kind: str, text: str) -> None:
         """Log a warning once in a row."""
-        if text not in ("", self.said.get(kind)):
+        if text not in ("", self.warned.get(kind)):
             self.get_logger().warning(text)
-        self.said[kind] = text
+        self.warned[kind] = text
 
     def close(self) -> None:
         """Give the port back."""

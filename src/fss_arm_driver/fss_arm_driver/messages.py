@@ -7,9 +7,8 @@ from builtin_interfaces.msg import Time
 from sensor_msgs.msg import JointState
 
 from fss_arm_driver.faults import present
-from fss_arm_driver.link import NO_TORQUE, TROUBLES, LinkSession, Sample
-from fss_arm_driver.progress import Progress, Status
-from fss_arm_driver.protocol import Slow, State
+from fss_arm_driver.protocol import NO_TORQUE, Slow, State
+from fss_arm_driver.session import TROUBLES, LinkSession, Progress, Sample, Status
 from fss_arm_driver.transport import Transport
 from fss_arm_msgs.msg import CommandStatus, LinkTelemetry
 from fss_arm_ros.convert import SECOND, to_time

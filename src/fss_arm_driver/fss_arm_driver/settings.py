@@ -5,36 +5,39 @@ from urllib.parse import urlsplit
 
 from fss_arm_driver.protocol import load_keys
 from fss_arm_model.description import Arm, Link, described
-from fss_arm_model.settings import setting
+from fss_arm_model.settings import NOT_NEGATIVE, Settings, between, setting
 
 
 @dataclass(frozen=True)
-class LinkSettings:
+class LinkSettings(Settings):
     """The parameters of a LinkNode."""
 
-    link: int = setting(1, "number of the link, as in its frames; 1 beside the base")
+    link: int = setting(1, "number of the link; 1 is at the base", check=between(1, 255))
     url: str = setting("", "where the link is: udp://, tcp://, serial:// or copley://; required")
     urls: tuple[str, ...] = setting(
         (), "instead of url: where links 1, 2, ... are, to host all in one process"
     )
-    rate: float = setting(5.0, "command frames sent a second [1/s]")
+    rate: float = setting(5.0, "rate of the commands", unit="1/s", check=between(0.1, 1000.0))
     timeout: float = setting(
-        1.0, "silence after which the link is lost, longest delay to arm at [s]"
+        1.0,
+        "silence after which the link is lost, and longest delay there and back to arm at",
+        unit="s",
+        check=between(0.001, 3600.0),
     )
-    watchdog: float = setting(2.0, "silence after which the link brakes and holds, disarmed [s]")
-    empty: float = setting(12.0, "battery voltage at which a link must be switched off [V]")
+    watchdog: float = setting(
+        2.0,
+        "silence of the driver after which the link brakes and holds, disarmed",
+        unit="s",
+        check=between(0.001, 65.535),
+    )
+    empty: float = setting(
+        12.0, "battery voltage at which a link must be switched off", unit="V", check=NOT_NEGATIVE
+    )
     keys: str = setting("", "file of the links' keys; empty: frames are not signed")
     arm: str = setting("", "file of the arm's description; empty: the paper's arm")
 
     def __post_init__(self) -> None:
-        if not 1 <= self.link <= 255:
-            raise ValueError(f"link is {self.link}, expected 1 to 255")
-        if not 0.1 <= self.rate <= 1000.0:
-            raise ValueError(f"rate is {self.rate} 1/s, expected 0.1 to 1000")
-        if not 0.0 < self.timeout <= 3600.0:
-            raise ValueError(f"timeout is {self.timeout} s, expected above 0 to 3600")
-        if not 0.001 <= self.watchdog <= 65.535:
-            raise ValueError(f"watchdog is {self.watchdog} s, expected 0.001 to 65.535")
+        super().__post_init__()
         if self.rate * self.watchdog <= 1.0:
             raise ValueError(
                 f"watchdog is {self.watchdog} s, expected more than the {1.0 / self.rate:g} s "

@@ -12,9 +12,9 @@ from math import copysign, degrees, isnan, pi, radians
 from statistics import mean, pstdev
 
 from fss_arm_driver.faults import present
-from fss_arm_driver.link import RELEASE, Arming, LinkSession, Sample
 from fss_arm_driver.protocol import CURRENT_UNIT, Mode, Slow, State
 from fss_arm_driver.scale import CommandError
+from fss_arm_driver.session import RELEASE_TIMEOUT, Arming, LinkSession, Sample
 from fss_arm_driver.transport import Transport
 from fss_arm_model.description import Link
 
@@ -150,7 +150,7 @@ class Rig:
             at_rest = self.sample and abs(self.sample.velocity) < STILL
             return bool(self.session.released and at_rest)
 
-        if not self.until(released, 1e-9 * RELEASE):
+        if not self.until(released, 1e-9 * RELEASE_TIMEOUT):
             raise CommandError(f"link {self.number} is not seen to switch off: cut its power")
 
 
@@ -187,8 +187,8 @@ def turn_by_hand(rig: Rig, ask: Ask) -> Finding:
     expected = drive.direction * drive.counts_per_turn
     found = counts * 2.0 * pi / angle
     good = abs(found - expected) < 0.05 * abs(expected)
-    told = f"{found:.0f} counts a turn, {expected} by the description"
-    return Finding(rig.number, name, PASS if good else FAIL, told)
+    words = f"{found:.0f} counts a turn, {expected} by the description"
+    return Finding(rig.number, name, PASS if good else FAIL, words)
 
 
 def torque_by_hand(rig: Rig, ask: Ask) -> Iterator[Finding]:
@@ -201,8 +201,8 @@ def torque_by_hand(rig: Rig, ask: Ask) -> Iterator[Finding]:
         return
     zero, noise = mean(rest), pstdev(rest)
     off = sensor.gain * (zero - sensor.zero)
-    told = f"{zero:.0f} +- {noise:.0f} counts, off by {off:+.4f} N m from the description's"
-    yield Finding(rig.number, "torque zero", PASS if abs(off) < 0.05 else FAIL, told)
+    words = f"{zero:.0f} +- {noise:.0f} counts, off by {off:+.4f} N m from the description's"
+    yield Finding(rig.number, "torque zero", PASS if abs(off) < 0.05 else FAIL, words)
     text = ask(
         "Put a known torque on the joint, counter-clockwise positive, hold it, and type it in N m, "
         "or nothing to leave it out: "
@@ -219,8 +219,8 @@ def torque_by_hand(rig: Rig, ask: Ask) -> Iterator[Finding]:
         return
     gain = torque / (loaded - zero)
     good = abs(gain - sensor.gain) < 0.1 * abs(sensor.gain)
-    told = f"{gain:.4e} N m a count, {sensor.gain:.4e} by the description"
-    yield Finding(rig.number, "torque gain", PASS if good else FAIL, told)
+    words = f"{gain:.4e} N m a count, {sensor.gain:.4e} by the description"
+    yield Finding(rig.number, "torque gain", PASS if good else FAIL, words)
 
 
 def signs(rig: Rig, current: float) -> Iterator[Finding]:
@@ -238,16 +238,16 @@ def signs(rig: Rig, current: float) -> Iterator[Finding]:
                 break
         turned = rig.now().position - start
     if abs(turned) < ENOUGH:
-        told = f"does not turn with up to {applied:+.2f} A"
-        yield Finding(rig.number, "current sign", FAIL, told)
+        words = f"does not turn with up to {applied:+.2f} A"
+        yield Finding(rig.number, "current sign", FAIL, words)
         return
-    told = f"{applied:+.2f} A turned it by {degrees(turned):+.1f} deg"
-    yield Finding(rig.number, "current sign", PASS if turned * applied > 0.0 else FAIL, told)
+    words = f"{applied:+.2f} A turned it by {degrees(turned):+.1f} deg"
+    yield Finding(rig.number, "current sign", PASS if turned * applied > 0.0 else FAIL, words)
     direction = rig.link.drive.direction
     measured = max((CURRENT_UNIT * direction * s.frame.current for s in seen), key=abs)
     good = copysign(1.0, measured) == copysign(1.0, turned) and measured != 0.0
-    told = f"the drive measures {measured:+.2f} A"
-    yield Finding(rig.number, "measured current", PASS if good else FAIL, told)
+    words = f"the drive measures {measured:+.2f} A"
+    yield Finding(rig.number, "measured current", PASS if good else FAIL, words)
     if not (torques := [s.torque for s in seen if not isnan(s.torque)]):
         yield Finding(rig.number, "torque sign", NOT_TRIED, NO_TORQUE)
         return
@@ -255,9 +255,9 @@ def signs(rig: Rig, current: float) -> Iterator[Finding]:
     if abs(torque) < 0.01:
         yield Finding(rig.number, "torque sign", NOT_TRIED, f"only {torque:+.4f} N m were measured")
         return
-    told = f"{torque:+.3f} N m while it was accelerated by {turned:+.2f} rad"
+    words = f"{torque:+.3f} N m while it was accelerated by {turned:+.2f} rad"
     good = copysign(1.0, torque) == copysign(1.0, turned)
-    yield Finding(rig.number, "torque sign", PASS if good else FAIL, told)
+    yield Finding(rig.number, "torque sign", PASS if good else FAIL, words)
 
 
 def stop(rig: Rig) -> Finding:
@@ -271,8 +271,8 @@ def stop(rig: Rig) -> Finding:
             lambda: rig.now().frame.flags & State.STOPPED and abs(rig.now().velocity) < STILL, 3.0
         )
         took = time.monotonic() - begun
-    told = f"at rest {took:.2f} s after it" if stopped else "goes on"
-    return Finding(rig.number, "stop", PASS if stopped else FAIL, told)
+    words = f"at rest {took:.2f} s after it" if stopped else "goes on"
+    return Finding(rig.number, "stop", PASS if stopped else FAIL, words)
 
 
 def watchdog(rig: Rig) -> Finding:
@@ -289,8 +289,8 @@ def watchdog(rig: Rig) -> Finding:
             WATCHDOG + 2.0,
         )
         took = time.monotonic() - begun
-    told = f"at rest {took:.2f} s after the last command, watchdog {WATCHDOG} s" if stopped else ""
-    return Finding(rig.number, "watchdog", PASS if stopped else FAIL, told or "goes on")
+    words = f"at rest {took:.2f} s after the last command, watchdog {WATCHDOG} s" if stopped else ""
+    return Finding(rig.number, "watchdog", PASS if stopped else FAIL, words or "goes on")
 
 
 def _turn_slowly(rig: Rig) -> None:

@@ -22,9 +22,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ._cache import Floats, helper, kernel
-from .description import BASE_SIZE, LINK_SIZE
-from .kinematics import _THREE, _dot, _mass, _moment
+from . import layout
+from .kernels import Floats, helper, kernel
+from .kinematics import _THREE, _com, _dot, _mass, _moment, _reach
 
 #: What follows Arm.vector() in the columns of base_pose_sensitivities.
 STATE_NAMES = ("x", "y", "theta", "p_x", "p_y", "L", "g_x", "g_y")
@@ -167,26 +167,18 @@ def _inertias(p, delta, sigma, K):  # type: ignore[no-untyped-def]
     """
     M = 0.0
     for k in range(K.size - 1, -1, -1):
-        d, e = _offsets(p, k)
+        d, e = _reach(p, k), _com(p, k)
         m = _mass(p, k)
         delta[k], sigma[k] = d, M * d + m * e
         K[k] = _moment(p, k) + m * _dot(e, e) + M * _dot(d, d)
         M += m
-    angle = p[6]
+    angle = p[layout.MOUNT_ANGLE]
     for k in range(1, K.size):
-        angle += p[6 * k + 3]
+        angle += p[layout.LINK_SIZE * k + layout.OFFSET]
         turn = complex(math.cos(angle), math.sin(angle))
         delta[k] *= turn
         sigma[k] *= turn
     return M
-
-
-@helper
-def _offsets(p, k):  # type: ignore[no-untyped-def]
-    """d_k and e_k in the body's own frame."""
-    if k == 0:
-        return complex(p[4], p[5]), complex(p[2], p[3])
-    return complex(p[6 * k + 2], 0.0), complex(p[6 * k + 6], p[6 * k + 7])
 
 
 @helper
@@ -305,14 +297,14 @@ def _chain_rule(p, delta, M, gM, Gs, Gd, gK, sigma, out):  # type: ignore[no-unt
     spin, behind, beyond = 0.0, 0.0, M
     for k in range(1, gK.size):
         spin += _cross_dot(Gs[k], sigma[k]) + _cross_dot(Gd[k], delta[k])
-    out[6], out[7] = spin, 0.0
+    out[layout.MOUNT_ANGLE], out[layout.TIP_ANGLE] = spin, 0.0
     for k in range(gK.size):
         m = _mass(p, k)
         beyond -= m
-        d, e = _offsets(p, k)
+        d, e = _reach(p, k), _com(p, k)
         by_s, by_d = Gs[k], Gd[k]
         if k > 0:  # from readings of 0 to the link's own frame
-            a = p[6 * k + 2]
+            a = p[layout.LINK_SIZE * k + layout.LENGTH]
             back = complex(delta[k].real / a, -delta[k].imag / a)
             by_s, by_d = by_s * back, by_d * back
         by_mass = gM + behind + _dot(by_s, e) + gK[k] * _dot(e, e)
@@ -320,12 +312,14 @@ def _chain_rule(p, delta, M, gM, Gs, Gd, gK, sigma, out):  # type: ignore[no-unt
         behind += _dot(by_s, d) + gK[k] * _dot(d, d)
         by_d += beyond * by_s + 2.0 * beyond * gK[k] * d
         if k == 0:
-            out[0], out[1], out[2], out[3] = by_mass, gK[0], by_e.real, by_e.imag
-            out[4], out[5] = by_d.real, by_d.imag
+            out[layout.MASS], out[layout.INERTIA] = by_mass, gK[0]
+            out[layout.COM_X], out[layout.COM_Y] = by_e.real, by_e.imag
+            out[layout.MOUNT_X], out[layout.MOUNT_Y] = by_d.real, by_d.imag
         else:
-            j = 6 * k + 2
-            out[j], out[j + 1], out[j + 2], out[j + 3] = by_d.real, spin, by_mass, gK[k]
-            out[j + 4], out[j + 5] = by_e.real, by_e.imag
+            link = out[layout.LINK_SIZE * k :]
+            link[layout.LENGTH], link[layout.OFFSET] = by_d.real, spin
+            link[layout.LINK_MASS], link[layout.LINK_INERTIA] = by_mass, gK[k]
+            link[layout.G], link[layout.LATERAL] = by_e.real, by_e.imag
             spin -= _cross_dot(Gs[k], sigma[k]) + _cross_dot(Gd[k], delta[k])
 
 
@@ -394,10 +388,10 @@ def _checked(p: npt.ArrayLike, path: Path, state: npt.ArrayLike) -> tuple[Floats
     """
     p, state = np.asarray(p, dtype=float), np.asarray(state, dtype=float)
     n = (path.nodes.shape[-1] - 1) // 3
-    if p.shape[-1] != BASE_SIZE + LINK_SIZE * n or state.shape[-1] != len(STATE_NAMES):
+    if p.shape[-1] != layout.size(n) or state.shape[-1] != len(STATE_NAMES):
         raise ValueError(
             f"p and state have the shapes {p.shape} and {state.shape}, "
-            f"expected (..., {BASE_SIZE + LINK_SIZE * n}) and (..., {len(STATE_NAMES)})"
+            f"expected (..., {layout.size(n)}) and (..., {len(STATE_NAMES)})"
         )
     return p, state
 

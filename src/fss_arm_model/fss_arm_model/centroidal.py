@@ -27,8 +27,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ._cache import Complexes, Floats, helper, inlined
-from .kinematics import _cross, _dot, _mass, _moment
+from .kernels import Complexes, Floats, helper, inlined
+from .kinematics import _com, _cross, _dot, _mass, _moment, _reach
+from .layout import LINK_SIZE, MOUNT_ANGLE, OFFSET
 
 
 class Bodies(NamedTuple):
@@ -54,7 +55,7 @@ def _bodies(p, rotor):  # type: ignore[no-untyped-def]
 
         N^2 J (psi'_k - psi'_{k-1})^2 / 2 + N J psi'_{k-1} (psi'_k - psi'_{k-1})
     """
-    m = p.size // 6
+    m = p.size // LINK_SIZE  # the base has some numbers more
     arms, inertia = np.empty((2, m), np.complex128), np.empty((2, m))
     M = 0.0
     for k in range(m):
@@ -63,10 +64,7 @@ def _bodies(p, rotor):  # type: ignore[no-untyped-def]
     for k in range(m):
         mass = _mass(p, k)
         beyond -= mass
-        if k == 0:
-            D, E = complex(p[4], p[5]), complex(p[2], p[3])
-        else:
-            D, E = complex(p[6 * k + 2], 0.0), complex(p[6 * k + 6], p[6 * k + 7])
+        D, E = _reach(p, k), _com(p, k)
         Mb = _scaled(mass, E) + _scaled(beyond, D)
         arms[0, k], arms[1, k] = D - _scaled(1.0 / M, Mb), Mb
         about_pivot = _moment(p, k) + mass * _dot(E, E) + beyond * _dot(D, D)
@@ -156,7 +154,8 @@ def _to_centroidal(bodies, q, qd, turned, z):  # type: ignore[no-untyped-def]
     p = bodies.p
     z[0, 2], z[1, 2] = q[2], qd[2]
     for k in range(1, turned.shape[1]):
-        z[0, 2 + k] = z[0, 1 + k] + p[6 * k + 3] + q[2 + k] + (p[6] if k == 1 else 0.0)
+        mount = p[MOUNT_ANGLE] if k == 1 else 0.0
+        z[0, 2 + k] = z[0, 1 + k] + p[LINK_SIZE * k + OFFSET] + q[2 + k] + mount
         z[1, 2 + k] = z[1, 1 + k] + qd[2 + k]
     _turn(bodies, z, turned)
     c, cd = complex(q[0], q[1]), complex(qd[0], qd[1])
@@ -177,7 +176,8 @@ def _from_centroidal(bodies, turned, z, q, qd):  # type: ignore[no-untyped-def]
     q[0], q[1], qd[0], qd[1] = r.real, r.imag, rd.real, rd.imag
     q[2], qd[2] = z[0, 2], z[1, 2]
     for k in range(1, turned.shape[1]):
-        q[2 + k] = z[0, 2 + k] - z[0, 1 + k] - p[6 * k + 3] - (p[6] if k == 1 else 0.0)
+        mount = p[MOUNT_ANGLE] if k == 1 else 0.0
+        q[2 + k] = z[0, 2 + k] - z[0, 1 + k] - p[LINK_SIZE * k + OFFSET] - mount
         qd[2 + k] = z[1, 2 + k] - z[1, 1 + k]
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import numpy.typing as npt
 
-from ._cache import Floats, helper, kernel
+from .kernels import Floats, helper, kernel
 from .kinematics import _chain, _cross, _dot, checked, joint_positions
 
 
@@ -53,7 +53,7 @@ def clearance(p: npt.ArrayLike, q: npt.ArrayLike, base_radius: float, link_radiu
 
 
 def edge_clearance(
-    p: npt.ArrayLike, q: npt.ArrayLike, table: tuple[float, float], base: float, link: float
+    p: npt.ArrayLike, q: npt.ArrayLike, table: npt.ArrayLike, base: float, link: float
 ) -> Floats:
     """The least gap between the edge of a table about the origin and any body, (...) [m].
 

@@ -9,8 +9,7 @@ import json
 import math
 import operator
 import os
-import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
@@ -18,33 +17,31 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import yaml
+
+from .files import ContentError, read_text, read_yaml, short, write_text
+from .layout import BASE_SIZE as BASE_SIZE
+from .layout import LINK_SIZE as LINK_SIZE
+from .layout import kinematic_index as kinematic_index
+from .layout import kinematic_names as kinematic_names
 
 MAX_LINKS = 12
-BASE_SIZE, LINK_SIZE = 8, 6  # numbers in Arm.vector() for the base and for each link
 
 #: Descriptions that come with the package, by the name that settings take.
 ARMS = {"paper": "arm.yaml", "cad": "cad.yaml", "truth": "truth.yaml"}
 
 
-class DescriptionError(ValueError):
+class DescriptionError(ContentError):
     """A description cannot be right: which field, its value, and what was expected."""
-
-    def __init__(self, field: str, value: Any, expected: str) -> None:
-        self.field, self.value, self.expected = field, value, expected
-        given = "missing" if value is None else repr(value)
-        if len(given) > 80:
-            given = f"{given[:77]}..."
-        super().__init__(f"{field} is {given}, expected {expected}")
 
 
 @contextmanager
 def _within(part: str) -> Iterator[None]:
-    """Name the fields of errors raised inside as fields of `part`."""
+    """Name the fields of errors raised inside as fields of `part`, if it has a name."""
     try:
         yield
-    except DescriptionError as error:
-        raise DescriptionError(f"{part}: {error.field}", error.value, error.expected) from None
+    except ContentError as error:
+        field = f"{part}: {error.field}" if part else error.field
+        raise DescriptionError(field, error.value, error.expected) from None
 
 
 def _number(value: Any) -> float:
@@ -66,7 +63,7 @@ def _nonzero(value: Any) -> float:
 
 
 def _count(value: Any) -> int:
-    if isinstance(value, bool) or (number := operator.index(value)) <= 0:
+    if isinstance(value, bool) or not _number(number := operator.index(value)) > 0.0:
         raise ValueError
     return number
 
@@ -90,6 +87,11 @@ def _numbers(count: int) -> Callable[[Any], tuple[float, ...]]:
         return tuple(_number(v) for v in value)
 
     return convert
+
+
+def _check_count(links: Sequence[Any]) -> None:
+    if not 1 <= len(links) <= MAX_LINKS:
+        raise DescriptionError("links", len(links), f"1 to {MAX_LINKS} links")
 
 
 def _chain(value: Any) -> "tuple[Link, ...]":
@@ -237,8 +239,7 @@ class Arm:
 
     def __post_init__(self) -> None:
         _check(self)
-        if not 1 <= len(self.links) <= MAX_LINKS:
-            raise DescriptionError("links", len(self.links), f"1 to {MAX_LINKS} links")
+        _check_count(self.links)
         if self.links[0].theta_0 != 0.0:
             raise DescriptionError(
                 "link 1: theta_0", self.links[0].theta_0, "0, as theta_BJ1 takes its place"
@@ -280,19 +281,6 @@ class Arm:
         return replace(self, base=base, links=tuple(links))
 
 
-def kinematic_names(n: int) -> tuple[str, ...]:
-    """Names of the 2 n + 2 kinematic parameters of Eq. 1; theta_BJ1 stands for theta_0_1 too."""
-    lengths = (f"a_{i}" for i in range(1, n + 1))
-    offsets = (f"theta_0_{i}" for i in range(2, n + 1))
-    return (*lengths, *offsets, "x_BJ1", "y_BJ1", "theta_BJ1")
-
-
-def kinematic_index(n: int) -> npt.NDArray[np.intp]:
-    """Where the parameters of kinematic_names(n) stand in Arm.vector(), (2 n + 2,)."""
-    links = BASE_SIZE + LINK_SIZE * np.arange(n)
-    return np.concatenate([links, links[1:] + 1, [4, 5, 6]])
-
-
 def paper_arm() -> Arm:
     """Tables 2-4 of the paper, and a base of 10 kg and 0.25 kg m^2 (the latter not from it)."""
     offsets = [0.0, 5.801, -3.402, -1.391]
@@ -305,23 +293,6 @@ def paper_arm() -> Arm:
     return Arm(name="paper", base=base, links=links)
 
 
-class _Loader(yaml.SafeLoader):
-    """Safe YAML that also reads 1e-5 as a number, and refuses a key given twice."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        keys = [key.value for key, _ in node.value]
-        for key in keys:
-            if keys.count(key) > 1:
-                line = node.start_mark.line + 1
-                raise DescriptionError(str(key), "given twice", f"once (block at line {line})")
-        return super().construct_mapping(node, deep)
-
-
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float", re.compile(r"[-+]?[0-9]+[eE][-+]?[0-9]+$"), list("-+0123456789")
-)
-
-
 def _entries(kind: type[Any]) -> str:
     return f"the entries {', '.join(f.name for f in fields(kind))}"
 
@@ -331,7 +302,7 @@ def _build(kind: type[Any], given: Any) -> Any:
     known = {f.name: f for f in fields(kind)}
     for key, value in given.items():
         if key not in known:
-            raise DescriptionError(str(key), value, f"only {_entries(kind)}")
+            raise DescriptionError(short(str(key)), value, f"only {_entries(kind)}")
     for f in known.values():
         required = f.default is MISSING and f.default_factory is MISSING
         if required and f.name not in given:
@@ -341,6 +312,7 @@ def _build(kind: type[Any], given: Any) -> Any:
 
 def _read(key: str, value: Any, kind: type[Any] | None = None) -> Any:
     if key == "links" and isinstance(value, list):
+        _check_count(value)
         return [_read(f"link {i}", link, Link) for i, link in enumerate(value, 1)]
     kind = kind or {"base": Base, "drive": Drive, "torque_sensor": TorqueSensor}.get(key)
     if kind is None or not isinstance(value, dict):
@@ -355,15 +327,8 @@ def from_yaml(text: str) -> Arm:
     Raises:
         DescriptionError: it is not YAML, or an entry is missing, unknown, given twice or wrong.
     """
-    try:
-        given = yaml.load(text, _Loader)
-    except DescriptionError:
-        raise
-    except yaml.MarkedYAMLError as error:
-        line = f"line {error.problem_mark.line + 1}" if error.problem_mark else "text"
-        raise DescriptionError(line, error.problem, "YAML") from None
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise DescriptionError("text", str(error).splitlines()[0], "YAML") from None
+    with _within(""):
+        given = read_yaml(text)
     if not isinstance(given, dict):
         raise DescriptionError("arm", given, _entries(Arm))
     arm: Arm = _build(Arm, given)
@@ -377,10 +342,8 @@ def load(path: str | os.PathLike[str]) -> Arm:
         OSError: the file cannot be read.
         DescriptionError: what it says cannot be right; the message names the file and the field.
     """
-    try:
-        text = Path(path).read_text(encoding="utf-8")
-    except UnicodeDecodeError as error:
-        raise DescriptionError(f"{path}: byte {error.start}", error.reason, "UTF-8") from None
+    with _within(""):
+        text = read_text(path)
     with _within(str(path)):
         return from_yaml(text)
 
@@ -459,11 +422,4 @@ def save(arm: Arm, path: str | os.PathLike[str]) -> None:
     Raises:
         OSError: the file cannot be written.
     """
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        part.write_text(to_yaml(arm), encoding="utf-8")
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
+    write_text(path, to_yaml(arm))

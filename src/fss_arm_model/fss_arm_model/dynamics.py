@@ -17,7 +17,7 @@ contents mean nothing before or after.
 import numpy as np
 import numpy.typing as npt
 
-from ._cache import Complexes, Floats, helper, kernel
+from .kernels import Complexes, Floats, helper, kernel
 from .kinematics import _chain, _cross, _dot, _mass, _moment, checked
 
 

@@ -1,15 +1,16 @@
 """Explicit Runge-Kutta methods for the floating arm: the classical one, and one with error control.
 
-Both move z as surroundings.py's `_act` says; force, thrust and the torques `held` are constant
-meanwhile. On entry and on return the bodies are turned to z in `begin`; turned, work, torque and k
-are scratch.
+Both are made for a law of motion, `act(bodies, forces, turned, z, work, dz)`, that writes dz under
+`forces`, which are constant meanwhile. On entry and on return the bodies are turned to z in
+`begin`; turned, work and k are scratch.
 """
+
+from collections.abc import Callable
 
 import numpy as np
 
-from ._cache import helper, inlined
 from .centroidal import _turn_on
-from .surroundings import _act, _act_called
+from .kernels import helper, inlined
 
 STEP = 0.001  # [s] of the classical method, and a drive's period
 
@@ -23,28 +24,30 @@ def _accept(bodies, x, z, begin):  # type: ignore[no-untyped-def]
             z[r, i] = x[r, i]
 
 
-@helper
-def _classical(  # type: ignore[no-untyped-def]
-    bodies, surroundings, force, thrust, held, step, z, begin, turned, work, torque, k
-):  # fmt: skip
-    """Move z one step on by the method of fourth order; k is (3 or more, 2, N)."""
-    x, dx, total, N = k[0], k[1], k[2], z.shape[1]
-    for r in range(2):
-        for i in range(N):
-            x[r, i], total[r, i] = z[r, i], 0.0
-    for stage in range(4):
-        _turn_on(bodies, begin, z, x, turned)
-        _act(bodies, surroundings, force, thrust, held, turned, x, work, torque, dx)
-        weight = step / 6 if stage == 0 or stage == 3 else step / 3
-        reach = step if stage == 2 else step / 2
+def classical(act: Callable[..., None]) -> Callable[..., None]:
+    """The method of fourth order, one step; k is (3 or more, 2, N)."""
+
+    @helper
+    def step_on(bodies, forces, step, z, begin, turned, work, k):  # type: ignore[no-untyped-def]
+        x, dx, total, N = k[0], k[1], k[2], z.shape[1]
         for r in range(2):
             for i in range(N):
-                total[r, i] += weight * dx[r, i]
-                x[r, i] = z[r, i] + reach * dx[r, i]
-    for r in range(2):
-        for i in range(N):
-            x[r, i] = z[r, i] + total[r, i]
-    _accept(bodies, x, z, begin)
+                x[r, i], total[r, i] = z[r, i], 0.0
+        for stage in range(4):
+            _turn_on(bodies, begin, z, x, turned)
+            act(bodies, forces, turned, x, work, dx)
+            weight = step / 6 if stage == 0 or stage == 3 else step / 3
+            reach = step if stage == 2 else step / 2
+            for r in range(2):
+                for i in range(N):
+                    total[r, i] += weight * dx[r, i]
+                    x[r, i] = z[r, i] + reach * dx[r, i]
+        for r in range(2):
+            for i in range(N):
+                x[r, i] = z[r, i] + total[r, i]
+        _accept(bodies, x, z, begin)
+
+    return step_on
 
 
 # Dormand & Prince (1980): the stages, of which the last is the solution of fifth order, and that
@@ -63,37 +66,40 @@ ERROR = np.array([71 / 57600, 0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 5
 LEAST = 1e-3  # of the time to pass, that a step of it is
 
 
-@helper
-def _controlled(  # type: ignore[no-untyped-def]
-    bodies, surroundings, force, thrust, held, time, tolerance, z, begin, turned, work, torque, k
-):  # fmt: skip
-    """Let `time` pass in steps whose error is at most `tolerance` in each of z; k is (8, 2, N).
+def controlled(act: Callable[..., None]) -> Callable[..., int]:
+    """Steps whose error is at most a tolerance, until a time has passed; k is (8, 2, N)."""
 
-    Returns the number of steps. They become no shorter than LEAST of the time: what changes
-    abruptly, as a contact does, is then taken as it comes.
-    """
-    N, done, step, steps = z.shape[1], 0.0, time, 0
-    x = k[7]
-    while time - done > 1e-9 * time:
-        step = min(step, time - done)
-        for s in range(7):
+    @helper
+    def go_on(bodies, forces, time, tolerance, z, begin, turned, work, k):  # type: ignore[no-untyped-def]
+        """Let `time` pass with errors of at most `tolerance` in each of z; return the steps.
+
+        They become no shorter than LEAST of the time: what changes abruptly, as a contact does, is
+        then taken as it comes.
+        """
+        N, done, step, steps = z.shape[1], 0.0, time, 0
+        x = k[7]
+        while time - done > 1e-9 * time:
+            step = min(step, time - done)
+            for s in range(7):
+                for r in range(2):
+                    for i in range(N):
+                        x[r, i] = z[r, i]
+                        for j in range(s):
+                            x[r, i] += step * STAGES[s - 1, j] * k[j, r, i]
+                _turn_on(bodies, begin, z, x, turned)
+                act(bodies, forces, turned, x, work, k[s])
+            worst = 1e-300
             for r in range(2):
                 for i in range(N):
-                    x[r, i] = z[r, i]
-                    for j in range(s):
-                        x[r, i] += step * STAGES[s - 1, j] * k[j, r, i]
-            _turn_on(bodies, begin, z, x, turned)
-            _act_called(bodies, surroundings, force, thrust, held, turned, x, work, torque, k[s])
-        worst = 1e-300
-        for r in range(2):
-            for i in range(N):
-                error = 0.0
-                for j in range(7):
-                    error += step * ERROR[j] * k[j, r, i]
-                worst = max(worst, abs(error))
-        if worst <= tolerance or step <= LEAST * time:
-            _accept(bodies, x, z, begin)
-            done += step
-            steps += 1
-        step = max(step * min(5.0, max(0.2, 0.9 * (tolerance / worst) ** 0.2)), LEAST * time)
-    return steps
+                    error = 0.0
+                    for j in range(7):
+                        error += step * ERROR[j] * k[j, r, i]
+                    worst = max(worst, abs(error))
+            if worst <= tolerance or step <= LEAST * time:
+                _accept(bodies, x, z, begin)
+                done += step
+                steps += 1
+            step = max(step * min(5.0, max(0.2, 0.9 * (tolerance / worst) ** 0.2)), LEAST * time)
+        return steps
+
+    return go_on

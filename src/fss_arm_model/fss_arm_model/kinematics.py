@@ -10,8 +10,6 @@ Body k has its pivot r_k (0: the base and its frame's origin, k: link k and join
 
     d_k = r_{k+1} - r_k      from its pivot to the next, for the last link to the tip
     e_k = c_k - r_k          from its pivot to its centre of mass
-
-The six numbers of link k begin at p[6 k + 2].
 """
 
 import math
@@ -19,18 +17,12 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from ._cache import Complexes, Floats, helper, kernel
-from .description import BASE_SIZE, LINK_SIZE, kinematic_names
+from . import layout
+from .kernels import Complexes, Floats, helper, kernel
+from .layout import LENGTH, LINK_SIZE, MOUNT_ANGLE, OFFSET, TIP_ANGLE
 
-__all__ = [
-    "com_positions",
-    "joint_positions",
-    "kinematic_names",
-    "tip_in_base",
-    "tip_jacobian",
-    "tip_pose",
-    "tip_regressor",
-]
+_mass, _moment = helper(layout.mass), helper(layout.inertia)
+_reach, _com = helper(layout.reach), helper(layout.com)
 
 
 @helper
@@ -44,30 +36,17 @@ def _cross(a: complex, b: complex) -> float:
 
 
 @helper
-def _mass(p: Floats, k: int) -> float:
-    return p[0] if k == 0 else p[6 * k + 4]
-
-
-@helper
-def _moment(p: Floats, k: int) -> float:
-    """Moment of inertia of body k about its centre of mass."""
-    return p[1] if k == 0 else p[6 * k + 5]
-
-
-@helper
 def _chain(p: Floats, q: Floats, d: Complexes, e: Complexes) -> float:
     """Write d and e of every body, complex (n + 1,); return the tip's heading."""
     heading = q[2]
     turn = complex(math.cos(heading), math.sin(heading))
-    d[0] = complex(p[4], p[5]) * turn
-    e[0] = complex(p[2], p[3]) * turn
-    heading += p[6]
+    d[0], e[0] = _reach(p, 0) * turn, _com(p, 0) * turn
+    heading += p[MOUNT_ANGLE]
     for k in range(1, q.size - 2):
-        heading += p[6 * k + 3] + q[2 + k]
+        heading += p[LINK_SIZE * k + OFFSET] + q[2 + k]
         turn = complex(math.cos(heading), math.sin(heading))
-        d[k] = p[6 * k + 2] * turn
-        e[k] = complex(p[6 * k + 6], p[6 * k + 7]) * turn
-    return heading + p[7]
+        d[k], e[k] = p[LINK_SIZE * k + LENGTH] * turn, _com(p, k) * turn
+    return heading + p[TIP_ANGLE]
 
 
 @kernel("(p),(m),(j),(w)->(j,w)")
@@ -121,7 +100,7 @@ def _tip_regressor(p: Floats, q: Floats, _t: Floats, _x: Floats, Phi: Floats) ->
     Phi[:] = 0.0
     arm = 0j
     for k in range(n, 0, -1):
-        length = p[6 * k + 2]
+        length = p[LINK_SIZE * k + LENGTH]
         arm += d[k]
         Phi[0, k - 1], Phi[1, k - 1] = d[k].real / length, d[k].imag / length
         column = n + k - 2 if k > 1 else 2 * n + 1
@@ -140,7 +119,7 @@ def checked(p: npt.ArrayLike, q: npt.ArrayLike) -> tuple[Floats, Floats, int]:
     """
     p, q = np.asarray(p, dtype=float), np.asarray(q, dtype=float)
     n = q.shape[-1] - 3 if q.ndim else 0
-    if n < 1 or p.ndim == 0 or p.shape[-1] != BASE_SIZE + LINK_SIZE * n:
+    if n < 1 or p.ndim == 0 or p.shape[-1] != layout.size(n):
         expected = "(..., 8 + 6 n) and (..., 3 + n) with n of 1 or more"
         raise ValueError(f"p and q have the shapes {p.shape} and {q.shape}, expected {expected}")
     return p, q, n

@@ -7,8 +7,8 @@ rate. Leading dimensions broadcast. The notation is kinematics.py's.
 import numpy as np
 import numpy.typing as npt
 
-from ._cache import Complexes, Floats, helper, kernel
 from .dynamics import _join
+from .kernels import Complexes, Floats, helper, kernel
 from .kinematics import _THREE, _TWO, _chain, _cross, _dot, _mass, _moment, checked
 
 

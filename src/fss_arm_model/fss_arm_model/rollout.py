@@ -5,10 +5,20 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import numpy.typing as npt
 
-from ._cache import Floats, kernel
-from .centroidal import _bodies, _from_centroidal, _to_centroidal
-from .integration import STEP, _classical
+from .centroidal import _bodies, _from_centroidal, _rate, _to_centroidal
+from .integration import STEP, classical
+from .kernels import Floats, inlined, kernel
 from .kinematics import checked
+
+
+@inlined
+def _act(bodies, forces, turned, z, work, dz):  # type: ignore[no-untyped-def]
+    """Under a force on the base's origin and torques on the bodies."""
+    force, torques = forces
+    _rate(bodies, turned, force, torques, z, work, dz)
+
+
+_classical = classical(_act)
 
 
 @kernel("(p),(m),(m),(t,m),(r),()->(t,m),(t,m)")
@@ -17,16 +27,14 @@ def _rollout(p, q0, qd0, tau, rotor, step, q, qd):  # type: ignore[no-untyped-de
     m, kind = q0.size - 2, np.complex128
     bodies, z, k = _bodies(p.copy(), rotor.copy()), np.empty((2, 2 + m)), np.empty((3, 2, 2 + m))
     begin, turned, work = np.empty((3, m), kind), np.empty((3, m), kind), np.empty((2, m), kind)
-    held, torque, surroundings = np.empty(m), np.empty(m), np.empty(0)
+    held = np.empty(m)
     x, xd = q0.copy(), qd0.copy()
     _to_centroidal(bodies, x, xd, begin, z)
     for t in range(tau.shape[0]):
         for i in range(m):
             held[i] = tau[t, 2 + i] - (tau[t, 3 + i] if i + 1 < m else 0.0)
-        force = complex(tau[t, 0], tau[t, 1])
-        _classical(
-            bodies, surroundings, force, 0j, held, step[0], z, begin, turned, work, torque, k
-        )
+        forces = complex(tau[t, 0], tau[t, 1]), held
+        _classical(bodies, forces, step[0], z, begin, turned, work, k)
         _from_centroidal(bodies, begin, z, x, xd)
         for i in range(2 + m):
             q[t, i], qd[t, i] = x[i], xd[i]

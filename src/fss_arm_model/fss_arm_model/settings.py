@@ -5,7 +5,7 @@ commands their options, and the documents list it.
 """
 
 from collections.abc import Callable
-from dataclasses import Field, dataclass, field, fields
+from dataclasses import MISSING, Field, dataclass, field, fields
 from math import inf
 from typing import Any
 
@@ -34,6 +34,11 @@ def between(low: float, high: float) -> Check:
     return Check(f"{low:g} to {high:g}", lambda value: low <= value <= high, low, high)
 
 
+def above(low: float, high: float) -> Check:
+    """Above `low`, and up to `high`."""
+    return Check(f"above {low:g}, at most {high:g}", lambda value: low < value <= high, low, high)
+
+
 def at_least(low: float) -> Check:
     """From `low` on."""
     return Check(f"{low:g} or more", lambda value: low <= value < inf, low)
@@ -59,6 +64,18 @@ def setting(
     return field(
         default=default, metadata={"about": about, "unit": unit, "check": check, "size": size}
     )
+
+
+def like(kind: type, name: str, default: Any = MISSING) -> Any:
+    """A field that means what the field `name` of other Settings does, and may be what that may be.
+
+    Args:
+        kind: the other Settings.
+        name: of its field.
+        default: the other's by default.
+    """
+    other = kind.__dataclass_fields__[name]  # type: ignore[attr-defined]
+    return field(default=other.default if default is MISSING else default, metadata=other.metadata)
 
 
 class Settings:
@@ -89,4 +106,5 @@ def meaning(f: "Field[Any]") -> str:
     """A field's meaning, unit and bounds in one line, for help and `ros2 param describe`."""
     about, unit, check = (f.metadata[key] for key in ("about", "unit", "check"))
     words = f"{about} [{unit}]" if unit else about
-    return f"{words}; {check.expected}" if check else words
+    each = "each " if isinstance(f.default, tuple) else ""
+    return f"{words}; {each}{check.expected}" if check else words

@@ -6,32 +6,40 @@ The set-up runs this once, so that no node compiles at its start.
 import pkgutil
 import sys
 import time
+from collections.abc import Iterator
 from importlib import import_module
+from pathlib import Path
+from typing import Any
 
-import fss_arm_model
-
-from . import _cache
+from .kernels import KERNELS, alone
 
 
-def warm() -> int:
-    """Load every kernel of the package; return how many there are."""
-    for module in pkgutil.iter_modules(fss_arm_model.__path__):
-        if module.name != "warm":
-            import_module(f"fss_arm_model.{module.name}")
-    for kernel in _cache.KERNELS:
-        _ = kernel.compiled
-    return len(_cache.KERNELS)
+def modules() -> Iterator[str]:
+    """The modules that define kernels, of all of the workspace's packages on Python's path."""
+    package: Any
+    for package in pkgutil.iter_modules():
+        if package.ispkg and package.name.startswith("fss_"):
+            root = Path(package.module_finder.path)
+            for source in sorted((root / package.name).rglob("*.py")):
+                if "\n@kernel(" in source.read_text(encoding="utf-8"):
+                    yield ".".join(source.relative_to(root).with_suffix("").parts)
 
 
 def main() -> int:
-    """Warm the cache and say what was done."""
-    folder = _cache.cache_folder()
-    if not _cache.CACHED:
-        print(f"cannot write to {folder}, expected a folder: set NUMBA_CACHE_DIR", file=sys.stderr)
-        return 1
+    """Load every kernel, and say what was done."""
     begin = time.perf_counter()
-    count = warm()
-    print(f"{count} kernels ready in {time.perf_counter() - begin:.1f} s, kept in {folder}")
+    for module in modules():
+        import_module(module)
+    for folder in {kernel.folder for kernel in KERNELS}:
+        with alone(folder) as kept:
+            if not kept:
+                words = "expected a folder: set NUMBA_CACHE_DIR"
+                print(f"cannot write to {folder}, {words}", file=sys.stderr)
+                return 1
+    for kernel in KERNELS:
+        _ = kernel.compiled
+    took = time.perf_counter() - begin
+    print(f"{len(KERNELS)} kernels ready in {took:.1f} s, kept in {KERNELS[0].folder.parent}")
     return 0
 
 

@@ -51,10 +51,11 @@ class Calibrated:
             DescriptionError: the calibrated description cannot be right.
             ValueError: a parameter is not the arm's.
         """
-        if message.verdict != "pass":
+        found = message.calibration
+        if found.verdict != "pass":
             return self
-        arm = from_yaml(message.description)
-        C = vector_covariance(arm, message.names, message.covariance) if message.names else None
+        arm = from_yaml(found.description)
+        C = vector_covariance(arm, found.names, found.covariance) if found.names else None
         of_another = arm.n != self.arm.n
         if topic.endswith("dynamic"):
             has_kinematics = C is not None and _has_kinematics(arm.n, C)
@@ -82,7 +83,7 @@ def vector_covariance(arm: Arm, names: Sequence[str], covariance: npt.ArrayLike)
 
     Args:
         arm: the calibrated arm.
-        names: of the parameters, as KinematicCalibration and DynamicCalibration have them; `a` or
+        names: of the parameters, as a Calibration message has them; `a` or
             `a_1 .. a_3`, and `I`, for a value that links share. Others are taken as exact.
         covariance: of the parameters, row by row or as a matrix.
 

@@ -11,7 +11,7 @@ from typing import Any
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseStamped
 
-SECOND = 1_000_000_000  # [ns]
+from fss_arm_model.units import SECOND as SECOND
 
 
 class PoseError(ValueError):
@@ -37,14 +37,15 @@ def seconds(ns: int) -> float:
 def joint_readings(message: Any) -> Iterator[tuple[int, float, float, float]]:
     """Number i, q [rad], qd [rad/s] and effort [N m] of each joint_<i> of a JointState.
 
-    Other joints are left out; what the message leaves out is NaN.
+    Other joints are left out; what the message leaves out is NaN. Of a number of more than nine
+    digits the first nine are given: no arm has so many joints, and int() refuses thousands.
     """
     values = message.position, message.velocity, message.effort
     for name, *reading in zip_longest(message.name, *values, fillvalue=nan):
         kind, _, number = str(name).partition("_")
         if kind == "joint" and number.isdecimal():
             q, qd, effort = map(float, reading)
-            yield int(number), q, qd, effort
+            yield int(number[:9]), q, qd, effort
 
 
 def planar_pose(pose: Any) -> tuple[float, float, float]:

@@ -107,7 +107,7 @@ def descriptor(f: "Field[Any]", read_only: bool = False) -> ParameterDescriptor:
         low, high = max(check.low, -(2**63)), min(check.high, 2**63 - 1)
         about.integer_range = [IntegerRange(from_value=int(low), to_value=int(high), step=1)]
     elif type(f.default) is float:
-        low, high = max(check.low, -most), min(check.high, most)
+        low, high = float(max(check.low, -most)), float(min(check.high, most))
         about.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
     return about
 

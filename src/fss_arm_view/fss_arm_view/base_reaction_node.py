@@ -125,8 +125,8 @@ class BaseReactionNode(Node):
         if known is not self.known:
             self.known = known
             self.reaction.describe(known.arm, known.covariance)
-            if isfinite(message.time_offset):
-                self.offsets[topic] = round(message.time_offset * SECOND)
+            if isfinite(offset := message.calibration.time_offset):
+                self.offsets[topic] = round(offset * SECOND)
             self.get_logger().info(f"predicts with {topic} of {known.arm.name}")
 
     def take(self, states: list[BaseState]) -> None:

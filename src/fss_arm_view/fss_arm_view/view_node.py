@@ -221,8 +221,9 @@ class ViewNode(Node):
         with suppress(ValueError):  # base_reaction tells of it
             known = self.known.with_message(topic, message)
             self.known = known if known.arm.n == self.known.arm.n else self.known
-        level = "INFO" if message.verdict == message.PASS else "WARN"
-        text = f"{topic.rpartition('/')[2]}: {message.verdict}: {message.reason}"
+        found = message.calibration
+        level = "INFO" if found.verdict == found.PASS else "WARN"
+        text = f"{topic.rpartition('/')[2]}: {found.verdict}: {found.reason}"
         self.say(text, level)
 
     def on_outlines(self, topic: str, message: MarkerArray) -> None:

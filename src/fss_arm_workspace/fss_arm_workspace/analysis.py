@@ -1,23 +1,32 @@
 """Section 5 of the paper whole, for one arm: what `map` draws and `workspace` publishes."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
-from math import inf
+from dataclasses import dataclass, fields
 
 import numpy as np
 import numpy.typing as npt
 
 from fss_arm_model.description import Arm
 from fss_arm_model.kinematics import tip_in_base
-from fss_arm_model.manipulability import climb
+from fss_arm_model.settings import at_least, setting
 from fss_arm_ros.calibrated import Calibrated
-
-from .arcs import Complexes, Floats, Region
-from .fixed import fixed_workspace, joint_limits
-from .manipulability import FIXED, FLOATING, Best, Map, jacobian, manipulability_map
-from .straight_path import BASES, Paths, Rules, arch, straight_paths, straight_workspace
-from .uncertainty import boundary_deviation, measure_deviation, radius_deviation
-from .virtual import VirtualManipulator
+from fss_arm_workspace.manipulability.climb import climb
+from fss_arm_workspace.manipulability.map import Map, manipulability_map
+from fss_arm_workspace.manipulability.measure import FIXED, FLOATING, jacobian
+from fss_arm_workspace.manipulability.search import Best
+from fss_arm_workspace.regions.arcs import Complexes, Floats, Region
+from fss_arm_workspace.regions.fixed import fixed_workspace, joint_limits
+from fss_arm_workspace.regions.virtual import VirtualManipulator
+from fss_arm_workspace.straight_path.paths import (
+    Paths,
+    PathSettings,
+    Rules,
+    arch,
+    straight_paths,
+    straight_workspace,
+)
+from fss_arm_workspace.straight_path.redundancy import BASES
+from fss_arm_workspace.uncertainty import boundary_deviation, measure_deviation, radius_deviation
 
 Progress = Callable[[str, float], None]
 
@@ -38,26 +47,19 @@ class Analysis:
 
 
 @dataclass(frozen=True)
-class AnalysisSettings:
-    """What is computed, and how finely.
+class AnalysisSettings(PathSettings):
+    """What is computed, and how finely."""
 
-    Raises:
-        ValueError: a setting is impossible.
-    """
+    cell: float = setting(0.01, "size of the maps' cells", unit="m", check=at_least(0.001))
+    directions: int = setting(360, "number of straight paths to begin with", check=at_least(8))
+    of_true_angle: bool = setting(
+        False, "joint limits hold for the true angle q + theta_0, not for the encoder's q"
+    )
+    workers: int = setting(1, "threads that compute the maps", check=at_least(1))
 
-    cell: float = 0.01  # of the maps [m]
-    directions: int = 360  # of straight paths, to begin with
-    rules: Rules = field(default_factory=Rules)
-    of_true_angle: bool = False  # joint limits hold for q + theta_0
-    workers: int = 1
-
-    def __post_init__(self) -> None:
-        if not 0.001 <= self.cell < inf:
-            raise ValueError(f"cell is {self.cell} m, expected 0.001 or more")
-        if self.directions < 8:
-            raise ValueError(f"directions is {self.directions}, expected 8 or more")
-        if self.workers < 1:
-            raise ValueError(f"workers is {self.workers}, expected 1 or more")
+    def rules(self, base: str) -> Rules:
+        """Of straight paths on one of BASES."""
+        return Rules(**{f.name: getattr(self, f.name) for f in fields(PathSettings)}, base=base)
 
 
 def analyse(
@@ -135,9 +137,7 @@ def straight_workspaces(
     found = {}
     for k, base in enumerate(BASES):
         progress(f"straight paths, {base}", k / len(BASES))
-        found[base] = straight_workspace(
-            arm, start, replace(s.rules, base=base), limits, count=s.directions
-        )
+        found[base] = straight_workspace(arm, start, s.rules(base), limits, count=s.directions)
     return found
 
 

@@ -10,12 +10,11 @@ import numpy as np
 from fss_arm_model.description import to_yaml
 from fss_arm_model.kinematics import joint_positions
 from fss_arm_model.momentum import system_com
-from fss_arm_model.straight_path import REASONS
-
-from .analysis import Analysis
-from .arcs import Floats
-from .manipulability import FIXED, FLOATING, ellipsoid, jacobian, measure
-from .straight_path import Paths
+from fss_arm_workspace.analysis import Analysis
+from fss_arm_workspace.manipulability.measure import FIXED, FLOATING, ellipsoid, jacobian, measure
+from fss_arm_workspace.regions.arcs import Floats
+from fss_arm_workspace.straight_path.paths import Paths
+from fss_arm_workspace.straight_path.trace import REASONS
 
 _REASON_COLORS = ("tab:gray", "tab:orange", "tab:red", "tab:blue")
 _BASE_SIDE = 0.3  # of the simulator as drawn [m]

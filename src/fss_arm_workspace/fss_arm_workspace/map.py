@@ -11,14 +11,13 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from fss_arm_bags.reader import BagError, open_bags
 from fss_arm_model.description import load, paper_arm
-from fss_arm_model.straight_path import RULES
 from fss_arm_ros.calibrated import TOPICS, Calibrated
 from fss_arm_ros.command_line import Parser
-
-from .analysis import Analysis, AnalysisSettings, analyse, straight_workspaces
-from .figures import draw, save
-from .straight_path import Paths, Rules, arch
-from .virtual import base_mass_for
+from fss_arm_workspace.analysis import Analysis, AnalysisSettings, analyse, straight_workspaces
+from fss_arm_workspace.figures import draw, save
+from fss_arm_workspace.regions.virtual import base_mass_for
+from fss_arm_workspace.straight_path.paths import Paths, arch
+from fss_arm_workspace.straight_path.redundancy import RULES
 
 EPILOG = "Exit codes: 0 done, 1 the command cannot be carried out."
 PAPER_RADIUS = 1.3  # [m]
@@ -32,9 +31,13 @@ def parser() -> argparse.ArgumentParser:
         help="description YAML, or bags with a calibration (default: the paper's arm)",
     )  # fmt: skip
     p.add_argument("--output", metavar="FOLDER", default="workspace", help="default: %(default)s")
-    p.add_argument("--cell", type=float, default=0.01, metavar="M", help="size of a map's cell [m]")
+    default = AnalysisSettings()
     p.add_argument(
-        "--rule", choices=RULES[:3], default=Rules.redundancy, help="how straight paths use the "
+        "--cell", type=float, default=default.cell, metavar="M", help="size of a map's cell [m] "
+        "(default: %(default)s)",
+    )  # fmt: skip
+    p.add_argument(
+        "--rule", choices=RULES[:3], default=default.redundancy, help="how straight paths use the "
         "redundancy (default: %(default)s)",
     )  # fmt: skip
     p.add_argument(
@@ -42,8 +45,8 @@ def parser() -> argparse.ArgumentParser:
         "paths begin [deg] (default: an arch)",
     )  # fmt: skip
     p.add_argument(
-        "--table", type=float, nargs=4, default=Rules.table, metavar="M", help="on which straight "
-        "paths run: low x, low y, high x, high y (default: %(default)s)",
+        "--table", type=float, nargs=4, default=default.table, metavar="M", help="on which "
+        "straight paths run: low x, low y, high x, high y (default: %(default)s)",
     )  # fmt: skip
     p.add_argument(
         "--true-angle", action="store_true", help="joint limits hold for q + theta_0, not for the "
@@ -69,7 +72,7 @@ def calibrated(sources: Sequence[str]) -> Calibrated:
     with open_bags(sources) as bags:
         topics = {t for t, kind in bags.topics.items() if kind.msgtype in TOPICS.values()}
         for topic, _, _, message in bags.messages(topics):
-            if message.verdict == "pass":
+            if message.calibration.verdict == "pass":
                 known = (known or Calibrated(paper_arm())).with_message(topic, message)
     if known is None:
         raise BagError(f"{', '.join(sources)}: no calibration that passed")
@@ -120,9 +123,12 @@ def run(options: argparse.Namespace, console: Console) -> None:
         OSError: a file cannot be read or written.
     """
     known = calibrated(options.source)
-    rules = Rules(redundancy=options.rule, table=tuple(options.table))
     settings = AnalysisSettings(
-        cell=options.cell, rules=rules, of_true_angle=options.true_angle, workers=options.workers
+        redundancy=options.rule,
+        table=tuple(options.table),
+        cell=options.cell,
+        of_true_angle=options.true_angle,
+        workers=options.workers,
     )
     start = arch(known.arm)
     if options.start:

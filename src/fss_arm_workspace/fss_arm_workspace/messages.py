@@ -2,9 +2,8 @@
 
 from array import array
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import fields
 from hashlib import sha256
-from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import Point, Point32, PolygonStamped
@@ -15,14 +14,14 @@ from visualization_msgs.msg import Marker, MarkerArray
 from fss_arm_model.description import Arm, to_yaml
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_model.momentum import system_com
-from fss_arm_model.straight_path import REASONS
 from fss_arm_msgs.msg import ManipulabilityMap, Provenance, StraightPaths, Workspace
-
-from . import __version__
-from .analysis import Analysis, AnalysisSettings
-from .arcs import Complexes, Floats
-from .manipulability import FIXED, FLOATING, Map, ellipsoid, jacobian
-from .straight_path import Paths
+from fss_arm_workspace import __version__
+from fss_arm_workspace.analysis import Analysis, AnalysisSettings
+from fss_arm_workspace.manipulability.map import Map
+from fss_arm_workspace.manipulability.measure import FIXED, FLOATING, ellipsoid, jacobian
+from fss_arm_workspace.regions.arcs import Complexes, Floats
+from fss_arm_workspace.straight_path.paths import Paths
+from fss_arm_workspace.straight_path.trace import REASONS
 
 _COLORS = {
     "fixed": (0.85, 0.15, 0.15),
@@ -188,8 +187,6 @@ def _doubles(values: Floats | Sequence[float]) -> "array[float]":
 
 
 def _yaml(settings: AnalysisSettings) -> str:
-    rules: dict[str, Any] = asdict(settings.rules)
-    rules.pop("preferred")
-    rules["table"] = list(rules["table"])
-    own = {k: v for k, v in vars(settings).items() if k != "rules"}
-    return "".join(f"{name}: {value}\n" for name, value in {**own, **rules}.items())
+    values = {f.name: getattr(settings, f.name) for f in fields(AnalysisSettings)}
+    values["table"] = list(settings.table)
+    return "".join(f"{name}: {value}\n" for name, value in values.items())

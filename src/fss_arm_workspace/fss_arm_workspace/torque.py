@@ -16,8 +16,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from fss_arm_model.description import Arm
 from fss_arm_model.dynamics import inverse_dynamics
-
-from .arcs import Floats
+from fss_arm_workspace.regions.arcs import Floats
 
 PEAK = 1.8  # of the links' actuators [N m]
 

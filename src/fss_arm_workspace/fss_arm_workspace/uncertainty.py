@@ -14,13 +14,13 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from fss_arm_model.description import BASE_SIZE, LINK_SIZE, Arm
+from fss_arm_model.description import Arm
 from fss_arm_model.kinematics import tip_in_base
-from fss_arm_model.manipulability import climb
-
-from .arcs import Complexes, Floats, Region
-from .manipulability import Best
-from .virtual import virtual_links
+from fss_arm_model.layout import OFFSET, each
+from fss_arm_workspace.manipulability.climb import climb
+from fss_arm_workspace.manipulability.search import Best
+from fss_arm_workspace.regions.arcs import Complexes, Floats, Region
+from fss_arm_workspace.regions.virtual import virtual_links
 
 _STEP = 1e-6  # of a parameter, for central differences
 
@@ -82,7 +82,7 @@ def boundary_deviation(
 
 def _given_way(arm: Arm, p: Floats) -> Floats:
     """By how much readings (n,) give way so that q + theta_0 with p is that of the arm [rad]."""
-    return (arm.vector() - p)[BASE_SIZE + 1 :: LINK_SIZE]
+    return each(arm.vector() - p, OFFSET)
 
 
 def radius_deviation(arm: Arm, covariance: npt.ArrayLike) -> float:

@@ -15,7 +15,6 @@ from std_msgs.msg import Header
 from visualization_msgs.msg import MarkerArray
 
 from fss_arm_model.description import described
-from fss_arm_model.straight_path import BASES
 from fss_arm_msgs.msg import (
     DynamicCalibration,
     KinematicCalibration,
@@ -30,14 +29,14 @@ from fss_arm_ros.pace import pace
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED, subscribe_sensor
 from fss_arm_ros.run import run
-
-from . import messages
-from .analysis import analyse, load_kernels, straight_workspaces
-from .arcs import Floats
-from .fixed import joint_limits
-from .settings import WorkspaceSettings
-from .virtual import VirtualManipulator
-from .worker import Progress, Worker
+from fss_arm_workspace import messages
+from fss_arm_workspace.analysis import analyse, load_kernels, straight_workspaces
+from fss_arm_workspace.regions.arcs import Floats
+from fss_arm_workspace.regions.fixed import joint_limits
+from fss_arm_workspace.regions.virtual import VirtualManipulator
+from fss_arm_workspace.settings import WorkspaceSettings
+from fss_arm_workspace.straight_path.redundancy import BASES
+from fss_arm_workspace.worker import Progress, Worker
 
 # rclpy keeps this class in its extension and offers no public name for it.
 from rclpy._rclpy_pybind11 import RCLError  # isort: skip
@@ -85,7 +84,7 @@ class WorkspaceNode(Node):
 
     def on_calibration(self, topic: str, message: Any) -> None:
         """Begin anew with what a calibration found."""
-        if message.verdict == message.PASS:
+        if message.calibration.verdict == message.calibration.PASS:
             self.arrived.append((topic, message))
             self.maps.submit(topic)
 
@@ -156,7 +155,7 @@ class WorkspaceNode(Node):
         """In the worker's thread: compute and publish all that hangs on the arm alone."""
         while self.arrived:
             self.take(*self.arrived.popleft())
-        known, settings = self.known, self.settings.analysis
+        known, settings = self.known, self.settings
         found = analyse(known, settings, progress)
         header = self.header(self.settings.base_frame)
         for base, one in found.maps.items():
@@ -171,7 +170,7 @@ class WorkspaceNode(Node):
         (known, state, in_world), s = request, self.settings
         limits = joint_limits(known.arm, of_true_angle=s.of_true_angle)
         start = np.append(state[:3], state[3:].clip(*limits.T))  # an encoder may read a bit more
-        found = straight_workspaces(known.arm, start, s.analysis, progress)
+        found = straight_workspaces(known.arm, start, s, progress)
         header = self.header(s.world_frame if in_world else s.base_frame)
         for base, paths in found.items():
             self.publish(f"straight/{_topic(base)}", messages.polygon(paths.ends, header))

@@ -14,9 +14,8 @@ import numpy.typing as npt
 
 from fss_arm_model.description import Arm
 from fss_arm_model.momentum import generalized_jacobian, system_com
-
-from .arcs import Floats
-from .fixed import checked_limits
+from fss_arm_workspace.regions.arcs import Floats
+from fss_arm_workspace.regions.fixed import checked_limits
 
 
 def angular_coupling(arm: Arm, q: npt.ArrayLike) -> Floats:

@@ -9,13 +9,19 @@ fss, end_effector or fog; `value` 1 by default.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
-from math import inf, isfinite, pi
+from dataclasses import MISSING, dataclass, fields, replace
+from math import inf, pi
 from typing import Any
 
-import yaml
-
-from fss_arm_model.settings import SettingError, Settings, between, setting
+from fss_arm_model.files import ContentError, read_yaml, shown
+from fss_arm_model.settings import (
+    NOT_NEGATIVE,
+    Check,
+    SettingError,
+    Settings,
+    between,
+    setting,
+)
 
 
 class FaultError(ValueError):
@@ -72,21 +78,16 @@ def kinds(n: int) -> dict[str, type]:
 
 
 @dataclass(frozen=True)
-class Event:
+class Event(Settings):
     """One fault of a script."""
 
-    at: float  # [s]
-    part: str
-    fault: str
-    value: float = 1.0
-    duration: float = inf  # [s]
-
-    def __post_init__(self) -> None:
-        if not (isfinite(self.at) and self.at >= 0.0 and self.duration > 0.0):
-            raise FaultError(
-                f"{self.part} {self.fault} is at {self.at} s for {self.duration} s, "
-                "expected 0 or more, and above 0"
-            )
+    at: float = setting(MISSING, "when the fault begins", unit="s", check=NOT_NEGATIVE)
+    part: str = setting(MISSING, "part of the test bed that has the fault")
+    fault: str = setting(MISSING, "kind of the fault")
+    value: float = setting(1.0, "size of the fault")
+    duration: float = setting(
+        inf, "how long the fault lasts", unit="s", check=Check("above 0", lambda value: value > 0.0)
+    )
 
 
 class Faults:
@@ -97,7 +98,7 @@ class Faults:
         script: its events; of two at once of the same kind, the later one counts.
 
     Raises:
-        FaultError: an event that cannot be.
+        FaultError: an event is of no part or no fault, or not of this size.
     """
 
     def __init__(self, n: int, script: Sequence[Event] = ()) -> None:
@@ -158,10 +159,12 @@ class Faults:
     @staticmethod
     def _changed(groups: Groups, part: str, name: str, value: float) -> Groups:
         if part not in groups:
-            raise FaultError(f"no faults of {part!r}, expected one of {', '.join(groups)}")
+            raise FaultError(f"no faults of {shown(part)}, expected one of {', '.join(groups)}")
         known = [f.name for f in fields(groups[part])]
         if name not in known:
-            raise FaultError(f"{part} has no fault {name!r}, expected one of {', '.join(known)}")
+            raise FaultError(
+                f"{part} has no fault {shown(name)}, expected one of {', '.join(known)}"
+            )
         try:
             return {**groups, part: replace(groups[part], **{name: float(value)})}
         except SettingError as error:
@@ -175,19 +178,18 @@ def read_script(text: str) -> list[Event]:
         FaultError: it is none; the message says why.
     """
     try:
-        given = yaml.safe_load(text) or []
-        if not isinstance(given, list):
+        given = read_yaml(text)
+        if not isinstance(given, list | None):
             raise FaultError(f"{type(given).__name__}, expected a list")
-        return [_event(entry) for entry in given]
-    except (yaml.YAMLError, FaultError) as error:
-        raise FaultError(f"no fault script: {' '.join(str(error).split())}") from None
+        return [_event(entry) for entry in given or ()]
+    except (ContentError, FaultError) as error:
+        raise FaultError(f"no fault script: {error}") from None
 
 
 def _event(entry: Any) -> Event:
     kinds = {"at": float, "part": str, "fault": str, "value": float, "duration": float}
     try:
         return Event(**{key: kinds[key](value) for key, value in dict(entry).items()})
-    except FaultError:
-        raise
-    except (TypeError, ValueError, KeyError) as error:
-        raise FaultError(f"{entry!r}, expected {', '.join(kinds)}: {error}") from None
+    except (TypeError, ValueError, KeyError, OverflowError) as error:
+        why = shown(str(error))
+        raise FaultError(f"{shown(entry)}, expected {', '.join(kinds)}: {why}") from None

@@ -14,7 +14,7 @@ from sensor_msgs.msg import Imu
 
 from fss_arm_msgs.msg import GripperState, SimTruth
 from fss_arm_ros.convert import SECOND, pose_stamped, to_time
-from fss_sim.plant import Plant
+from fss_sim.plant.plant import Plant
 from fss_sim.sensors import Seen
 
 STAMP = 4  # where it is: after the encapsulation's header

@@ -2,26 +2,38 @@
 
 from dataclasses import dataclass, replace
 from math import radians
+from typing import Any
+
+from fss_arm_model.settings import NOT_NEGATIVE, Check, Settings, between, setting
+
+
+def error(about: str, unit: str = "", check: Check = NOT_NEGATIVE) -> Any:
+    """A field of Noise; 0 is none."""
+    return setting(0.0, about, unit=unit, check=check)
 
 
 @dataclass(frozen=True)
-class Noise:
-    """Errors of the instruments, 1 sigma unless said otherwise; none by default."""
+class Noise(Settings):
+    """Errors of the instruments, none by default."""
 
-    position_noise: float = 0.0  # white, each VICON pose and axis [m]
-    heading_noise: float = 0.0  # white, each VICON pose [rad]
-    vicon_hold: float = 0.0  # how long such an error stays before it is another one [s]
-    rest_position_error: float = 0.0  # end effector seen from the base, each axis, for a rest [m]
-    rest_heading_error: float = 0.0  # likewise [rad]
-    vicon_latency: float = 0.0  # from the picture to the stamp that receivers give it, always [s]
-    gyro_noise: float = 0.0  # white, each sample of the FOG [rad/s]
-    gyro_bias: float = 0.0  # for the run [rad/s]
-    gyro_walk: float = 0.0  # of the bias [rad/s after 1 s]
-    gyro_scale: float = 0.0  # relative, for the run
-    encoder_error: float = 0.0  # largest, of a joint's angle [rad]
-    torque_noise: float = 0.0  # white, each sample of a torque converter [N m]
-    torque_zero: float = 0.0  # for the run [N m]
-    clock_drift: float = 0.0  # of a link's clock, relative, for each of its starts
+    position_noise: float = error("white noise of a VICON pose, each axis, 1 sigma", "m")
+    heading_noise: float = error("white noise of a VICON pose's heading, 1 sigma", "rad")
+    vicon_hold: float = error("time for which the white noise of a VICON pose stays the same", "s")
+    rest_position_error: float = error(
+        "error of the tip seen from the base, each axis, by rest, 1 sigma", "m"
+    )
+    rest_heading_error: float = error(
+        "error of the tip's heading seen from the base, by rest, 1 sigma", "rad"
+    )
+    vicon_latency: float = error("age of VICON poses at their stamps", "s", check=between(0.0, 1.0))
+    gyro_noise: float = error("white noise of a FOG sample, 1 sigma", "rad/s")
+    gyro_bias: float = error("bias of the FOG in a run, 1 sigma", "rad/s")
+    gyro_walk: float = error("change of the FOG's bias in 1 s, 1 sigma", "rad/s")
+    gyro_scale: float = error("relative scale error of the FOG in a run, 1 sigma")
+    encoder_error: float = error("largest error of an encoder", "rad", check=between(0.0, 0.01))
+    torque_noise: float = error("white noise of a torque sample, 1 sigma", "N m")
+    torque_zero: float = error("zero offset of a torque sensor in a run, 1 sigma", "N m")
+    clock_drift: float = error("relative drift of a link's clock, 1 sigma")
 
 
 _DEFAULT = Noise(

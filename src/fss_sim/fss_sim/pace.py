@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable
 from typing import Protocol
 
-from fss_sim.channel import SECOND
+from fss_arm_model.units import SECOND
 from fss_sim.testbed import FRAME
 
 LEAD = 40  # frames that may pass without a word from a driver that sends five times a second

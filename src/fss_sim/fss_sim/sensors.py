@@ -154,7 +154,7 @@ class Sensors:
             rate: true angular velocity of the base [rad/s].
             qd: (n,) joint velocities [rad/s]; the error of a rest is redrawn when they leave 0.
             base_faults: what is wrong with the base's markers.
-            tip_faults: likewise, the end effector's.
+            tip_faults: what is wrong with the end effector's markers.
             gyro_faults: what is wrong with the FOG.
             target: true pose of the target in the world, if there is one.
         """

@@ -1,91 +1,84 @@
 """The parameters of the test-bed node, and what they amount to."""
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
+from typing import Any
 
 from fss_arm_model.description import Arm, described
-from fss_arm_model.settings import setting
-from fss_arm_model.simulation import Surroundings
+from fss_arm_model.files import read_text
+from fss_arm_model.settings import (
+    FINITE,
+    NOT_NEGATIVE,
+    Check,
+    SettingError,
+    Settings,
+    above,
+    at_least,
+    like,
+    one_of,
+    setting,
+)
+from fss_sim.link.pty import LinkTerminal
+from fss_sim.link.udp import LinkSocket
 from fss_sim.noise import PRESETS, Noise
-from fss_sim.plant import Joints, World
-from fss_sim.pty import LinkTerminal
+from fss_sim.plant.plant import Joints, World
+from fss_sim.plant.surroundings import Surroundings
+from fss_sim.plant.target import Gripper, Target
+from fss_sim.plant.thrusters import Propulsion
 from fss_sim.sensors import RATE
-from fss_sim.target import Gripper, Target
 from fss_sim.testbed import State
-from fss_sim.thrusters import Propulsion
-from fss_sim.udp import LinkSocket
 
 
 @dataclass(frozen=True)
-class PlantSettings:
+class PlantSettings(Settings):
     """What base and arm are made of, what acts on them, and the target."""
 
-    rotor_inertia: float = setting(
-        0.0, "of each motor, felt at its joint [kg m^2]; 0.0026 in the FHA-8C-30, 0: none"
-    )
-    gear_ratio: float = setting(30.0, "of the harmonic drives")
-    viscous_friction: float = setting(0.5, "of each joint [N m s/rad]")
-    coulomb_friction: float = setting(0.3, "of each joint [N m]")
+    rotor_inertia: float = like(Joints, "rotor_inertia")
+    gear_ratio: float = like(Joints, "gear_ratio")
+    viscous_friction: float = like(Joints, "viscous")
+    coulomb_friction: float = like(Joints, "coulomb")
     end_stops: bool = setting(True, "stops at the ends of the joints' ranges")
-    tilt: tuple[float, ...] = setting((0.0, 0.0), "of the table along x and y, downhill [rad]")
-    film_damping: float = setting(0.0, "of the air films, by mass and velocity [1/s]")
-    tether_drag: float = setting(0.0, "on the base's origin [N s/m]")
-    tether_twist: float = setting(0.0, "against the base's turning [N m s]")
-    table: tuple[float, ...] = setting((4.0, 4.0), "sides of the table about the origin [m]")
-    thrust: float = setting(0.16, "of one of the eight thrusters [N]")
-    thruster_lever: float = setting(0.11, "from the base's origin to the line of thrust [m]")
-    specific_impulse: float = setting(34.0, "of the thrusters [s]")
-    minimum_on_time: float = setting(0.01, "of a thruster's valve [s]")
-    valve_delay: float = setting(0.005, "from a command to the valve's answer [s]")
-    tank_volume: float = setting(0.43e-3, "[m^3]")
-    tank_pressure: float = setting(20e6, "at the begin [Pa]")
+    tilt: tuple[float, ...] = like(Surroundings, "tilt")
+    film_damping: float = like(Surroundings, "film")
+    tether_drag: float = like(Surroundings, "tether")
+    tether_twist: float = like(Surroundings, "tether_twist")
+    table: tuple[float, ...] = like(Surroundings, "table")
+    thrust: float = like(Propulsion, "thrust")
+    thruster_lever: float = like(Propulsion, "lever")
+    specific_impulse: float = like(Propulsion, "specific_impulse")
+    minimum_on_time: float = like(Propulsion, "minimum_on_time")
+    valve_delay: float = like(Propulsion, "valve_delay")
+    tank_volume: float = like(Propulsion, "tank_volume")
+    tank_pressure: float = like(Propulsion, "tank_pressure")
     tolerance: float = setting(
-        0.0, "of error control, by step and coordinate, SI units; 0: fixed steps of 1 ms"
-    )
-    target_mass: float = setting(0.0, "of a second spacecraft simulator [kg]; 0: there is none")
-    target_inertia: float = setting(0.25, "of the target about its centre of mass [kg m^2]")
+        0.0, "error that error control allows a step, in each coordinate, SI units; 0: fixed "
+        "steps of 1 ms", check=NOT_NEGATIVE,
+    )  # fmt: skip
+    target_mass: float = setting(
+        0.0, "mass of a second spacecraft simulator, the target; 0: there is none", unit="kg",
+        check=NOT_NEGATIVE,
+    )  # fmt: skip
+    target_inertia: float = like(Target, "inertia")
     target_pose: tuple[float, ...] = setting(
-        (1.0, 1.0, 0.0), "of the target at the begin: x, y [m], heading [rad]"
+        (1.0, 1.0, 0.0), "pose of the target at the begin", unit="m, m, rad", check=FINITE, size=3
     )
-    target_twist: tuple[float, ...] = setting((0.0, 0.0, 0.0), "likewise [m/s, m/s, rad/s]")
-    target_fixture: tuple[float, ...] = setting(
-        (0.19, 0.0, 0.0), "where to grip the target, in its frame: x, y [m], outward [rad]"
-    )
-    grip_reach: float = setting(0.03, "of the gripper [m]")
-    grip_angle: float = setting(0.5, "most that the fixture may be askew to be gripped [rad]")
-    grip_speed: float = setting(0.1, "most that it may move past the gripper [m/s]")
-
-    def __post_init__(self) -> None:
-        sizes = {"tilt": 2, "table": 2, "target_pose": 3, "target_twist": 3, "target_fixture": 3}
-        for name, size in sizes.items():
-            if len(getattr(self, name)) != size:
-                raise ValueError(f"{name} has {len(getattr(self, name))} numbers, expected {size}")
-        for name in (
-            "rotor_inertia", "viscous_friction", "coulomb_friction", "film_damping", "tether_drag",
-            "tether_twist", "tolerance", "target_mass",
-        ):  # fmt: skip
-            if not getattr(self, name) >= 0.0:
-                raise ValueError(f"{name} is {getattr(self, name)}, expected 0 or more")
-        if not self.gear_ratio > 0.0 or not min(self.table) > 0.0:
-            raise ValueError(
-                f"gear_ratio is {self.gear_ratio} and table {list(self.table)}, expected above 0"
-            )
-        self.world()
+    target_twist: tuple[float, ...] = setting(
+        (0.0, 0.0, 0.0), "velocity of the target at the begin", unit="m/s, m/s, rad/s",
+        check=FINITE, size=3,
+    )  # fmt: skip
+    target_fixture: tuple[float, ...] = like(Target, "fixture")
+    grip_reach: float = like(Gripper, "reach")
+    grip_angle: float = like(Gripper, "angle")
+    grip_speed: float = like(Gripper, "speed")
 
     def world(self) -> World:
         """What the plant is made of beside the arm."""
         stops = {} if self.end_stops else {"stop_stiffness": 0.0, "stop_damping": 0.0}
         frictions = self.viscous_friction, self.coulomb_friction
-        fixture = self.target_fixture
+        tether = self.tether_drag, self.tether_twist
         return World(
             Joints(self.rotor_inertia, self.gear_ratio, *frictions, **stops),
-            Surroundings(
-                (self.tilt[0], self.tilt[1]),
-                self.film_damping,
-                self.tether_drag,
-                self.tether_twist,
-                (self.table[0], self.table[1]),
-            ),
+            Surroundings(self.tilt, self.film_damping, *tether, self.table),
             Propulsion(
                 self.thrust,
                 self.thruster_lever,
@@ -96,11 +89,20 @@ class PlantSettings:
                 self.tank_pressure,
             ),
             Gripper(self.grip_reach, self.grip_angle, self.grip_speed),
-            Target(self.target_mass, self.target_inertia, (fixture[0], fixture[1], fixture[2]))
+            Target(self.target_mass, self.target_inertia, self.target_fixture)
             if self.target_mass
             else None,
             self.tolerance,
         )
+
+
+def _error(name: str) -> Any:
+    """A field for one of the errors of Noise; below 0: what the preset says."""
+    about = Noise.__dataclass_fields__[name].metadata
+    return field(
+        default=-1.0,
+        metadata={**about, "about": f"{about['about']}; below 0: the preset's", "check": None},
+    )
 
 
 @dataclass(frozen=True)
@@ -113,74 +115,65 @@ class TestbedSettings(PlantSettings):
     terminals: tuple[str, ...] = setting(
         (), "paths of pseudo-terminals to reach the links by, as by RS-232; empty: UDP"
     )
-    telemetry_rate: float = setting(5.0, "telemetry frames of each link [1/s]")
+    telemetry_rate: float = setting(
+        5.0, "rate of each link's telemetry frames", unit="1/s", check=above(0.0, RATE)
+    )
     keys: str = setting("", "file of the links' keys; empty: frames are not signed")
-    seed: int = setting(1, "of all the sensors' errors")
-    preset: str = setting("default", f"of the sensors' errors: {', '.join(PRESETS)}")
-    position_noise: float = setting(-1.0, "of a VICON frame, 1 sigma [m]; < 0: the preset's")
-    heading_noise: float = setting(-1.0, "of a VICON frame, 1 sigma [rad]; < 0: the preset's")
-    vicon_hold: float = setting(
-        -1.0, "how long such an error stays before it is another one [s]; < 0: the preset's"
+    seed: int = setting(1, "seed of all the sensors' errors", check=at_least(0))
+    preset: str = setting("default", "preset of the sensors' errors", check=one_of(*PRESETS))
+    position_noise: float = _error("position_noise")
+    heading_noise: float = _error("heading_noise")
+    vicon_hold: float = _error("vicon_hold")
+    rest_position_error: float = _error("rest_position_error")
+    rest_heading_error: float = _error("rest_heading_error")
+    gyro_noise: float = _error("gyro_noise")
+    vicon_latency: float = _error("vicon_latency")
+    gyro_bias: float = _error("gyro_bias")
+    gyro_walk: float = _error("gyro_walk")
+    gyro_scale: float = _error("gyro_scale")
+    encoder_error: float = _error("encoder_error")
+    torque_noise: float = _error("torque_noise")
+    torque_zero: float = _error("torque_zero")
+    torque_rate: int = setting(
+        80, "samples of a torque converter", unit="1/s",
+        check=Check("10 or 80", lambda rate: rate in (10, 80), 10, 80),
+    )  # fmt: skip
+    clock_drift: float = _error("clock_drift")
+    battery: float = setting(
+        1.0, "charge of the links' batteries at the begin, as a share", check=above(0.0, 1.0)
     )
-    rest_position_error: float = setting(
-        -1.0, "of the end effector seen from the base, each rest, 1 sigma [m]; < 0: the preset's"
-    )
-    rest_heading_error: float = setting(-1.0, "likewise [rad]; < 0: the preset's")
-    gyro_noise: float = setting(-1.0, "of a FOG sample, 1 sigma [rad/s]; < 0: the preset's")
-    vicon_latency: float = setting(-1.0, "of VICON's poses [s]; < 0: the preset's")
-    gyro_bias: float = setting(-1.0, "of the FOG, each run, 1 sigma [rad/s]; < 0: the preset's")
-    gyro_walk: float = setting(-1.0, "of that bias in 1 s, 1 sigma [rad/s]; < 0: the preset's")
-    gyro_scale: float = setting(-1.0, "scale error of the FOG, 1 sigma; < 0: the preset's")
-    encoder_error: float = setting(-1.0, "of an encoder, largest [rad]; < 0: the preset's")
-    torque_noise: float = setting(-1.0, "of a torque sample, 1 sigma [N m]; < 0: the preset's")
-    torque_zero: float = setting(-1.0, "of a torque sensor, 1 sigma [N m]; < 0: the preset's")
-    torque_rate: int = setting(80, "samples of a torque converter [1/s], 10 or 80")
-    clock_drift: float = setting(-1.0, "of a link's clock, relative, 1 sigma; < 0: the preset's")
-    battery: float = setting(1.0, "charge of the links' batteries at the begin, 0 to 1")
     faults: str = setting("", "file of a fault script (docs/simulator.md); empty: none")
-    base: tuple[float, ...] = setting((0.0, 0.0, 0.0), "pose at the begin: x, y [m], heading [rad]")
-    twist: tuple[float, ...] = setting(
-        (0.0, 0.0, 0.0), "of base and arm at the begin, about the base's origin [m/s, m/s, rad/s]"
+    base: tuple[float, ...] = setting(
+        (0.0, 0.0, 0.0), "pose of the base at the begin", unit="m, m, rad", check=FINITE, size=3
     )
-    q: tuple[float, ...] = setting((), "joint angles at the begin [rad]; empty: all 0")
+    twist: tuple[float, ...] = setting(
+        (0.0, 0.0, 0.0), "velocity of base and arm at the begin, about the base's origin",
+        unit="m/s, m/s, rad/s", check=FINITE, size=3,
+    )  # fmt: skip
+    q: tuple[float, ...] = setting(
+        (), "joint angles at the begin; empty: all 0", unit="rad", check=FINITE
+    )
     keep_clock: bool = setting(False, "publish /clock; else the stamps are ROS time as it is")
     speed: float = setting(
-        1.0, "of the clock kept, in multiples of real time; 0: as the links' drivers can follow"
-    )
+        1.0, "speed of the clock kept, in multiples of real time; 0: as the links' drivers follow",
+        check=Check("0, or 0.01 to 100", lambda x: x == 0.0 or 0.01 <= x <= 100.0, 0.0, 100.0),
+    )  # fmt: skip
     paused: bool = setting(False, "begin with the clock kept standing still, to be stepped")
-    truth_rate: float = setting(10.0, "of sim/truth and gripper/state [1/s]")
-    state_file: str = setting("", "where the state is kept to resume from; empty: nowhere")
+    truth_rate: float = setting(
+        10.0, "rate of sim/truth and gripper/state", unit="1/s", check=above(0.0, RATE)
+    )
+    state_file: str = setting("", "file that the state is kept in to resume from; empty: none")
     world_frame: str = setting("world", "frame_id of the VICON poses")
     base_frame: str = setting("fss", "frame_id of the FOG")
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not 0.0 < self.truth_rate <= RATE:
-            raise ValueError(f"truth_rate is {self.truth_rate}, expected above 0 to {RATE}")
-        if self.preset not in PRESETS:
-            raise ValueError(f"preset is {self.preset!r}, expected one of {', '.join(PRESETS)}")
-        if self.seed < 0:
-            raise ValueError(f"seed is {self.seed}, expected 0 or more")
-        if not 0.0 < self.telemetry_rate <= RATE:
-            raise ValueError(f"telemetry_rate is {self.telemetry_rate}, expected above 0 to {RATE}")
-        if not (self.speed == 0.0 or 0.01 <= self.speed <= 100.0):
-            raise ValueError(f"speed is {self.speed}, expected 0.01 to 100, or 0")
         if (self.speed != 1.0 or self.paused) and not self.keep_clock:
-            raise ValueError(
+            raise SettingError(
                 f"speed is {self.speed} and paused {str(self.paused).lower()}, "
                 "expected 1 and false without keep_clock"
             )
-        if self.torque_rate not in (10, 80):
-            raise ValueError(f"torque_rate is {self.torque_rate}, expected 10 or 80")
-        if not 0.0 < self.battery <= 1.0:
-            raise ValueError(f"battery is {self.battery}, expected above 0 to 1")
-        if not self.encoder_error <= 0.01:
-            raise ValueError(f"encoder_error is {self.encoder_error} rad, expected at most 0.01")
-        if not self.vicon_latency <= 1.0:
-            raise ValueError(f"vicon_latency is {self.vicon_latency} s, expected at most 1")
-        for name in ("base", "twist"):
-            if len(getattr(self, name)) != 3:
-                raise ValueError(f"{name} has {len(getattr(self, name))} numbers, expected 3")
+        _ = self.noise()  # which refuses what it must
 
     def description(self) -> Arm:
         """The true arm."""
@@ -189,11 +182,11 @@ class TestbedSettings(PlantSettings):
     def noise(self) -> Noise:
         """The preset's deviations, with those given in their places."""
         given = {f.name: getattr(self, f.name) for f in fields(Noise)}
-        return replace(PRESETS[self.preset], **{k: v for k, v in given.items() if v >= 0.0})
+        return replace(PRESETS[self.preset], **{k: v for k, v in given.items() if not v < 0.0})
 
     def script(self) -> str:
         """The fault script's text."""
-        return Path(self.faults).read_text(encoding="utf-8") if self.faults else ""
+        return read_text(self.faults) if self.faults else ""
 
     def wires(self, n: int) -> list[LinkSocket | LinkTerminal]:
         """Open what each link is reached by."""

@@ -4,7 +4,6 @@ Pure: time is what the caller lets pass, datagrams are bytes. One frame is one p
 """
 
 import json
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -13,11 +12,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fss_arm_model.description import Arm
-from fss_sim.channel import SECOND, Datagram
+from fss_arm_model.files import read_yaml, shown, write_text
+from fss_arm_model.units import SECOND
 from fss_sim.faults import Event, Faults
-from fss_sim.link import Link
+from fss_sim.link.channel import Datagram
+from fss_sim.link.link import Link
 from fss_sim.noise import Noise
-from fss_sim.plant import Plant, World
+from fss_sim.plant.plant import Plant, World
 from fss_sim.sensors import RATE, Sensors, Sight
 
 FRAME = SECOND // RATE  # [ns]
@@ -43,9 +44,7 @@ class State:
 
     def save(self, path: Path) -> None:
         """Write it to a file, which at any time is whole."""
-        part = path.with_name(path.name + ".part")
-        part.write_text(json.dumps(asdict(self)) + "\n")
-        os.replace(part, path)
+        write_text(path, json.dumps(asdict(self)) + "\n")
 
     @classmethod
     def load(cls, path: Path, n: int) -> "State":
@@ -55,12 +54,14 @@ class State:
             StateError: the file holds something else.
         """
         try:
-            given = json.loads(path.read_text())
+            given = read_yaml(path)
             numbers = {name: int(given[name]) for name in ("frame", "boots", "rests")}
             q, qd, target = (tuple(map(float, given[name])) for name in ("q", "qd", "target"))
             holds, propellant = bool(given["holds"]), float(given["propellant"])
-        except (ValueError, TypeError, KeyError) as error:
-            raise StateError(f"{path} does not hold the state of a test bed: {error!r}") from None
+        except (ValueError, TypeError, KeyError, OverflowError) as error:
+            raise StateError(
+                f"{path} does not hold the state of a test bed: {shown(error)}"
+            ) from None
         if not len(q) == len(qd) == 3 + n or not np.isfinite((q, qd)).all():
             raise StateError(
                 f"{path} holds {len(q)} coordinates, expected {3 + n} finite ones for {n} links"

@@ -18,7 +18,16 @@ from typing import NamedTuple
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from fss_arm_calib.estimation.least_squares import Floats, Linear, Minimum, minimize
+from fss_arm_calib.estimation.least_squares import (
+    Decomposition,
+    Floats,
+    Linear,
+    Mask,
+    Minimum,
+    minimize,
+)
+from fss_arm_calib.estimation.statistics import redundancy
+from fss_arm_calib.segments.drifts import Drift
 from fss_arm_model.description import Arm
 from fss_arm_model.dynamics import inertia_matrix
 from fss_arm_model.momentum import system_com
@@ -30,19 +39,8 @@ OWN = 8  # unknowns of each drift: pose, twist, centre of mass in the base
 #: Half the differences that derivatives are taken over: far above rounding, far below curvature.
 _STEPS = np.array([1e-5, 1e-5, 3e-7, 1e-5, 1e-4, *[1e-3] * 3, 1e-4, 1e-4, 1e-5, *[1e-3] * 2])
 MAX_CONDITION = 1e6
+NOTICEABLE = 1e-6  # share of an unknown in undetermined directions from which on it is named
 TOLERANCE = 1e-4  # of the last update [deviations]; integration errs by less
-
-
-class Drift(NamedTuple):
-    """The base's averaged poses while the arm rests."""
-
-    start: int  # [ns]
-    end: int
-    q: tuple[float, ...]  # (n) joint readings [rad]
-    times: tuple[float, ...]  # (m) of the poses, from `start` on [s]
-    poses: tuple[tuple[float, float, float], ...]  # (m) [m, m, rad], headings counting turns
-    frames: tuple[int, ...]  # (m) averaged
-    seconds: tuple[float, ...]  # (m) over which [s]
 
 
 class Body(NamedTuple):
@@ -118,7 +116,7 @@ class DriftProblem:
         return poses.transpose(2, 0, 1), body.inertia * (path[5, :, -1] - own[5])
 
     def derivatives(self, unknowns: Floats) -> list[tuple[Floats, Floats, float, Floats]]:
-        """Of each drift: poses (m, 3) and their derivatives (m, 3, 13); likewise gains of spin."""
+        """Of each drift: poses (m, 3), gain of spin, and their derivatives by 13 unknowns."""
         found = []
         steps = _STEPS[:, None] * np.hstack([np.zeros((13, 1)), np.eye(13), -np.eye(13)])
         for k in range(len(self.drifts)):
@@ -144,7 +142,7 @@ class DriftProblem:
             J[:, 5 + OWN * k : 5 + OWN * (k + 1)] = few[:, 5:13]
             rows.append(J)
         J, r = np.concatenate(rows), np.concatenate(residuals)
-        known = self._known
+        known = self.known
         J[:, known == 0.0] = 0.0
         believed = np.flatnonzero((known > 0.0) & np.isfinite(known))
         expected = np.concatenate([np.zeros(5), self.start[5:]])
@@ -154,7 +152,7 @@ class DriftProblem:
         return Linear(r, J, float(r @ r))
 
     @cached_property
-    def _known(self) -> Floats:
+    def known(self) -> Floats:
         """Deviations of all unknowns before anything is observed; inf: nothing known."""
         none = [np.inf] * 6
         shared = [np.inf, np.inf, self.torque, self.twist_damping, self.drag]
@@ -164,7 +162,7 @@ class DriftProblem:
     def degrees_of_freedom(self) -> int:
         """Observed coordinates less the unknowns of which nothing was known."""
         seen = sum(sigma.size for sigma in self.sigma)
-        return seen - int(np.count_nonzero(np.isinf(self._known)))
+        return seen - int(np.count_nonzero(np.isinf(self.known)))
 
 
 @dataclass(frozen=True)
@@ -187,13 +185,62 @@ class DriftResult:
         return np.asarray(self.scatter[:5, :5] + np.outer(scaled, scaled))
 
     @cached_property
-    def _told(self) -> list[tuple[Floats, Floats, float, Floats]]:
+    def _predicted(self) -> list[tuple[Floats, Floats, float, Floats]]:
         return self.problem.derivatives(self.minimum.x)
+
+    @property
+    def _free(self) -> Mask:
+        """Which of all unknowns are estimated and at no bound."""
+        return ~self.minimum.held & (self.problem.known > 0.0)
+
+    @property
+    def undetermined(self) -> tuple[str, ...]:
+        """Names of what acts from outside that the drifts cannot tell apart."""
+        lost = (self.minimum.basis.undetermined() > NOTICEABLE) & self._free
+        return tuple(name for name, one in zip(NAMES, lost, strict=False) if one)
+
+    @property
+    def missing(self) -> int:
+        """Number of combinations of unknowns that are not determined."""
+        return int(np.count_nonzero(self._free)) - len(self.minimum.basis.s)
+
+    @property
+    def condition_number(self) -> float:
+        """Of the column-scaled regressor of the unknowns that are estimated."""
+        Phi = self.minimum.linear.regressor[:, self._free]
+        return Decomposition.of(Phi, MAX_CONDITION).condition
+
+    @cached_property
+    def _hat(self) -> list[tuple[Floats, Floats]]:
+        """Each drift's part of the hat matrix, its own unknowns eliminated, and its residuals."""
+        linear, shared, found = self.minimum.linear, self.scatter[:5, :5], []
+        for k in range(len(self.problem.drifts)):
+            own = np.arange(5 + OWN * k, 5 + OWN * (k + 1))
+            own = own[self.problem.known[own] > 0.0]
+            rows = np.flatnonzero(linear.regressor[:, own].any(axis=1))
+            A, r = linear.regressor[rows, :5], linear.residuals[rows]
+            Q = np.linalg.qr(linear.regressor[np.ix_(rows, own)])[0]
+            A, r = A - Q @ (Q.T @ A), r - Q @ (Q.T @ r)
+            found.append((A @ shared @ A.T, r))
+        return found
+
+    @property
+    def checks(self) -> tuple[Floats, Floats, Floats]:
+        """Of each drift against what the others say: leverage, error and redundancy, (s,) each.
+
+        As in a dynamic calibration, its error is r' (1 - H)^-1 r, of which this is the root mean
+        square of a coordinate.
+        """
+        free = [sigma.size - 6 for sigma in self.problem.sigma]
+        squares = [r @ np.linalg.solve(np.eye(len(r)) - H, r) for H, r in self._hat]
+        errors = np.sqrt(np.array(squares) / free)
+        checked = np.array([redundancy(H[None])[0] for H, _ in self._hat])
+        return np.array([np.trace(H) for H, _ in self._hat]), errors, checked
 
     @cached_property
     def residuals(self) -> list[Floats]:
         """(m, 3) of each drift, observed less predicted [m, m, rad]."""
-        pairs = zip(self.problem.drifts, self._told, strict=True)
+        pairs = zip(self.problem.drifts, self._predicted, strict=True)
         return [np.array(drift.poses) - poses for drift, (poses, *_) in pairs]
 
     @cached_property
@@ -204,7 +251,7 @@ class DriftResult:
         """
         total = sum(drift.times[-1] for drift in self.problem.drifts)
         by, mean = np.zeros(len(self.minimum.x)), 0.0
-        for k, (_, _, gain, gain_by) in enumerate(self._told):
+        for k, (_, _, gain, gain_by) in enumerate(self._predicted):
             mean += gain / total
             by[:5] += gain_by[:5] / total
             by[5 + OWN * k : 5 + OWN * (k + 1)] += gain_by[5:] / total
@@ -238,9 +285,9 @@ def solve(problem: DriftProblem) -> DriftResult:
     """
     plain = replace(problem, twist_damping=0.0, drag=0.0, com=0.0)
     x = problem.start
-    for stage in (plain, problem):
+    for one in (plain, problem):
         low, high = np.full(len(x), -np.inf), np.full(len(x), np.inf)
         low[3:5] = 0.0
-        minimum = minimize(stage.linearize, x, (low, high), TOLERANCE, max_condition=MAX_CONDITION)
+        minimum = minimize(one.linearize, x, (low, high), TOLERANCE, max_condition=MAX_CONDITION)
         x = minimum.x
     return DriftResult(problem, minimum, minimum.basis.covariance())

@@ -1,59 +1,64 @@
-"""The settings of what a float tells, live, replayed and offline alike."""
+"""The settings of a drift calibration, live, replayed and offline alike."""
 
 from dataclasses import dataclass
-from math import inf, radians
+from math import radians
 
-from fss_arm_calib.kinematic.settings import RestSettings
-from fss_arm_model.settings import setting
+from fss_arm_calib.segments.settings import DriftFinderSettings
+from fss_arm_calib.settings import CalibrationSettings, most
+from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, setting
 
 
 @dataclass(frozen=True)
-class DriftSettings(RestSettings):
+class DriftSettings(DriftFinderSettings, CalibrationSettings):
     """What counts as a drift, what is known beforehand, and when to believe the result.
 
     Raises:
-        ValueError: a setting is impossible.
+        SettingError: a setting is impossible.
     """
 
     arm: str = setting("", "description YAML of masses and inertias; empty: the paper's arm")
-    shortest: float = setting(20.0, "a shorter rest of the arm is no drift [s]")
-    longest: float = setting(120.0, "a longer one is taken as several [s]")
-    kept: int = setting(30, "most drifts that a result is from, the newest; older ones go")
-    bin: float = setting(0.5, "poses are averaged over so long each [s]")
-    position_deviation: float = setting(0.001, "of a pose of the base, each axis, 1 sigma [m]")
-    heading_deviation: float = setting(radians(0.5), "likewise its heading [rad]")
+    max_drifts: int = most(30, "drifts")
+    position_deviation: float = setting(
+        0.001, "1 sigma of a position of the base, each axis", unit="m", check=POSITIVE
+    )
+    heading_deviation: float = setting(
+        radians(0.5), "1 sigma of a heading of the base", unit="rad", check=POSITIVE
+    )
     fresh_rate: float = setting(
-        10.0, "how often a pose's error is another one: averaging helps by so many a second [1/s]"
+        10.0,
+        "how often a pose's error is another one: averaging helps by so many a second",
+        unit="1/s",
+        check=POSITIVE,
     )
-    torque_deviation: float = setting(0.05, "of the hose's torque at rest, about 0 [N m]")
+    torque_deviation: float = setting(
+        0.05, "1 sigma, about 0, of the hose's torque at rest; 0: there is none", unit="N m",
+        check=NOT_NEGATIVE,
+    )  # fmt: skip
     twist_deviation: float = setting(
-        0.01, "of its resistance to turning, about 0; 0: there is none [N m s]"
+        0.01, "1 sigma, about 0, of the hose's resistance to turning; 0: there is none",
+        unit="N m s", check=NOT_NEGATIVE,
+    )  # fmt: skip
+    drag_deviation: float = setting(
+        0.05, "1 sigma, about 0, of the hose's resistance to moving; 0: there is none",
+        unit="N s/m", check=NOT_NEGATIVE,
+    )  # fmt: skip
+    com_deviation: float = setting(
+        0.01, "1 sigma of the centre of mass of base and arm, each axis", unit="m",
+        check=NOT_NEGATIVE,
+    )  # fmt: skip
+    mass_deviation: float = setting(
+        0.05, "1 sigma of mass and inertia of base and arm, relative", check=NOT_NEGATIVE
     )
-    drag_deviation: float = setting(0.05, "and to moving, likewise [N s/m]")
-    com_deviation: float = setting(0.01, "of the centre of mass, base and arm, each axis [m]")
-    mass_deviation: float = setting(0.05, "of mass and inertia of base and arm, relative")
-    least_time: float = setting(60.0, "to judge by, all drifts together [s]")
-    min_probability: float = setting(
-        1e-3, "least chi-square probability of residuals as large as found"
+    outlier: float = setting(
+        3.0, "error of a drift predicted from the others above which it is an outlier",
+        unit="deviations", check=POSITIVE,
+    )  # fmt: skip
+    least_time: float = setting(
+        60.0, "least time to judge by, all drifts together", unit="s", check=POSITIVE
     )
-    max_tilt: float = setting(radians(0.001), "largest deviation of the table's tilt [rad]")
-    max_torque: float = setting(1e-3, "largest deviation of the hose's mean torque [N m]")
-    joints_topic: str = setting("joint_states", "readings of joint_1 .. joint_n")
-    base_topic: str = setting("vicon/fss/fss", "poses of the base")
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for name in (
-            "bin", "position_deviation", "heading_deviation", "fresh_rate", "least_time",
-            "max_tilt", "max_torque",
-        ):  # fmt: skip
-            if not 0.0 < getattr(self, name) < inf:
-                raise ValueError(f"{name} is {getattr(self, name)}, must be positive")
-        for name in (
-            "torque_deviation", "twist_deviation", "drag_deviation", "com_deviation",
-            "mass_deviation",
-        ):  # fmt: skip
-            if not 0.0 <= getattr(self, name) < inf:
-                raise ValueError(f"{name} is {getattr(self, name)}, must not be negative")
-        if not 0.0 <= self.min_probability < 1.0:
-            raise ValueError(f"min_probability is {self.min_probability}, must be in [0, 1)")
+    max_tilt: float = setting(
+        radians(0.001), "largest deviation of the table's tilt", unit="rad", check=POSITIVE
+    )
+    max_torque: float = setting(
+        1e-3, "largest deviation of the hose's mean torque", unit="N m", check=POSITIVE
+    )

@@ -10,9 +10,9 @@ A choice of them is written as words: a name; `b_i` for that of each link; `I` f
 all links share; `com_0` and `mount` for the base's centre of mass and for the first joint's place.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cache
-from math import inf, radians
+from math import radians
 
 import numpy as np
 import numpy.typing as npt
@@ -25,7 +25,7 @@ from fss_arm_model.description import (
     kinematic_index,
     kinematic_names,
 )
-from fss_arm_model.settings import setting
+from fss_arm_model.settings import NOT_NEGATIVE, Settings, setting
 
 GROUPS = {
     "com_0": ("x_com", "y_com"),
@@ -34,30 +34,43 @@ GROUPS = {
 
 
 @dataclass(frozen=True)
-class Knowledge:
+class Knowledge(Settings):
     """How well each kind of value of a description is known, 1 sigma.
 
     Raises:
-        ValueError: a deviation is negative or not finite.
+        SettingError: a deviation is negative or not finite.
     """
 
-    mass_deviation: float = setting(0.005, "of a link's mass, as by a scale [kg]")
-    b_deviation: float = setting(0.02, "of a link's centre of mass, as by geometry [m]")
-    inertia_deviation: float = setting(0.02, "of a link's inertia [kg m^2]")
-    base_mass_deviation: float = setting(0.05, "of the base's mass, propellant included [kg]")
-    base_inertia_deviation: float = setting(0.025, "of the base's inertia [kg m^2]")
-    base_com_deviation: float = setting(0.01, "of the base's centre of mass, each axis [m]")
-    length_deviation: float = setting(0.0005, "of a link's length [m]")
-    offset_deviation: float = setting(radians(0.1), "of an encoder's offset [rad]")
-    mount_deviation: float = setting(0.0005, "of the first joint's place, each axis [m]")
-    mount_angle_deviation: float = setting(radians(0.1), "of the first joint's heading [rad]")
-
-    def __post_init__(self) -> None:
-        for f in fields(Knowledge):
-            if not 0.0 <= getattr(self, f.name) < inf:
-                raise ValueError(
-                    f"{f.name} is {getattr(self, f.name)}, expected a deviation of 0 or more"
-                )
+    mass_deviation: float = setting(
+        0.005, "1 sigma of a link's mass, as by a scale", unit="kg", check=NOT_NEGATIVE
+    )
+    b_deviation: float = setting(
+        0.02, "1 sigma of a link's centre of mass, as by geometry", unit="m", check=NOT_NEGATIVE
+    )
+    inertia_deviation: float = setting(
+        0.02, "1 sigma of a link's inertia", unit="kg m^2", check=NOT_NEGATIVE
+    )
+    base_mass_deviation: float = setting(
+        0.05, "1 sigma of the base's mass, propellant included", unit="kg", check=NOT_NEGATIVE
+    )
+    base_inertia_deviation: float = setting(
+        0.025, "1 sigma of the base's inertia", unit="kg m^2", check=NOT_NEGATIVE
+    )
+    base_com_deviation: float = setting(
+        0.01, "1 sigma of the base's centre of mass, each axis", unit="m", check=NOT_NEGATIVE
+    )
+    length_deviation: float = setting(
+        0.0005, "1 sigma of a link's length", unit="m", check=NOT_NEGATIVE
+    )
+    offset_deviation: float = setting(
+        radians(0.1), "1 sigma of an encoder's offset", unit="rad", check=NOT_NEGATIVE
+    )
+    mount_deviation: float = setting(
+        0.0005, "1 sigma of the first joint's place, each axis", unit="m", check=NOT_NEGATIVE
+    )
+    mount_angle_deviation: float = setting(
+        radians(0.1), "1 sigma of the first joint's heading", unit="rad", check=NOT_NEGATIVE
+    )
 
     def deviations(self, n: int) -> Floats:
         """(5 n + 6,) of all parameters."""

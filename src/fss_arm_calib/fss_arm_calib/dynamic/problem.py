@@ -33,6 +33,7 @@ from fss_arm_calib.estimation.least_squares import (
     eliminate,
     minimize,
 )
+from fss_arm_calib.estimation.statistics import redundancy
 from fss_arm_model.base_motion import Path, base_pose_sensitivities, base_poses
 from fss_arm_model.description import Arm, Base
 
@@ -257,6 +258,11 @@ class DynamicResult:
         names = parameter_names(self.problem.arm.n)
         return tuple(names[k] for k in self.assumed)
 
+    @property
+    def assumed_deviations(self) -> Floats:
+        """(c,) 1 sigma of them."""
+        return np.sqrt(np.diag(self.problem.assumed)[self.assumed])
+
     @cached_property
     def by_assumed(self) -> Floats:
         """(rows, c) regressor C of the assumed parameters, weighted and reduced as the others."""
@@ -272,7 +278,7 @@ class DynamicResult:
     @cached_property
     def bias(self) -> Floats:
         """(p, c) shift of the estimate if a true value is 1 sigma above the one assumed."""
-        return self.influence * np.sqrt(np.diag(self.problem.assumed)[self.assumed])
+        return self.influence * self.assumed_deviations
 
     @cached_property
     def covariance(self) -> Floats:
@@ -284,6 +290,18 @@ class DynamicResult:
     def undetermined(self) -> Mask:
         """(p,) which parameters the data cannot tell from others."""
         return self.minimum.basis.undetermined() > 1e-6
+
+    @property
+    def inseparable(self) -> tuple[str, ...]:
+        """Names of parameters that the data cannot tell apart, those at a bound left out."""
+        pairs = zip(self.problem.names, self.undetermined, strict=True)
+        return tuple(name for name, lost in pairs if lost and name not in self.at_bound)
+
+    @property
+    def condition_number(self) -> float:
+        """Of the column-scaled regressor, priors included, parameters at a bound held."""
+        Phi = self.minimum.linear.regressor[:, ~self.minimum.held]
+        return Decomposition.of(Phi, MAX_CONDITION).condition if Phi.size else 1.0
 
     @cached_property
     def deviations(self) -> Floats:
@@ -338,6 +356,14 @@ class DynamicResult:
         return float(np.sum(self._explained[0] ** 2))
 
     @cached_property
+    def _hat(self) -> tuple[Floats, Floats]:
+        """Each maneuver's part of the hat matrix, (M, rows, rows), and its residuals."""
+        count, rows = len(self.problem.poses), len(self.by_assumed)
+        r, A, basis = self._explained
+        A, r = A[:rows].reshape(count, -1, A.shape[1]), r[:rows].reshape(count, -1, 1)
+        return A @ basis.covariance() @ np.swapaxes(A, 1, 2), r
+
+    @cached_property
     def checks(self) -> tuple[Floats, Floats]:
         """Leverage and error of each maneuver, (M,) each, against what the others say.
 
@@ -345,12 +371,14 @@ class DynamicResult:
         errors if it is held out and predicted from the others, in the deviations of that
         prediction. Its root mean square is about 1.
         """
-        count, rows = len(self.problem.poses), len(self.by_assumed)
-        r, A, basis = self._explained
-        A, r = A[:rows].reshape(count, -1, A.shape[1]), r[:rows].reshape(count, -1, 1)
-        H = A @ basis.covariance() @ np.swapaxes(A, 1, 2)
+        H, r = self._hat
         squares = (np.swapaxes(r, 1, 2) @ np.linalg.solve(np.eye(H.shape[1]) - H, r)).ravel()
         return np.trace(H, axis1=1, axis2=2), np.sqrt(squares / np.maximum(self.problem.free, 1))
+
+    @property
+    def redundancy(self) -> Floats:
+        """(M,) what share of an error of a maneuver shows in its residuals at least, squared."""
+        return redundancy(self._hat[0])
 
     def calibrated(self) -> Arm:
         """The initial arm with the estimated parameters.

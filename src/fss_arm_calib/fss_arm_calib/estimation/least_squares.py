@@ -15,6 +15,30 @@ import numpy.typing as npt
 Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
+
+class Loss(NamedTuple):
+    """What an observation costs, and weighs, by its squared length d2 in deviations."""
+
+    cost: Callable[[Floats], Floats]  # rho(d2)
+    weight: Callable[[Floats], Floats]  # rho'(d2)
+
+
+KNEE = 2.8  # 95% of all observations are shorter
+SCALE = 4.0  # of a Cauchy loss, for an efficiency of about 95%
+
+SQUARE, HUBER, CAUCHY = "square", "huber", "cauchy"
+LOSSES = {
+    SQUARE: Loss(lambda d2: d2, np.ones_like),
+    HUBER: Loss(
+        lambda d2: np.where(d2 <= KNEE**2, d2, 2.0 * KNEE * np.sqrt(d2) - KNEE**2),
+        lambda d2: KNEE / np.sqrt(np.maximum(d2, KNEE**2)),
+    ),
+    CAUCHY: Loss(
+        lambda d2: SCALE**2 * np.log1p(d2 / SCALE**2), lambda d2: 1.0 / (1.0 + d2 / SCALE**2)
+    ),
+}
+
+
 #: A step below this changes a parameter by no more than rounding does, in its unit.
 ROUNDING = 1e-13
 

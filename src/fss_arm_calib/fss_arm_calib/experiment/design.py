@@ -15,15 +15,24 @@ from math import ceil, inf, sqrt
 import numpy as np
 import yaml
 
-from fss_arm_calib.dynamic.checks import known_beforehand
 from fss_arm_calib.dynamic.problem import DynamicProblem, DynamicResult, information, solve
-from fss_arm_calib.dynamic.settings import HEADING, DynamicCalibrationSettings
+from fss_arm_calib.dynamic.settings import HEADING, DynamicSettings
+from fss_arm_calib.dynamic.solution import known_beforehand
 from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.experiment.postures import MARGIN, clearance
 from fss_arm_model.base_motion import Law, Path, base_poses, path, stack
 from fss_arm_model.description import Arm
 from fss_arm_model.dynamics import bias, inertia_matrix
 from fss_arm_model.kinematics import joint_positions
+from fss_arm_model.settings import (
+    POSITIVE,
+    Check,
+    SettingError,
+    Settings,
+    at_least,
+    one_of,
+    setting,
+)
 
 SINGLE, SWEEP, LOOP = "single", "sweep", "loop"
 KINDS = (SINGLE, SWEEP, LOOP)
@@ -77,26 +86,29 @@ def profile(x: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 @dataclass(frozen=True)
-class Conditions:
+class Conditions(Settings):
     """What a maneuver must keep to.
 
     Raises:
-        ValueError: a condition is impossible.
+        SettingError: a condition is impossible.
     """
 
-    duration: float = 8.0  # of a maneuver, at most [s]
-    rest: float = 5.0  # before and after [s]
-    table: float = 4.0  # length of its sides; the base begins at its centre [m]
-    repeats: int = 3  # of a closed loop, at most
-    total: float = inf  # of all maneuvers and rests, at most [s]
-    kinds: tuple[str, ...] = KINDS
+    duration: float = setting(8.0, "longest maneuver", unit="s", check=POSITIVE)
+    rest: float = setting(5.0, "rest before and after a maneuver", unit="s", check=POSITIVE)
+    table: float = setting(
+        4.0, "length of the table's sides; the base begins at its centre", unit="m", check=POSITIVE
+    )
+    repeats: int = setting(3, "most repeats of a closed loop", check=at_least(1))
+    total: float = setting(
+        inf, "most time that all maneuvers and rests take", unit="s",
+        check=Check("a positive number", lambda value: value > 0.0),
+    )  # fmt: skip
+    kinds: tuple[str, ...] = setting(KINDS, "kinds of maneuvers", check=one_of(*KINDS))
 
     def __post_init__(self) -> None:
-        for name in ("duration", "rest", "table", "repeats", "total"):
-            if not getattr(self, name) > 0.0:
-                raise ValueError(f"{name} is {getattr(self, name)}, must be positive")
-        if not self.kinds or not set(self.kinds) <= set(KINDS):
-            raise ValueError(f"kinds is {self.kinds}, expected some of {', '.join(KINDS)}")
+        super().__post_init__()
+        if not self.kinds:
+            raise SettingError(f"kinds is empty, expected some of {', '.join(KINDS)}")
 
 
 class NoManeuver(ValueError):  # noqa: N818
@@ -184,20 +196,18 @@ def within(arm: Arm, kind: str, waypoints: Floats, conditions: Conditions) -> Pl
     return planned if reach <= 0.5 * conditions.table - EDGE else None
 
 
-def marks(
-    planned: Planned, settings: DynamicCalibrationSettings, rest: float
-) -> tuple[Path, Floats]:
+def marks(planned: Planned, settings: DynamicSettings, rest: float) -> tuple[Path, Floats]:
     """The path with marks in the looks before and after it, and how often each is seen anew."""
-    look = min(settings.longest, (rest - settings.settle) / 2.0)
+    look = min(settings.max_duration, (rest - settings.settle_time) / 2.0)
     bins = max(1, round(look / settings.bin))
     middles = look / bins * (np.arange(bins) + 0.5)
     law, edges = planned.law()
-    times = np.concatenate([middles - look, planned.length + settings.settle + middles])
+    times = np.concatenate([middles - look, planned.length + settings.settle_time + middles])
     return path(law, edges, times), np.full(2 * bins, max(1.0, settings.fresh_rate * look / bins))
 
 
 def problem(
-    arm: Arm, plan: Sequence[Planned], settings: DynamicCalibrationSettings, rest: float
+    arm: Arm, plan: Sequence[Planned], settings: DynamicSettings, rest: float
 ) -> DynamicProblem:
     """What would be solved after a plan, its poses those predicted for an arm as described."""
     paths, fresh = zip(*(marks(one, settings, rest) for one in plan), strict=True)
@@ -205,17 +215,13 @@ def problem(
     if settings.residuals == HEADING:
         deviations[:2] = inf
     batch = stack(paths)
-    return DynamicProblem(
-        path=batch,
-        poses=base_poses(arm.vector(), batch, np.zeros(8)),
-        sigma=deviations / np.sqrt(np.array(fresh))[..., None],
-        arm=arm,
-        **known_beforehand(settings, arm.n),
-    )
+    poses = base_poses(arm.vector(), batch, np.zeros(8))
+    sigma = deviations / np.sqrt(np.array(fresh))[..., None]
+    return known_beforehand(arm, settings, batch, poses, sigma)
 
 
 def expected(
-    arm: Arm, plan: Sequence[Planned], settings: DynamicCalibrationSettings, rest: float
+    arm: Arm, plan: Sequence[Planned], settings: DynamicSettings, rest: float
 ) -> DynamicResult:
     """The result to expect of a plan if the arm is as described: its deviations are what counts."""
     return solve(problem(arm, plan, settings, rest), bounded=False)
@@ -224,7 +230,7 @@ def expected(
 def design(
     arm: Arm,
     count: int,
-    settings: DynamicCalibrationSettings,
+    settings: DynamicSettings,
     conditions: Conditions | None = None,
     chosen: Sequence[str] = (),
     known: Floats | None = None,
@@ -280,7 +286,7 @@ def design(
     return plan
 
 
-def _before(model: DynamicProblem, settings: DynamicCalibrationSettings) -> Floats:
+def _before(model: DynamicProblem, settings: DynamicSettings) -> Floats:
     """Information (p, p) of the priors, and where there are none of what is vaguely known.
 
     Without the latter the first few maneuvers, which cannot tell all parameters, had no order.

@@ -13,9 +13,10 @@ from rich.progress import Progress
 
 from fss_arm_bags.reader import BagError, open_bags
 from fss_arm_calib import report
-from fss_arm_calib.dynamic.checks import problem_of
+from fss_arm_calib.dynamic.kind import DYNAMIC
 from fss_arm_calib.dynamic.problem import DynamicResult, information
-from fss_arm_calib.dynamic.settings import DynamicCalibrationSettings
+from fss_arm_calib.dynamic.settings import DynamicSettings
+from fss_arm_calib.dynamic.solution import problem_of
 from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.experiment import postures
 from fss_arm_calib.experiment.design import (
@@ -26,14 +27,14 @@ from fss_arm_calib.experiment.design import (
     expected,
     to_yaml,
 )
-from fss_arm_calib.from_bag import add_settings, maneuvers
+from fss_arm_calib.from_bag import add_settings, fed
 from fss_arm_calib.kinematic.problem import FULL, KinematicProblem, solve
-from fss_arm_calib.segments.maneuvers import ManeuverFinder
 from fss_arm_model.description import Arm, described
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_ros.command_line import USER_ERROR, Parser
 
 MANY = 1000  # maneuvers, more than time allows
+CONDITIONS = ("duration", "rest", "table", "repeats")  # that are options
 
 
 def parser() -> argparse.ArgumentParser:
@@ -49,24 +50,12 @@ def parser() -> argparse.ArgumentParser:
         "--compare", action="store_true", help="compare the kinds at equal floating time, too"
     )
     p.add_argument("--kinds", default=" ".join(KINDS), help=f"of {', '.join(KINDS)}")
-    for f in fields(Conditions):
-        if f.name in HELP:
-            p.add_argument(
-                f"--{f.name}", type=type(f.default), default=f.default, help=HELP[f.name]
-            )
-    add_settings(p, DynamicCalibrationSettings)
+    add_settings(p, Conditions, CONDITIONS)
+    add_settings(p, DynamicSettings)
     return p
 
 
-HELP = {
-    "duration": "longest maneuver [s] (default: 8)",
-    "rest": "between maneuvers [s] (default: 5)",
-    "table": "length of the table's sides [m] (default: 4)",
-    "repeats": "of a closed loop, at most (default: 3)",
-}
-
-
-def known_before(bag: str, arm: Arm, settings: DynamicCalibrationSettings) -> Floats | None:
+def known_before(bag: str, arm: Arm, settings: DynamicSettings) -> Floats | None:
     """Information of the maneuvers in a bag.
 
     Raises:
@@ -75,7 +64,8 @@ def known_before(bag: str, arm: Arm, settings: DynamicCalibrationSettings) -> Fl
     if not bag:
         return None
     with open_bags(bag) as bags:
-        found = maneuvers(bags, ManeuverFinder(arm.n, settings), settings)
+        finder = DYNAMIC.finder(arm.n, settings, [])
+        found = fed(bags, finder, DYNAMIC.inputs(settings, arm.n), settings.horizon)
     used = [one for one in found if one.used]
     if not used:
         why = f": {found[0].reason}" if found else ", it has none"
@@ -107,9 +97,7 @@ def outlook(result: DynamicResult) -> report.Table:
     return report.Table("To expect", head, rows, words=2)
 
 
-def comparison(
-    arm: Arm, settings: DynamicCalibrationSettings, given: Conditions, count: int
-) -> report.Table:
+def comparison(arm: Arm, settings: DynamicSettings, given: Conditions, count: int) -> report.Table:
     """Each kind alone, in as much floating time as `count` of the longest maneuvers take."""
     total = count * (given.duration + given.rest)
     names: tuple[str, ...] = ()
@@ -153,14 +141,14 @@ def propose_postures(options: argparse.Namespace, arm: Arm, console: Console) ->
 
 def propose(options: argparse.Namespace, console: Console) -> None:
     """Find maneuvers, say what to expect of them, and write them."""
-    settings = DynamicCalibrationSettings(
-        **{f.name: getattr(options, f.name) for f in fields(DynamicCalibrationSettings)}
+    settings = DynamicSettings(
+        **{f.name: getattr(options, f.name) for f in fields(DynamicSettings)}
     )
     arm = described(settings.arm)
     if options.kinematic:
         propose_postures(options, arm, console)
         return
-    given = {f.name: getattr(options, f.name) for f in fields(Conditions) if f.name in HELP}
+    given = {name: getattr(options, name) for name in CONDITIONS}
     conditions = Conditions(kinds=tuple(options.kinds.split()), **given)
     before = known_before(options.bag, arm, settings)
     with Progress(console=console, transient=True) as bar:

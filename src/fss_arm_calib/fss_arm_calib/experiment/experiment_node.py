@@ -17,9 +17,9 @@ from rclpy.task import Future
 from unique_identifier_msgs.msg import UUID
 
 from fss_arm_calib import state
+from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.experiment.design import Planned, from_yaml
 from fss_arm_calib.experiment.postures import default
-from fss_arm_calib.kinematic.problem import Floats
 from fss_arm_model.description import Arm, described
 from fss_arm_model.settings import setting
 from fss_arm_msgs.action import MoveArm

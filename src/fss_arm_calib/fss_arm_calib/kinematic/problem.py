@@ -14,18 +14,26 @@ A robust loss rho turns the sum of squares into sum_k rho(d_k^2), d_k being the 
 observation k's difference in deviations; each step then weighs an observation by rho'(d_k^2).
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import inf, nan
+from math import inf
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from fss_arm_calib.estimation.least_squares import Floats, Linear, Minimum, minimize
+from fss_arm_calib.estimation.least_squares import (
+    LOSSES,
+    SQUARE,
+    Floats,
+    Linear,
+    Minimum,
+    minimize,
+)
+from fss_arm_calib.estimation.statistics import root_mean_square
 from fss_arm_model.description import Arm, kinematic_index, kinematic_names
 from fss_arm_model.kinematics import tip_in_base, tip_regressor
+from fss_arm_model.planar import wrap
 
 FULL, EQUAL, OFFSETS = "full", "equal", "offsets"
 PARAMETRIZATIONS = (FULL, EQUAL, OFFSETS)
@@ -36,45 +44,6 @@ HEADING_DEVIATION = float(np.radians(0.715))
 
 #: A parameter's share in the undetermined directions from which on it is named.
 NOTICEABLE = 1e-3
-
-
-class Loss(NamedTuple):
-    """What an observation costs, and weighs, by its squared length d2 in deviations."""
-
-    cost: Callable[[Floats], Floats]  # rho(d2)
-    weight: Callable[[Floats], Floats]  # rho'(d2)
-
-
-KNEE = 2.8  # 95% of all observations are shorter
-SCALE = 4.0  # of a Cauchy loss, for an efficiency of about 95%
-
-SQUARE, HUBER, CAUCHY = "square", "huber", "cauchy"
-LOSSES = {
-    SQUARE: Loss(lambda d2: d2, np.ones_like),
-    HUBER: Loss(
-        lambda d2: np.where(d2 <= KNEE**2, d2, 2.0 * KNEE * np.sqrt(d2) - KNEE**2),
-        lambda d2: KNEE / np.sqrt(np.maximum(d2, KNEE**2)),
-    ),
-    CAUCHY: Loss(
-        lambda d2: SCALE**2 * np.log1p(d2 / SCALE**2), lambda d2: 1.0 / (1.0 + d2 / SCALE**2)
-    ),
-}
-
-
-def wrap(angle: npt.ArrayLike) -> Floats:
-    """The same angle [rad] in [-pi, pi)."""
-    return (np.asarray(angle, dtype=float) + np.pi) % (2.0 * np.pi) - np.pi
-
-
-def inverse(pose: Floats) -> Floats:
-    """The other way round: poses of B in A as those of A in B, (..., 3) [m, m, rad]."""
-    away = -(pose[..., 0] + 1j * pose[..., 1]) * np.exp(-1j * pose[..., 2])
-    return np.stack([away.real, away.imag, -pose[..., 2]], axis=-1)
-
-
-def root_mean_square(values: Floats) -> float:
-    """About zero; NaN of none."""
-    return float(np.sqrt(np.mean(values**2))) if values.size else nan
 
 
 class NotIdentifiable(ValueError):  # noqa: N818
@@ -101,7 +70,7 @@ class KinematicProblem:
     arm: Arm  # the initial guess, and what is not estimated
     parametrization: str = EQUAL  # FULL: all; EQUAL: one length but for the last; OFFSETS: angles
     position_deviation: float = POSITION_DEVIATION  # of an observation, each axis, 1 sigma [m]
-    heading_deviation: float = HEADING_DEVIATION  # likewise [rad]
+    heading_deviation: float = HEADING_DEVIATION  # of an observed heading, 1 sigma [rad]
     theta_e: bool = False  # estimate the heading offset of the end effector's subject, too
     loss: str = SQUARE
 
@@ -272,6 +241,8 @@ class KinematicResult:
     iterations: int
     last_update: float  # largest change in the last iteration, in the parameter's deviations
     converged: bool
+    undetermined: tuple[str, ...] = ()  # parameters that the observations cannot tell apart
+    missing: int = 0  # combinations of them that are undetermined
 
     @property
     def deviations(self) -> Floats:
@@ -350,10 +321,29 @@ def solve(
     max_condition: float = 1e3,
     start: npt.ArrayLike | None = None,
 ) -> KinematicResult:
+    """As `fit`, all parameters told apart.
+
+    Raises:
+        NotIdentifiable: the observations are too few or too alike for all parameters.
+    """
+    result = fit(problem, tolerance, max_iterations, max_condition, start)
+    if result.undetermined:
+        raise NotIdentifiable(result.undetermined, result.missing, result.condition_number)
+    return result
+
+
+def fit(
+    problem: KinematicProblem,
+    tolerance: float = 1e-9,
+    max_iterations: int = 200,
+    max_condition: float = 1e3,
+    start: npt.ArrayLike | None = None,
+) -> KinematicResult:
     """Iterate Eq. 4 (Gauss-Newton) to the lowest cost that its starts lead to.
 
     It starts from the guess with its lengths and mount solved for, as these are linear once the
-    angles are known, and from the closed form. Mirrored solutions are folded back.
+    angles are known, and from the closed form. Mirrored solutions are folded back. Parameters that
+    the observations cannot tell apart are named in the result.
 
     Args:
         problem: observations and initial guess.
@@ -361,9 +351,6 @@ def solve(
         max_iterations: it gives up after so many, `converged` then is False.
         max_condition: of the column-scaled regressor, beyond it parameters count as inseparable.
         start: (p,) guess in place of the arm's, which cannot have lengths of zero.
-
-    Raises:
-        NotIdentifiable: the observations are too few or too alike for all parameters.
     """
     guess = problem.initial if start is None else np.asarray(start, dtype=float)
     starts = [_linear_stage(problem, guess), *_closed_form(problem)]
@@ -389,11 +376,8 @@ def solve(
         if fit.converged and fit.linear.cost < freedom + 10.0 * np.sqrt(2.0 * freedom):
             break  # no other minimum can be so much better that chance does not explain it
     best = min(fits, key=lambda fit: (not fit.converged, fit.linear.cost))
+    shares = zip(problem.names, best.basis.undetermined(), strict=True)
     missing = len(best.x) - len(best.basis.s)
-    if missing:
-        shares = zip(problem.names, best.basis.undetermined(), strict=True)
-        names = tuple(name for name, share in shares if share > NOTICEABLE)
-        raise NotIdentifiable(names, missing, best.basis.condition)
     angles = np.array(problem.units) == "rad"
     weights = problem.weights(best.x)
     return KinematicResult(
@@ -407,6 +391,8 @@ def solve(
         iterations=best.iterations,
         last_update=best.last_update,
         converged=best.converged,
+        undetermined=tuple(name for name, share in shares if missing and share > NOTICEABLE),
+        missing=missing,
     )
 
 

@@ -11,15 +11,16 @@ count as one: a move's deviation is rather too large. Several moves tell theirs 
 """
 
 from collections import deque
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from math import inf, isfinite, nan, sqrt
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from fss_arm_calib.kinematic.problem import Floats
-from fss_arm_calib.segments.poses import SECOND, Stamps
+from fss_arm_calib.estimation.least_squares import Floats
+from fss_arm_calib.segments.joints import Joint
+from fss_arm_calib.segments.samples import SECOND
 
 LONGEST_MOVE = 20.0  # of a move, only so much at its end is used [s]
 LEAST_TURN = 0.1  # a move that turns the end effector less tells nothing [rad]
@@ -78,55 +79,34 @@ def offset_of_move(
     return Offset(delta, sqrt(variance / float(slope @ slope)))
 
 
+def last_move(joints: Sequence[Joint], end: int, threshold: float) -> tuple[int, int] | None:
+    """Begin and end of the last move before `end` [ns], as far as it is used; None: none."""
+    moving = []
+    for joint in joints:
+        t, q, _ = joint.within(end - round(LONGEST_MOVE * SECOND), end)
+        fast = np.flatnonzero(np.abs(np.diff(q)) > threshold)
+        if len(fast):
+            moving += [t[fast[0]], t[fast[-1] + 1]]
+    return (int(min(moving)), int(max(moving))) if moving else None
+
+
 class Alignment:
-    """Hears all readings, is shown the poses around each move, and keeps the mean offset."""
+    """The mean offset that the newest moves tell.
 
-    def __init__(self, n: int, still: float, search: float) -> None:
-        self.still, self.search = still, search
+    Args:
+        search: largest offset that they are searched for [s].
+    """
+
+    def __init__(self, search: float) -> None:
+        self.search = search
         self.offset = Offset()
-        self.moves: deque[Offset] = deque(maxlen=NEWEST)  # that turned the end effector
-        self._readings: list[deque[tuple[int, float]]] = [deque() for _ in range(n)]
+        self.moves: deque[Offset] = deque(maxlen=NEWEST)  # that turned what was looked at
 
-    def reading(self, i: int, t: int, q: float) -> None:
-        """A reading q [rad] of joint i, 1 to n, at stamp t [ns]."""
-        self._readings[i - 1].append((t, q))
-
-    def forget(self, before: float) -> None:
-        """Drop readings older than that [ns]."""
-        for readings in self._readings:
-            while readings and readings[0][0] < before:
-                readings.popleft()
-
-    def move(self, end: int) -> tuple[int, int] | None:
-        """Begin and end of the last move before `end` [ns], as far as it is used; None: none."""
-        moving = []
-        for readings in self._readings:
-            t, q = _between(readings, end - round(LONGEST_MOVE * SECOND), end)
-            fast = np.flatnonzero(np.abs(np.diff(q)) > self.still)
-            if len(fast):
-                moving += [t[fast[0]], t[fast[-1] + 1]]
-        return (int(min(moving)), int(max(moving))) if moving else None
-
-    def learn(self, begin: int, end: int, until: int, t: Stamps, psi: Floats) -> None:
-        """Learn from a move.
-
-        Args:
-            begin: of the move, by the joints' stamps [ns].
-            end: of the move.
-            until: up to when all joints have been heard [ns].
-            t: (k,) stamps of motion capture around the move [ns].
-            psi: (k,) headings of the end effector seen from the base, unwrapped [rad].
-        """
-        first = begin - round(self.search * SECOND)
-        q = [_between(readings, first, until) for readings in self._readings]
-        if len(t) < 2 or any(len(stamps) < 3 for stamps, _ in q):
-            return
-        move = np.array([0.0, (end - begin) / SECOND])
-        q_s = [((stamps - begin) / SECOND, values) for stamps, values in q]
-        found = offset_of_move(move, q_s, (t - begin) / SECOND, psi, self.search)
-        if isfinite(found.value):
-            self.moves.append(found)
-        if found.deviation <= WORST:
+    def learn(self, move: Offset) -> None:
+        """Learn what another move tells."""
+        if isfinite(move.value):
+            self.moves.append(move)
+        if move.deviation <= WORST:
             self.offset = mean_offset([move for move in self.moves if move.deviation <= WORST])
 
     @property
@@ -135,11 +115,6 @@ class Alignment:
         outside = sum(move.deviation == inf for move in self.moves)
         most = outside >= ENOUGH and 2 * outside > len(self.moves)
         return self.search if most else 0.0
-
-
-def _between(readings: Iterable[tuple[int, float]], first: int, last: int) -> tuple[Stamps, Floats]:
-    kept = [(t, q) for t, q in readings if first <= t <= last]
-    return np.array([t for t, _ in kept], np.int64), np.array([q for _, q in kept])
 
 
 def mean_offset(moves: Collection[Offset]) -> Offset:

@@ -5,86 +5,85 @@ stamps, or take one subject's markers for another's. None of these may enter an 
 """
 
 from array import array
-from bisect import bisect_left, bisect_right
-from collections import Counter
+from collections.abc import Iterator
+from itertools import pairwise
 from math import hypot, isfinite
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from fss_arm_calib.kinematic.problem import Floats, wrap
+from fss_arm_calib.estimation.least_squares import Floats
+from fss_arm_calib.segments.samples import (
+    LARGEST,
+    OUT_OF_RANGE,
+    SECOND,
+    Gap,
+    Stamps,
+    Stream,
+    silences,
+)
+from fss_arm_model.planar import wrap
 
-Stamps = npt.NDArray[np.int64]
-
-SECOND = 1_000_000_000  # [ns]
+BASE, TIP = "fss", "end_effector"  # the two subjects, as the motion capture system names them
 
 #: What noise of two poses may amount to beside the motion between them.
 POSITION_NOISE = 0.1  # [m]
 HEADING_NOISE = 0.2  # [rad]
 
 OCCLUDED, JUMP, FROZEN = "occluded", "jump", "frozen"
-REPEATED, OUT_OF_ORDER = "repeated", "out of order"
 
 
-class Hole(NamedTuple):
-    """An interval without samples."""
+class Poses(Stream):
+    """The poses of a subject.
 
-    start: int  # [ns]
-    end: int
-    who: str
-    how: str = "silent"
-
-    def __str__(self) -> str:
-        return f"{self.who} {self.how} for {(self.end - self.start) / SECOND:.2f} s"
-
-
-class Poses:
-    """The poses of a subject, in order of their stamps [ns].
-
-    It is asked in time as the joints' stamps tell it, `lag` more than motion capture's.
+    It is asked in the joints' time, `lag` more than motion capture's. Poses that it has had since
+    before `moved`, a moment at which the subject was moving, are frozen.
 
     Args:
         name: of the subject.
-        max_speed: a pose that is farther from the last one than this allows is refused [m/s].
-        max_turn: likewise [rad/s].
+        horizon: as a Stream's [ns].
+        max_speed: a pose that is farther from the last one than this allows is rejected [m/s].
+        max_turn: a heading that is farther from the last one than this allows [rad/s].
     """
 
-    def __init__(self, name: str, max_speed: float, max_turn: float) -> None:
-        self.name, self.max_speed, self.max_turn = name, max_speed, max_turn
-        self.first = self.newest = -1
-        self.lag = 0  # [ns]
-        self.refused: Counter[str] = Counter()
-        self.set_back = 0  # longest step back of the stamps [ns]
-        self.t = array("q")
+    def __init__(self, name: str, horizon: int, max_speed: float, max_turn: float) -> None:
+        super().__init__(name, horizon)
+        self.max_speed, self.max_turn = max_speed, max_turn
+        self.first = -1  # the first stamp of all [ns]
         self.xyh = array("d")
         self.since = array("q")  # when the subject first had the very pose it has at t
+        self.columns += [(self.xyh, 3), (self.since, 1)]
 
     def append(self, t: int, pose: tuple[float, float, float] | None) -> None:
         """Add x [m], y [m], heading [rad] at stamp t; None: it was not visible."""
         if pose is None or not all(map(isfinite, pose)):
-            self.refused[OCCLUDED] += 1
-        elif t <= self.newest:
-            self.refused[REPEATED if t == self.newest else OUT_OF_ORDER] += 1
-            self.set_back = max(self.set_back, self.newest - t)
-        elif self.t and self._jumps(t, *pose):
-            self.refused[JUMP] += 1
+            self.rejected[OCCLUDED] += 1
+        elif max(map(abs, pose)) > LARGEST:
+            self.rejected[OUT_OF_RANGE] += 1
         else:
-            same = bool(self.t) and tuple(self.xyh[-3:]) == pose
-            self.since.append(self.since[-1] if same else t)
-            self.t.append(t)
-            self.xyh.extend(pose)
-            self.newest = t
-            if self.first < 0:
-                self.first = t
+            for stamp, admitted in self.admit(t, pose):
+                self._take(stamp, admitted)
+
+    def _take(self, t: int, pose: tuple[float, float, float]) -> None:
+        if self.t and self._jumps(t, *pose):
+            self.rejected[JUMP] += 1
+            return
+        same = bool(self.t) and tuple(self.xyh[-3:]) == pose
+        self.since.append(self.since[-1] if same else t)
+        self.t.append(t)
+        self.xyh.extend(pose)
+        self.newest = t
+        if self.first < 0:
+            self.first = t
 
     def extend(self, t: Stamps, poses: Floats) -> None:
         """Add many, (k,) and (k, 3); a row that is not finite was not visible."""
         seen = np.isfinite(poses).all(axis=1)
         if not seen.all():
-            self.refused[OCCLUDED] += int(np.sum(~seen))
+            self.rejected[OCCLUDED] += int(np.sum(~seen))
             t, poses = t[seen], poses[seen]
-        if not self.t or not self._plain(t, poses):
+        if not self._plain(t, poses):
             for stamp, pose in zip(t.tolist(), poses.tolist(), strict=True):
                 self.append(stamp, tuple(pose))
             return
@@ -97,14 +96,13 @@ class Poses:
         self.newest = self.t[-1]
 
     def _plain(self, t: Stamps, poses: Floats) -> bool:
-        """Whether there is nothing to refuse in them."""
+        """Whether there is nothing to reject in them."""
+        if not self.in_order(t) or np.any(np.abs(poses) > LARGEST):
+            return False
         seconds = np.diff(t, prepend=self.newest) / SECOND
         step = np.diff(poses, axis=0, prepend=[self.xyh[-3:]])
         return bool(
-            np.all(seconds > 0.0)
-            and np.all(
-                np.hypot(step[:, 0], step[:, 1]) <= POSITION_NOISE + self.max_speed * seconds
-            )
+            np.all(np.hypot(step[:, 0], step[:, 1]) <= POSITION_NOISE + self.max_speed * seconds)
             and np.all(np.abs(wrap(step[:, 2])) <= HEADING_NOISE + self.max_turn * seconds)
         )
 
@@ -117,50 +115,30 @@ class Poses:
             or turn > HEADING_NOISE + self.max_turn * seconds
         )
 
-    @property
-    def begun(self) -> int:
-        """The first stamp."""
-        return self.first + self.lag
+    def within(self, begin: int, end: int, moved: int = -1) -> tuple[Stamps, Floats]:
+        """Stamps and poses (k, 3) of an interval, without frozen ones."""
+        return self._fresh(self.inside(begin, end), moved)
 
-    @property
-    def reached(self) -> int:
-        """The newest stamp."""
-        return self.newest + self.lag
+    def about(self, begin: int, end: int, moved: int = -1) -> tuple[Stamps, Floats]:
+        """The same, with the last one before and the first one after it."""
+        return self._fresh(self.around(begin, end), moved)
 
-    def slice(self, begin: int, end: int, moved: int = -1) -> tuple[Stamps, Floats]:
-        """Stamps and poses of an interval, with the last one before and the first one after it.
-
-        Without those frozen since before `moved`, a moment at which the subject was moving.
-        """
-        a = max(bisect_right(self.t, begin - self.lag) - 1, 0)
-        b = bisect_left(self.t, end - self.lag) + 1
-        fresh = np.array(self.since[a:b]) > moved - self.lag
-        poses = np.array(self.xyh[3 * a : 3 * b]).reshape(-1, 3)
-        return np.array(self.t[a:b])[fresh] + self.lag, poses[fresh]
+    def _fresh(self, part: slice, moved: int) -> tuple[Stamps, Floats]:
+        fresh = np.array(self.since[part]) > moved - self.lag
+        poses = np.array(self.xyh[3 * part.start : 3 * part.stop]).reshape(-1, 3)
+        return np.array(self.t[part])[fresh] + self.lag, poses[fresh]
 
     def frozen(self, begin: int, end: int, moved: int) -> int:
-        """How many poses of an interval `slice` leaves out."""
-        a, b = bisect_left(self.t, begin - self.lag), bisect_right(self.t, end - self.lag)
-        return int(np.sum(np.array(self.since[a:b]) <= moved - self.lag))
+        """How many poses of an interval are frozen."""
+        return int(np.sum(np.array(self.since[self.inside(begin, end)]) <= moved - self.lag))
 
-    def holes(self, begin: int, end: int, gap: float, moved: int = -1) -> list[Hole]:
-        """Silences longer than `gap` [ns] that reach into an interval."""
-        t = self.slice(begin, end, moved)[0]
-        # Poses missing at either end: forgotten, or the stream has ended.
-        before = [begin] if not len(t) or t[0] > begin else []
-        after = [end] if not len(t) or t[-1] < end else []
-        t = np.concatenate([before, t, after]).astype(np.int64)
-        late = np.flatnonzero(np.diff(t) > gap)
-        found = [(int(t[k]), int(t[k + 1])) for k in late]
+    def gaps(self, begin: int, end: int, longest: int, moved: int = -1) -> list[Gap]:
+        """Silences longer than `max_duration` [ns] that reach into an interval."""
+        stamps = self.about(begin, end, moved)[0]
         return [
-            Hole(a, b, self.name, FROZEN if self.frozen(a, b, moved) else "silent")
-            for a, b in found
+            Gap(a, b, self.name, FROZEN if self.frozen(a, b, moved) else "silent")
+            for a, b in silences(stamps, begin, end, longest)
         ]
-
-    def forget(self, before: float) -> None:
-        """Drop all but the last one of what is older."""
-        k = max(bisect_right(self.t, before - self.lag) - 1, 0)
-        del self.t[:k], self.since[:k], self.xyh[: 3 * k]
 
 
 def seen_from(
@@ -170,8 +148,8 @@ def seen_from(
 
     Without those frozen since before `moved`, a moment at which the subjects were moving.
     """
-    t, seen = other.slice(begin, end, moved)
-    t_base, poses = base.slice(begin, end, moved)
+    t, seen = other.about(begin, end, moved)
+    t_base, poses = base.about(begin, end, moved)
     if not len(t_base):
         return t[:0], seen[:0]
     paired = (t >= max(begin, t_base[0])) & (t <= min(end, t_base[-1]))
@@ -185,6 +163,40 @@ def mean_pose(poses: Floats) -> Floats:
     """Of poses (k, 3) that differ by noise; headings are averaged on the circle."""
     heading = np.angle(np.mean(np.exp(1j * poses[:, 2])))
     return np.array([*poses[:, :2].mean(axis=0), heading])
+
+
+def near_most(seen: Floats) -> npt.NDArray[np.bool_]:
+    """Which poses (k, 3) are near most others: at rest the end effector stays where it is."""
+    x, y = (seen[:, :2] - np.median(seen[:, :2], axis=0)).T
+    mean = np.angle(np.median(np.cos(seen[:, 2])) + 1j * np.median(np.sin(seen[:, 2])))
+    away = np.abs(wrap(seen[:, 2] - mean))
+    return np.asarray((np.hypot(x, y) <= POSITION_NOISE) & (away <= HEADING_NOISE))
+
+
+class Bin(NamedTuple):
+    """Poses of a drifting subject, averaged."""
+
+    time: float  # [s]
+    pose: tuple[float, float, float]  # x, y [m], heading [rad], counting turns
+    frames: int
+    seconds: float  # over which
+
+
+def bins(
+    t: Stamps, poses: Floats, begin: int, end: int, width: float, origin: int
+) -> Iterator[Bin]:
+    """Poses (k, 3) of an interval averaged over about `width` [s], with times from `origin` on.
+
+    Bins of fewer than two poses are left out.
+    """
+    edges = np.linspace(begin, end, max(1, round((end - begin) / SECOND / width)) + 1)
+    for low, high in pairwise(edges):
+        those = (t >= low) & (t < high)
+        number = int(np.count_nonzero(those))
+        if number >= 2:
+            seconds = float(np.ptp(t[those])) / SECOND * number / (number - 1)
+            x, y, heading = np.mean(poses[those], axis=0).tolist()
+            yield Bin(float(np.mean(t[those] - origin)) / SECOND, (x, y, heading), number, seconds)
 
 
 def _interpolated(t: Stamps, stamps: Stamps, poses: Floats) -> Floats:

@@ -1,131 +1,134 @@
-"""What is kept of each stream, by stamp, until nothing asks for it any more: joints, gyro, links.
-
-Stamps are integer nanoseconds; none is taken that is not newer than the last.
-"""
+"""Samples by stamp, kept until nothing asks for them any more; which are rejected, and why."""
 
 from array import array
 from bisect import bisect_left, bisect_right
+from collections import Counter
+from collections.abc import Sequence
 from itertools import pairwise
-from math import isfinite
-from operator import itemgetter
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
-from fss_arm_calib.estimation.least_squares import Floats
-from fss_arm_calib.segments.poses import SECOND
-from fss_arm_calib.segments.streams import Joint
+Stamps = npt.NDArray[np.int64]
+
+SECOND = 1_000_000_000  # [ns]
+CONFIRMED = SECOND  # how long samples must go on from a doubted one [ns]
+LARGEST = 1e3  # nothing on a test bed reads more [rad, rad/s, m]
+
+NOT_FINITE, OUT_OF_RANGE = "not finite", "out of range"
+REPEATED, OUT_OF_ORDER, ASTRAY = "repeated", "out of order", "astray in time"
 
 
-class Samples(Joint):
-    """One joint's samples, and its present run of still ones."""
+class Gap(NamedTuple):
+    """An interval without samples."""
 
-    def __init__(self, name: str) -> None:
-        super().__init__(name)
-        self.t, self.q, self.qd = array("q"), array("d"), array("d")
-        self.start = self.last = -1  # of the run
-        self.moved = -1  # the last sample before it
-        self.low = self.high = 0.0
+    start: int  # [ns]
+    end: int
+    who: str
+    how: str = "silent"
 
-    def take(self, still: float) -> bool:
-        """Merge the oldest sample that waits; return whether it ended a run."""
-        t, q, qd = self.waiting.popleft()
-        self.t.append(t)
-        self.q.append(q)
-        self.qd.append(qd)
-        ends = self.start >= 0 and max(self.high, q) - min(self.low, q) > still
-        if ends or self.start < 0:
-            self.moved = self.last
-            self.start, self.low, self.high = t, q, q
+    def __str__(self) -> str:
+        return f"{self.who} {self.how} for {(self.end - self.start) / SECOND:.2f} s"
+
+
+class Stream:
+    """Samples in order of their stamps [ns].
+
+    A stamp farther than `horizon` [ns] from the stream's last one, the very first too, is doubted
+    until the samples after it have gone on from it for CONFIRMED: then a clock was set, or a long
+    gap has ended. Else they are astray, and rejected by themselves.
+    """
+
+    def __init__(self, name: str, horizon: int) -> None:
+        self.name, self.horizon = name, horizon
+        self.newest = -1  # -1: none was heard
+        self.lag = 0  # by which it is asked in a later time than its own [ns]
+        self.rejected: Counter[str] = Counter()
+        self.set_back = 0  # longest step back of the stamps [ns]
+        self.t = array("q")
+        self.columns: list[tuple[array[Any], int]] = [(self.t, 1)]  # and how many for each stamp
+        self.doubted: list[tuple[int, Any]] = []
+
+    def admit(self, t: int, value: Any) -> Sequence[tuple[int, Any]]:
+        """What is to be taken now: this sample, perhaps with those doubted till now, or none."""
+        if self.doubted:
+            since = t - self.doubted[-1][0]
+            if since == 0:
+                self.rejected[REPEATED] += 1
+                return ()
+            if 0 < since <= self.horizon:
+                self.doubted.append((t, value))
+                return self._confirmed() if t - self.doubted[0][0] >= CONFIRMED else ()
+            self.rejected[ASTRAY] += len(self.doubted)
+            self.doubted.clear()
+        step = t - self.newest
+        if self.newest < 0 or abs(step) > self.horizon:
+            self.doubted.append((t, value))
+        elif step > 0:
+            return ((t, value),)
         else:
-            self.low, self.high = min(self.low, q), max(self.high, q)
-        self.last = t
-        return ends
+            self._late(t)
+        return ()
 
-    def within(self, begin: int, end: int) -> tuple[np.ndarray, Floats, Floats]:
-        """Stamps, readings and rates from `begin` to `end`, both included."""
-        a, b = bisect_left(self.t, begin), bisect_right(self.t, end)
-        return np.array(self.t[a:b]), np.array(self.q[a:b]), np.array(self.qd[a:b])
+    def _confirmed(self) -> Sequence[tuple[int, Any]]:
+        samples, self.doubted = self.doubted, []
+        if samples[0][0] > self.newest:
+            return samples
+        for t, _ in samples:
+            self._late(t)
+        return ()
 
-    def forget(self, before: int) -> None:
-        """Drop all but the last one of what is older."""
-        k = max(bisect_left(self.t, before) - 1, 0)
-        del self.t[:k], self.q[:k], self.qd[:k]
+    def _late(self, t: int) -> None:
+        self.rejected[REPEATED if t == self.newest else OUT_OF_ORDER] += 1
+        self.set_back = max(self.set_back, self.newest - t)
 
+    def in_order(self, t: Stamps) -> bool:
+        """Whether all of many are to be taken, one after the other."""
+        if self.newest < 0 or self.doubted:
+            return False
+        steps = np.diff(t, prepend=self.newest)
+        return bool(np.all((steps > 0) & (steps <= self.horizon)))
 
-class Gyro:
-    """The base's turn rates by stamp."""
+    @property
+    def reached(self) -> int:
+        """The newest stamp."""
+        return self.newest + self.lag
 
-    def __init__(self) -> None:
-        self.newest = -1
-        self.t, self.rate = array("q"), array("d")
+    def around(self, begin: int, end: int) -> slice:
+        """Samples of an interval, with the last one before and the first one after it."""
+        before = max(bisect_right(self.t, begin - self.lag) - 1, 0)
+        return slice(before, bisect_left(self.t, end - self.lag) + 1)
 
-    def append(self, t: int, rate: float) -> None:
-        """Take a rate [rad/s], if it is a number."""
-        if t > self.newest and isfinite(rate):
-            self.newest = t
-            self.t.append(t)
-            self.rate.append(rate)
+    def inside(self, begin: int, end: int) -> slice:
+        """Samples of an interval, both ends included."""
+        return slice(bisect_left(self.t, begin - self.lag), bisect_right(self.t, end - self.lag))
 
-    def turn(self, begin: int, end: int, gap: float) -> float | None:
-        """Angle turned in an interval [rad]; None if there is a longer gap [ns] in the rates."""
-        found = self.angles(begin, end, gap)
-        return None if found is None else float(np.diff(np.interp([begin, end], *found))[0])
-
-    def angles(self, begin: int, end: int, gap: float) -> tuple[np.ndarray, Floats] | None:
-        """Stamps and angles turned since the first of them [rad]; None: there is a longer gap."""
-        a, b = max(bisect_right(self.t, begin) - 1, 0), bisect_left(self.t, end) + 1
-        t, rate = np.array(self.t[a:b]), np.array(self.rate[a:b])
-        if len(t) < 2 or t[0] > begin or t[-1] < end or np.diff(t).max() > gap:
-            return None
-        steps = 0.5 * (rate[1:] + rate[:-1]) * np.diff(t) / SECOND
-        return t, np.concatenate([[0.0], np.cumsum(steps)])
+    def gaps(self, begin: int, end: int, longest: int) -> list[Gap]:
+        """Silences longer than `max_duration` [ns] that reach into an interval."""
+        stamps = np.array(self.t[self.around(begin, end)]) + self.lag
+        return [Gap(a, b, self.name) for a, b in silences(stamps, begin, end, longest)]
 
     def forget(self, before: int) -> None:
         """Drop all but the last one of what is older."""
-        k = max(bisect_right(self.t, before) - 1, 0)
-        del self.t[:k], self.rate[:k]
+        k = self.around(before, before).start
+        for column, width in self.columns:
+            del column[: k * width]
 
 
-class Told(NamedTuple):
-    """What a link tells of itself, from a moment on."""
+def silences(t: Stamps, begin: int, end: int, longest: int) -> list[tuple[int, int]]:
+    """Steps longer than `longest` between stamps in and around an interval, or its ends [ns]."""
+    # Samples missing at either end: forgotten, or the stream has ended.
+    before = [begin] if not len(t) or t[0] > begin else []
+    after = [end] if not len(t) or t[-1] < end else []
+    t = np.concatenate([before, t, after]).astype(np.int64)
+    return [(int(t[k]), int(t[k + 1])) for k in np.flatnonzero(np.diff(t) > longest)]
 
-    t: int  # [ns]
-    armed: bool
-    reference: tuple[int, int]  # start of its electronics, and homings since; 0 homings: not told
 
-
-class Link:
-    """A link's telemetry, wherever it changed."""
-
-    def __init__(self) -> None:
-        self.newest = -1
-        self.told: list[Told] = []
-
-    def append(self, told: Told) -> None:
-        """Take what is told, if it is another thing."""
-        if told.t > self.newest:
-            self.newest = told.t
-            if not self.told or self.told[-1][1:] != told[1:]:
-                self.told.append(told)
-
-    def within(self, begin: int, end: int) -> list[Told]:
-        """What held at the begin of an interval, and what was told until its end."""
-        a, b = (bisect_right(self.told, t, key=itemgetter(0)) for t in (begin, end))
-        return self.told[max(a - 1, 0) : b]
-
-    def disarmed(self, begin: int, end: int) -> list[tuple[int, int]]:
-        """The parts of an interval, both ends included, in which it was not armed."""
-        told = self.within(begin, end)
-        edges = [*(max(begin, one.t) for one in told), end + 1]
-        parts = zip(told, pairwise(edges), strict=True)
-        return [(a, b - 1) for one, (a, b) in parts if not one.armed]
-
-    def homed(self, begin: int, end: int) -> bool:
-        """Whether it was referenced anew meanwhile, or restarted, the drive perhaps with it."""
-        told = self.within(begin, end)
-        return len({one.reference for one in told if one.reference[1]}) > 1
-
-    def forget(self, before: int) -> None:
-        """Drop what no longer held then."""
-        del self.told[: max(bisect_right(self.told, before, key=itemgetter(0)) - 1, 0)]
+def between(begin: int, end: int, gaps: Sequence[Gap]) -> list[tuple[int, int]]:
+    """What gaps leave of an interval."""
+    edges = [begin]
+    for gap in sorted(gaps):
+        edges += [max(edges[-1], gap.start), max(edges[-1], gap.end)]
+    edges.append(max(edges[-1], end))
+    return [(a, b) for a, b in list(pairwise(edges))[::2] if b > a]

@@ -34,7 +34,7 @@ MILLISECOND = 1000  # [us]
 REPLY_TIME = 200 * MILLISECOND  # at most
 LINE_TIME = 50 * MILLISECOND  # for what is still under way after a failure
 SWITCH_TIME = 150 * MILLISECOND  # for the order to leave at the old rate, and the drive's own
-PATIENCE = 3000 * MILLISECOND  # with a joint that does not come to rest and shall be released
+REST_TIMEOUT = 3000 * MILLISECOND  # with a joint that does not come to rest and shall be released
 STILL = 1000  # slower is at rest [0.1 counts/s]
 STATE = put(Variable.DESIRED_STATE, 0).removesuffix(b"0\r")  # what orders a mode begin with
 SLOW = (Variable.FAULTS, Variable.SUPPLY, Variable.TEMPERATURE, Variable.ABORT_DECELERATION)
@@ -123,9 +123,9 @@ class Drive:
         self.homings = 0
         self.refusal = ""  # of the present demand, in the drive's words
         self.let_go = False  # it refused even to hold, and is switched off whatever is demanded
-        self._done: Demand | None = None  # the demand that the drive was told last, in full
+        self._done: Demand | None = None  # the demand that was sent to the drive last, in full
         self._mode = int(Mode.OFF)  # that the drive is in, as read or acknowledged
-        self._referenced = False  # as read; not since it was told to home
+        self._referenced = False  # as read; not since it was ordered to home
         self.baud = FIRST_BAUD  # that the line must be set to now
         self._fast = baud
         self._now = self._until = 0
@@ -136,7 +136,7 @@ class Drive:
 
     @property
     def referenced(self) -> bool:
-        """Whether it is homed; not while it is told to home and has not begun, or refuses to."""
+        """Whether it is homed; not while it is ordered to home and has not begun, or refuses to."""
         begun = self.demand.goal != Goal.HOME or (self.demand == self._done and not self.refusal)
         return bool(self.reading) and self._referenced and begun
 
@@ -265,7 +265,7 @@ class Drive:
             brake = _brake(reading.mode, self.slow[Variable.ABORT_DECELERATION])
             if not (yield from self._say(brake)):
                 return False
-            end = self._now + PATIENCE
+            end = self._now + REST_TIMEOUT
             while reading.mode != Mode.OFF:
                 reading = yield from self._read(Variable.FAULTS)
                 if demand != self.demand:

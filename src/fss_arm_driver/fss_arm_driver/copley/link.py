@@ -5,10 +5,19 @@ from collections import deque
 from fss_arm_driver.copley.drive import Demand, Drive, Goal
 from fss_arm_driver.copley.language import Variable
 from fss_arm_driver.faults import blocking
-from fss_arm_driver.protocol import Command, Gate, LinkState, Mode, Order, Slow, Telemetry, encode
+from fss_arm_driver.protocol import (
+    NO_TORQUE,
+    Command,
+    Gate,
+    LinkState,
+    Mode,
+    Order,
+    Slow,
+    Telemetry,
+    encode,
+)
 from fss_arm_driver.protocol import Goal as Intent
 
-NO_TORQUE = 255  # as the age of a torque sample: there is no torque converter [ms]
 TAKEN = 1024  # commands remembered: as many as may come during one round of readings
 SLOW = {
     Slow.FAULTS: Variable.FAULTS,
@@ -100,7 +109,7 @@ class DriveLink:
             slow_id=slow,
             status=reading.status,
             torque=0,
-            torque_age=NO_TORQUE,
+            torque_age=NO_TORQUE,  # there is no torque converter
             slow_value=_signed(self._slow(slow), 32),
         )
         return encode(frame, gate.key)

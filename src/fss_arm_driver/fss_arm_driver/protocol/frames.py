@@ -13,6 +13,7 @@ from zlib import crc32
 from fss_arm_driver.protocol.signature import SIGNATURE_SIZE, is_signed, sign
 
 FRAME_SIZE = 72  # the Wi-Fi shields drop longer datagrams
+NO_TORQUE = 255  # as the age of a torque sample: that old or older, or there is none [ms]
 MAGIC = 0x4653
 VERSION = 1
 
@@ -87,7 +88,7 @@ class Telemetry:
     slow_id: int = _unsigned(8)  # Slow
     status: int = _unsigned(32)  # the servo drive's status word
     torque: int = _signed(24)  # 24 bits, two's complement [counts]
-    torque_age: int = _unsigned(8)  # of the torque sample at the measurement [ms]; 255: or more
+    torque_age: int = _unsigned(8)  # of the torque sample at the measurement [ms], or NO_TORQUE
     slow_value: int = _signed(32)  # of the field `slow_id`
 
 

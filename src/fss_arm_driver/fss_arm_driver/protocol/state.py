@@ -24,7 +24,7 @@ class LinkState:
     def __init__(self, gate: Gate) -> None:
         self.gate = gate
         self.armed = self.stopped = self.watchdog_tripped = False
-        self._dropped = False  # by a fault; not told in telemetry
+        self._dropped = False  # by a fault; not in telemetry
         self._on = False  # the drive, from arming on: no stop switches it on
 
     def receive(self, data: bytes, clock: int) -> bool:

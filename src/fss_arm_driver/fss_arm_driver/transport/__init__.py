@@ -22,9 +22,9 @@ BAUD = 115_200
 def open_transport(url: str, link: int = 1, key: bytes | None = None) -> Transport:
     """Open what a URL names, one of FORMS.
 
-    A UDP socket is bound to the local port `bind`, 0 for any; a serial port is opened at once and
-    at 115200 baud unless told otherwise; a TCP connection is made when it can be. `link` and `key`
-    are those of the frames, which `copley` makes itself.
+    A UDP socket is bound to the local port `bind`, 0 for any; a serial port is opened at once,
+    by default at 115200 baud; a TCP connection is made when it can be. `link` and `key` are those
+    of the frames, which `copley` makes itself.
 
     Raises:
         TransportError: the URL is not understood, its host is not known, or its port cannot be

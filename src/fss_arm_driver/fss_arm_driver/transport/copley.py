@@ -19,8 +19,8 @@ from fss_arm_driver.transport.stream import open_port, set_rate
 
 TICK = 0.005  # at which time passes for the drive [s]
 AGAIN = 0.5  # from one try to open the port to the next [s]
-RELEASE = 4.0  # at most, for the drive to be switched off when the process ends [s]
-DEAF = 3.0  # a drive that has not answered for so long is one to be told of [s]
+RELEASE_TIMEOUT = 4.0  # at most, for the drive to be switched off when the process ends [s]
+DEAF = 3.0  # a drive that has not answered for so long is reported [s]
 
 
 class CopleyTransport:
@@ -88,7 +88,7 @@ class CopleyTransport:
     def _let_go(self) -> None:
         """Bring the joint to rest and switch the drive off, if that can be done."""
         begun = time.monotonic_ns() // 1000  # an older reading may miss the last order
-        end = time.monotonic() + RELEASE
+        end = time.monotonic() + RELEASE_TIMEOUT
         with suppress(OSError, ValueError):
             while self._port and time.monotonic() < min(end, self._heard + DEAF):
                 reading = self._link.drive.reading

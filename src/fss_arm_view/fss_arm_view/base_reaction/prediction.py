@@ -8,7 +8,7 @@ import numpy.typing as npt
 from fss_arm_model.base_motion import base_pose_sensitivities
 from fss_arm_model.dynamics import inertia_matrix
 from fss_arm_model.momentum import momentum, system_com
-from fss_arm_model.simulation import GRAVITY
+from fss_arm_model.units import GRAVITY
 from fss_gnc.navigation import SensorErrors
 
 from .joints import JointMotion

@@ -17,12 +17,17 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from std_srvs.srv import SetBool, Trigger
 
 from fss_arm_calib import report
+from fss_arm_calib.acceptance import PASS
 from fss_arm_calib.experiment.postures import DEFAULT
 from fss_arm_calib.from_bag import solve_bag
-from fss_arm_calib.kinematic.report import kinematic_report
-from fss_arm_calib.kinematic.settings import CalibrationSettings
+from fss_arm_calib.kinematic.kind import KINEMATIC
+from fss_arm_calib.kinematic.settings import KinematicSettings
+from fss_arm_calib.kinematic.solution import Solution
+from fss_arm_calib.outcome import Outcome
+from fss_arm_calib.recompute import again
+from fss_arm_calib.segments.rests import Observation
 from fss_arm_model import description
-from fss_arm_msgs.msg import KinematicCalibration
+from fss_arm_msgs.msg import KinematicCalibration, KinematicObservations
 from fss_arm_ros.qos import LATCHED
 from fss_sim.rehearsal.domain import CONFIG, Domain
 from fss_sim.rehearsal.person import LINKS, Operator, own_domain
@@ -44,9 +49,13 @@ class Calibrator(Operator):
         self.time, self.looked = self.get_clock().now(), time.monotonic()
         self.done = 0  # postures
         self.result: KinematicCalibration | None = None
+        self.observations = KinematicObservations()
         self.create_subscription(DiagnosticArray, "/diagnostics", self.on_diagnostics, 10)
         self.create_subscription(
             KinematicCalibration, "calibration/kinematic", self.on_result, LATCHED
+        )
+        self.create_subscription(
+            KinematicObservations, "calibration/observations", self.on_observations, LATCHED
         )
         self.pause = self.create_client(SetBool, "sim/pause")
         self.solve = self.create_client(Trigger, "kinematic/solve")
@@ -60,6 +69,18 @@ class Calibrator(Operator):
     def on_result(self, message: KinematicCalibration) -> None:
         """The newest result."""
         self.result = message
+
+    def on_observations(self, message: KinematicObservations) -> None:
+        """What the newest result is from."""
+        self.observations = message
+
+    def live(self) -> Outcome[Observation, Solution] | None:
+        """The result with what it is from, as published; None: one of both is still on its way."""
+        if self.result is None:
+            return None
+        outcome = again(KINEMATIC, self.result, self.observations)
+        origin = self.result.calibration.provenance
+        return outcome if outcome.provenance.data_hash == origin.data_hash else None
 
     def let_time_go(self) -> None:
         """If time stands still, as in a test bed just started, end that once all are listened to.
@@ -117,7 +138,7 @@ def start_all(nodes: Nodes, options: argparse.Namespace, out: Path) -> None:
 
 def run(
     options: argparse.Namespace, out: Path, console: Console, domain: Domain
-) -> KinematicCalibration:
+) -> Outcome[Observation, Solution]:
     """See the experiment through, close the last rest; return the result.
 
     Raises:
@@ -138,14 +159,14 @@ def run(
             operator.keep_armed()
         bar.update(task, completed=options.postures)
         # Results of earlier observations may still be on their way.
-        while operator.result is None or len(operator.result.tip) < 3 * options.postures:
+        while (live := operator.live()) is None or len(live.used) < options.postures:
             if time.monotonic() > give_up:
                 raise RehearsalError(f"no solution: {nodes.last_words('kinematic')}")
             nodes.restart_dead()
             operator.service(operator.solve, Trigger.Request())
             rclpy.spin_once(operator, timeout_sec=0.5)
         operator.destroy_node()
-    return operator.result
+    return live
 
 
 def progress(console: Console) -> Progress:
@@ -159,18 +180,18 @@ def progress(console: Console) -> Progress:
     )
 
 
-def from_bag(bag: Path, live: KinematicCalibration) -> str:
+def from_bag(bag: Path, live: Outcome[Observation, Solution]) -> str:
     """Solve again from the bag alone, and say how well that agrees with the live result."""
-    settings = CalibrationSettings(arm=str(CONFIG / "cad.yaml"), parametrization="equal")
-    again = solve_bag(bag, settings)
-    if len(again.tip) != len(live.tip) // 3:
+    settings = KinematicSettings(arm=str(CONFIG / "cad.yaml"), parametrization="equal")
+    offline = solve_bag(KINEMATIC, bag, settings)
+    if len(offline.used) != len(live.used):
         # One of the two was killed, and did not listen for a time.
         return (
-            f"solved again from the bag: {again.verdict}, "
-            f"from {len(again.tip)} rests in it, {len(live.tip) // 3} seen live"
+            f"solved again from the bag: {offline.verdict}, "
+            f"from {len(offline.used)} rests in it, {len(live.used)} seen live"
         )
-    worst = float(abs(again.values - live.values).max())
-    return f"solved again from the bag: {again.verdict}, parameters differ by at most {worst:.1e}"
+    worst = float(abs(offline.values - live.values).max())
+    return f"solved again from the bag: {offline.verdict}, parameters differ by at most {worst:.1e}"
 
 
 def arguments() -> argparse.ArgumentParser:
@@ -211,7 +232,7 @@ def main() -> int:
             soft_wrap=True,
         )
         result = run(options, out, console, domain)
-    told = kinematic_report(result, description.load(CONFIG / "truth.yaml"))
+    told = KINEMATIC.report_of(result, description.load(CONFIG / "truth.yaml"))
     console.print(report.printed(told))
     console.print(from_bag(out / "bag", result))
     report.write(out / "report", told)
@@ -225,7 +246,7 @@ def main() -> int:
     ):
         if (out / name).exists():
             console.print(f"{what:>24}  {out / name}", soft_wrap=True)
-    return 0 if result.verdict == KinematicCalibration.PASS else 2
+    return 0 if result.verdict == PASS else 2
 
 
 if __name__ == "__main__":

@@ -19,11 +19,11 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rich.console import Console
 
 from fss_arm_calib import report
-from fss_arm_calib.dynamic.checks import DynamicCalibration, calibrate
+from fss_arm_calib.dynamic.calibrate import calibrate
+from fss_arm_calib.dynamic.kind import DYNAMIC
 from fss_arm_calib.dynamic.parameters import values
-from fss_arm_calib.dynamic.report import dynamic_report
-from fss_arm_calib.dynamic.settings import DynamicCalibrationSettings
-from fss_arm_calib.dynamic_messages import maneuvers_message
+from fss_arm_calib.dynamic.settings import DynamicSettings
+from fss_arm_calib.dynamic.solution import Solution
 from fss_arm_calib.experiment.design import (
     Conditions,
     Planned,
@@ -32,9 +32,10 @@ from fss_arm_calib.experiment.design import (
     from_yaml,
     to_yaml,
 )
-from fss_arm_calib.from_bag import EXIT_CODES, solve_dynamic_bag
+from fss_arm_calib.from_bag import EXIT_CODES, solve_bag
+from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.segments.maneuvers import Maneuver
-from fss_arm_model.description import Arm, load, paper_arm, save
+from fss_arm_model.description import Arm, paper_arm, save
 from fss_sim.rehearsal.domain import Domain
 from fss_sim.rehearsal.person import LINKS, Operator, own_domain
 from fss_sim.rehearsal.processes import Nodes, RehearsalError, rehearse, results
@@ -75,7 +76,7 @@ class Experimenter(Operator):
                 self.said = status.message
 
 
-def draw_truth(guess: Arm, settings: DynamicCalibrationSettings, seed: int) -> Arm:
+def draw_truth(guess: Arm, settings: DynamicSettings, seed: int) -> Arm:
     """An arm that the guess, and what is known of it, may be the description of."""
     rng, n = np.random.default_rng(seed), guess.n
     v = values(guess) + settings.deviations(n) * rng.standard_normal(5 * n + 6)
@@ -142,7 +143,7 @@ def run(
 
 def prepare(options: argparse.Namespace, out: Path, cameras: Cameras) -> tuple[Arm, list[Planned]]:
     """Write guess, truth and plan; return truth and plan."""
-    settings = DynamicCalibrationSettings(**known(out, cameras))
+    settings = DynamicSettings(**known(out, cameras))
     guess = paper_arm()
     truth = draw_truth(guess, settings, options.seed)
     save(guess, out / "guess.yaml")
@@ -169,25 +170,21 @@ def known(out: Path, cameras: Cameras) -> dict[str, Any]:
     }
 
 
-def solve_first(
-    out: Path, settings: DynamicCalibrationSettings, count: int
-) -> tuple[DynamicCalibration, list[Maneuver]]:
+def solve_first(out: Path, settings: DynamicSettings, count: int) -> Outcome[Maneuver, Solution]:
     """What the first so many maneuvers tell: gaps may have made some be repeated, and more of them.
 
     Raises:
         BagError: a bag cannot be read.
     """
-    result, maneuvers = solve_dynamic_bag(out / "bags", settings)
-    used = [one for one in maneuvers if one.used]
-    if len(used) <= count:
-        return result, maneuvers
-    kept = [one for one in maneuvers if one.start < used[count].start]
-    guess = load(settings.arm)
-    return calibrate(kept, guess, settings, source=result.provenance.source), kept
+    result = solve_bag(DYNAMIC, out / "bags", settings)
+    if len(result.used) <= count:
+        return result
+    kept = [one for one in result.data if one.start < result.used[count].start]
+    return calibrate(kept, result.arm, settings, source=result.provenance.source)
 
 
 def summary(
-    result: DynamicCalibration, truth: Arm, plan: list[Planned], promised: np.ndarray
+    result: Outcome[Maneuver, Solution], truth: Arm, plan: list[Planned], promised: np.ndarray
 ) -> str:
     """What was asked, promised and found of the centres of mass."""
     names = list(result.names)
@@ -202,7 +199,7 @@ def summary(
         )
     worst = 1e3 * max(result.deviations[names.index(f"b_{i}")] for i in range(1, LINKS + 1))
     lines.append(
-        f"{len(result.marks)} maneuvers of at most {max(p.length for p in plan):.1f} s; "
+        f"{len(result.used)} maneuvers of at most {max(p.length for p in plan):.1f} s; "
         f"largest deviation of a b {worst:.1f} mm"
     )
     return "\n".join(lines)
@@ -233,7 +230,7 @@ def main() -> int:
     console, cameras = report.console(), NOISE[options.noise]
     console.print(f"designing {options.count} maneuvers")
     truth, plan = prepare(options, out, cameras)
-    settings = DynamicCalibrationSettings(**known(out, cameras))
+    settings = DynamicSettings(**known(out, cameras))
     promised = expected(paper_arm(), plan, settings, PAUSE).deviations
     with own_domain() as domain:
         console.print(
@@ -242,8 +239,8 @@ def main() -> int:
             soft_wrap=True,
         )
         run(options, out, cameras, console, domain)
-    result, maneuvers = solve_first(out, settings, options.count)
-    told = dynamic_report(result, truth, maneuvers_message(maneuvers, "fss").maneuvers)
+    result = solve_first(out, settings, options.count)
+    told = DYNAMIC.report_of(result, truth)
     console.print(report.printed(told))
     page = report.write(out / "report", told)
     console.print(summary(result, truth, plan, promised))

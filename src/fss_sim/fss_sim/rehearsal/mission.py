@@ -26,12 +26,12 @@ from fss_arm_msgs.srv import StepTime
 from fss_arm_ros.convert import SECOND, planar_pose, stamp_ns
 from fss_arm_ros.qos import COMMAND, SENSOR
 from fss_sim.guidance import PERIOD, Guidance
+from fss_sim.plant.target import Target
+from fss_sim.plant.thrusters import Propulsion, layout
 from fss_sim.rehearsal.domain import CONFIG, Domain
 from fss_sim.rehearsal.person import LINKS, Operator, own_domain
 from fss_sim.rehearsal.processes import Nodes, RehearsalError, rehearse, results
 from fss_sim.sensors import RATE
-from fss_sim.target import Target
-from fss_sim.thrusters import Propulsion, layout
 
 TARGET = Target(mass=10.0, inertia=0.25)
 BEGIN = {

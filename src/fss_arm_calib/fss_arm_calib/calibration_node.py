@@ -1,0 +1,209 @@
+"""The node of any kind of calibration: finds its data in live or replayed topics and solves."""
+
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from inspect import getdoc
+from typing import Any
+
+from rclpy.node import Node
+from std_srvs.srv import Trigger
+
+from fss_arm_calib.acceptance import PASS, clocks_kept, count
+from fss_arm_calib.calibration import Calibration
+from fss_arm_calib.kinds import KINDS
+from fss_arm_calib.outcome import LIVE, Outcome
+from fss_arm_calib.report import write
+from fss_arm_calib.segments.streams import Streams, newest
+from fss_arm_calib.state import Flags, StateError, Writes, restore, save
+from fss_arm_model.description import described
+from fss_arm_model.files import write_text
+from fss_arm_model.settings import Settings, setting
+from fss_arm_ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
+from fss_arm_ros.memory import give_back
+from fss_arm_ros.parameters import declare
+from fss_arm_ros.qos import LATCHED, subscribe_sensor
+from fss_arm_ros.run import run
+
+
+@dataclass(frozen=True)
+class NodeSettings(Settings):
+    """What the node of a calibration needs beside the settings of its kind."""
+
+    frame_id: str = setting("", "frame id of the results; empty: that of the kind")
+    state_file: str = setting("", "data are kept here across restarts; empty: nowhere")
+    output: str = setting("", "file to write whenever a calibration passes; empty: none")
+    report: str = setting("", "folder to write a report to when asked to solve; empty: none")
+
+
+def node_settings(kind: Calibration[Any, Any]) -> type[Any]:
+    """The parameters of the node of a kind of calibration."""
+    made = type(f"{kind.name.title()}NodeSettings", (NodeSettings, kind.settings), {})
+    return dataclass(frozen=True)(made)
+
+
+class CalibrationNode(Node):
+    """Publishes each datum that it finds, and the calibration from all of them.
+
+    Nobody needs to say when the arm rests or moves. `~/solve` closes what lasts and solves;
+    `~/forget` begins anew.
+    """
+
+    def __init__(self, kind: Calibration[Any, Any], **options: Any) -> None:
+        super().__init__(kind.name, **options)
+        self.kind = kind
+        s = self.settings = declare(self, node_settings(kind))
+        self.frame = s.frame_id or kind.frame
+        self.arm = described(s.arm)
+        self.writes = Writes(self.get_logger())
+        kept, self.flags = self.restored()
+        self.data: list[Any] = newest(kept, kind.most(s))
+        self.finder = kind.finder(self.arm.n, s, kept)
+        try:
+            self.outcome, self.saved = self.solved(), self.flags
+            data = kind.data.to_message(self.data, self.frame)
+        except (ArithmeticError, LookupError, ValueError) as error:
+            if not kept:
+                raise
+            raise StateError(f"{s.state_file}: nothing can be solved from it: {error}") from error
+        self.found = self.create_publisher(type(data), kind.data.topic, LATCHED)
+        self.result = self.create_publisher(kind.message, kind.topic, LATCHED)
+        for one in kind.inputs(s, self.arm.n):
+            subscribe_sensor(
+                self, one.message, one.topic, partial(self.on_sample, one.feed), keep_all=True
+            )
+        self.create_service(Trigger, "~/solve", self.on_solve)
+        self.create_service(Trigger, "~/forget", self.on_forget)
+        if kept:
+            what = count(len(kept), kind.data.noun)
+            self.get_logger().info(f"goes on with {what} of {s.state_file}")
+            self.publish()
+        self.diagnostics = Diagnostics(self, self.health)
+
+    def restored(self) -> tuple[list[Any], Flags]:
+        """What a run before this one saved."""
+        path, kind = self.settings.state_file, self.kind
+        return restore(path, kind.name, self.arm.n, kind.data.type) if path else ([], Flags())
+
+    def on_sample(self, feed: Callable[[Any, Any], Sequence[Any]], message: Any) -> None:
+        """A message of a sensor."""
+        self.take(feed(self.finder, message))
+
+    def on_solve(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Close what lasts and solve; succeeds if the calibration passes."""
+        if not self.take(self.finder.close()):
+            self.outcome = self.solved()
+            self.publish()
+        if folder := self.settings.report:
+            self.writes(lambda: write(folder, self.kind.report_of(self.outcome)))
+        response.success = self.outcome.verdict == PASS
+        response.message = f"{self.outcome.verdict}: {self.outcome.reason}"
+        return response
+
+    def on_forget(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Drop all data, in the state file too, and whatever happened to the streams."""
+        response.success = True
+        response.message = f"{count(len(self.data), self.kind.data.noun)} forgotten"
+        self.get_logger().info(response.message)
+        self.data, self.flags = [], Flags()
+        self.finder = self.kind.finder(self.arm.n, self.settings, [])
+        self.outcome = self.solved()
+        self.publish()
+        return response
+
+    def take(self, found: Sequence[Any]) -> bool:
+        """Keep, save and publish new data and solve again; False if there are none."""
+        if not found:
+            return False
+        self.data = newest([*self.data, *found], self.kind.most(self.settings))
+        self.outcome = self.solved()
+        self.publish()
+        data = self.kind.data
+        for one in found:
+            what = data.summary(one) if one.used else f"not used: {one.reason}"
+            self.get_logger().info(f"{data.noun} {len(self.data)}: {what}")
+        self.get_logger().info(f"{self.outcome.verdict}: {self.outcome.reason}")
+        return True
+
+    def streams(self) -> Streams:
+        """What happened to the streams, in runs before this one, too."""
+        return self.flags.and_then(self.finder.streams())
+
+    def solved(self) -> Outcome[Any, Any]:
+        """The calibration from all data."""
+        found: Outcome[Any, Any] = self.kind.calibrate(
+            self.data, self.arm, self.settings, self.streams(), LIVE
+        )
+        give_back()
+        return found
+
+    def publish(self) -> None:
+        """Save the data, publish them and the calibration; write what passes."""
+        kind, s, self.writes.trouble = self.kind, self.settings, ""
+        self.save()
+        self.found.publish(kind.data.to_message(self.data, self.frame))
+        self.result.publish(kind.to_message(self.outcome, self.frame))
+        if s.output and self.outcome.verdict == PASS:
+            self.writes(lambda: write_text(s.output, kind.output(self.outcome)))
+
+    def save(self) -> None:
+        """Keep data and flags for a run after this one."""
+        self.saved = Flags.of(self.streams())
+        if path := self.settings.state_file:
+            state = self.kind.name, self.arm.n, self.data, self.saved
+            self.writes(lambda: save(path, *state))
+
+    def health(self) -> Health:
+        """For diagnostics."""
+        kind, streams = self.kind, self.streams()
+        flags = Flags.of(streams)
+        if (flags.unknown, flags.set_back) != (self.saved.unknown, self.saved.set_back):
+            self.save()  # no datum may come any more
+        values = {
+            f"{kind.data.noun}s": len(self.data),
+            "verdict": self.outcome.verdict,
+            "time offset [s]": kind.lacks.get("time offset", streams.offset.value),
+            **kind.health(self.finder),
+            **{f"rejected: {why}": number for why, number in streams.refused.items()},
+        }
+        if trouble := self.writes.trouble:
+            return Health(ERROR, trouble, values)
+        if streams.silent:
+            return Health(WARN, f"waiting for {', '.join(streams.silent)}", values)
+        if streams.strange:
+            return Health(WARN, f"the arm has no {', '.join(streams.strange)}", values)
+        if clocks := clocks_kept(streams, self.settings.joint_gap).reason:
+            return Health(WARN, f"{clocks}: {kind.name}/forget begins anew", values)
+        if stale := kind.stale(self.outcome, streams):
+            return Health(WARN, stale, values)
+        return Health(OK, count(len(self.data), kind.data.noun), values)
+
+
+def main(kind: Calibration[Any, Any], args: Sequence[str] | None = None) -> int:
+    """Run the node of a kind of calibration."""
+
+    def make_node() -> CalibrationNode:
+        return CalibrationNode(kind)
+
+    make_node.__doc__ = f"{kind.about}\n\n{getdoc(CalibrationNode)}"
+    return run(make_node, node_settings(kind), args)
+
+
+def kinematic() -> int:
+    """Run as `ros2 run fss_arm_calib kinematic`."""
+    return main(KINDS["kinematic"])
+
+
+def dynamic() -> int:
+    """Run as `ros2 run fss_arm_calib dynamic`."""
+    return main(KINDS["dynamic"])
+
+
+def drift() -> int:
+    """Run as `ros2 run fss_arm_calib drift`."""
+    return main(KINDS["drift"])
+
+
+if __name__ == "__main__":
+    sys.exit(main(KINDS[sys.argv.pop(1)]))

@@ -1,0 +1,83 @@
+"""What a drift calibration concludes from its drifts, and what other nodes may take from it."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import yaml
+
+from fss_arm_calib.acceptance import PASS, clocks_kept, joints_known
+from fss_arm_calib.drift import checks
+from fss_arm_calib.drift.settings import DriftSettings
+from fss_arm_calib.drift.solution import Solution, estimate_of, solution_of
+from fss_arm_calib.outcome import LIVE, Outcome, concluded
+from fss_arm_calib.segments.drifts import Drift
+from fss_arm_calib.segments.streams import Streams
+from fss_arm_model.description import Arm
+from fss_arm_model.units import GRAVITY
+
+
+def calibrate(
+    drifts: Sequence[Drift],
+    arm: Arm,
+    settings: DriftSettings | None = None,
+    streams: Streams | None = None,
+    source: str = LIVE,
+) -> Outcome[Drift, Solution]:
+    """Solve for what acts on the base from outside, and judge the result.
+
+    However short, drifts are solved: the deviations then say how little they tell.
+
+    Args:
+        drifts: in order of time.
+        arm: whose masses and inertias move.
+        settings: what is known, and criteria.
+        streams: what happened to the streams that the drifts are from.
+        source: of the drifts.
+    """
+    s, streams = settings or DriftSettings(), streams or Streams()
+    used, known = [one for one in drifts if one.used], joints_known(streams, arm)
+    found = [known, clocks_kept(streams, s.joint_gap), checks.long_enough(used, streams, s)]
+    solution = solution_of(used, arm, s) if used and known.verdict == PASS else None
+    found += checks.judge(solution, s) if solution else []
+    parts = [(one.q, one.times, one.poses, one.frames, one.seconds) for one in used]
+    return concluded(
+        drifts,
+        used,
+        [np.array(part) for one in parts for part in one],
+        arm,
+        s,
+        DriftSettings,
+        streams,
+        source,
+        found,
+        estimate_of(used, solution),
+        solution,
+    )
+
+
+def parameters(outcome: Outcome[Drift, Solution]) -> str:
+    """What `dynamic` and `base_reaction` may be told, as a ROS parameter file.
+
+    The first takes tilt and momentum as unknown within what was found, the second subtracts the
+    tilt and takes its deviation as uncertain.
+    """
+    if outcome.solution is None:
+        raise ValueError("nothing was found of what acts on the base")
+    g, deviation = outcome.values[:2], outcome.deviations[:2]
+    tilt = float(np.sqrt(np.max(g**2 + deviation**2))) / GRAVITY
+    momenta, deviations = outcome.solution.result.momenta
+    squares = np.mean(momenta**2 + deviations**2, axis=0)
+    found = {
+        "dynamic": {
+            "tilt_deviation": tilt,
+            "momentum_deviation": float(np.sqrt(squares[:2].max())),
+            "spin_deviation": float(np.sqrt(squares[2])),
+        },
+        "base_reaction": {
+            "tilt": [float(x) / GRAVITY for x in g],
+            "tilt_deviation": float(deviation.max()) / GRAVITY,
+        },
+    }
+    nodes = {node: {"ros__parameters": values} for node, values in found.items()}
+    origin = f"# From {outcome.provenance.source}: {outcome.reason}\n"
+    return origin + yaml.safe_dump(nodes, sort_keys=False)

@@ -1,0 +1,110 @@
+"""The drift calibration as a kind: its topics, its messages, its record."""
+
+from collections.abc import Sequence
+from math import nan
+
+from fss_arm_calib.calibration import Calibration, Data, Input
+from fss_arm_calib.drift.calibrate import calibrate, parameters
+from fss_arm_calib.drift.report import drift_report
+from fss_arm_calib.drift.settings import DriftSettings
+from fss_arm_calib.drift.solution import Solution
+from fss_arm_calib.messages import (
+    common_message,
+    flat,
+    joints_input,
+    poses_input,
+    rows,
+    stamped,
+)
+from fss_arm_calib.outcome import Outcome
+from fss_arm_calib.segments.drifts import Drift, DriftFinder
+from fss_arm_calib.segments.poses import BASE
+from fss_arm_msgs import msg
+from fss_arm_ros.convert import SECOND, stamp_ns, to_time
+
+
+def inputs(s: DriftSettings, _: int) -> list[Input]:
+    """Joints and base."""
+    return [joints_input(s.joints_topic), poses_input(s.base_topic, BASE)]
+
+
+def to_message(outcome: Outcome[Drift, Solution], frame_id: str) -> msg.DriftCalibration:
+    """What is concluded, as it is published."""
+    message = msg.DriftCalibration(hose_torque=nan, hose_torque_deviation=nan)
+    message.calibration = common_message("drift", outcome, frame_id)
+    if found := outcome.solution:
+        message.hose_torque, message.hose_torque_deviation = found.result.hose_torque
+        values, deviations = found.result.momenta
+        message.momenta = flat(found.of_all(values))
+        message.momentum_deviations = flat(found.of_all(deviations))
+    return message
+
+
+def drifts_message(drifts: Sequence[Drift], frame_id: str) -> msg.Drifts:
+    """All drifts so far, as they are published."""
+    ones = [
+        msg.Drift(
+            start=to_time(one.start),
+            end=to_time(one.end),
+            q=list(one.q),
+            times=list(one.times),
+            poses=flat(one.poses),
+            frames=list(one.frames),
+            seconds=list(one.seconds),
+            used=one.used,
+            reason=one.reason,
+        )
+        for one in drifts
+    ]
+    return stamped(msg.Drifts(drifts=ones), ones, frame_id)
+
+
+def drifts_of(message: msg.Drifts) -> list[Drift]:
+    """The drifts that a message holds."""
+    return [
+        Drift(
+            start=stamp_ns(one.start),
+            end=stamp_ns(one.end),
+            q=tuple(map(float, one.q)),
+            times=tuple(map(float, one.times)),
+            poses=rows(one.poses, 3),
+            frames=tuple(map(int, one.frames)),
+            seconds=tuple(map(float, one.seconds)),
+            used=bool(one.used),
+            reason=one.reason,
+        )
+        for one in message.drifts
+    ]
+
+
+def rest(finder: DriftFinder) -> dict[str, object]:
+    """How long the arm has been at rest."""
+    begin, end = finder.resting
+    return {"arm rests for [s]": (end - begin) / SECOND}
+
+
+DRIFT = Calibration(
+    name="drift",
+    about="Tilt of the table, torque and drag of the hose, from the base's drifts with the arm at "
+    "rest.",
+    settings=DriftSettings,
+    data=Data(
+        "drift", Drift, "calibration/drifts", drifts_message, drifts_of,
+        lambda one: f"of {one.times[-1]:.0f} s",
+    ),
+    most=lambda s: s.max_drifts,
+    inputs=inputs,
+    finder=lambda n, s, _: DriftFinder(n, s),
+    calibrate=calibrate,
+    message=msg.DriftCalibration,
+    to_message=to_message,
+    numbers=("hose_torque", "hose_torque_deviation", "momenta", "momentum_deviations"),
+    frame="world",
+    report=drift_report,
+    output=parameters,
+    written="parameters of dynamic and base_reaction",
+    health=rest,
+    lacks={
+        "time offset": "within a drift the arm rests: an offset of the clocks moves nothing",
+    },
+)  # fmt: skip

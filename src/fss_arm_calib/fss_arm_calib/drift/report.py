@@ -1,0 +1,61 @@
+"""The report of a drift calibration."""
+
+import numpy as np
+
+from fss_arm_calib.acceptance import count
+from fss_arm_calib.drift.solution import Solution
+from fss_arm_calib.outcome import Outcome
+from fss_arm_calib.report import Figure, Report, Table
+from fss_arm_calib.report_figures import correlation, influence
+from fss_arm_calib.report_tables import reported, text
+from fss_arm_calib.segments.drifts import Drift
+from fss_arm_model.description import Arm
+from fss_arm_model.units import GRAVITY
+
+WORDS = ("", "", "of it at rest", "resistance to turning", "resistance to moving")
+
+
+def drift_report(outcome: Outcome[Drift, Solution], _: Arm | None = None) -> Report:
+    """Tell what a drift calibration found; a description knows nothing of it."""
+    o = outcome
+    figures = (
+        Figure("drift_drifts", "Each drift",
+               lambda: influence(o, "error predicted from others [deviations]")),
+        Figure("drift_correlation", "Correlation of the parameters",
+               lambda: correlation(o.covariance, o.names)),
+    )  # fmt: skip
+    title = f"Drift of {o.arm.name}, {count(len(o.used), 'drift')}"
+    return reported(title, o, (_parameters(o), _momenta(o)), figures=figures)
+
+
+def _parameters(outcome: Outcome[Drift, Solution]) -> Table:
+    e, found = outcome.estimate, outcome.solution
+    rows = [
+        [f"tilt along {axis}", "deg", *_pair(*np.degrees([e.values[k], e.deviations[k]]) / GRAVITY)]
+        for k, axis in enumerate("xy")
+    ]
+    torque = found.result.hose_torque if found else (np.nan, np.nan)
+    rows.append(["mean torque of the hose", "N m", *_pair(*torque)])
+    for k in (2, 3, 4):
+        rows.append([WORDS[k], e.units[k], *_pair(e.values[k], e.deviations[k])])
+    head = ["", "unit", "estimate", "± 1 sigma"]
+    return Table("What acts on the base", head, rows, words=2)
+
+
+def _momenta(outcome: Outcome[Drift, Solution]) -> Table:
+    found, rows = outcome.solution, []
+    values, deviations = map(found.of_all, found.result.momenta) if found else ((), ())
+    for k, (one, value, deviation) in enumerate(
+        zip(outcome.used, values, deviations, strict=bool(found))
+    ):
+        pairs = (f"{v:.4f} ± {d:.4f}" for v, d in zip(value, deviation, strict=True))
+        rows.append([
+            str(k + 1), f"{one.times[-1]:.0f}", *pairs, f"{outcome.estimate.errors[k]:.2f}",
+            outcome.estimate.reasons[k],
+        ])  # fmt: skip
+    head = ["drift", "time [s]", "x [N s]", "y [N s]", "angular [N m s]", "error", ""]
+    return Table("Momentum at the start of each drift", head, rows)
+
+
+def _pair(value: float, deviation: float) -> list[str]:
+    return [text(value, ".6f"), text(deviation, ".6f")]

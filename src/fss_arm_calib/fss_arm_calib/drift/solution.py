@@ -1,0 +1,103 @@
+"""From drifts to what acts on the base: what is known, what is rejected, what is concluded."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import nan
+
+import numpy as np
+
+from fss_arm_calib.drift.problem import (
+    NAMES,
+    UNITS,
+    DriftProblem,
+    DriftResult,
+    rigid_body,
+    solve,
+)
+from fss_arm_calib.drift.settings import DriftSettings
+from fss_arm_calib.estimation.least_squares import Floats, Mask
+from fss_arm_calib.estimation.outliers import weighed, without_outliers
+from fss_arm_calib.estimation.statistics import root_mean_square
+from fss_arm_calib.outcome import Estimate
+from fss_arm_calib.segments.drifts import Drift
+from fss_arm_model.description import Arm
+
+
+@dataclass(frozen=True)
+class Solution:
+    """A result, and which of s drifts it is from."""
+
+    result: DriftResult  # of those not rejected
+    kept: Mask  # (s,)
+    weights: Floats  # (s,) 1: used; 0: rejected; between: by a robust loss
+    reasons: tuple[str, ...]  # (s,) why it was rejected, else empty
+    errors: Floats  # (s,) predicted from the others, or when it was rejected [deviations]
+
+    def of_all(self, values: Floats) -> Floats:
+        """Rows of the drifts kept as rows of all; NaN of those rejected."""
+        every = np.full((len(self.kept), *values.shape[1:]), nan)
+        every[self.kept] = values
+        return every
+
+
+def problem_of(
+    drifts: Sequence[Drift], arm: Arm, s: DriftSettings, weights: Floats
+) -> DriftProblem:
+    """The problem that drifts make, each weighed."""
+    deviations = np.array([s.position_deviation, s.position_deviation, s.heading_deviation])
+    sigma = []
+    for drift, weight in zip(drifts, weights, strict=True):
+        fresh = np.minimum(drift.frames, np.maximum(1.0, s.fresh_rate * np.array(drift.seconds)))
+        sigma.append(deviations / np.sqrt(fresh * weight)[:, None])
+    return DriftProblem(
+        drifts, [rigid_body(arm, drift.q) for drift in drifts], sigma,
+        s.torque_deviation, s.twist_deviation, s.drag_deviation, s.com_deviation, s.mass_deviation,
+    )  # fmt: skip
+
+
+def solution_of(drifts: Sequence[Drift], arm: Arm, s: DriftSettings) -> Solution:
+    """Solve with the loss asked for; reject as many outliers as allowed, one after the other."""
+    weights = np.zeros(len(drifts))
+
+    def solved(mask: Mask) -> tuple[DriftResult, Floats]:
+        some = [drift for drift, kept in zip(drifts, mask, strict=True) if kept]
+
+        def weigh(weight: Floats) -> tuple[DriftResult, Floats]:
+            result = solve(problem_of(some, arm, s, weight))
+            return result, result.checks[1]
+
+        weights[:] = 0.0
+        result, weights[mask], errors = weighed(weigh, len(some), s.loss)
+        return result, errors
+
+    found = without_outliers(solved, len(drifts), s, 1, "error")
+    return Solution(found.result, found.mask, weights, found.reasons, found.errors)
+
+
+def estimate_of(drifts: Sequence[Drift], solution: Solution | None) -> Estimate:
+    """What is estimated, as every kind of calibration has it."""
+    initial = np.zeros(len(NAMES))
+    if solution is None:
+        return Estimate(NAMES, UNITS, initial, reasons=len(drifts) * ("",))
+    r, minimum = solution.result, solution.result.minimum
+    found = iter(r.residuals)
+    residuals = np.concatenate([
+        next(found) if kept else np.full((len(drift.times), 3), nan)
+        for drift, kept in zip(drifts, solution.kept, strict=True)
+    ])  # fmt: skip
+    return Estimate(
+        NAMES, UNITS, initial, r.values, r.covariance,
+        undetermined=r.undetermined,
+        residuals=residuals,
+        weights=solution.weights,
+        leverage=np.nan_to_num(solution.of_all(r.checks[0])),
+        errors=solution.errors,
+        reasons=solution.reasons,
+        position_residual=root_mean_square(residuals[:, :2]),
+        heading_residual=root_mean_square(residuals[:, 2]),
+        chi_square=minimum.linear.cost,
+        degrees_of_freedom=r.problem.degrees_of_freedom,
+        condition_number=r.condition_number,
+        iterations=minimum.iterations,
+        last_update=minimum.last_update,
+    )  # fmt: skip

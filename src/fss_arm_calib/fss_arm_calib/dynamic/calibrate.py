@@ -1,0 +1,55 @@
+"""What a dynamic calibration concludes from its maneuvers."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from fss_arm_calib.acceptance import PASS, clocks_kept, joints_known
+from fss_arm_calib.dynamic import checks
+from fss_arm_calib.dynamic.settings import DynamicSettings
+from fss_arm_calib.dynamic.solution import Solution, estimate_of, problem_of, solution_of
+from fss_arm_calib.estimation.least_squares import Floats
+from fss_arm_calib.outcome import LIVE, Outcome, concluded
+from fss_arm_calib.segments.maneuvers import Maneuver
+from fss_arm_calib.segments.streams import Streams
+from fss_arm_model.description import Arm
+
+
+def calibrate(
+    maneuvers: Sequence[Maneuver],
+    arm: Arm,
+    settings: DynamicSettings | None = None,
+    streams: Streams | None = None,
+    source: str = LIVE,
+) -> Outcome[Maneuver, Solution]:
+    """Solve for the arm's dynamics and judge the result.
+
+    Args:
+        maneuvers: in order of time.
+        arm: the initial guess, and what is assumed.
+        settings: what to estimate, what is known, and criteria.
+        streams: what happened to the streams that the maneuvers are from.
+        source: of the maneuvers.
+
+    Raises:
+        ValueError: maneuvers and arm do not fit, or a setting is impossible.
+    """
+    s, streams = settings or DynamicSettings(), streams or Streams()
+    used = [one for one in maneuvers if one.used]
+    number = checks.number(maneuvers, streams, s)
+    found = [joints_known(streams, arm), clocks_kept(streams, s.joint_gap), number]
+    found += checks.tips_described(used, arm, s)
+    solution = solution_of(problem_of(used, arm, s), s) if number.verdict == PASS else None
+    found += checks.judge(solution, s) if solution else []
+    return concluded(
+        maneuvers, used, [array for one in used for array in _arrays(one)], arm, s,
+        DynamicSettings, streams, source, found, estimate_of(arm, s, used, solution), solution,
+        solution.result.calibrated if solution else None,
+    )  # fmt: skip
+
+
+def _arrays(one: Maneuver) -> list[npt.NDArray[np.int64] | Floats]:
+    flat = [np.concatenate(part) for part in (one.times, one.q, one.qd)]
+    rest = (one.marks, one.poses, one.frames, one.seconds, one.tip)
+    return [*flat, *map(np.array, rest)]

@@ -1,0 +1,135 @@
+"""The dynamic calibration as a kind: its topics, its messages, its record."""
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from fss_arm_calib.calibration import Calibration, Data, Input
+from fss_arm_calib.dynamic.calibrate import calibrate
+from fss_arm_calib.dynamic.report import dynamic_report
+from fss_arm_calib.dynamic.settings import DynamicSettings
+from fss_arm_calib.dynamic.solution import Solution
+from fss_arm_calib.messages import (
+    common_message,
+    flat,
+    joints_input,
+    poses_input,
+    rates_input,
+    rows,
+    stamped,
+    telemetry_inputs,
+)
+from fss_arm_calib.outcome import Outcome
+from fss_arm_calib.segments.maneuvers import Maneuver, ManeuverFinder
+from fss_arm_calib.segments.poses import BASE, TIP
+from fss_arm_msgs import msg
+from fss_arm_ros.convert import stamp_ns, to_time
+
+
+def inputs(s: DynamicSettings, n: int) -> list[Input]:
+    """Joints and base; gyro, end effector and what links tell may be absent."""
+    return [
+        *telemetry_inputs(n),
+        joints_input(s.joints_topic),
+        rates_input(s.gyro_topic),
+        poses_input(s.tip_topic, TIP, needed=False),
+        poses_input(s.base_topic, BASE),
+    ]
+
+
+def to_message(outcome: Outcome[Maneuver, Solution], frame_id: str) -> msg.DynamicCalibration:
+    """What is concluded, as it is published."""
+    message, found = msg.DynamicCalibration(), outcome.solution
+    message.calibration = common_message("dynamic", outcome, frame_id)
+    if not found:
+        return message
+    r = found.result
+    message.random_covariance = flat(r.random)
+    message.known = flat(r.problem.known)
+    message.prior_share = flat(r.prior_share)
+    message.at_bound = list(r.at_bound)
+    message.assumed = list(r.assumed_names)
+    message.assumed_deviations = flat(r.assumed_deviations)
+    message.bias = flat(r.bias)
+    message.combinations = [c.name for c in found.combinations]
+    message.combination_units = [c.unit for c in found.combinations]
+    message.combination_values = [c.value for c in found.combinations]
+    message.combination_before = [c.before for c in found.combinations]
+    message.combination_deviations = [c.deviation for c in found.combinations]
+    message.directions = [d.text(outcome.names) for d in found.directions]
+    message.direction_kinds = [d.kind for d in found.directions]
+    message.direction_gains = [d.gain for d in found.directions]
+    message.momenta = flat(found.momenta)
+    return message
+
+
+def maneuvers_message(maneuvers: Sequence[Maneuver], frame_id: str) -> msg.Maneuvers:
+    """All maneuvers so far, as they are published."""
+    ones = [
+        msg.Maneuver(
+            start=to_time(m.start),
+            end=to_time(m.end),
+            samples=[len(times) for times in m.times],
+            times=flat(m.times),
+            q=flat(m.q),
+            qd=flat(m.qd),
+            marks=list(m.marks),
+            poses=flat(m.poses),
+            frames=list(m.frames),
+            seconds=list(m.seconds),
+            time_offset=m.time_offset,
+            used=m.used,
+            reason=m.reason,
+            tip=list(m.tip),
+        )
+        for m in maneuvers
+    ]
+    return stamped(msg.Maneuvers(maneuvers=ones), ones, frame_id)
+
+
+def maneuvers_of(message: msg.Maneuvers) -> list[Maneuver]:
+    """The maneuvers that a message holds."""
+
+    def of_joints(one: msg.Maneuver, numbers: Any) -> tuple[tuple[float, ...], ...]:
+        edges = pairwise(np.cumsum([0, *one.samples]))
+        return tuple(tuple(map(float, numbers[a:b])) for a, b in edges)
+
+    return [
+        Maneuver(
+            start=stamp_ns(one.start),
+            end=stamp_ns(one.end),
+            times=of_joints(one, one.times),
+            q=of_joints(one, one.q),
+            qd=of_joints(one, one.qd),
+            marks=tuple(map(float, one.marks)),
+            poses=rows(one.poses, 3),
+            frames=tuple(map(int, one.frames)),
+            seconds=tuple(map(float, one.seconds)),
+            tip=tuple(map(float, one.tip)),
+            time_offset=float(one.time_offset),
+            used=bool(one.used),
+            reason=one.reason,
+        )
+        for one in message.maneuvers
+    ]
+
+
+DYNAMIC = Calibration(
+    name="dynamic",
+    about="Masses, centres of mass and inertias, from how the base answers the arm's maneuvers.",
+    settings=DynamicSettings,
+    data=Data(
+        "maneuver", Maneuver, "calibration/maneuvers", maneuvers_message, maneuvers_of,
+        lambda one: f"joints {list(one.moved)} moved",
+    ),
+    most=lambda s: s.max_maneuvers,
+    inputs=inputs,
+    finder=lambda n, s, _: ManeuverFinder(n, s),
+    calibrate=calibrate,
+    message=msg.DynamicCalibration,
+    to_message=to_message,
+    numbers=("combination_values", "momenta"),
+    report=dynamic_report,
+)  # fmt: skip

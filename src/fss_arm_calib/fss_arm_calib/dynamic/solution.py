@@ -1,0 +1,155 @@
+"""From maneuvers to masses and inertias: what is known, what is rejected, what is concluded."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import inf, nan
+
+import numpy as np
+
+from fss_arm_calib.acceptance import TOLERANCE
+from fss_arm_calib.dynamic.identifiability import Combination, Direction, combinations, directions
+from fss_arm_calib.dynamic.parameters import Choice
+from fss_arm_calib.dynamic.problem import DynamicProblem, DynamicResult, solve
+from fss_arm_calib.dynamic.settings import HEADING, DynamicSettings
+from fss_arm_calib.estimation.least_squares import Floats, Mask
+from fss_arm_calib.estimation.outliers import weighed, without_outliers
+from fss_arm_calib.estimation.statistics import root_mean_square
+from fss_arm_calib.outcome import Estimate
+from fss_arm_calib.segments.maneuvers import Maneuver
+from fss_arm_model.base_motion import Path, stack
+from fss_arm_model.description import Arm
+from fss_arm_model.units import GRAVITY
+
+
+def problem_of(
+    maneuvers: Sequence[Maneuver], arm: Arm, settings: DynamicSettings
+) -> DynamicProblem:
+    """The problem that maneuvers with poses make.
+
+    Raises:
+        ValueError: maneuvers and arm do not fit, or a word names no parameter.
+    """
+    s, n = settings, arm.n
+    if others := [len(one.times) for one in maneuvers if len(one.times) != n]:
+        raise ValueError(f"a maneuver is of {others[0]} joints, expected {n}")
+    most = max(len(one.marks) for one in maneuvers)
+    poses = np.zeros((len(maneuvers), most, 3))
+    sigma = np.full_like(poses, inf)
+    deviations = np.array([s.position_deviation, s.position_deviation, s.heading_deviation])
+    if s.residuals == HEADING:
+        deviations[:2] = inf
+    for one, pose, spread in zip(maneuvers, poses, sigma, strict=True):
+        pose[: len(one.marks)] = one.poses
+        fresh = np.minimum(one.frames, np.maximum(1.0, s.fresh_rate * np.array(one.seconds)))
+        spread[: len(one.marks)] = deviations / np.sqrt(fresh)[:, None]
+    return known_beforehand(arm, s, stack([one.path() for one in maneuvers]), poses, sigma)
+
+
+def known_beforehand(
+    arm: Arm, settings: DynamicSettings, path: Path, poses: Floats, sigma: Floats
+) -> DynamicProblem:
+    """The problem of maneuvers, with what settings say is known."""
+    s, n = settings, arm.n
+    choice, deviations = Choice.of(s.estimate, n), s.deviations(n)
+    prior = choice.basis.T @ deviations / choice.basis.sum(axis=0)
+    words = s.priors.strip()
+    held = Choice.of(words, n).indices if words else np.arange(0)
+    closed = choice.basis[held].any(axis=0)
+    return DynamicProblem(
+        path, poses, sigma, arm, choice,
+        prior=np.where(closed, prior, inf),
+        assumed=np.diag(deviations**2),
+        momentum=np.array([s.momentum_deviation] * 2 + [s.spin_deviation]),
+        tilt=GRAVITY * s.tilt_deviation,
+    )  # fmt: skip
+
+
+def nothing_seen(arm: Arm, settings: DynamicSettings) -> DynamicProblem:
+    """The problem of no maneuver."""
+    n, none = arm.n, np.empty((0, 1, 3))
+    nowhere = Path(np.empty((0, 1, 3 * n + 1)), np.empty((0, 1, 2 * n + 2)))
+    return known_beforehand(arm, settings, nowhere, none, none)
+
+
+@dataclass(frozen=True)
+class Solution:
+    """A result, which of M maneuvers it is from, and what motion can tell at all."""
+
+    result: DynamicResult  # of those not rejected
+    kept: Mask  # (M,)
+    weights: Floats  # (M,) 1: used; 0: rejected; between: by a robust loss
+    reasons: tuple[str, ...]  # (M,) why it was rejected, else empty
+    errors: Floats  # (M,) predicted from the others, or when it was rejected [deviations]
+    leverage: Floats  # (M,)
+    directions: tuple[Direction, ...]  # of the p parameters
+    combinations: tuple[Combination, ...]
+
+    @property
+    def momenta(self) -> Floats:
+        """(M, 3) at each maneuver's start [N s, N s, N m s]; NaN of those rejected."""
+        momenta = np.full((len(self.kept), 3), nan)
+        momenta[self.kept] = self.result.momenta
+        return momenta
+
+
+def solution_of(problem: DynamicProblem, settings: DynamicSettings) -> Solution:
+    """Solve with the loss asked for; reject as many outliers as allowed, one after the other."""
+    s, size = settings, len(problem.poses)
+    weights = np.zeros(size)
+
+    def solved(mask: Mask) -> tuple[DynamicResult, Floats]:
+        weights[:] = 0.0
+        result, weights[mask], errors = weighed(
+            lambda weight: _weighed(problem.only(mask), weight), int(np.sum(mask)), s.loss
+        )
+        return result, errors
+
+    found = without_outliers(solved, size, s, s.min_maneuvers, "error")
+    leverage = np.zeros(size)
+    leverage[found.mask] = found.result.checks[0]
+    return Solution(
+        found.result, found.mask, weights, found.reasons, found.errors, leverage,
+        tuple(directions(found.result, s)), tuple(combinations(found.result)),
+    )  # fmt: skip
+
+
+def _weighed(problem: DynamicProblem, weights: Floats) -> tuple[DynamicResult, Floats]:
+    scale = np.sqrt(weights)[:, None, None]
+    result = solve(replace(problem, sigma=problem.sigma / scale), tolerance=TOLERANCE)
+    return result, result.checks[1]
+
+
+def estimate_of(
+    arm: Arm, s: DynamicSettings, used: Sequence[Maneuver], solution: Solution | None
+) -> Estimate:
+    """What is estimated, as every kind of calibration has it."""
+    if solution is None:
+        problem = nothing_seen(arm, s)
+        reasons = len(used) * ("",)
+        return Estimate(problem.names, problem.units, problem.guess, reasons=reasons)
+    r = solution.result
+    problem, residuals = r.problem, r.residuals
+    return Estimate(
+        problem.names, problem.units, problem.guess, r.values, r.covariance, r.deviations,
+        undetermined=r.inseparable,
+        residuals=_residuals(solution, used),
+        weights=solution.weights,
+        leverage=solution.leverage,
+        errors=solution.errors,
+        reasons=solution.reasons,
+        position_residual=root_mean_square(residuals[..., :2]),
+        heading_residual=root_mean_square(residuals[..., 2]),
+        chi_square=r.chi_square,
+        degrees_of_freedom=problem.degrees_of_freedom,
+        condition_number=r.condition_number,
+        iterations=r.minimum.iterations,
+        last_update=r.minimum.last_update,
+    )  # fmt: skip
+
+
+def _residuals(solution: Solution, used: Sequence[Maneuver]) -> Floats:
+    """(sum of marks, 3) of all maneuvers; NaN of those rejected."""
+    every = np.full((len(used), solution.result.residuals.shape[1], 3), nan)
+    every[solution.kept] = solution.result.residuals
+    rows = zip(every, used, strict=True)
+    return np.concatenate([residuals[: len(one.marks)] for residuals, one in rows])

@@ -1,0 +1,64 @@
+"""What a kinematic calibration concludes from its observations."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from fss_arm_calib.acceptance import PASS, clocks_kept, joints_known
+from fss_arm_calib.kinematic import checks
+from fss_arm_calib.kinematic.settings import KinematicSettings
+from fss_arm_calib.kinematic.solution import (
+    Solution,
+    estimate_of,
+    fewest,
+    problem_of,
+    solution_of,
+)
+from fss_arm_calib.outcome import LIVE, Outcome, concluded
+from fss_arm_calib.segments.rests import Observation, since_homed
+from fss_arm_calib.segments.streams import Streams
+from fss_arm_model.description import Arm
+
+
+def calibrate(
+    observations: Sequence[Observation],
+    arm: Arm,
+    settings: KinematicSettings | None = None,
+    streams: Streams | None = None,
+    source: str = LIVE,
+) -> Outcome[Observation, Solution]:
+    """Solve for the arm's kinematics and judge the result.
+
+    Args:
+        observations: in order of time; those from before a link was homed last are left out, as
+            the offsets have changed by it.
+        arm: the initial guess.
+        settings: parametrization, deviations of an observation and criteria.
+        streams: what happened to the streams that the observations are from.
+        source: of the observations.
+
+    Raises:
+        ValueError: observations and arm do not fit, or a setting is impossible.
+    """
+    s, streams = settings or KinematicSettings(), streams or Streams()
+    comparable = since_homed(observations)
+    used = [o for o in comparable if o.used]
+    problem = problem_of(used, arm, s)
+    number = checks.number(problem, streams, s)
+    found = [
+        joints_known(streams, arm),
+        checks.homings(observations),
+        checks.rests(comparable, fewest(problem, s), s),
+        clocks_kept(streams, s.joint_gap),
+        number,
+    ]
+    solution = solution_of(problem, s) if number.verdict == PASS else None
+    if solution:
+        why = checks.why_off(solution.result, problem, s)
+        reasons = (r and r + w for r, w in zip(solution.reasons, why, strict=True))
+        solution = replace(solution, reasons=tuple(reasons))
+        found += checks.judge(solution, s)
+    return concluded(
+        observations, used, (problem.q, problem.tip), arm, s, KinematicSettings, streams, source,
+        found, estimate_of(problem, solution), solution,
+        solution.result.calibrated if solution else None,
+    )  # fmt: skip

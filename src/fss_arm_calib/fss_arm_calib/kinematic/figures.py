@@ -1,0 +1,120 @@
+"""Drawings of a kinematic calibration."""
+
+from math import floor, log10
+from typing import Any
+
+import numpy as np
+
+from fss_arm_calib.estimation.least_squares import Floats
+from fss_arm_calib.kinematic.solution import Solution
+from fss_arm_calib.outcome import Outcome
+from fss_arm_calib.report_figures import figure
+from fss_arm_calib.segments.rests import Observation
+from fss_arm_model.description import kinematic_index, kinematic_names
+from fss_arm_model.kinematics import joint_positions
+
+PAPER_POSITION_RESIDUAL = 0.015  # [m], section 4.1
+PAPER_HEADING_RESIDUAL = float(np.radians(0.683))
+
+
+def postures(outcome: Outcome[Observation, Solution]) -> Any:
+    """The arm at the observed postures with magnified residuals, and the residuals.
+
+    Postures whose observation was rejected are dashed; their residuals would dwarf all others.
+    """
+    e, s = outcome.estimate, outcome.settings
+    q, tip = np.array([o.q for o in outcome.used]), np.array([o.tip for o in outcome.used])
+    residuals = np.where((e.weights > 0.0)[:, None], e.residuals, np.nan)
+    drawing = figure((14, 8))
+    axes = drawing.subplot_mosaic([["arm", "x y"], ["arm", "heading"]], width_ratios=(1.25, 1.0))
+    position, heading = axes["x y"], axes["heading"]
+    drawing.suptitle(
+        f"Kinematic calibration: {outcome.verdict.replace('_', ' ')}, {len(q)} observations",
+        fontsize=14,
+        fontweight="bold",
+    )
+    _draw_postures(axes["arm"], _joints(outcome, q), tip, residuals)
+    which = np.arange(1, len(q) + 1)
+    for k, (name, color) in enumerate((("x", "tab:blue"), ("y", "tab:orange"))):
+        bars = which + 0.18 * (2 * k - 1)
+        position.bar(bars, 1e3 * residuals[:, k], width=0.34, color=color, label=name)
+    _finish(position, "position residual [mm]", 1e3 * np.array([
+        e.position_residual, s.position_deviation, PAPER_POSITION_RESIDUAL]))  # fmt: skip
+    heading.bar(which, np.degrees(residuals[:, 2]), width=0.5, color="tab:green")
+    _finish(heading, "heading residual [deg]", np.degrees([
+        e.heading_residual, s.heading_deviation, PAPER_HEADING_RESIDUAL]))  # fmt: skip
+    heading.set_xlabel("observation")
+    for part in (position, heading):
+        part.set_xticks(which[:: max(1, len(which) // 20)])
+    return drawing
+
+
+def _draw_postures(axes: Any, joints: Floats, tip: Floats, residuals: Floats) -> None:
+    """The arm in the base's frame, (s, n + 1, 2), and residuals as arrows at its end, if any."""
+    from matplotlib import colormaps
+
+    colors = colormaps["viridis"](np.linspace(0.0, 0.9, len(joints)))
+    for k, (points, color) in enumerate(zip(joints, colors, strict=True)):
+        style = "--" if np.isnan(residuals[k, 0]) else "-"
+        axes.plot(*points.T, style, color=color, linewidth=2.0, alpha=0.45, zorder=1)
+        axes.plot(*points[:-1].T, "o", color=color, markersize=4, alpha=0.7, zorder=2)
+        away = points[-1] - points[-2]
+        axes.annotate(
+            str(k + 1), points[-1] + 0.06 * away / np.linalg.norm(away),
+            ha="center", va="center", fontsize=9, color=color, fontweight="bold",
+        )  # fmt: skip
+    scale = _magnification(residuals[:, :2])
+    axes.quiver(
+        *(tip[:, :2] - residuals[:, :2]).T, *(scale * residuals[:, :2]).T,
+        angles="xy", scale_units="xy", scale=1.0, color="tab:red", width=0.0035, zorder=3,
+        label=f"position residual, {scale:g} times",
+    )  # fmt: skip
+    size = 0.15
+    axes.fill(size * np.array([-1, 1, 1, -1]), size * np.array([-1, -1, 1, 1]),
+              facecolor="0.9", edgecolor="0.4", zorder=0)  # fmt: skip
+    for direction, name in (((1.0, 0.0), "x"), ((0.0, 1.0), "y")):
+        axes.annotate("", np.multiply(direction, 0.13), (0.0, 0.0),
+                      arrowprops={"arrowstyle": "->", "color": "0.2"})  # fmt: skip
+        axes.annotate(name, np.multiply(direction, 0.13), color="0.2", fontsize=9)
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.set_title("observed postures in the base's frame", fontsize=11)
+    axes.set_xlabel("x [m]")
+    axes.set_ylabel("y [m]")
+    axes.grid(alpha=0.25)
+    axes.legend(loc="best", fontsize=9)
+
+
+def _finish(axes: Any, label: str, levels: Floats) -> None:
+    """Zero line, standard deviations found, assumed and the paper's."""
+    found, assumed, paper = levels
+    axes.axhline(0.0, color="0.3", linewidth=0.8)
+    axes.axhspan(-assumed, assumed, color="0.92", zorder=0, label=f"± assumed sigma, {assumed:.3g}")
+    for sign in (-1.0, 1.0):
+        axes.axhline(sign * found, color="k", linestyle="--", linewidth=1.0,
+                     label=f"± standard deviation, {found:.3g}" if sign > 0 else None)  # fmt: skip
+        axes.axhline(sign * paper, color="tab:purple", linestyle=":", linewidth=1.3,
+                     label=f"± paper's, {paper:.3g}" if sign > 0 else None)  # fmt: skip
+    axes.set_ylabel(label)
+    axes.grid(axis="y", alpha=0.25)
+    top = 1.45 * max(abs(limit) for limit in axes.get_ylim())
+    axes.set_ylim(-top, top)
+    axes.legend(ncols=3, fontsize=8, loc="upper center")
+
+
+def _magnification(residuals: Floats) -> float:
+    """A round factor, 1, 2 or 5 times a power of ten, that makes the largest about 0.25 m."""
+    largest = float(np.nanmax(np.linalg.norm(residuals, axis=1)))
+    if largest == 0.0:
+        return 1.0
+    power = floor(log10(0.25 / largest))
+    return max(m * 10.0**power for m in (1, 2, 5) if m * 10.0**power <= 0.25 / largest)
+
+
+def _joints(outcome: Outcome[Observation, Solution], q: Floats) -> Floats:
+    """Joints and end effector in the base's frame, (s, n + 1, 2)."""
+    vector, n = outcome.arm.vector(), q.shape[1]
+    index = dict(zip(kinematic_names(n), kinematic_index(n), strict=True))
+    for name, value in zip(outcome.names, outcome.values, strict=True):
+        chosen = [f"a_{i}" for i in range(1, n)] if name == "a" else [name]
+        vector[[index[one] for one in chosen if one in index]] = value
+    return joint_positions(vector, np.column_stack([np.zeros((len(q), 3)), q]))

@@ -1,0 +1,121 @@
+"""From observations to lengths and angles: what is rejected and what is held out."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from fss_arm_calib.acceptance import TOLERANCE
+from fss_arm_calib.estimation.least_squares import Floats, Mask
+from fss_arm_calib.estimation.outliers import without_outliers
+from fss_arm_calib.kinematic.problem import (
+    KinematicProblem,
+    KinematicResult,
+    NotIdentifiable,
+    Prediction,
+    fit,
+    solve,
+)
+from fss_arm_calib.kinematic.settings import KinematicSettings
+from fss_arm_calib.outcome import Estimate
+from fss_arm_calib.segments.rests import Observation
+from fss_arm_model.description import Arm
+
+
+@dataclass(frozen=True)
+class Solution:
+    """A result, which observations it is from, and how well it predicts without some of them."""
+
+    problem: KinematicProblem  # of all s observations
+    result: KinematicResult  # of those kept
+    kept: Mask  # (s,)
+    reasons: tuple[str, ...]  # (s,) why it was rejected, else empty
+    errors: Floats  # (s,) normalized residuals; of those rejected, predicted
+    held_out: npt.NDArray[np.intp]  # (h,)
+    prediction: Prediction  # of those held out, by a solution without them
+
+
+def problem_of(used: Sequence[Observation], arm: Arm, s: KinematicSettings) -> KinematicProblem:
+    """The problem that observations make.
+
+    Raises:
+        ValueError: observations and arm do not fit.
+    """
+    return KinematicProblem(
+        q=np.array([o.q for o in used]).reshape(len(used), -1 if used else arm.n),
+        tip=np.array([o.tip for o in used]).reshape(-1, 3),
+        arm=arm,
+        parametrization=s.parametrization,
+        position_deviation=s.position_deviation,
+        heading_deviation=s.heading_deviation,
+        theta_e=s.theta_e,
+        loss=s.loss,
+    )
+
+
+def fewest(problem: KinematicProblem, s: KinematicSettings) -> int:
+    """Observations that are needed."""
+    return max(s.min_observations, len(problem.names) // 3 + 1)
+
+
+def solution_of(problem: KinematicProblem, settings: KinematicSettings) -> Solution:
+    """Solve, reject as many outliers as allowed, one after the other, and hold some out."""
+    s = settings
+
+    def solved(mask: Mask) -> tuple[KinematicResult, Floats]:
+        result = fit(problem.only(mask), TOLERANCE, max_condition=s.max_condition)
+        return result, result.normalized_residuals
+
+    found = without_outliers(solved, len(problem.q), s, fewest(problem, s), "normalized residual")
+    errors = found.result.predicted(problem).normalized
+    errors[found.mask] = found.result.normalized_residuals
+    held_out = _held_out(problem, found.result, found.mask, s)
+    return Solution(problem, found.result, found.mask, found.reasons, errors, *held_out)
+
+
+def _held_out(
+    problem: KinematicProblem, result: KinematicResult, kept: Mask, s: KinematicSettings
+) -> tuple[npt.NDArray[np.intp], Prediction]:
+    """Observations predicted by a solution without them; none if too few remain."""
+    held_out = (
+        np.flatnonzero(kept)[s.held_out - 1 :: s.held_out] if s.held_out else np.array([], int)
+    )
+    rest = kept.copy()
+    rest[held_out] = False
+    if len(held_out) and np.sum(rest) >= fewest(problem, s):
+        try:
+            without = solve(problem.only(rest), TOLERANCE, max_condition=s.max_condition)
+            return held_out, without.predicted(problem.only(held_out))
+        except NotIdentifiable:
+            pass
+    return held_out[:0], result.predicted(problem.only(held_out[:0]))
+
+
+def estimate_of(problem: KinematicProblem, solution: Solution | None) -> Estimate:
+    """What is estimated, as every kind of calibration has it."""
+    names, units, initial = problem.names, problem.units, problem.initial
+    if solution is None:
+        freedom = max(problem.tip.size - len(names), 0)
+        return Estimate(
+            names, units, initial, reasons=len(problem.q) * ("",), degrees_of_freedom=freedom
+        )
+    r, kept = solution.result, solution.kept
+    weights, leverage = np.zeros((2, len(kept)))
+    weights[kept], leverage[kept] = r.weights, r.leverage
+    return Estimate(
+        names, units, initial, r.values, r.covariance,
+        undetermined=r.undetermined,
+        residuals=problem.residuals(r.values),
+        weights=weights,
+        leverage=leverage,
+        errors=solution.errors,
+        reasons=solution.reasons,
+        position_residual=r.position_residual,
+        heading_residual=r.heading_residual,
+        chi_square=r.chi_square,
+        degrees_of_freedom=r.degrees_of_freedom,
+        condition_number=r.condition_number,
+        iterations=r.iterations,
+        last_update=r.last_update,
+    )  # fmt: skip

@@ -1,0 +1,61 @@
+"""Drawings that reports of several kinds of calibration have."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from fss_arm_calib.estimation.least_squares import Floats
+from fss_arm_calib.outcome import Outcome
+from fss_arm_calib.report_tables import text
+
+
+def correlation(covariance: Floats, labels: Sequence[str]) -> Any:
+    """Drawing of the correlation matrix of estimated parameters; blank where there is none."""
+    deviations = np.sqrt(np.diag(covariance))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        matrix = covariance / np.outer(deviations, deviations)
+    drawing = figure((0.62 * len(matrix) + 2.5, 0.55 * len(matrix) + 1.5))
+    axes = drawing.subplots()
+    image = axes.imshow(matrix, cmap="RdBu_r", vmin=-1.0, vmax=1.0)
+    for (row, column), value in np.ndenumerate(matrix):
+        color = "white" if abs(value) > 0.6 else "0.2"
+        words = text(value, "+.2f")
+        axes.text(column, row, words, ha="center", va="center", fontsize=8, color=color)
+    axes.set_xticks(range(len(labels)), labels, rotation=45, ha="right")
+    axes.set_yticks(range(len(labels)), labels)
+    drawing.colorbar(image, shrink=0.8)
+    return drawing
+
+
+def influence(outcome: Outcome[Any, Any], label: str) -> Any:
+    """Drawing of what is off over leverage: on what much depends."""
+    drawing = figure((10, 4.5))
+    axes = drawing.subplots()
+    e = outcome.estimate
+    kept, leverage = e.weights > 0.0, e.leverage
+    for chosen, color, words in ((kept, "tab:blue", "used"), (~kept, "tab:red", "rejected")):
+        if chosen.any():
+            axes.plot(leverage[chosen], e.errors[chosen], "o", color=color, label=words)
+    for k, place in enumerate(zip(leverage, e.errors, strict=True)):
+        axes.annotate(str(k + 1), place, (5, 4), textcoords="offset points", fontsize=9)
+    for check in outcome.checks:
+        if check.name == "outliers":
+            axes.axhline(check.threshold, color="tab:red", linestyle="--", linewidth=1.0,
+                         label="outliers above")  # fmt: skip
+    mean = float(np.sum(leverage)) / max(int(np.sum(kept)), 1)
+    axes.axvline(mean, color="0.5", linestyle=":", label=f"mean leverage, {mean:.2f}")
+    axes.set_xlim(0.0, 1.15 * max(float(leverage.max()), mean))
+    axes.set_ylim(bottom=0.0)
+    axes.set_xlabel("leverage")
+    axes.set_ylabel(label)
+    axes.grid(alpha=0.25)
+    axes.legend(fontsize=9)
+    return drawing
+
+
+def figure(size: tuple[float, float]) -> Any:
+    """An empty drawing of a size [inches]."""
+    from matplotlib.figure import Figure  # takes long to import, and only people need it
+
+    return Figure(figsize=size, layout="constrained")

@@ -1,0 +1,106 @@
+"""Tables that reports of every kind of calibration have, and the one that any kind may have."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from fss_arm_calib.acceptance import count
+from fss_arm_calib.outcome import Outcome
+from fss_arm_calib.report import Figure, Report, Table
+from fss_arm_model.description import Arm, to_yaml
+from fss_arm_model.planar import wrap
+
+
+def reported(
+    title: str,
+    outcome: Outcome[Any, Any],
+    tables: Sequence[Table],
+    details: Sequence[Table] = (),
+    figures: Sequence[Figure] = (),
+) -> Report:
+    """A report of an outcome: what matters most, then all that every kind of calibration tells."""
+    o = outcome
+    return Report(
+        title=title,
+        verdict=o.verdict,
+        reason=o.reason,
+        tables=tables,
+        origin=origin(o),
+        figures=() if o.solution is None else figures,
+        details=(checks(o), *(() if o.solution is None else details), streams(o)),
+        texts={"Settings": o.provenance.parameters, "Description it began from": to_yaml(o.arm)},
+    )
+
+
+def table_report(outcome: Outcome[Any, Any], truth: Arm | None = None) -> Report:
+    """A report of any kind of calibration: its parameters and its checks."""
+    what = (
+        count(len(outcome.used), "datum") if len(outcome.used) == 1 else f"{len(outcome.used)} data"
+    )
+    return reported(
+        f"Calibration of {outcome.arm.name} from {what}", outcome, [parameters(outcome)]
+    )
+
+
+def parameters(outcome: Outcome[Any, Any]) -> Table:
+    """Guess and estimate of each parameter."""
+    e = outcome.estimate
+    rows = [
+        [name, shown_unit(unit), *(number(value, unit) for value in values)]
+        for name, unit, *values in zip(
+            e.names, e.units, e.initial, e.values, e.deviations, strict=True
+        )
+    ]
+    return Table(
+        "Parameters", ["parameter", "unit", "guess", "estimate", "± 1 sigma"], rows, words=2
+    )
+
+
+def origin(outcome: Outcome[Any, Any]) -> str:
+    """Where a result is from, in words."""
+    p = outcome.provenance
+    return f"by {p.software} from {p.source}; SHA-256 of what was solved from {p.data_hash}"
+
+
+def checks(outcome: Outcome[Any, Any]) -> Table:
+    """What the verdict is made of."""
+    rows = [
+        [c.name, c.verdict.replace("_", " "), c.reason, text(c.value, ".4g"), f"{c.threshold:.4g}"]
+        for c in outcome.checks
+    ]
+    head = ["check", "verdict", "reason", "value", "threshold"]
+    return Table("What the verdict is made of", head, rows, words=3)
+
+
+def streams(outcome: Outcome[Any, Any]) -> Table:
+    """Samples that were rejected, by stream and reason, and the offset between the clocks."""
+    s = outcome.streams
+    rows: list[Sequence[str]] = [[kind, str(number)] for kind, number in s.refused.items()]
+    if np.isfinite(s.offset.value):
+        offset = f"{1e3 * s.offset.value:.2f} ± {1e3 * s.offset.deviation:.2f} ms"
+        rows.append(["joints' stamps less motion capture's", offset])
+    rows = rows or [["nothing to tell", ""]]
+    return Table("Samples rejected, and the clocks", ["what", ""], rows)
+
+
+def shown_unit(unit: str) -> str:
+    """The unit that people read."""
+    return "deg" if unit == "rad" else unit
+
+
+def number(value: float, unit: str) -> str:
+    """A value in the unit that people read."""
+    if unit == "rad":
+        return text(np.degrees(value), ".3f")
+    return text(value, ".6f" if unit == "m/s^2" else ".4f")  # a table's tilt is small
+
+
+def difference(value: float, true: float, unit: str) -> float:
+    """Their difference, angles wrapped."""
+    return float(wrap(value - true) if unit == "rad" else value - true)
+
+
+def text(value: float, form: str) -> str:
+    """A number, `-` if it is none."""
+    return f"{value:{form}}" if np.isfinite(value) else "-"

@@ -1,0 +1,46 @@
+"""What every calibration may be told, each setting with its meaning."""
+
+from dataclasses import dataclass
+
+from fss_arm_calib.estimation.least_squares import CAUCHY, HUBER, LOSSES, SQUARE
+from fss_arm_calib.segments.settings import RestSettings
+from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, Check, at_least, one_of, setting
+
+SHARE = Check("0 or more, and below 1", lambda value: 0.0 <= value < 1.0, low=0.0, high=1.0)
+
+
+@dataclass(frozen=True)
+class CalibrationSettings(RestSettings):
+    """Where the data come from, and what a result must meet to pass.
+
+    Raises:
+        SettingError: a setting is impossible.
+    """
+
+    arm: str = setting("", "description YAML to begin from; empty: the paper's arm")
+    joints_topic: str = setting("joint_states", "topic of the readings of joint_1 .. joint_n")
+    base_topic: str = setting("vicon/fss/fss", "topic of the base's poses")
+    loss: str = setting(
+        SQUARE,
+        f"{SQUARE}, or {HUBER} or {CAUCHY}, which let data far off count less",
+        check=one_of(*LOSSES),
+    )
+    min_probability: float = setting(
+        1e-3, "least chi-square probability of residuals as large as found", check=SHARE
+    )
+    outlier: float = setting(
+        5.0, "error of a datum above which it is an outlier", unit="deviations", check=POSITIVE
+    )
+    max_outliers: int = setting(
+        0, "most outliers to reject; with more, the calibration fails", check=NOT_NEGATIVE
+    )
+    min_redundancy: float = setting(
+        0.0, "least share of a datum's error that the others let show, squared", check=SHARE
+    )
+
+
+def most(default: int, what: str) -> int:
+    """A setting: how many data a result is from."""
+    about = f"most {what} that a result is from, the newest; older ones go"
+    found: int = setting(default, about, check=at_least(1))
+    return found

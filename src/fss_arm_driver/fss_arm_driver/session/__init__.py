@@ -1,0 +1,31 @@
+"""The session with one link, without I/O: datagrams in and out, times as arguments.
+
+| file | one concern each; its retry times and limits are the constants at its top |
+| --- | --- |
+| `session.py` | `LinkSession`: composes the others, and says in words what is wrong |
+| `arming.py` | arm, disarm, stop, clear faults: what is wanted of the drive, what is confirmed |
+| `orders.py` | the set point in force, until it expires |
+| `progress.py` | how far the link has come with it |
+| `reception.py` | which telemetry is believed; when the link is lost |
+| `clock.py` | the link's clock mapped to the host's |
+| `dialogue.py` | stamps of commands and their echoes: delay, other drivers |
+| `battery.py` | how long the battery lasts |
+
+The rules and their reasons are in docs/protocol.md.
+"""
+
+from fss_arm_driver.session.arming import RELEASE_TIMEOUT, Arming
+from fss_arm_driver.session.progress import Progress, Status
+from fss_arm_driver.session.reception import Sample
+from fss_arm_driver.session.session import COUNTS, TROUBLES, LinkSession
+
+__all__ = [
+    "COUNTS",
+    "RELEASE_TIMEOUT",
+    "TROUBLES",
+    "Arming",
+    "LinkSession",
+    "Progress",
+    "Sample",
+    "Status",
+]

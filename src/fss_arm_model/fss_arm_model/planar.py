@@ -1,0 +1,17 @@
+"""Planar poses (x [m], y [m], heading [rad]) and their angles."""
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float64]
+
+
+def wrap(angle: npt.ArrayLike) -> Floats:
+    """The same angle [rad] in [-pi, pi)."""
+    return (np.asarray(angle, dtype=float) + np.pi) % (2.0 * np.pi) - np.pi
+
+
+def inverse(pose: Floats) -> Floats:
+    """Poses of B in A as those of A in B, (..., 3)."""
+    away = -(pose[..., 0] + 1j * pose[..., 1]) * np.exp(-1j * pose[..., 2])
+    return np.stack([away.real, away.imag, -pose[..., 2]], axis=-1)

@@ -1,0 +1,1 @@
+"""How well the tip can be moved: measure, best postures, maps."""

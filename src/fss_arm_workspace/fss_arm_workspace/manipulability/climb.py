@@ -1,0 +1,239 @@
+"""The posture in which the arm moves its tip best while it is at a given point.
+
+Arguments everywhere: p (..., 8 + 6 n) is Arm.vector(), q_m (..., n) the joint readings [rad],
+limits (..., n, 2) the lowest and highest of them, kind (2,) what is measured. Leading dimensions
+broadcast. The kernels' notation is self_motion.py's.
+"""
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from fss_arm_model.kernels import Floats, helper, kernel
+from fss_arm_model.kinematics import _dot, checked
+from fss_arm_workspace.manipulability.measure import FIXED, _held, _square
+from fss_arm_workspace.manipulability.self_motion import (
+    _LONGEST,
+    _close,
+    _fit,
+    _self_motions,
+    _turned,
+)
+
+_AT_LIMIT = 1e-7  # distance from a limit that counts as none [rad]
+_SHORT = 1e-3  # step after which Newton's method leaves next to nothing [rad]
+_FLAT = 1e-8  # slope of w^2 that counts as none [m^4/rad]
+
+
+@helper
+def _gradient(p, d, e, kind, d2, e2, J, x, g):  # type: ignore[no-untyped-def]
+    """Write the derivative of w^2 by the joints, g (n,), by central differences."""
+    step = 1e-5
+    x[:] = 0.0
+    for k in range(g.size):
+        x[k] = step
+        _turned(d, e, x, 1.0, d2, e2)
+        ahead = _square(p, d2, e2, kind, J)
+        _turned(d, e, x, -1.0, d2, e2)
+        g[k] = (ahead - _square(p, d2, e2, kind, J)) / (2.0 * step)
+        x[k] = 0.0
+
+
+@helper
+def _let_go(limits: Floats, q: Floats, J: Floats, g: Floats, free: Floats) -> None:
+    """Write which joints are free (n,): those within their limits, and those that gain by leaving.
+
+    With the multipliers y of the free joints, J^T y = g, joint k gains g_k - J_k . y a radian.
+    """
+    for k in range(free.size):
+        room = min(q[3 + k] - limits[k, 0], limits[k, 1] - q[3 + k])
+        free[k] = 1.0 if room > _AT_LIMIT else 0.0
+    for _ in range(free.size):
+        a = b = 0.0
+        for k in range(free.size):
+            a += free[k] * J[0, k] * g[k]
+            b += free[k] * J[1, k] * g[k]
+        y = _fit(J, free, a, b)
+        chosen, most = -1, _FLAT
+        for k in range(free.size):
+            gain = g[k] - _dot(complex(J[0, k], J[1, k]), y)
+            if limits[k, 1] - q[3 + k] <= _AT_LIMIT:
+                gain = -gain
+            if free[k] == 0.0 and gain > most:
+                chosen, most = k, gain
+        if chosen < 0:
+            break
+        free[chosen] = 1.0
+
+
+@helper
+def _curvature(  # type: ignore[no-untyped-def]
+    p, d, e, kind, square, free, J, Z, count, d2, e2, J2, x, H,
+):  # fmt: skip
+    """Write the second derivatives of w^2 along the self-motions Z, H (count, count).
+
+    Central differences of w^2 at points that are brought back to where the tip is.
+    """
+    step = 1e-3
+    tip = 0j
+    for k in range(d.size):
+        tip += d[k]
+    for i in range(count):
+        for j in range(i + 1):
+            total = -2.0 * square
+            for sign in (-step, step):
+                for k in range(x.size):
+                    x[k] = sign * (Z[i, k] if i == j else Z[i, k] + Z[j, k])
+                for _ in range(2):
+                    _turned(d, e, x, 1.0, d2, e2)
+                    error = tip
+                    for k in range(d.size):
+                        error -= d2[k]
+                    y = _fit(J, free, error.real, error.imag)
+                    for k in range(x.size):
+                        x[k] += free[k] * _dot(complex(J[0, k], J[1, k]), y)
+                _turned(d, e, x, 1.0, d2, e2)
+                total += _square(p, d2, e2, kind, J2)
+            H[i, j] = total / (step * step)
+    for i in range(count):
+        for j in range(i):
+            H[i, j] = H[j, i] = 0.5 * (H[i, j] - H[i, i] - H[j, j])
+
+
+@helper
+def _uphill(H: Floats, b: Floats, count: int, L: Floats, u: Floats) -> None:
+    """Write u = (mu I - H)^-1 b with the least mu >= 0 tried for which that leads uphill."""
+    mu, good = 0.0, False
+    while not good:
+        good = True
+        for i in range(count):
+            for j in range(i + 1):
+                left = -H[i, j]
+                for k in range(j):
+                    left -= L[i, k] * L[j, k]
+                if i != j:
+                    L[i, j] = left / L[j, j]
+                elif left + mu > 1e-9:
+                    L[i, i] = math.sqrt(left + mu)
+                else:
+                    good = False
+            if not good:
+                mu = max(4.0 * mu, 1e-3)
+                break
+    for i in range(count):
+        left = b[i]
+        for k in range(i):
+            left -= L[i, k] * u[k]
+        u[i] = left / L[i, i]
+    for i in range(count - 1, -1, -1):
+        left = u[i]
+        for k in range(i + 1, count):
+            left -= L[k, i] * u[k]
+        u[i] = left / L[i, i]
+
+
+@kernel("(p),(n,k),(k),(k),(n),()->(n),()")
+def _climbed(p, limits, kind, point, start, steps, q_m, w):  # type: ignore[no-untyped-def]
+    n = start.size
+    d, e, d2, e2 = np.empty((4, n + 1), np.complex128)
+    q, trial = np.zeros((2, 3 + n))
+    J, J2 = np.empty((2, 3, n))
+    free, free2, may, g, x, b, u = np.ones((7, n))
+    Z, H, L = np.empty((3, n + 2, n))
+    q[3:] = start
+    target = complex(point[0], point[1])
+    if not _close(p, limits, target, q, d, e, J, free, may):
+        q_m[:], w[0] = math.nan, math.nan
+        return
+    square = _square(p, d, e, kind, J)
+    for _ in range(int(steps[0])):
+        _gradient(p, d, e, kind, d2, e2, J2, x, g)
+        _held(d, J)
+        _let_go(limits, q, J, g, free)
+        steepest, longest, outward = 0.0, 0.0, 0
+        while outward >= 0:  # a step out of a limit holds that joint after all
+            count = _self_motions(J, free, Z)
+            steepest = 0.0
+            for i in range(count):
+                b[i] = 0.0
+                for k in range(n):
+                    b[i] += Z[i, k] * g[k]
+                steepest = max(steepest, abs(b[i]))
+            outward = -1
+            if steepest <= _FLAT:
+                break
+            _curvature(p, d, e, kind, square, free, J, Z, count, d2, e2, J2, x, H)
+            _uphill(H, b, count, L, u)
+            longest = 0.0
+            for k in range(n):
+                x[k] = 0.0
+                for i in range(count):
+                    x[k] += Z[i, k] * u[i]
+                longest = max(longest, abs(x[k]))
+                room = limits[k, 1] - q[3 + k] if x[k] > 0.0 else q[3 + k] - limits[k, 0]
+                if abs(x[k]) > 1e-14 and room <= _AT_LIMIT:
+                    outward = k
+            if outward >= 0:
+                free[outward] = 0.0
+        if steepest <= _FLAT:
+            break
+        share = min(1.0, _LONGEST / longest)
+        done = True  # unless a step gains more than the next one would
+        for attempt in range(12):
+            if attempt == 1:  # no farther than to the first limit
+                for k in range(n):
+                    room = limits[k, 1] - q[3 + k] if x[k] > 0.0 else q[3 + k] - limits[k, 0]
+                    if share * abs(x[k]) > room:
+                        share = room / abs(x[k])
+            for k in range(n):
+                trial[3 + k] = min(max(q[3 + k] + share * x[k], limits[k, 0]), limits[k, 1])
+                room = min(trial[3 + k] - limits[k, 0], limits[k, 1] - trial[3 + k])
+                may[k] = 1.0 if room > _AT_LIMIT else 0.0
+            if _close(p, limits, target, trial, d2, e2, J2, free2, may):
+                higher = _square(p, d2, e2, kind, J2)
+                if higher > square:
+                    done = attempt == 0 and longest < _SHORT
+                    square = higher
+                    q[:] = trial
+                    d[:], e[:] = d2, e2
+                    break
+            if attempt > 0:
+                share *= 0.25
+        if done:
+            break
+    q_m[:] = q[3:]
+    w[0] = math.sqrt(max(square, 0.0))
+
+
+def climb(
+    p: npt.ArrayLike,
+    q_m: npt.ArrayLike,
+    point: npt.ArrayLike,
+    limits: npt.ArrayLike,
+    kind: npt.ArrayLike = FIXED,
+    steps: int = 100,
+) -> tuple[Floats, Floats]:
+    """From posture q_m, a local maximum of w with the tip at a point (..., 2) of the base's frame.
+
+    The tip is brought to the point by least motion; then w grows by Newton's method along the
+    self-motions of the joints that no limit holds, gradient and curvature of w^2 being central
+    differences.
+
+    Args:
+        p: parameters of the arm.
+        q_m: where to begin.
+        point: x, y [m].
+        limits: within which all of it happens.
+        kind: what is measured.
+        steps: of Newton's method, at most; with 0, the tip is brought to the point, and no more.
+
+    Returns:
+        The posture (..., n) and its w (...); NaN where the point cannot be reached from q_m.
+
+    Raises:
+        ValueError: shapes do not fit.
+    """
+    q_m = np.asarray(q_m, dtype=float)
+    p, _, _ = checked(p, np.concatenate([np.zeros((*q_m.shape[:-1], 3)), q_m], axis=-1))
+    return _climbed(p, limits, kind, point, q_m, steps)

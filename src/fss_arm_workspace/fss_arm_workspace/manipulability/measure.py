@@ -1,0 +1,91 @@
+"""How well the tip can be moved: measure and ellipsoid.
+
+    w = sqrt(det(J J^T)) = product of J's singular values             (Yoshikawa 1985)
+
+J (r, n) are the first r rows of the tip's Jacobian: 2 for its position, 3 for its pose. On a fixed
+base that is J_m, on a floating one without momentum the generalized Jacobian J* (Umetani and
+Yoshida 1989). w does not depend on the base's own pose. What is measured is a `kind`, (2,): whether
+the base floats (1 or 0), and r.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from fss_arm_model.description import Arm
+from fss_arm_model.kernels import Complexes, Floats, helper
+from fss_arm_model.kinematics import tip_jacobian
+from fss_arm_model.momentum import _floating, generalized_jacobian
+
+FIXED, FLOATING = np.array([0.0, 2.0]), np.array([1.0, 2.0])
+FIXED_POSE, FLOATING_POSE = np.array([0.0, 3.0]), np.array([1.0, 3.0])
+
+
+@helper
+def _held(d: Complexes, J: Floats) -> complex:
+    """Write J_m (3, n); return the tip's position from the base's."""
+    arm = 0j
+    for k in range(d.size - 1, 0, -1):
+        arm += d[k]
+        J[0, k - 1], J[1, k - 1], J[2, k - 1] = -arm.imag, arm.real, 1.0
+    return arm + d[0]
+
+
+@helper
+def _square(p: Floats, d: Complexes, e: Complexes, kind: Floats, J: Floats) -> float:
+    """w^2 = det(J J^T), J being scratch (3, n)."""
+    if kind[0] > 0.0:
+        _floating(p, d, e, J)
+    else:
+        _held(d, J)
+    xx = xy = yy = xz = yz = zz = 0.0
+    for k in range(J.shape[1]):
+        x, y, z = J[0, k], J[1, k], J[2, k]
+        xx += x * x
+        xy += x * y
+        yy += y * y
+        xz += x * z
+        yz += y * z
+        zz += z * z
+    plane = xx * yy - xy * xy
+    if kind[1] < 3.0:
+        return plane
+    return zz * plane - xz * (xz * yy - xy * yz) - yz * (yz * xx - xy * xz)
+
+
+def jacobian(arm: Arm, q_m: npt.ArrayLike, kind: npt.ArrayLike = FIXED) -> Floats:
+    """J of the kind, in axes of the base's frame, (..., r, n).
+
+    Raises:
+        ValueError: shapes do not fit.
+    """
+    q_m = np.asarray(q_m, dtype=float)
+    q = np.concatenate([np.zeros((*q_m.shape[:-1], 3)), q_m], axis=-1)
+    floating, rows = np.asarray(kind)
+    p = arm.vector()
+    J = generalized_jacobian(p, q) if floating else tip_jacobian(p, q)[..., 3:]
+    return J[..., : int(rows), :]
+
+
+def measure(arm: Arm, q_m: npt.ArrayLike, kind: npt.ArrayLike = FIXED) -> Floats:
+    """Manipulability w of postures (..., n), (...) [m^2 for the position, m^2 rad for the pose].
+
+    Raises:
+        ValueError: shapes do not fit.
+    """
+    J = jacobian(arm, q_m, kind)
+    return np.sqrt(np.linalg.det(J @ np.swapaxes(J, -1, -2)).clip(0.0))
+
+
+class Ellipsoid(NamedTuple):
+    """Twists that joint rates of norm 1 produce: axes[k] radii[k], r of them, longest first."""
+
+    radii: Floats  # (..., r) singular values of J [m, or of mixed units for the pose]
+    axes: Floats  # (..., r, r) unit vectors, one a row
+
+
+def ellipsoid(J: npt.ArrayLike) -> Ellipsoid:
+    """The manipulability ellipsoid of J (..., r, n): v^T (J J^T)^-1 v <= 1 (Yoshikawa 1985)."""
+    U, radii, _ = np.linalg.svd(np.asarray(J, dtype=float), full_matrices=False)
+    return Ellipsoid(radii, np.swapaxes(U, -1, -2))

@@ -1,0 +1,169 @@
+"""The posture of largest manipulability at any point."""
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import cKDTree
+
+from fss_arm_model.description import Arm
+from fss_arm_model.kernels import Complexes, Floats
+from fss_arm_model.kinematics import tip_in_base
+from fss_arm_workspace.manipulability.climb import climb
+from fss_arm_workspace.manipulability.measure import FIXED, measure
+from fss_arm_workspace.regions.fixed import checked_limits, fixed_workspace
+from fss_arm_workspace.regions.grid import Grid
+
+
+class Best(NamedTuple):
+    """The largest manipulability at points, and how to get it; NaN where they cannot be reached."""
+
+    w: Floats  # (m,)
+    q: Floats  # (m, n) joint readings [rad]
+
+
+class Search:
+    """Finds the posture of largest w at any point, over all postures that reach it.
+
+    Random postures are the first guesses at a coarse grid of points; each climbs to a local
+    maximum. Then each point tries its neighbours' postures, until none gains: whatever branch is
+    the best somewhere and was found at one point only spreads as far as it is the best. Any other
+    point begins from the coarse points next to it.
+    """
+
+    def __init__(
+        self,
+        arm: Arm,
+        kind: npt.ArrayLike = FIXED,
+        limits: npt.ArrayLike | None = None,
+        *,
+        spacing: float = 0.04,
+        workers: int = 1,
+        seed: int = 0,
+    ) -> None:
+        """Solve the coarse grid.
+
+        Args:
+            arm: the arm.
+            kind: what is measured.
+            limits: lowest and highest joint readings, (n, 2) [rad]; the arm's by default.
+            spacing: of the coarse grid [m].
+            workers: threads to use.
+            seed: of the random postures.
+
+        Raises:
+            ValueError: limits have the wrong shape or order, or the arm has a single link.
+        """
+        if arm.n < 2:
+            raise ValueError(f"the arm has {arm.n} link, expected 2 or more: its w is 0 everywhere")
+        self.arm, self.p, self.kind = arm, arm.vector(), np.asarray(kind, dtype=float)
+        self.limits, self.workers = checked_limits(arm, limits), workers
+        self.region = fixed_workspace(arm, self.limits)
+        inner = Grid.around(self.region, spacing).inside(self.region)
+        edge = [np.concatenate(part) for part in zip(*self.region.outlines(spacing), strict=True)]
+        points = np.concatenate([pairs(inner), pairs(edge[0])])
+        first = self._first(points, edge[1], np.random.default_rng(seed))
+        self.tree = cKDTree(points)
+        self.coarse = self._exchange(points, first)
+
+    def at(self, points: npt.ArrayLike) -> Best:
+        """The best postures at points (m, 2) of the base's frame [m]."""
+        points = np.asarray(points, dtype=float)
+        seeds = [*self.coarse.q[_nearest(self.tree, points, 4)].swapaxes(0, 1)]
+        if self.arm.n <= 3 or self.kind[1] == 3.0:
+            # Where a branch can be so small that the grid misses it: try what reaches close by.
+            seeds += [*self.random[_nearest(self.random_tree, points, 8)].swapaxes(0, 1)]
+        best = _nothing(len(points), self.p)
+        guesses = [self._climb(seed, points, steps=0) for seed in seeds]
+        order = np.argsort([-np.nan_to_num(guess.w, nan=-1.0) for guess in guesses], axis=0)
+        rows = np.arange(len(points))
+        for rank in order:
+            guess = Best(*(np.stack(part)[rank, rows] for part in zip(*guesses, strict=True)))
+            # A guess may lie this far below the maximum that it leads to.
+            hopeful = ~(guess.w < 0.5 * best.w) & _differ(guess.q, best.q)
+            best = self._improved(best, guess.q, points, hopeful)
+        return best
+
+    def _first(self, points: Floats, edge: Floats, rng: np.random.Generator) -> Best:
+        """Each point from its nearest random postures; those of the edge from their own, too."""
+        count = 40 * len(points)
+        q = rng.uniform(self.limits[:, 0], self.limits[:, 1], (count, len(self.limits)))
+        w, tip = measure(self.arm, q, self.kind), tip_in_base(self.p, q)[:, :2]
+        self.random, self.random_tree = q, cKDTree(tip)
+        near = _nearest(self.random_tree, points, 16)
+        best = _nothing(len(points), self.p)
+        order = np.argsort(-w[near], axis=1)[:, :3]
+        for k in range(order.shape[1]):
+            chosen = near[np.arange(len(points)), order[:, k]]
+            best = self._improved(best, q[chosen], points, _differ(q[chosen], best.q))
+        at_edge = np.arange(len(points)) >= len(points) - len(edge)
+        own = np.zeros_like(best.q)
+        own[at_edge] = edge
+        return self._improved(best, own, points, at_edge)
+
+    def _exchange(self, points: Floats, best: Best) -> Best:
+        """Let each point try its neighbours' postures until none gains."""
+        near = _nearest(self.tree, points, 9)[:, 1:]
+        changed = np.ones(len(points), dtype=bool)
+        while changed.any():
+            before = best.w
+            for neighbour in near.T:
+                guess = best.q[neighbour]
+                best = self._improved(
+                    best, guess, points, changed[neighbour] & _differ(guess, best.q)
+                )
+            changed = ~(best.w <= before * (1.0 + 1e-9)) & np.isfinite(best.w)
+        return best
+
+    def _improved(
+        self, best: Best, guess: Floats, points: Floats, where: npt.NDArray[np.bool_]
+    ) -> Best:
+        """The better of what is known and what climbing from a guess finds, where asked."""
+        index = np.flatnonzero(where & np.isfinite(guess).all(axis=1))
+        new = self._climb(guess[index], points[index])
+        gains = ~(new.w <= best.w[index]) & np.isfinite(new.w)
+        w, q = best.w.copy(), best.q.copy()
+        w[index[gains]], q[index[gains]] = new.w[gains], new.q[gains]
+        return Best(w, q)
+
+    def _climb(self, guess: Floats, points: Floats, steps: int = 100) -> Best:
+        def part(index: npt.NDArray[np.intp]) -> tuple[Floats, Floats]:
+            return climb(self.p, guess[index], points[index], self.limits, self.kind, steps)
+
+        q, w = _in_parts(part, len(points), self.workers)
+        return Best(w, q)
+
+
+def _nearest(tree: cKDTree, points: Floats, count: int) -> npt.NDArray[np.intp]:
+    """Indices of the points of a tree next to each of some, (m, count), or all if it has fewer."""
+    return np.asarray(tree.query(points, k=np.arange(1, min(count, tree.n) + 1))[1])
+
+
+def _in_parts(
+    work: Callable[[npt.NDArray[np.intp]], tuple[Floats, Floats]], count: int, workers: int
+) -> tuple[Floats, Floats]:
+    """What `work` makes of the indices 0 .. count - 1, by several threads."""
+    index = np.arange(count)
+    if workers == 1:
+        return work(index)
+    with ThreadPoolExecutor(workers) as pool:
+        parts = list(pool.map(work, np.array_split(index, 4 * workers)))
+    first, second = zip(*parts, strict=True)
+    return np.concatenate(first), np.concatenate(second)
+
+
+def _nothing(count: int, p: Floats) -> Best:
+    n = (p.size - 8) // 6
+    return Best(np.full(count, np.nan), np.full((count, n), np.nan))
+
+
+def _differ(q: Floats, other: Floats) -> npt.NDArray[np.bool_]:
+    """Which postures (m, n) are not neighbours of the others, on the same branch."""
+    return ~(np.abs(q - other).max(axis=1) < 0.1)
+
+
+def pairs(points: Complexes) -> Floats:
+    """Complex points (m,) as x, y, (m, 2)."""
+    return np.stack([points.real, points.imag], axis=-1)

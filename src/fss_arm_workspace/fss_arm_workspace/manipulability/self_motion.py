@@ -1,0 +1,128 @@
+"""Joint motions that bring the tip to a point, and those that leave it there.
+
+In-kernel functions: q (3 + n,) is a state whose base lies at the origin; d and e (n + 1,) are its
+bodies' vectors as in kinematics.py. Beside a state, at joints moved by small angles x (n,), these
+are only turned, and no trigonometric function is needed.
+"""
+
+import math
+
+from fss_arm_model.kernels import Complexes, Floats, helper
+from fss_arm_model.kinematics import _chain, _dot
+from fss_arm_workspace.manipulability.measure import _held
+
+_CLOSED = 1e-12  # distance from the target that counts as none [m]
+_LONGEST = 0.3  # step of a joint [rad]
+
+
+@helper
+def _fit(J: Floats, free: Floats, x: float, y: float) -> complex:
+    """(J J^T)^-1 (x, y), J being two rows of the free joints; zero if they lack a direction."""
+    xx = xy = yy = 0.0
+    for k in range(free.size):
+        xx += free[k] * J[0, k] * J[0, k]
+        xy += free[k] * J[0, k] * J[1, k]
+        yy += free[k] * J[1, k] * J[1, k]
+    det = xx * yy - xy * xy
+    if not det > 1e-12 * (xx + yy) * (xx + yy):
+        return 0j
+    return complex(yy * x - xy * y, xx * y - xy * x) / det
+
+
+@helper
+def _close(p, limits, target, q, d, e, J, free, may):  # type: ignore[no-untyped-def]
+    """Bring the tip to the target by least motion within the limits, d and e too; False if in vain.
+
+    Only joints with 1 in `may` (n,) move; J (3, n) and free (n,) are scratch.
+    """
+    for _ in range(30):
+        _chain(p, q, d, e)
+        error = target - _held(d, J)
+        if _dot(error, error) < _CLOSED * _CLOSED:
+            return True
+        free[:] = may
+        longest, stopped = 0.0, True
+        while stopped:  # joints that would leave their limits stay
+            y = _fit(J, free, error.real, error.imag)
+            if y == 0j:
+                return False
+            longest, stopped = 0.0, False
+            for k in range(free.size):
+                move = free[k] * _dot(complex(J[0, k], J[1, k]), y)
+                longest = max(longest, abs(move))
+                room = limits[k, 1] - q[3 + k] if move > 0.0 else q[3 + k] - limits[k, 0]
+                if move != 0.0 and room <= 0.0:
+                    free[k], stopped = 0.0, True
+        y *= min(1.0, _LONGEST / longest)
+        for k in range(free.size):
+            move = free[k] * _dot(complex(J[0, k], J[1, k]), y)
+            q[3 + k] = min(max(q[3 + k] + move, limits[k, 0]), limits[k, 1])
+    return False
+
+
+@helper
+def _turned(
+    d: Complexes, e: Complexes, x: Floats, sign: float, d2: Complexes, e2: Complexes
+) -> None:
+    """Write d2 and e2: d and e with the joints moved by the small angles sign x (n,)."""
+    d2[0], e2[0] = d[0], e[0]
+    angle = 0.0
+    for k in range(x.size):
+        angle += sign * x[k]
+        s = angle * angle
+        turn = complex(1.0 - 0.5 * s + s * s / 24.0, angle * (1.0 - s / 6.0 + s * s / 120.0))
+        d2[k + 1], e2[k + 1] = d[k + 1] * turn, e[k + 1] * turn
+
+
+@helper
+def _rid(Z: Floats, count: int) -> float:
+    """Make row `count` of Z orthogonal to those before and of length 1; return what it was."""
+    for _ in range(2):
+        for i in range(count):
+            share = 0.0
+            for k in range(Z.shape[1]):
+                share += Z[i, k] * Z[count, k]
+            for k in range(Z.shape[1]):
+                Z[count, k] -= share * Z[i, k]
+    length = 0.0
+    for k in range(Z.shape[1]):
+        length += Z[count, k] * Z[count, k]
+    length = math.sqrt(length)
+    if length > 0.0:
+        for k in range(Z.shape[1]):
+            Z[count, k] /= length
+    return length
+
+
+@helper
+def _self_motions(J: Floats, free: Floats, Z: Floats) -> int:
+    """Write an orthonormal basis of the free joints' self-motions as rows of Z; return their count.
+
+    Gram and Schmidt: the Jacobian's two rows, then of the unit vectors the one with most left.
+    """
+    total = count = 0
+    for k in range(free.size):
+        total += int(free[k])
+    for r in range(2):
+        for k in range(free.size):
+            Z[count, k] = free[k] * J[r, k]
+        if _rid(Z, count) > 1e-6:
+            count += 1
+    moving = count
+    while count < total:
+        best, most = -1, 1e-12
+        for k in range(free.size):
+            left = free[k]
+            for i in range(count):
+                left -= Z[i, k] * Z[i, k]
+            if left > most:
+                best, most = k, left
+        if best < 0:
+            break
+        Z[count, :] = 0.0
+        Z[count, best] = 1.0
+        _rid(Z, count)
+        count += 1
+    for i in range(moving, count):
+        Z[i - moving] = Z[i]
+    return count - moving

@@ -1,0 +1,1 @@
+"""Regions of the plane that a tip reaches, bounded by circular arcs."""

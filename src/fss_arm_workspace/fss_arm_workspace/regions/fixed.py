@@ -1,0 +1,183 @@
+"""Where the tip can be while the spacecraft holds its pose: the fixed vehicle workspace (Fig. 6).
+
+Joint by joint from the tip inwards: the points W_k that links k .. n reach, seen from joint k, are
+those of the outer links, W_{k+1}, put at the end of link k and turned through that joint's range,
+
+    W_k = union of R(alpha) (a_k + W_{k+1}),   alpha from q_min,k + theta_0k to q_max,k + theta_0k
+
+Its boundary consists of the boundary of W_{k+1} turned to either end of the range, and of arcs
+about joint k through the points of that boundary which are nearest to it, farthest from it, or
+corners. All of these are circular arcs, so W_1 has a boundary of circular arcs too, found exactly.
+"""
+
+from dataclasses import replace
+from math import pi
+
+import numpy as np
+import numpy.typing as npt
+
+from fss_arm_model.description import Arm
+from fss_arm_workspace.regions.arcs import (
+    CLOSE,
+    Arcs,
+    Complexes,
+    Floats,
+    Region,
+    crossings,
+    enclose,
+    joined,
+)
+
+TURN = 2.0 * pi
+
+
+def joint_limits(arm: Arm, *, of_true_angle: bool = False) -> Floats:
+    """Lowest and highest reading of each joint, (n, 2) [rad].
+
+    Args:
+        arm: its limits q_min and q_max.
+        of_true_angle: the limits hold for q + theta_0, and not for the encoder's reading q.
+    """
+    limits = np.array([(link.q_min, link.q_max) for link in arm.links])
+    if of_true_angle:
+        limits -= np.array([[link.theta_0] for link in arm.links])
+    return limits
+
+
+def fixed_workspace(arm: Arm, limits: npt.ArrayLike | None = None) -> Region:
+    """The points that the tip reaches, seen from the base, in the base's frame [m].
+
+    Args:
+        arm: lengths, offsets and mount.
+        limits: lowest and highest reading of each joint, (n, 2) [rad]; the arm's by default. A
+            joint whose range is a whole turn has no limits.
+
+    Returns:
+        The region and its exact boundary, holes included. With a single joint that is a curve
+        without width.
+
+    Raises:
+        ValueError: limits have the wrong shape or order.
+    """
+    x, y, heading = arm.base.mount
+    lengths = [link.a for link in arm.links]
+    offsets = [link.theta_0 for link in arm.links]
+    offsets[0] += heading
+    return chain_workspace(complex(x, y), lengths, offsets, checked_limits(arm, limits))
+
+
+def checked_limits(arm: Arm, limits: npt.ArrayLike | None) -> Floats:
+    """The limits, (n, 2) [rad], the arm's by default.
+
+    Raises:
+        ValueError: they have the wrong shape or order.
+    """
+    if limits is None:
+        return joint_limits(arm)
+    given = np.asarray(limits, dtype=float)
+    if given.shape != (arm.n, 2) or not (given[:, 0] < given[:, 1]).all():
+        raise ValueError(f"limits are {given.tolist()}, expected {arm.n} pairs (lowest, highest)")
+    return given
+
+
+def chain_workspace(
+    root: complex, lengths: npt.ArrayLike, offsets: npt.ArrayLike, limits: Floats
+) -> Region:
+    """The points that the end of a chain of n revolute joints reaches.
+
+    Args:
+        root: where joint 1 is [m].
+        lengths: of the links, (n,) [m].
+        offsets: true angle of each joint at reading 0, (n,) [rad].
+        limits: lowest and highest readings, (n, 2) [rad].
+    """
+    a, theta_0 = np.asarray(lengths, dtype=float), np.asarray(offsets, dtype=float)
+    span = np.minimum(limits[:, 1] - limits[:, 0], TURN)
+    low = limits[:, 0] + theta_0
+    n = len(a)
+    q = np.zeros((1, n))
+    q[0, -1] = limits[-1, 0]
+    arc = Arcs(np.zeros(1, complex), a[-1:], low[-1:], span[-1:], np.array([n - 1]), q)
+    region = _curve(arc)
+    for k in range(n - 2, -1, -1):
+        region = _turned(region, k, a[k], low[k], span[k], limits[k, 0])
+    return Region(region.arcs.moved(by=root), region.loop)
+
+
+def _curve(arc: Arcs) -> Region:
+    """An arc as a region without width: along it and back."""
+    t = np.array([0.0, 0.5, 1.0, 0.5, 0.0])
+    there = joined([arc.part(t[i : i + 1], t[i + 1 : i + 2]) for i in range(4)])
+    return Region(there, np.zeros(4, dtype=np.intp))
+
+
+def _turned(outer: Region, k: int, length: float, low: float, span: float, q_low: float) -> Region:
+    """W_k from W_{k+1}: at the end of link k, turned about joint k from low to low + span [rad]."""
+    arcs = outer.arcs.moved(by=length)
+    at_end = Region(arcs, outer.loop)
+
+    def inside(points: Complexes) -> npt.NDArray[np.bool_]:
+        """Turned backwards, the point meets W_{k+1}: at its first place, or at the boundary."""
+        first = points * np.exp(-1j * (low + span))
+        back = Arcs(
+            np.zeros(len(first), complex),
+            np.abs(first),
+            np.angle(first),
+            np.full(len(first), span),
+            np.zeros(len(first), int),
+            np.zeros((len(first), 0)),
+        )
+        found = at_end.contains(first)
+        rest = np.flatnonzero(~found)
+        found[rest] = _meets(back[rest], arcs)
+        return found
+
+    candidates = [_circles(arcs, k, low, span, q_low)]
+    if span < TURN:
+        candidates += [
+            _with(arcs.moved(low), k, q_low),
+            _with(arcs.moved(low + span), k, q_low + span),
+        ]
+    return enclose(joined(candidates), inside)
+
+
+def _with(arcs: Arcs, k: int, reading: float) -> Arcs:
+    """The arcs with joint k at a reading [rad]."""
+    q = arcs.q.copy()
+    q[:, k] = reading
+    return replace(arcs, q=q)
+
+
+def _circles(arcs: Arcs, k: int, low: float, span: float, q_low: float) -> Arcs:
+    """Arcs about the origin, joint k, through the ends and the extreme points of the arcs."""
+    angle = np.angle(arcs.center)[None] + np.array([[0.0], [pi]])
+    along = (np.sign(arcs.sweep) * (angle - arcs.start)) % TURN / np.abs(arcs.sweep)
+    extreme = (along < 1.0) & (np.abs(arcs.center) > CLOSE)
+    ends = np.stack([np.zeros(len(arcs)), np.ones(len(arcs))])
+    t = np.concatenate([ends[:, :], along])
+    chosen = np.concatenate([np.ones_like(extreme), extreme])
+    index = np.nonzero(chosen)[1]
+    touched = arcs[index]
+    point, posture = touched.at(t[chosen]), touched.posture(t[chosen])
+    posture[:, k] = q_low
+    count = len(index)
+    return Arcs(
+        np.zeros(count, complex),
+        np.abs(point),
+        np.angle(point) + low,
+        np.full(count, span),
+        np.full(count, k),
+        posture,
+    )
+
+
+def _meets(some: Arcs, others: Arcs) -> npt.NDArray[np.bool_]:
+    """Which arcs (m,) have a point in common with any of the others (k,)."""
+    met = np.zeros(len(some), dtype=bool)
+    for point in crossings(
+        some.center[:, None], some.radius[:, None], others.center, others.radius
+    ):
+        from_others = others.covers(np.angle(point - others.center))
+        from_some = some.covers(np.angle(point - some.center[:, None]).T).T
+        met |= (np.isfinite(point) & from_others & from_some).any(axis=1)
+    return met

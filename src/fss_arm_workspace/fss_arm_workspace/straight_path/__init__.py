@@ -1,0 +1,1 @@
+"""How far the tip goes in straight lines."""

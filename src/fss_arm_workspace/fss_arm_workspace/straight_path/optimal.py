@@ -1,0 +1,86 @@
+"""The longest straight paths that a search over the redundancy finds."""
+
+from dataclasses import replace
+from math import inf
+
+import numpy as np
+import numpy.typing as npt
+
+from fss_arm_model.description import Arm
+from fss_arm_model.kernels import Floats
+from fss_arm_workspace.straight_path.paths import (
+    AWAY_FROM_LIMITS,
+    MINIMUM_NORM,
+    PREFERRED,
+    WEIGHTED,
+    Paths,
+    Rules,
+    joined,
+    straight_paths,
+)
+
+OPTIMAL = "optimal"
+
+
+def optimal_paths(
+    arm: Arm,
+    start: npt.ArrayLike,
+    direction: npt.ArrayLike,
+    rules: Rules | None = None,
+    limits: npt.ArrayLike | None = None,
+    *,
+    population: int = 64,
+    generations: int = 12,
+    seed: int = 0,
+) -> tuple[Paths, Floats]:
+    """The longest straight paths that a search over the redundancy finds.
+
+    Joint rates are preferred that are constant on each segment of the path; the cross-entropy
+    method chooses them. With unlimited self-motion the longest path is not defined; what is found
+    here is a path that exists, no shorter than those of the other rules that need no preference.
+
+    Args:
+        arm: the arm.
+        start: state to begin from, (3 + n,).
+        direction: (k,) in the world [rad].
+        rules: how paths are followed; the redundancy is this function's.
+        limits: lowest and highest joint readings, (n, 2) [rad]; the arm's by default.
+        population: preferences tried at once.
+        generations: how often.
+        seed: of the random choices.
+
+    Returns:
+        The paths, and the preferred rates that give them, (k, c, n) [rad/m]; NaN where another
+        rule goes at least as far.
+
+    Raises:
+        ValueError: as straight_paths.
+    """
+    rules = replace(rules or Rules(), redundancy=PREFERRED)
+    direction = np.atleast_1d(np.asarray(direction, dtype=float))
+    rng, k = np.random.default_rng(seed), len(direction)
+    segments = int(np.ceil(1.5 / rules.segment))
+    mean, spread = np.zeros((k, segments, arm.n)), np.full((k, segments, arm.n), 5.0)
+    best, chosen = np.full(k, -inf), mean.copy()
+    every = np.repeat(direction, population)
+    for _ in range(generations):
+        z = mean[:, None] + spread[:, None] * rng.standard_normal((k, population, *mean.shape[1:]))
+        z[:, 0] = chosen
+        wishes = z.reshape(-1, segments, arm.n)
+        tried = straight_paths(arm, start, every, rules, limits, wishes)
+        length = tried.distance.reshape(k, population)
+        order = np.argsort(-length, axis=1)[:, : population // 5]
+        elite = np.take_along_axis(z, order[..., None, None], axis=1)
+        mean, spread = elite.mean(axis=1), elite.std(axis=1) + 0.1
+        top = length.max(axis=1)
+        chosen = np.where((top > best)[:, None, None], elite[:, 0], chosen)
+        best = np.maximum(best, top)
+    paths = straight_paths(arm, start, direction, rules, limits, chosen)
+    paths = replace(paths, redundancy=OPTIMAL)
+    for other in (MINIMUM_NORM, AWAY_FROM_LIMITS, WEIGHTED):
+        rival = straight_paths(arm, start, direction, replace(rules, redundancy=other), limits)
+        farther = rival.distance > paths.distance
+        chosen[farther] = np.nan
+        order = np.where(farther, np.arange(k) + k, np.arange(k))
+        paths = joined(paths, rival)[order]
+    return paths, chosen

@@ -1,0 +1,269 @@
+"""How far the tip goes in straight lines: the straight-path workspace (Fig. 7).
+
+From a start state without momentum the tip is drawn along a line, until a joint limit leaves no
+motion, all joints but one are at their limits, a singularity is met or the table ends. How the
+redundancy is resolved is part of the answer: see redundancy.py for the rules.
+"""
+
+from dataclasses import dataclass, replace
+from math import inf, pi
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from fss_arm_model.description import Arm
+from fss_arm_model.kernels import Floats
+from fss_arm_model.kinematics import tip_pose
+from fss_arm_model.settings import (
+    FINITE,
+    NOT_NEGATIVE,
+    POSITIVE,
+    SettingError,
+    Settings,
+    one_of,
+    setting,
+)
+from fss_arm_workspace.regions.fixed import checked_limits, joint_limits
+from fss_arm_workspace.straight_path.redundancy import BASES, RULES
+from fss_arm_workspace.straight_path.trace import trace
+
+FIXED, FLOATING, ZERO_REACTION = BASES
+MINIMUM_NORM, AWAY_FROM_LIMITS, WEIGHTED, PREFERRED = RULES
+
+GRAZED = 0.5  # share of the stopping rate that a path may reach and leave again unflagged
+NEAR = 5e-3  # length that a singularity may lie beyond a stop unflagged [m]
+
+
+_EACH = ("direction", "distance", "reason", "last", "grazes")  # one row a path in Paths
+
+
+@dataclass(frozen=True)
+class PathSettings(Settings):
+    """How straight paths are followed on any base, and what ends them.
+
+    Raises:
+        SettingError: a setting is impossible.
+    """
+
+    redundancy: str = setting(
+        AWAY_FROM_LIMITS, "rule by which straight paths use the redundancy", check=one_of(*RULES)
+    )
+    gain: float = setting(
+        5.0, "pull away from limits, at a limit", unit="rad/m", check=NOT_NEGATIVE
+    )
+    stopping_rate: float = setting(
+        100.0, "joint rate on a straight path that counts as a singularity", unit="rad/m",
+        check=POSITIVE,
+    )  # fmt: skip
+    table: tuple[float, ...] = setting(
+        (-2.0, -2.0, 2.0, 2.0), "table in the world: low x, low y, high x, high y", unit="m",
+        check=FINITE, size=4,
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not np.less(self.table[:2], self.table[2:]).all():
+            raise SettingError(f"table is {self.table} m, expected low x, low y, high x, high y")
+
+
+@dataclass(frozen=True)
+class Rules(PathSettings):
+    """How straight paths are followed on one kind of base."""
+
+    base: str = setting(FLOATING, "kind of base that straight paths are of", check=one_of(*BASES))
+    step: float = setting(2e-3, "longest step along a straight path", unit="m", check=POSITIVE)
+    segment: float = setting(
+        0.1, "length of path for which preferred rates stay", unit="m", check=POSITIVE
+    )
+
+
+@dataclass(frozen=True)
+class Paths:
+    """Straight paths from one start, k of them."""
+
+    start: Floats  # (3 + n,) state: the base's pose and joint readings
+    redundancy: str  # the rule that resolved it
+    tip: complex  # where they begin, in the world [m]
+    direction: Floats  # (k,) in the world [rad]
+    distance: Floats  # (k,) [m]
+    reason: npt.NDArray[np.intp]  # (k,) index in trace.REASONS
+    last: Floats  # (k, 3 + n) state at the end
+    grazes: npt.NDArray[np.bool_]  # (k,) the distance hangs on the stopping rate
+
+    @property
+    def ends(self) -> npt.NDArray[np.complex128]:
+        """Where they end, in the world [m], complex (k,)."""
+        return self.tip + self.distance * np.exp(1j * self.direction)
+
+    @property
+    def area(self) -> float:
+        """Area within the ends, which are in the order of their directions [m^2]."""
+        ends = self.ends - self.tip
+        return float(0.5 * (ends.conj() * np.roll(ends, -1)).imag.sum())
+
+    def __getitem__(self, index: npt.NDArray[Any]) -> "Paths":
+        return replace(self, **{name: getattr(self, name)[index] for name in _EACH})
+
+
+def arch(arm: Arm) -> Floats:
+    """A start state: the base at the table's middle, joints bent by up to 45 degrees, tip ahead.
+
+    In all they turn by three quarters of a circle at most, so that the tip of a long arm stays on
+    the table; and each keeps off the outer eighths of its range, where paths would end at once.
+    """
+    bend = min(pi / 4, 1.5 * pi / max(arm.n - 1, 1))
+    q = np.full(3 + arm.n, bend)
+    q[:3], q[3] = 0.0, -(arm.n - 1) * bend / 2.0
+    low, high = joint_limits(arm).T
+    q[3:] = q[3:].clip(low + (high - low) / 8.0, high - (high - low) / 8.0)
+    return q
+
+
+def straight_paths(
+    arm: Arm,
+    start: npt.ArrayLike,
+    direction: npt.ArrayLike,
+    rules: Rules | None = None,
+    limits: npt.ArrayLike | None = None,
+    preferred: npt.ArrayLike | None = None,
+) -> Paths:
+    """Follow straight lines from a start state (3 + n,) in directions (k,) [rad, world].
+
+    Args:
+        arm: the arm.
+        start: state to begin from.
+        direction: of each path.
+        rules: how paths are followed.
+        limits: lowest and highest joint readings, (n, 2) [rad]; the arm's by default.
+        preferred: joint rates of the rule "preferred", (..., c, n) [rad/m], one row a segment.
+
+    Raises:
+        ValueError: the start lies outside the limits or the table, or shapes do not fit.
+    """
+    rules = rules or Rules()
+    direction = np.atleast_1d(np.asarray(direction, dtype=float))
+    start, bounds, tip, options = _prepared(arm, start, direction, rules, limits)
+    wish = np.zeros((1, arm.n)) if preferred is None else preferred
+    _, _, last, result = trace(arm.vector(), start, bounds, options, wish, np.zeros(1))
+    length, reason, peak, left = np.moveaxis(result, -1, 0)
+    grazes = (peak > GRAZED * rules.stopping_rate) | (left > NEAR)
+    return Paths(start, rules.redundancy, tip, direction, length, reason.astype(int), last, grazes)
+
+
+def states_along(
+    arm: Arm,
+    start: npt.ArrayLike,
+    direction: float,
+    lengths: npt.ArrayLike,
+    rules: Rules | None = None,
+    limits: npt.ArrayLike | None = None,
+) -> tuple[Floats, Floats]:
+    """States on one straight path, and their derivatives by its length, (m, 3 + n); NaN beyond it.
+
+    Args:
+        arm: the arm.
+        start: state to begin from, (3 + n,).
+        direction: in the world [rad].
+        lengths: after which the states are asked for, ascending, (m,) [m].
+        rules: how the path is followed.
+        limits: lowest and highest joint readings, (n, 2) [rad]; the arm's by default.
+
+    Raises:
+        ValueError: as straight_paths.
+    """
+    rules = rules or Rules()
+    start, bounds, _, options = _prepared(arm, start, np.array([direction]), rules, limits)
+    wish = np.zeros((1, arm.n))
+    states, rates, _, _ = trace(arm.vector(), start, bounds, options[0], wish, lengths)
+    return states, rates
+
+
+def straight_workspace(
+    arm: Arm,
+    start: npt.ArrayLike,
+    rules: Rules | None = None,
+    limits: npt.ArrayLike | None = None,
+    *,
+    count: int = 360,
+    tolerance: float = 0.01,
+    finest: float = 1e-4,
+) -> Paths:
+    """Straight paths all around, in more directions where the boundary is not smooth.
+
+    A gap between directions is halved as long as the path between differs by more than the
+    tolerance from the mean of the two, and down to the finest gap: there the boundary jumps.
+
+    Args:
+        arm: the arm.
+        start: state to begin from, (3 + n,).
+        rules: how paths are followed.
+        limits: lowest and highest joint readings, (n, 2) [rad]; the arm's by default.
+        count: directions to begin with.
+        tolerance: of the boundary between directions [m].
+        finest: gap between directions [rad].
+
+    Returns:
+        The paths in the order of their directions, from 0 to 2 pi.
+
+    Raises:
+        ValueError: as straight_paths.
+    """
+    paths = straight_paths(arm, start, np.linspace(0.0, 2.0 * pi, count + 1)[:-1], rules, limits)
+    gaps = np.ones(count, dtype=bool)
+    while gaps.any():
+        after = np.append(paths.direction[1:], paths.direction[0] + 2.0 * pi)
+        index = np.flatnonzero(gaps & (after - paths.direction > finest))
+        if not index.size:
+            break
+        middle = 0.5 * (paths.direction[index] + after[index])
+        new = straight_paths(arm, start, middle, rules, limits)
+        mean = 0.5 * (paths.distance[index] + np.roll(paths.distance, -1)[index])
+        rough = np.abs(new.distance - mean) > tolerance
+        kept = new[rough]
+        open_gaps = np.zeros(len(paths.direction), dtype=bool)
+        open_gaps[index[rough]] = True
+        order = np.argsort(np.concatenate([paths.direction, kept.direction]), kind="stable")
+        paths = joined(paths, kept)[order]
+        gaps = np.concatenate([open_gaps, np.ones(len(kept.direction), dtype=bool)])[order]
+    return paths
+
+
+def _prepared(
+    arm: Arm, start: npt.ArrayLike, direction: Floats, rules: Rules, limits: npt.ArrayLike | None
+) -> tuple[Floats, Floats, complex, Floats]:
+    """Start, limits, the tip there, and the kernel's options (k, 9)."""
+    start = np.asarray(start, dtype=float)
+    if start.shape != (3 + arm.n,) or not np.isfinite(start).all():
+        raise ValueError(f"start is {start.tolist()}, expected {3 + arm.n} finite numbers")
+    bounds = checked_limits(arm, limits)
+    for i, (q, (low, high)) in enumerate(zip(start[3:], bounds, strict=True), 1):
+        if not low <= q <= high:
+            raise ValueError(f"joint {i} starts at {q:.6g} rad, expected {low:.6g} to {high:.6g}")
+    x, y, _ = tip_pose(arm.vector(), start)
+    low_x, low_y, high_x, high_y = rules.table
+    if not (low_x <= x <= high_x and low_y <= y <= high_y):
+        raise ValueError(f"the tip starts at ({x:.4g}, {y:.4g}) m, expected on the table")
+    ahead = np.stack([np.cos(direction), np.sin(direction)], axis=-1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        room = np.where(ahead > 0.0, [high_x - x, high_y - y], [low_x - x, low_y - y]) / ahead
+    room = np.where(np.abs(ahead) > 1e-12, room, inf).min(axis=-1)
+    same = [
+        BASES.index(rules.base),
+        RULES.index(rules.redundancy),
+        rules.gain,
+        rules.stopping_rate,
+        rules.step,
+    ]
+    options = np.empty((len(direction), 9))
+    options[:, :2], options[:, 2:7] = ahead, same
+    options[:, 7], options[:, 8] = room, rules.segment
+    return start, bounds, complex(x, y), options
+
+
+def joined(one: Paths, other: Paths) -> Paths:
+    """The paths of both."""
+    parts: dict[str, Any] = {
+        name: np.concatenate([getattr(one, name), getattr(other, name)]) for name in _EACH
+    }
+    return replace(one, **parts)

@@ -1,0 +1,185 @@
+"""How the joints share the tip's motion along a straight line.
+
+Along the line's length s, the joints move at the rates x = dq_m/ds that minimize
+
+    (x - z)^T W (x - z)    with    A x = b    and no joint beyond its limits.
+
+A x = b are the line, the first two rows of the tip's Jacobian (J_m if the base is held, J* if it
+floats without momentum), x being in its direction; and for zero reaction a third row, the base's
+angular rate, which is to vanish. The rule that resolves the redundancy chooses z and W:
+
+    minimum norm          z = 0                                W = 1
+    away from limits      z_i = -gain (q_i - mid_i) / half_i   W = 1          (Liegeois 1977)
+    weighted least norm   z = 0                                W_i = 1 + |dH/dq_i| for joints that
+                          move from the middle, else 1              (Chan and Dubey 1995)
+    preferred             z given, piecewise constant in s     W = 1
+
+    H = sum of (max_i - min_i)^2 / (4 (max_i - q_i) (q_i - min_i))
+"""
+
+import math
+
+from fss_arm_model.kernels import Complexes, Floats, helper
+from fss_arm_model.kinematics import _chain
+from fss_arm_model.momentum import _floating
+from fss_arm_workspace.manipulability.measure import _held
+
+BASES = ("fixed", "floating", "zero reaction")
+RULES = ("minimum norm", "away from limits", "weighted least norm", "preferred")
+
+_HEAVY = 1e-3  # distance from which on weights all but stop a joint, and it counts as held [rad]
+_MET = 1e-11  # distance from a limit that counts as none [rad]
+
+
+@helper
+def _solve(C: Floats, rows: int, y: Floats) -> bool:
+    """Solve C y' = y in place, C (rows, rows) symmetric and spoiled; False if it is singular."""
+    for i in range(rows):
+        scale = C[i, i]
+        for k in range(i):
+            C[i, i] -= C[i, k] * C[i, k]
+        if not C[i, i] > 1e-13 * scale:
+            return False
+        C[i, i] = math.sqrt(C[i, i])
+        for j in range(i + 1, rows):
+            for k in range(i):
+                C[j, i] -= C[j, k] * C[i, k]
+            C[j, i] /= C[i, i]
+        for k in range(i):
+            y[i] -= C[i, k] * y[k]
+        y[i] /= C[i, i]
+    for i in range(rows - 1, -1, -1):
+        for k in range(i + 1, rows):
+            y[i] -= C[k, i] * y[k]
+        y[i] /= C[i, i]
+    return True
+
+
+@helper
+def _least(
+    A: Floats, rows: int, free: Floats, z: Floats, W: Floats, C: Floats, y: Floats, x: Floats
+) -> bool:
+    """Write the free joints' x with A x = y nearest to z, and multipliers y; False if in vain."""
+    for i in range(rows):
+        for j in range(i + 1):
+            C[i, j] = 0.0
+            for k in range(x.size):
+                C[i, j] += free[k] * A[i, k] * A[j, k] / W[k]
+        for k in range(x.size):
+            y[i] -= free[k] * A[i, k] * z[k]
+    if not _solve(C, rows, y):
+        return False
+    for k in range(x.size):
+        x[k] = 0.0
+        for i in range(rows):
+            x[k] += A[i, k] * y[i]
+        x[k] = free[k] * (z[k] + x[k] / W[k])
+    return True
+
+
+@helper
+def _rows(p: Floats, q: Floats, base: float, d: Complexes, e: Complexes, A: Floats) -> None:
+    """Write A (3, n): the tip's two rows, and the base's angular rate per joint rate."""
+    _chain(p, q, d, e)
+    if base > 0.0:
+        _floating(p, d, e, A)
+        for k in range(A.shape[1]):
+            A[2, k] -= 1.0
+    else:
+        _held(d, A)
+        A[2] = 0.0
+
+
+@helper
+def _weight(low: float, high: float, here: float) -> float:
+    """1 + |dH/dq| of one joint."""
+    room = max(high - here, _MET) * max(here - low, _MET)
+    side = (high - low) / (2.0 * room)
+    return 1.0 + side * side * abs(2.0 * here - high - low)
+
+
+@helper
+def _rates(  # type: ignore[no-untyped-def]
+    limits, q, A, rows, rule, gain, preferred, direction, free, z, W, C, y, x,
+):  # fmt: skip
+    """Write the rates x (n,) [rad/m] of the free joints by the rule; False if there are none."""
+    z[:] = 0.0
+    W[:] = 1.0
+    for k in range(x.size):
+        low, high, here = limits[k, 0], limits[k, 1], q[3 + k]
+        if rule == 1.0:
+            z[k] = -gain * (2.0 * here - high - low) / (high - low)
+        elif rule == 2.0:
+            W[k] = _weight(low, high, here)
+        elif rule == 3.0:
+            z[k] = preferred[k]
+    # W of a rate that itself depends on W: the sum is convex, so few rounds lead to its least.
+    for _ in range(2 * x.size):
+        y[0], y[1], y[2] = direction.real, direction.imag, 0.0
+        if not _least(A, rows, free, z, W, C, y, x):
+            return False
+        settled = True
+        for k in range(x.size if rule == 2.0 else 0):
+            low, high, here = limits[k, 0], limits[k, 1], q[3 + k]
+            outward = x[k] * (2.0 * here - high - low) > 0.0
+            weight = _weight(low, high, here) if outward else 1.0
+            settled &= weight == W[k]
+            W[k] = weight
+        if settled:
+            break
+    return True
+
+
+@helper
+def _at_limit(limits: Floats, q: Floats, k: int, rule: float) -> float:
+    """-1 or 1 if joint k is at its lowest or highest reading, else 0."""
+    near = _HEAVY if rule == 2.0 else _MET
+    if q[3 + k] - limits[k, 0] <= near:
+        return -1.0
+    if limits[k, 1] - q[3 + k] <= near:
+        return 1.0
+    return 0.0
+
+
+@helper
+def _choose(  # type: ignore[no-untyped-def]
+    limits, q, A, rows, options, wish, direction, free, rates, C, x,
+):  # fmt: skip
+    """Write which joints move (n,), and their rates x; return whether they do, and their count.
+
+    A joint that would leave its limit is held, the hastiest first, until none would; one whose
+    multiplier says that it would better move inwards is let go again.
+    """
+    n = x.size
+    z, W, y = rates[0, :n], rates[1, :n], rates[2]
+    free[:] = 1.0
+    left = n
+    for _ in range(4 * n):
+        if left < rows:
+            return False, left
+        if not _rates(
+            limits, q, A, rows, options[3], options[4], wish, direction, free, z, W, C, y, x
+        ):
+            return False, left
+        chosen, most = -1, 0.0
+        for k in range(n):
+            out = free[k] * x[k] * _at_limit(limits, q, k, options[3])
+            if out > most:
+                chosen, most = k, out
+        if chosen >= 0:
+            free[chosen] = 0.0
+            left -= 1
+            continue
+        most = 1e-9
+        for k in range(n):
+            pull = W[k] * z[k]
+            for i in range(rows):
+                pull += A[i, k] * y[i]
+            inward = -(1.0 - free[k]) * pull * _at_limit(limits, q, k, options[3])
+            if inward > most:
+                chosen, most = k, inward
+        if chosen < 0:
+            break
+        free[chosen] = 1.0
+        left += 1
+    return True, left

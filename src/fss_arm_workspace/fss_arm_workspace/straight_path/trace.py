@@ -1,0 +1,276 @@
+"""The tip drawn along a straight line, from a start posture until no motion is left.
+
+The base's heading is integrated with the joints (momentum is conserved but not integrable); its
+position follows from the centre of mass, which stays. Which limits hold is fixed within a step of
+the Runge-Kutta method of 4th order, and steps end where a joint meets its limit.
+"""
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from fss_arm_model.kernels import Complexes, Floats, helper, kernel
+from fss_arm_model.kinematics import _chain, _mass, checked
+from fss_arm_workspace.manipulability.measure import _held
+from fss_arm_workspace.straight_path.redundancy import (
+    _MET,
+    _at_limit,
+    _choose,
+    _least,
+    _rates,
+    _rows,
+)
+
+REASONS = (
+    "the end of the table",
+    "a joint limit that leaves no motion",
+    "all joints but one at their limits",
+    "a singularity",
+)
+_TABLE, _LIMIT, _LIMITS, _SINGULAR = 0.0, 1.0, 2.0, 3.0
+
+_TURN = 0.02  # of a joint in a step, at most [rad]
+_GROWTH = 0.2  # of the rates in a step, at most
+_NEARING = 0.1  # of a joint to a limit in a step, where weights grow without bound, at most
+_SHORTEST = 1e-5  # step, unless a joint meets its limit within [m]
+_ON_LINE = 1e-6  # distance of the tip from its line that counts as none [m]
+
+
+@helper
+def _com(p: Floats, d: Complexes, e: Complexes) -> complex:
+    """The system's centre of mass from the base's origin."""
+    M, S, r = 0.0, 0j, 0j
+    for k in range(d.size):
+        m = _mass(p, k)
+        M += m
+        S += m * (r + e[k])
+        r += d[k]
+    return S / M
+
+
+@helper
+def _advance(  # type: ignore[no-untyped-def]
+    p, limits, options, preferred, direction, free, q, h, d, e, A, C, rates, stage, new,
+):  # fmt: skip
+    """Write the state `new` a distance h on: heading and joints by a step of Runge and Kutta.
+
+    rates (4, n + 3) is scratch. False if a stage has no rates, or too high ones.
+    """
+    base, rule, gain, fastest = options[2], options[3], options[4], options[5]
+    rows = 3 if base == 2.0 else 2
+    z, W, y, x = rates[0], rates[1], rates[2], rates[3]
+    n = x.size - 3
+    new[:] = q
+    stage[:] = q
+    for i in range(4):
+        _rows(p, stage, base, d, e, A)
+        if not _rates(
+            limits, stage, A, rows, rule, gain, preferred, direction, free,
+            z[:n], W[:n], C, y, x[:n],
+        ):  # fmt: skip
+            return False
+        turn = 0.0
+        for k in range(n):
+            if abs(x[k]) > fastest:
+                return False
+            turn += A[2, k] * x[k]
+        share = h / 6.0 if i in (0, 3) else h / 3.0
+        ahead = h if i == 2 else 0.5 * h
+        new[2] += share * turn
+        stage[2] = q[2] + ahead * turn
+        for k in range(n):
+            new[3 + k] += share * x[k]
+            stage[3 + k] = q[3 + k] + ahead * x[k]
+    return True
+
+
+@helper
+def _settle(  # type: ignore[no-untyped-def]
+    p, limits, base, com, origin, tip, free, q, d, e, A, C, rates,
+):  # fmt: skip
+    """Put the base where the centre of mass (or the base itself) stays, and the tip on its line.
+
+    False if that takes more than a small correction, as it does past a singularity.
+    """
+    rows = 3 if base == 2.0 else 2
+    z, W, y, x = rates[0], rates[1], rates[2], rates[3]
+    n = x.size - 3
+    error = 0j
+    for corrections in range(4):
+        _rows(p, q, base, d, e, A)
+        place = origin if base == 0.0 else com - _com(p, d, e)
+        q[0], q[1] = place.real, place.imag
+        error = tip - place
+        for k in range(n + 1):
+            error -= d[k]
+        z[:] = 0.0
+        W[:] = 1.0
+        y[0], y[1], y[2] = error.real, error.imag, 0.0
+        if abs(error) < 1e-13 or corrections == 3:
+            break
+        if not _least(A, rows, free, z[:n], W[:n], C, y, x[:n]):
+            break
+        for k in range(n):
+            if abs(x[k]) > _TURN:
+                return False
+            turn = min(max(q[3 + k] + x[k], limits[k, 0]), limits[k, 1]) - q[3 + k]
+            q[3 + k] += turn
+            q[2] += A[2, k] * turn
+    return abs(error) < _ON_LINE
+
+
+@helper
+def _within(limits: Floats, free: Floats, q: Floats, new: Floats) -> float:
+    """Share of the step from q to `new` after which the first of the free joints is at a limit."""
+    share = 1.0
+    for k in range(free.size):
+        bound = limits[k, 1] if new[3 + k] > q[3 + k] else limits[k, 0]
+        turn, room = abs(new[3 + k] - q[3 + k]), abs(bound - q[3 + k])
+        if free[k] > 0.0 and turn - room > _MET:
+            # Vectorized, this is computed for joints at rest too, and must not divide by zero.
+            share = min(share, room / max(turn, _MET))
+    return share
+
+
+@helper
+def _state_rates(d: Complexes, A: Floats, x: Floats, J: Floats, qd: Floats) -> None:
+    """Write the rates (3 + n,) of base and joints: the base moves as the tip with joints held."""
+    turn, v = 0.0, 0j
+    reach = _held(d, J)
+    for k in range(x.size):
+        turn += A[2, k] * x[k]
+        v += complex(A[0, k] - J[0, k], A[1, k] - J[1, k]) * x[k]
+        qd[3 + k] = x[k]
+    v -= 1j * turn * reach
+    qd[0], qd[1], qd[2] = v.real, v.imag, turn
+
+
+@kernel("(p),(n,k),(m),(o),(c,n),(s),(r)->(s,m),(s,m),(m),(r)")
+def _traced(  # type: ignore[no-untyped-def]
+    p, limits, start, options, preferred, samples, _r, states, derivatives, q, result,
+):  # fmt: skip
+    n = start.size - 3
+    d, e = np.empty((2, n + 1), np.complex128)
+    A, J = np.empty((2, 3, n))
+    C, rates = np.empty((3, 3)), np.empty((4, n + 3))
+    free, stage, new, x = np.empty(n), np.empty(n + 3), np.empty(n + 3), np.zeros(n)
+    direction, base = complex(options[0], options[1]), options[2]
+    fastest, longest_step, far = options[5], options[6], options[7]
+    segment = options[8]
+    rows = 3 if base == 2.0 else 2
+    q[:] = start
+    states[:], derivatives[:] = math.nan, math.nan
+    _chain(p, q, d, e)
+    origin = complex(q[0], q[1])
+    com = origin + _com(p, d, e)
+    tip = origin
+    for k in range(n + 1):
+        tip += d[k]
+    s, peak, highest, reason, sampled, still = 0.0, 0.0, 0.0, _TABLE, 0, 0
+    rate, slope, h = 0.0, 0.0, 0.0
+    while True:
+        wish = preferred[min(int(s / segment), preferred.shape[0] - 1)]
+        _rows(p, q, base, d, e, A)
+        moving, left = _choose(limits, q, A, rows, options, wish, direction, free, rates, C, x)
+        while sampled < samples.size and samples[sampled] <= s:
+            states[sampled] = q
+            if moving:
+                _state_rates(d, A, x, J, derivatives[sampled])
+            sampled += 1
+        if s >= far:
+            break
+        stuck = 0
+        for k in range(n):
+            stuck += int(_at_limit(limits, q, k, options[3]) != 0.0)
+        if left < rows <= n:
+            reason = _LIMITS if stuck >= n - 1 else _LIMIT
+            break
+        before, rate = rate, 0.0
+        for k in range(n):
+            rate = max(rate, abs(x[k]))
+        slope = (rate - before) / h if h > 0.0 else 0.0
+        if not moving or rate > fastest:
+            reason = _SINGULAR
+            break
+        highest = max(highest, rate)
+        if rate < 0.5 * highest:
+            peak = max(peak, highest)
+            highest = rate
+        h = min(longest_step, far - s, _TURN / max(rate, 1e-9))
+        if slope > 0.0:  # towards a singularity
+            h = min(h, max(_GROWTH * rate / slope, _SHORTEST))
+        if sampled < samples.size:
+            h = min(h, samples[sampled] - s)
+        if options[3] == 2.0:  # its weights grow as fast as the room shrinks
+            for k in range(n):
+                if free[k] == 0.0:
+                    continue
+                room = limits[k, 1] - q[3 + k] if x[k] > 0.0 else q[3 + k] - limits[k, 0]
+                h = min(h, max(_NEARING * room / max(abs(x[k]), 1e-9), _SHORTEST))
+        if options[3] == 3.0:
+            h = max(min(h, segment * (math.floor(s / segment) + 1.0) - s), 1e-9)
+        good = False
+        for _ in range(60):  # until the step ends where the first joint meets its limit
+            fits = _advance(
+                p, limits, options, wish, direction, free, q, h, d, e, A, C, rates, stage, new
+            )
+            share = _within(limits, free, q, new) if fits else 0.5
+            if share == 1.0:
+                for k in range(n):
+                    new[3 + k] = min(max(new[3 + k], limits[k, 0]), limits[k, 1])
+                place = tip + (s + h) * direction
+                good = _settle(p, limits, base, com, origin, place, free, new, d, e, A, C, rates)
+                if good:
+                    break
+                fits, share = False, 0.5
+            h *= share
+            if not fits and h < _SHORTEST:
+                break
+        if not good:
+            reason = _SINGULAR
+            break
+        still = still + 1 if h < 1e-12 else 0
+        if still > 2 * n:
+            reason = _LIMIT
+            break
+        s += h
+        q[:] = new
+    result[0], result[1], result[2] = s, reason, peak
+    # Near a singularity the rate grows as (s* - s)^-1/2, so that this much is left of the line.
+    # (Computed whatever the reason is, it must not divide by zero.)
+    left_over = 0.5 * rate / max(slope, 1e-300)
+    result[3] = left_over if reason == _SINGULAR and slope > 0.0 else 0.0
+
+
+def trace(
+    p: npt.ArrayLike,
+    q: npt.ArrayLike,
+    limits: npt.ArrayLike,
+    options: npt.ArrayLike,
+    preferred: npt.ArrayLike,
+    samples: npt.ArrayLike,
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Draw the tip along straight lines.
+
+    Args:
+        p: parameters of the arm.
+        q: start states (..., 3 + n), the base's pose in the world.
+        limits: lowest and highest joint readings (..., n, 2) [rad].
+        options: (..., 9) direction x, y (unit vector, world); index in BASES; index in RULES; gain
+            [rad/m]; joint rate that counts as a singularity [rad/m]; longest step [m]; length at
+            which the table ends [m]; length of a segment of z [m].
+        preferred: z of the rule "preferred", (..., c, n) [rad/m], one row a segment.
+        samples: lengths (..., s) at which to report the state, ascending [m].
+
+    Returns:
+        States at the samples, and their derivatives by the length, (..., s, 3 + n), NaN beyond the
+        end; the last state (..., 3 + n); and (..., 4): length [m], index in REASONS, highest rate
+        that was passed and sank again [rad/m], and estimated length between a stop for the rate
+        and the singularity itself [m].
+
+    Raises:
+        ValueError: shapes do not fit.
+    """
+    p, q, _ = checked(p, q)
+    return _traced(p, limits, q, options, preferred, samples, np.empty(4))

@@ -1,0 +1,1 @@
+"""A link's electronics, emulated, and its ways to a driver."""

@@ -1,0 +1,66 @@
+"""The way of datagrams between a link and its driver, with what happens to them on it."""
+
+from heapq import heappop, heappush
+from random import Random
+from typing import Any, NamedTuple
+
+from fss_arm_model.units import SECOND
+from fss_sim.faults import NO_FAULTS, LinkFaults
+
+
+class Datagram(NamedTuple):
+    """Bytes, and the other end: whom they come from or go to."""
+
+    data: bytes
+    peer: Any
+
+
+class Channel:
+    """One direction: what is put in comes out later, or never, or twice.
+
+    Args:
+        random: for the chances that faults leave.
+    """
+
+    def __init__(self, random: Random) -> None:
+        self._random = random
+        self._under_way: list[tuple[int, int, Datagram]] = []  # by time of arrival, then order
+        self._held: Datagram | None = None  # until the next one has gone
+        self._count = 0
+
+    def put(self, datagram: Datagram, now: int, faults: LinkFaults = NO_FAULTS) -> None:
+        """Send a datagram at a time [ns]."""
+        if faults == NO_FAULTS:
+            self._enter(datagram, now)
+        elif not self._happens(faults.loss):
+            if self._happens(faults.corruption):
+                datagram = self._corrupted(datagram)
+            if not self._held and self._happens(faults.reordering):
+                self._held = datagram
+                return
+            for _ in range(1 + self._happens(faults.duplication)):
+                jitter = faults.jitter * self._random.uniform(-1.0, 1.0)
+                self._enter(datagram, now + round(SECOND * max(0.0, faults.delay + jitter)))
+        if self._held:
+            self._enter(self._held, now + round(SECOND * faults.delay))
+            self._held = None
+
+    def arrived(self, now: int) -> list[Datagram]:
+        """What comes out up to a time [ns], in order."""
+        got = []
+        while self._under_way and self._under_way[0][0] <= now:
+            got.append(heappop(self._under_way)[2])
+        return got
+
+    def _enter(self, datagram: Datagram, arrival: int) -> None:
+        self._count += 1
+        heappush(self._under_way, (arrival, self._count, datagram))
+
+    def _happens(self, share: float) -> bool:
+        return share > 0.0 and self._random.random() < share
+
+    def _corrupted(self, datagram: Datagram) -> Datagram:
+        data = bytearray(datagram.data)
+        if data:
+            data[self._random.randrange(len(data))] ^= 1 << self._random.randrange(8)
+        return datagram._replace(data=bytes(data))

@@ -1,0 +1,101 @@
+"""A link of the test bed: its electronics while they have power, and the ways to its driver."""
+
+from random import Random
+from typing import Any
+
+from fss_arm_model import description
+from fss_sim.faults import NO_FAULTS, LinkFaults
+from fss_sim.link import instruments
+from fss_sim.link.channel import Channel, Datagram
+from fss_sim.link.electronics import LinkElectronics
+from fss_sim.noise import Noise
+from fss_sim.plant.plant import Demand, Motion
+
+UPTIME = 10_000_000  # a link was switched on within this time before the test bed [us]
+OFF = Demand(0)
+
+
+class Link:
+    """One link, told of every frame; times are the simulation's [ns].
+
+    Args:
+        number: 1 beside the base.
+        link: its description.
+        noise: of its instruments and its clock.
+        seed: of them, whatever has been going on before.
+        run: seed of what must not repeat itself when a run is resumed.
+        rate: of telemetry [frames/s].
+        key: that frames are signed under, if any.
+        torque_rate: samples of the torque converter a second.
+        charge: of the battery, 0 to 1.
+    """
+
+    def __init__(
+        self,
+        number: int,
+        link: description.Link,
+        noise: Noise,
+        seed: int,
+        run: int,
+        rate: float = 5.0,
+        key: bytes | None = None,
+        torque_rate: int = 80,
+        charge: float = 1.0,
+    ) -> None:
+        self.number = number
+        self._link, self._rate, self._key = link, rate, key
+        made = Random(f"{seed}, {number}")
+        self._drift = made.gauss(0.0, noise.clock_drift)
+        self.instruments = instruments.make(link.torque_sensor, noise, made, torque_rate, charge)
+        ways = Random(f"{seed}, {number}, {run}")
+        self.uptime = ways.randrange(UPTIME)  # when the test bed begins [us]
+        self._in, self._out = Channel(Random(ways.random())), Channel(Random(ways.random()))
+        self._peer: Any = None  # whom telemetry goes to
+        self._since = self._began = 0  # the clock's time then [us], and the simulation's
+        self.electronics: LinkElectronics | None = None
+
+    @property
+    def refused(self) -> int:
+        """Datagrams refused since its start."""
+        return self.electronics.gate.refused.total() if self.electronics else 0
+
+    def clock(self, now: int) -> int:
+        """Its own clock [us]."""
+        return self._since + round((now - self._began) * (1.0 + self._drift) / 1000)
+
+    def start(self, boot: int, now: int, uptime: int = 0) -> None:
+        """Switch it on, `uptime` us ago."""
+        self.electronics = LinkElectronics(
+            self.number, self._link, boot, self._rate, self._key, self.instruments
+        )
+        self._since, self._began, self._peer = uptime, now, None
+
+    def stop(self) -> None:
+        """Take its power away."""
+        self.electronics = None
+
+    def put(self, data: bytes, peer: Any, now: int, faults: LinkFaults = NO_FAULTS) -> None:
+        """Send it a datagram."""
+        self._in.put(Datagram(data, peer), now, faults)
+        self._listen(now)
+
+    def demand(self, now: int, motion: Motion) -> Demand:
+        """What its servo drive is to do from now on."""
+        self._listen(now)
+        return self.electronics.demand(self.clock(now), motion) if self.electronics else OFF
+
+    def report(
+        self, now: int, motion: Motion, seconds: float, faults: LinkFaults = NO_FAULTS
+    ) -> list[Datagram]:
+        """What arrives of its telemetry, `seconds` after the last time it was asked."""
+        if self.electronics:
+            self.instruments.battery.draw(motion.current, seconds)
+            frame = self.electronics.telemetry(self.clock(now), motion)
+            if frame:
+                self._out.put(Datagram(frame, self._peer), now, faults)
+        return self._out.arrived(now)
+
+    def _listen(self, now: int) -> None:
+        for datagram in self._in.arrived(now):
+            if self.electronics and self.electronics.receive(datagram.data, self.clock(now)):
+                self._peer = datagram.peer

@@ -1,0 +1,143 @@
+"""The servo drive of each joint, its harmonic drive's friction, and the joint's end stops.
+
+A drive reads its encoder at the start of a period and holds its torque for it.
+
+    off       no torque
+    current   the torque asked for
+    velocity  a ramp to the velocity, which ends at the soft limit of the joint's range
+    position  a trapezoid to the angle, or to the soft limit before it
+
+Velocity and position are the same generator of a reference (r, v), which a PD servo follows, and
+makes up for the friction as its integral action does:
+
+    tau = -stiffness (q + dt qd - r) - damping (qd + dt qdd - v)
+
+q and qd are taken a step ahead (Tan, Liu & Turk 2011, stable PD control), which is stable for any
+gains and inertias as a drive's far faster current loop is. Friction and stops are taken so, too:
+
+    friction  -(viscous + coulomb / sqrt(qd^2 + smooth^2)) qd
+    stop      beyond the joint's range, a spring and a damper that push and never pull
+"""
+
+import math
+
+from fss_arm_model.centroidal import Bodies
+from fss_arm_model.integration import STEP
+from fss_arm_model.kernels import helper
+from fss_sim.plant.surroundings import Forces, _act_called
+
+#: What a drive controls, by the numbers of docs/protocol.md.
+OFF, CURRENT, VELOCITY, POSITION = 0.0, 1.0, 11.0, 21.0
+
+# For loads as the generalized inertia of four links, 0.01 to 2 kg m^2 by posture: all motion
+# decays by exp(-20 t) or faster, and 1.8 N m turn the joint by 0.75 mrad.
+STIFFNESS, DAMPING = 2400.0, 80.0  # [N m/rad], [N m s/rad]
+SMOOTH = 0.005  # of the Coulomb friction [rad/s]
+
+
+@helper
+def _goal(mode, set_point, lowest, highest, r):  # type: ignore[no-untyped-def]
+    """Where a reference at r is to go."""
+    if mode == POSITION:
+        return min(max(set_point, lowest), highest)
+    return max(highest, r) if set_point > 0.0 else min(lowest, r)
+
+
+@helper
+def _profile(goal, speed, acceleration, r, v):  # type: ignore[no-untyped-def]
+    """The reference (r, v) one step on: towards the goal, within speed and acceleration.
+
+    Stopping from k dv, dv = acceleration dt, in whole steps takes k (k + 1) / 2 dv dt: the k
+    that the remaining distance allows limits the speed, so that the reference lands on the goal.
+    """
+    dv = acceleration * STEP
+    distance = abs(goal - r)
+    k = 0.5 * (math.sqrt(1.0 + 8.0 * distance / (dv * STEP)) - 1.0)
+    wanted = math.copysign(min(speed, k * dv, distance / STEP), goal - r)
+    v += min(max(wanted - v, -dv), dv)
+    return r + v * STEP, v
+
+
+@helper
+def _stop(joint, q, qd):  # type: ignore[no-untyped-def]
+    """Torque of the joint's end stop, and how much less of it an acceleration of 1/STEP leaves."""
+    lowest, highest, stiffness, damping = joint[0], joint[1], joint[5], joint[6]
+    ahead = q + STEP * qd
+    over = max(ahead - highest, 0.0) + min(ahead - lowest, 0.0)
+    push = -stiffness * over - damping * qd
+    if push * over < 0.0:
+        return push, damping + STEP * stiffness
+    return 0.0, 0.0
+
+
+@helper
+def _ask(joint, demand, q, qd, reference, law):  # type: ignore[no-untyped-def]
+    """Move the reference (2,) one step on; write to law (6,) the torques without acceleration.
+
+    They are the servo's, the friction's and the stop's, each with its damping.
+    """
+    mode, set_point, speed, acceleration = demand
+    most, viscous, coulomb = joint[2], joint[3], joint[4]
+    r, v = q, qd
+    law[0] = law[1] = 0.0
+    if mode == CURRENT:
+        law[0] = min(max(set_point, -most), most)
+    elif mode != OFF:
+        goal = _goal(mode, set_point, joint[0], joint[1], reference[0])
+        r, v = _profile(goal, speed, acceleration, reference[0], reference[1])
+        law[0], law[1] = -STIFFNESS * (q + STEP * qd - r) - DAMPING * (qd - v), DAMPING
+    reference[0], reference[1] = r, v
+    law[3] = viscous + coulomb / math.sqrt(qd * qd + SMOOTH * SMOOTH)
+    law[2] = -law[3] * qd
+    law[4], law[5] = _stop(joint, q, qd)
+
+
+@helper
+def _give(joint, q, qd, qdd, reference, law, torques):  # type: ignore[no-untyped-def]
+    """Torque between the bodies; write to torques (2,) the motor's and what the gear passes on."""
+    most, follows = joint[2], law[1] > 0.0
+    friction, stop = law[2] - STEP * law[3] * qdd, law[4] - STEP * law[5] * qdd
+    wanted = law[0] - STEP * law[1] * qdd - (friction if follows else 0.0)
+    motor = min(max(wanted, -most), most)
+    if motor != wanted:
+        # No torque to follow with: the reference goes on from where the joint is.
+        reference[0] = q + STEP * qd + (motor + friction) / STIFFNESS
+        reference[1] = qd
+    torques[0], torques[1] = motor, motor + friction
+    return motor + friction + stop
+
+
+@helper
+def _drive(  # type: ignore[no-untyped-def]
+    bodies, forces, joints, demand, q, qd, reference, z, begin, work, dz, inertia, asked, laws,
+    torques,
+):  # fmt: skip
+    """Add what the joints do in the next step to forces.held, and write torques (n, 2).
+
+    With the damping D of what is taken a step ahead, (A + STEP D) v' = forces(v' = 0). inertia
+    (2, m), asked (m,) and laws (n, 6) are scratch, as what _act takes.
+    """
+    n, held = demand.shape[0], forces.held
+    for k in range(n + 1):
+        inertia[0, k], inertia[1, k] = bodies.inertia[0, k], bodies.inertia[1, k]
+        asked[k] = held[k]
+    for j in range(n):
+        law = laws[j]
+        _ask(joints[j], demand[j], q[3 + j], qd[3 + j], reference[j], law)
+        # A servo makes up for the friction.
+        follows = law[1] > 0.0
+        given = law[0] + law[4] + (0.0 if follows else law[2])
+        damping = STEP * (law[1] + law[5] + (0.0 if follows else law[3]))
+        asked[j] -= given
+        asked[j + 1] += given
+        inertia[0, j] += damping
+        inertia[0, j + 1] += damping
+        inertia[1, j + 1] -= damping
+    damped = Bodies(bodies.p, bodies.mass, bodies.arms, inertia)
+    tried = Forces(forces.around, forces.thrust, asked, forces.torque)
+    _act_called(damped, tried, begin, z, work, dz)
+    for j in range(n):
+        qdd = dz[1, 3 + j] - dz[1, 2 + j]
+        given = _give(joints[j], q[3 + j], qd[3 + j], qdd, reference[j], laws[j], torques[j])
+        held[j] -= given
+        held[j + 1] += given

@@ -1,0 +1,107 @@
+"""The whole plant, many steps in one compiled call: arm, drives, thrusters and surroundings.
+
+Momentum and energy are audited as it goes: beside what the bodies have of both, the impulse and
+the work of all that acts on them are integrated, and the two must stay alike.
+"""
+
+import numpy as np
+import numpy.typing as npt
+
+from fss_arm_model.centroidal import _bodies, _from_centroidal, _momenta, _to_centroidal
+from fss_arm_model.integration import STEP, classical, controlled
+from fss_arm_model.kernels import Floats, kernel
+from fss_sim.plant.drives import _drive
+from fss_sim.plant.surroundings import Forces, _act, _act_called
+
+_classical, _controlled = classical(_act), controlled(_act_called)
+
+
+@kernel("(p),(r),(n,l),(e),(t,f),(n,d),(c),(s,m),(n,g),(b,a)->(s,m),(n,g),(b,a),(n,s)")
+def _advance(  # type: ignore[no-untyped-def]
+    p, rotor, joints, surroundings, valves, demand, control, state0, reference0, audit0,
+    state, reference, audit, torques,
+):  # fmt: skip
+    m, kind = state.shape[1] - 2, np.complex128
+    bodies, z, k = _bodies(p.copy(), rotor.copy()), np.zeros((2, 4 + m)), np.zeros((8, 2, 4 + m))
+    begin, turned, work = np.empty((3, m), kind), np.empty((3, m), kind), np.empty((2, m), kind)
+    held, torque, asked, inertia = np.empty(m), np.empty(m), np.empty(m), np.empty((2, m))
+    laws, dz, around = np.empty((m, 6)), np.zeros((2, 4 + m)), surroundings.copy()
+    tight, wants, follows, gives = joints.copy(), demand.copy(), reference0.copy(), np.zeros((m, 2))
+    q, qd = state0[0].copy(), state0[1].copy()
+    _to_centroidal(bodies, q, qd, begin, z)
+    start_x, start_y = z[1, 0], z[1, 1]
+    steps, tolerance = int(control[0]), control[1]
+    for step in range(steps):
+        thrust, held[:] = 0j, 0.0
+        for valve in valves:
+            if valve[3] <= step < valve[4]:
+                thrust += complex(valve[0], valve[1])
+                held[0] += valve[2]
+        forces = Forces(around, thrust, held, torque)
+        _drive(
+            bodies, forces, tight, wants, q, qd, follows, z, begin, work, dz, inertia, asked, laws,
+            gives,
+        )  # fmt: skip
+        if tolerance > 0.0:
+            _controlled(bodies, forces, STEP, tolerance, z, begin, turned, work, k)
+        else:
+            _classical(bodies, forces, STEP, z, begin, turned, work, k)
+        _from_centroidal(bodies, begin, z, q, qd)
+    for i in range(2 + m):
+        state[0, i], state[1, i] = q[i], qd[i]
+    for j in range(m - 1):
+        reference[j, 0], reference[j, 1] = follows[j, 0], follows[j, 1]
+        torques[j, 0], torques[j, 1] = gives[j, 0], gives[j, 1]
+    twice_energy, moment = _momenta(bodies, begin, z)
+    audit[0, 0], audit[0, 1] = bodies.mass * z[1, 0], bodies.mass * z[1, 1]
+    audit[0, 2], audit[0, 3] = moment, 0.5 * twice_energy
+    audit[1, 0] = audit0[1, 0] + bodies.mass * (z[1, 0] - start_x)
+    audit[1, 1] = audit0[1, 1] + bodies.mass * (z[1, 1] - start_y)
+    audit[1, 2], audit[1, 3] = audit0[1, 2] + z[1, 3 + m], audit0[1, 3] + z[1, 2 + m]
+
+
+def advance(
+    p: npt.ArrayLike,
+    rotor: npt.ArrayLike,
+    joints: npt.ArrayLike,
+    surroundings: npt.ArrayLike,
+    valves: npt.ArrayLike,
+    demand: npt.ArrayLike,
+    state: npt.ArrayLike,
+    reference: npt.ArrayLike,
+    audit: npt.ArrayLike,
+    steps: int,
+    tolerance: float = 0.0,
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """The plant, `steps` steps of STEP later. n may be 0: a base without an arm.
+
+    Args:
+        p: (8 + 6 n,) Arm.vector().
+        rotor: (2,) N^2 J and N J [kg m^2] of each joint's rotor of inertia J, turning N times as
+            fast as the joint.
+        joints: (n, 7) lowest and highest angle [rad], largest torque of the motor [N m]; viscous
+            [N m s/rad] and Coulomb friction [N m]; the end stops' stiffness [N m/rad] and damping
+            [N m s/rad].
+        surroundings: (11,) Surroundings.vector().
+        valves: (t, 5) force on the base's origin in its own axes [N] and torque [N m] of a thruster
+            while its valve is open, and the steps from which and up to which it is.
+        demand: (n, 4) of each drive: mode, set point [N m, rad/s or rad, by mode], speed [rad/s]
+            and acceleration [rad/s^2] of the profile, the latter above 0 but for mode off. Position
+            mode at speed 0 means: decelerate, and hold where that ends.
+        state: (2, 3 + n) q and qd.
+        reference: (n, 2) where the drives want the joints [rad], and how fast [rad/s].
+        audit: (2, 4); the first row does not matter.
+        steps: how many.
+        tolerance: of a step's error in any coordinate or rate, SI units, for Dormand and Prince's
+            method with error control; 0: Runge-Kutta's classical method.
+
+    Returns:
+        state, reference; audit: linear momentum [N s], angular momentum about the world's origin
+        [N m s] and energy [J] that the bodies have, and below, added to what was there, those that
+        forces have given them; and torques (n, 2) [N m] of the last step, the motors' and those
+        that pass the gears, less by the friction; 0 without a step. Leading dimensions broadcast.
+    """
+    control = np.array([steps, tolerance], dtype=float)
+    return _advance(
+        p, rotor, joints, surroundings, valves, demand, control, state, reference, audit
+    )

@@ -1,0 +1,157 @@
+"""What acts on the floating arm from outside its joints: table, air film, tether and thrusters."""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from fss_arm_model.centroidal import _momenta, _rate, _scaled
+from fss_arm_model.kernels import Floats, helper, inlined
+from fss_arm_model.kinematics import _cross, _dot
+from fss_arm_model.settings import FINITE, NOT_NEGATIVE, POSITIVE, Settings, setting
+from fss_arm_model.units import GRAVITY
+
+# Where what stands in Surroundings.vector(). The air film's shear grows with the mass that it
+# carries, so that each mass element m feels -film m v.
+TILT_X, TILT_Y, FILM, TETHER, TWIST, HALF_X, HALF_Y = range(7)
+STIFFNESS, DAMPING, BASE_RADIUS, LINK_RADIUS = range(7, 11)
+
+
+@dataclass(frozen=True)
+class Surroundings(Settings):
+    """What acts on all that floats; nothing by default but the table's border."""
+
+    tilt: tuple[float, ...] = setting(
+        (0.0, 0.0), "slope of the table along x and y, downhill", unit="rad", check=FINITE, size=2
+    )
+    film: float = setting(
+        0.0, "shear of the air films, by mass carried and velocity", unit="1/s", check=NOT_NEGATIVE
+    )
+    tether: float = setting(
+        0.0, "drag of the tether on the base's origin", unit="N s/m", check=NOT_NEGATIVE
+    )
+    tether_twist: float = setting(
+        0.0, "drag of the tether against the base's turning", unit="N m s", check=NOT_NEGATIVE
+    )
+    table: tuple[float, ...] = setting(
+        (4.0, 4.0), "sides of the table, along x and y, about the origin", unit="m",
+        check=POSITIVE, size=2,
+    )  # fmt: skip
+    border_stiffness: float = setting(
+        2000.0, "stiffness of the table's border", unit="N/m", check=NOT_NEGATIVE
+    )
+    border_damping: float = setting(
+        100.0, "damping of the table's border", unit="N s/m", check=NOT_NEGATIVE
+    )
+    base_radius: float = setting(
+        0.19, "radius within which the base lies about its origin", unit="m", check=NOT_NEGATIVE
+    )
+    link_radius: float = setting(
+        0.06, "radius of the links' ends about their joints", unit="m", check=NOT_NEGATIVE
+    )
+
+    def vector(self) -> Floats:
+        """The numbers that the kernel takes, (11,); the tilt as an acceleration, half the table."""
+        tilt, half = GRAVITY * np.array(self.tilt), 0.5 * np.array(self.table)
+        border = self.border_stiffness, self.border_damping, self.base_radius, self.link_radius
+        return np.array([*tilt, self.film, self.tether, self.tether_twist, *half, *border])
+
+
+@helper
+def _push(around, r, v, radius):  # type: ignore[no-untyped-def]
+    """The border's force on a disc at r that moves at v; it pushes and never pulls."""
+    stiffness, damping = around[STIFFNESS], around[DAMPING]
+    x = y = 0.0
+    deep = abs(r.real) + radius - around[HALF_X]
+    if deep > 0.0:
+        out = math.copysign(1.0, r.real)
+        x = -out * max(0.0, stiffness * deep + damping * out * v.real)
+    deep = abs(r.imag) + radius - around[HALF_Y]
+    if deep > 0.0:
+        out = math.copysign(1.0, r.imag)
+        y = -out * max(0.0, stiffness * deep + damping * out * v.imag)
+    return complex(x, y)
+
+
+@helper
+def _is_near_edge(bodies, around, z):  # type: ignore[no-untyped-def]
+    """Whether any part may touch the border, judged by the largest reach there can be."""
+    reach = max(around[BASE_RADIUS], around[LINK_RADIUS])
+    for k in range(bodies.arms.shape[1]):
+        reach += max(abs(bodies.arms[0, k]), abs(bodies.arms[1, k]) / bodies.mass)
+    far_x = abs(z[0, 0]) + reach > around[HALF_X]
+    return far_x or abs(z[0, 1]) + reach > around[HALF_Y]
+
+
+@helper
+def _border(bodies, around, turned, z, torque):  # type: ignore[no-untyped-def]
+    """Add the border's forces on base, joints and tip to the torques; return their sum.
+
+    A force at a pivot is as one on the base's origin and torques d_k x f on the bodies before.
+    """
+    m, mass = torque.size, bodies.mass
+    r, v = complex(z[0, 0], z[0, 1]), complex(z[1, 0], z[1, 1])
+    for k in range(m):
+        r -= _scaled(1.0 / mass, turned[2, k])
+        v -= 1j * _scaled(z[1, 2 + k] / mass, turned[2, k])
+    force = _push(around, r, v, around[BASE_RADIUS])
+    for k in range(m):
+        d = turned[1, k] + _scaled(1.0 / mass, turned[2, k])
+        r += d
+        v += 1j * _scaled(z[1, 2 + k], d)
+        if m > 1:
+            push = _push(around, r, v, around[LINK_RADIUS])
+            force += push
+            for j in range(k + 1):
+                back = turned[1, j] + _scaled(1.0 / mass, turned[2, j])
+                torque[j] += _cross(back, push)
+    return force
+
+
+class Forces(NamedTuple):
+    """All that acts on the bodies in a step."""
+
+    around: Floats  # (11,) Surroundings.vector()
+    thrust: complex  # on the base's origin, in the base's own axes [N]
+    held: Floats  # (m,) torques on the bodies [N m]
+    torque: Floats  # (m,) scratch
+
+
+@inlined
+def _act(bodies, forces, turned, z, work, dz):  # type: ignore[no-untyped-def]
+    """Write dz (2, 4 + m) under all that acts.
+
+    The last columns of dz[1] are the power of all forces and the moment, about the world's origin,
+    of those from outside, so that z[1] has the work and the angular impulse there.
+    """
+    around, thrust, held, torque = forces
+    m, mass = held.size, bodies.mass
+    force = thrust * turned[0, 0]
+    for k in range(m):
+        torque[k] = held[k]
+    r, v = complex(z[0, 0], z[0, 1]), complex(z[1, 0], z[1, 1])
+    r_0, v_0 = r, v
+    for k in range(m):
+        r_0 -= _scaled(1.0 / mass, turned[2, k])
+        v_0 -= 1j * _scaled(z[1, 2 + k] / mass, turned[2, k])
+    force -= _scaled(around[TETHER], v_0)
+    torque[0] -= around[TWIST] * z[1, 2]
+    if _is_near_edge(bodies, around, z):
+        force += _border(bodies, around, turned, z, torque)
+    _rate(bodies, turned, force, torque, z, work, dz)
+    tilt, film = complex(around[TILT_X], around[TILT_Y]), around[FILM]
+    dz[1, 0] += tilt.real
+    dz[1, 1] += tilt.imag
+    for i in range(2 + m):
+        dz[1, i] -= film * z[1, i]
+    twice_energy, moment = _momenta(bodies, turned, z)
+    power = _dot(force, v_0) + mass * _dot(tilt, v) - film * twice_energy
+    moment = _cross(r_0, force) + mass * _cross(r, tilt) - film * moment
+    for k in range(m):
+        power += torque[k] * z[1, 2 + k]
+        moment += torque[k]
+    dz[0, 2 + m], dz[0, 3 + m], dz[1, 2 + m], dz[1, 3 + m] = 0.0, 0.0, power, moment
+
+
+_act_called = helper(_act.py_func)  # where inlining it would cost more to compile than it gains

@@ -1,0 +1,127 @@
+"""Eight cold-gas thrusters in a square, their valves, and the tank that feeds them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from fss_arm_model.integration import STEP
+from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, Settings, setting
+from fss_arm_model.units import GRAVITY
+
+Floats = npt.NDArray[np.float64]
+
+COUNT = 8
+CORNERS = ((1, 1), (-1, 1), (-1, -1), (1, -1))  # of the square, in the base's axes
+GAS = 287.0  # gas constant of air [J/(kg K)]
+
+
+@dataclass(frozen=True)
+class Propulsion(Settings):
+    """What the thrusters, their valves and their tank are like."""
+
+    thrust: float = setting(0.16, "thrust of one of the thrusters", unit="N", check=POSITIVE)
+    lever: float = setting(
+        0.11, "lever of a thruster: from the base's origin to the line of thrust", unit="m",
+        check=POSITIVE,
+    )  # fmt: skip
+    specific_impulse: float = setting(
+        34.0, "specific impulse of the thrusters", unit="s", check=POSITIVE
+    )
+    minimum_on_time: float = setting(
+        0.01, "least time for which a thruster's valve opens", unit="s", check=NOT_NEGATIVE
+    )
+    valve_delay: float = setting(
+        0.005, "time from a command to the thrust, and to its end", unit="s", check=NOT_NEGATIVE
+    )
+    tank_volume: float = setting(0.43e-3, "volume of the gas tank", unit="m^3", check=POSITIVE)
+    tank_pressure: float = setting(
+        20e6, "pressure of the gas tank at the begin", unit="Pa", check=POSITIVE
+    )
+    regulator_pressure: float = setting(
+        0.7e6, "pressure below which the thrust falls with the tank's", unit="Pa", check=POSITIVE
+    )
+    temperature: float = setting(293.0, "temperature of tank and gas", unit="K", check=POSITIVE)
+
+
+def layout(thrust: float, lever: float) -> Floats:
+    """Force on the base in its own axes [N] and torque [N m] of each thruster, (8, 3).
+
+    There are two at each corner of the square, counter-clockwise from the one ahead and to the
+    left: the first pushes back along x, the second along y, so that each pair of opposite corners
+    gives any force or torque alone.
+    """
+    rows = []
+    for x, y in CORNERS:
+        rows += [(-x * thrust, 0.0, x * y * thrust * lever)]
+        rows += [(0.0, -y * thrust, -x * y * thrust * lever)]
+    return np.array(rows)
+
+
+class Thrusters:
+    """The state of valves and tank; time is in steps of the plant.
+
+    Args:
+        propulsion: what they are like.
+        used: propellant used before [kg].
+    """
+
+    def __init__(self, propulsion: Propulsion | None = None, used: float = 0.0) -> None:
+        self.propulsion = p = propulsion or Propulsion()
+        self.layout = layout(p.thrust, p.lever)
+        self.tank = p.tank_pressure * p.tank_volume / (GAS * p.temperature)  # [kg]
+        self.used = min(used, self.tank)  # propellant [kg]
+        self._begin, self._end = np.zeros(COUNT), np.zeros(COUNT)  # of each pulse [step]
+
+    @property
+    def pressure(self) -> float:
+        """Of the tank [Pa], isothermal."""
+        return self.propulsion.tank_pressure * (1.0 - self.used / self.tank)
+
+    @property
+    def thrust(self) -> float:
+        """Of an open thruster now, as a part of its full thrust."""
+        return min(1.0, self.pressure / self.propulsion.regulator_pressure)
+
+    def command(self, on_times: Sequence[float], now: int) -> None:
+        """Open each valve for a time from now on [s]; 0 closes it.
+
+        A pulse that is shorter than the minimum does not open a valve, and one that is open stays
+        so for the minimum. Told to open again before it has closed, it stays open.
+
+        Raises:
+            ValueError: there are not eight times, or one is not a number from 0 on.
+        """
+        times = np.asarray(on_times, dtype=float)
+        if times.shape != (COUNT,) or not (np.isfinite(times) & (times >= 0.0)).all():
+            raise ValueError(f"on times are {times.tolist()}, expected {COUNT} from 0 on [s]")
+        p = self.propulsion
+        at, least = now + round(p.valve_delay / STEP), round(p.minimum_on_time / STEP)
+        is_open = self._end > now  # or is about to
+        wanted = np.where(times >= p.minimum_on_time, np.round(times / STEP), 0.0)
+        self._begin = np.where(is_open, self._begin, at)
+        kept = np.minimum(np.maximum(at, self._begin + least), self._end)
+        self._end = np.where(wanted > 0.0, at + wanted, np.where(is_open, kept, at))
+
+    def valves(self, now: int) -> Floats:
+        """Force and torque of each, and from and up to which step from now they act, (8, 5)."""
+        pulses = np.stack([self._begin - now, self._end - now], axis=-1)
+        return np.hstack([self.thrust * self.layout, pulses])
+
+    def busy(self, now: int) -> bool:
+        """Whether a valve is open or will be."""
+        return bool((self._end > now).any())
+
+    def open(self, now: int) -> list[bool]:
+        """Which valves are."""
+        return ((self._begin <= now) & (now < self._end)).tolist()
+
+    def spend(self, now: int, steps: int) -> float:
+        """Take from the tank what the next steps use; return how much [kg]."""
+        p = self.propulsion
+        times = np.minimum(self._end, now + steps) - np.maximum(self._begin, now)
+        flow = self.thrust * p.thrust / (p.specific_impulse * GRAVITY)
+        spent = min(float(flow * STEP * np.maximum(times, 0.0).sum()), self.tank - self.used)
+        self.used += spent
+        return spent

@@ -1,0 +1,352 @@
+"""What the calibrations of all kinds have alike: node, state, bag, recomputation, report."""
+
+import json
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from calib_kinds import CASES, Bed, ask, kind_of, make_node, play, serialized
+from calib_toy import TOY
+from rclpy.parameter import Parameter
+
+from fss_arm_bags.recorder import Recording
+from fss_arm_calib.calibration_node import node_settings
+from fss_arm_calib.from_bag import main as from_bag
+from fss_arm_calib.from_bag import parser, solve_bag
+from fss_arm_calib.kinds import KINDS
+from fss_arm_calib.messages import common
+from fss_arm_calib.recompute import again, recompute
+from fss_arm_calib.recompute import main as recompute_command
+from fss_arm_calib.state import StateError
+from fss_arm_ros.convert import SECOND
+from fss_arm_ros.diagnostics import ERROR, OK, WARN
+from fss_arm_ros.qos import LATCHED
+
+assert CASES.keys() == {*KINDS, "toy"}
+
+
+class Made:
+    """A kind with its samples, its bag, and what comes of it; each made once."""
+
+    def __init__(self, case, folder):
+        self.case, self.kind = case, kind_of(case)
+        self.samples, self.folder = case.samples(), folder
+        self.settings = self.kind.settings(**case.settings)
+
+    @property
+    def bag(self):
+        if not hasattr(self, "_bag"):
+            self._bag = self.case.module.record(self.folder / "bag", self.samples)
+        return self._bag
+
+    @property
+    def outcome(self):
+        if not hasattr(self, "_outcome"):
+            self._outcome = solve_bag(self.kind, self.bag, self.settings)
+        return self._outcome
+
+    def node(self, **settings):
+        return make_node(self.kind, **{**self.case.settings, **settings})
+
+    def joints(self, t):
+        """The feeding of joints, and a reading of joint 1 at t [ns]."""
+        sample = next(s for s in self.samples if s.stream == 1)
+        one = next(i for i in self.kind.inputs(self.settings, 4) if i.topic == "joint_states")
+        return one.feed, self.case.module.message(sample._replace(t=t))[1]
+
+
+@pytest.fixture(scope="module", params=CASES)
+def made(request, tmp_path_factory):
+    return Made(CASES[request.param], tmp_path_factory.mktemp(request.param))
+
+
+@pytest.fixture(autouse=True)
+def toy_in_the_table(monkeypatch):
+    """A kind more: a record in the table is all that it takes."""
+    monkeypatch.setitem(KINDS, "toy", TOY)
+
+
+@pytest.fixture
+def kept(ros):
+    """kept(made, **settings): a node, destroyed after the test."""
+    nodes = []
+
+    def make(made, **settings):
+        nodes.append(made.node(**settings))
+        return nodes[-1]
+
+    yield make
+    for node in nodes:
+        node.destroy_node()
+
+
+def test_live_is_what_the_bag_says_and_can_be_recomputed(spin, made, tmp_path):
+    kind, case = made.kind, made.case
+    output, report = tmp_path / "new" / "output.yaml", tmp_path / "report"
+    bed, node = Bed(kind), made.node(output=str(output), report=str(report))
+    play(spin, bed, node, made.samples, case.module.message)
+    answer = ask(spin, bed, node, bed.solver)
+    assert answer.success, answer.message
+    spin([bed, node], lambda: bed.found() == case.count and bed.results)
+    spin([bed, node], lambda: common(bed.results[-1]).used == case.count)
+    result, data = bed.results[-1], bed.data[-1]
+    found = common(result)
+    assert (found.kind, found.verdict, found.provenance.source) == (kind.name, "pass", "live")
+    assert result.header.frame_id if hasattr(result, "header") else found.header.frame_id
+    assert data.header.frame_id == found.header.frame_id == kind.frame
+    assert list(found.names) == list(made.outcome.names)
+
+    assert found.provenance.data_hash == made.outcome.provenance.data_hash
+    np.testing.assert_allclose(found.values, made.outcome.values, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(found.covariance, made.outcome.covariance.ravel(), rtol=1e-9)
+    assert recompute(kind, result, data).same
+    assert again(kind, result, data).description == found.description
+    assert output.read_text().partition("\n")[2] == kind.output(node.outcome).partition("\n")[2]
+    page = (report / "index.html").read_text()
+    assert '<span class="pass">' in page
+    for what, why in kind.lacks.items():
+        assert what in page
+        assert why in page
+
+
+def test_each_datum_comes_back_from_its_message(made):
+    data = made.kind.data
+    assert list(made.outcome.data) == data.from_message(data.to_message(made.outcome.data, "fss"))
+    unused = [replace(one, used=False, reason="a gap") for one in made.outcome.data]
+    assert data.from_message(data.to_message(unused, "fss")) == unused
+
+
+def test_too_little_is_not_evaluated(kept, made):
+    node = kept(made)
+    assert node.outcome.verdict == "not_evaluated"
+    assert np.isnan(node.outcome.values).all()
+    assert np.isnan(node.outcome.covariance).all()
+    message = common(made.kind.to_message(node.outcome, "fss"))
+    assert message.description == ""
+    assert list(message.residuals) == list(message.weights) == []
+
+
+def test_a_failed_result_is_published_and_not_written_over_a_good_one(kept, made, tmp_path):
+    good = tmp_path / "good.yaml"
+    good.write_text("good")
+    node = kept(made, output=str(good), **made.case.asked)
+    node.take(made.outcome.data)
+    assert node.outcome.verdict == "fail", node.outcome.reason
+    assert node.outcome.description == ""
+    assert good.read_text() == "good"
+
+
+def test_a_node_that_was_killed_goes_on(spin, made, tmp_path):
+    state, data = tmp_path / "state.json", made.outcome.data
+    first = made.node(state_file=str(state))
+    first.take(data[:-1])
+    first.take(data[-1:])
+    then = first.outcome
+    first.destroy_node()
+    bed, second = Bed(made.kind), made.node(state_file=str(state))
+    assert second.data == list(data)
+    assert second.outcome.verdict == then.verdict == "pass"
+    np.testing.assert_array_equal(second.outcome.values, then.values)
+    spin([bed, second], lambda: bed.found() == len(data) and bed.results)
+
+
+def test_a_state_file_of_another_kind_or_arm_is_named(kept, made, tmp_path):
+    state = tmp_path / "state.json"
+    kept(made, state_file=str(state)).take(made.outcome.data)
+    saved = json.loads(state.read_text())
+    for change, message in (
+        ({"kind": "other"}, "kind is 'other', expected "),
+        ({"joints": 5}, "joints is 5, expected 4"),
+        ({"data": [{**one, "q": []} for one in saved["data"]]}, "nothing can be solved from it"),
+    ):
+        state.write_text(json.dumps({**saved, **change}))
+        with pytest.raises(StateError, match=message) as caught:
+            kept(made, state_file=str(state))
+        assert str(state) in str(caught.value)
+
+
+def test_what_is_forgotten_is_gone_and_it_begins_anew(spin, made, tmp_path):
+    """A clock runs back by 10 s, which no datum after it would mend."""
+    state, output = tmp_path / "state.json", tmp_path / "output.yaml"
+    bed, node = Bed(made.kind), made.node(state_file=str(state))
+    some = [s for s in made.samples if s.t < made.samples[0].t + 12_000_000_000]
+    play(spin, bed, node, some, made.case.module.message)
+    node.take(made.outcome.data)
+    feed, reading = made.joints(some[-1].t - 10_000_000_000)
+    node.on_sample(feed, reading)
+    said = f"(at most {node.settings.joint_gap:g}): {made.kind.name}/forget begins anew"
+    assert node.health().level == WARN
+    assert "clock of joint_1 ran back by" in node.health().message
+    assert node.health().message.endswith(said)
+    assert node.data
+    answer = ask(spin, bed, node, bed.forgetter)
+    assert answer.success
+    assert answer.message.endswith("forgotten")
+    spin([bed, node], lambda: bed.found() == 0)
+    assert json.loads(state.read_text())["data"] == []
+    assert node.outcome.verdict == "not_evaluated"
+    node.take(made.outcome.data)
+    assert node.outcome.verdict == "pass"
+    assert "ran back" not in node.health().message
+    assert not output.exists()
+
+
+def test_a_clock_that_ran_back_is_remembered_across_restarts(kept, made, tmp_path):
+    """Else a restart would make of it a result that passes, and write it."""
+    state, output = tmp_path / "state.json", tmp_path / "output.yaml"
+    files = {"state_file": str(state), "output": str(output)}
+    first = kept(made, **files)
+    end = made.samples[-1].t
+    for at in (end, end + 2 * SECOND, end - 20 * SECOND):  # the first counts once confirmed
+        first.on_sample(*made.joints(at))
+    first.health()  # as diagnostics ask: no datum needs to come after it
+    assert json.loads(state.read_text())["flags"]["set_back"]["joint_1"] > 10.0
+    first.take(made.outcome.data)
+    assert first.outcome.verdict == "not_evaluated"
+    second = kept(made, **files)
+    assert second.data == list(made.outcome.data)
+    assert second.outcome.verdict == "not_evaluated"
+    assert "clock of joint_1 ran back by" in second.outcome.reason
+    second.take(made.outcome.data[:1])
+    assert not output.exists()
+    third = kept(made, **files)
+    assert third.outcome.verdict == "not_evaluated"
+    third.on_forget(None, _Answer())
+    third.take(made.outcome.data)
+    assert third.outcome.verdict == "pass"
+    assert output.exists()
+
+
+class _Answer:
+    """What a service answers."""
+
+
+def test_older_data_go_and_what_is_rejected_takes_no_place(kept, made):
+    most = made.case.count - 1
+    node, data = kept(made, **{made.case.most: most}), list(made.outcome.data)
+    node.take(data[:1])
+    node.take(data[1:])
+    assert node.data == data[1:]
+    node.take([replace(data[0], used=False, reason="a gap")] * (most + 2))
+    assert node.data[:most] == data[1:]
+    assert len(node.data) == 2 * most
+    settings = replace(made.settings, **{made.case.most: most})
+    offline = solve_bag(made.kind, made.bag, settings)
+    assert offline.provenance.data_hash == node.outcome.provenance.data_hash
+
+
+def test_what_cannot_be_written_is_told_and_nothing_else_is_lost(kept, made, tmp_path):
+    out, state = tmp_path / "new" / "out.yaml", tmp_path / "kept" / "state.json"
+    node = kept(made, output=str(out), state_file=str(state))
+    (tmp_path / "kept").write_text("in the way")
+    node.take(made.outcome.data)
+    assert out.exists()
+    assert node.health().level == ERROR
+    assert node.health().message.startswith(f"cannot write {tmp_path}")
+    (tmp_path / "kept").unlink()
+    node.publish()
+    assert node.health().level != ERROR
+    assert len(json.loads(state.read_text())["data"]) == made.case.count
+
+
+def test_silent_streams_and_unknown_joints_are_named(kept, made):
+    node = kept(made)
+    health = node.health()
+    assert health.level == WARN
+    assert health.message.startswith("waiting for joint_1, joint_2, joint_3, joint_4, fss")
+    heard = [s for s in made.samples if s.t < made.samples[0].t + 2 * SECOND]
+    inputs = {one.topic: one.feed for one in made.kind.inputs(made.settings, 4)}
+    for topic, message in map(made.case.module.message, heard):
+        if topic in inputs:
+            node.on_sample(inputs[topic], message)
+    assert node.health().level == OK
+    feed, reading = made.joints(heard[-1].t)
+    reading.name = ["joint_9"]
+    node.on_sample(feed, reading)
+    assert node.health().message == "the arm has no joint_9"
+    node.take(made.outcome.data)
+    assert node.outcome.verdict == "not_evaluated"
+    assert "joint_9 heard, but 'paper' has 4 joints" in node.outcome.reason
+
+
+def test_a_robust_loss_weighs_and_an_outlier_is_rejected_by_choice(kept, made):
+    """Each kind but the toy, which is no more than a mean: weights and checks of its data."""
+    if made.kind is TOY:
+        return
+    node = kept(made, loss="huber", max_outliers=1)
+    node.take(made.outcome.data)
+    e = node.outcome.estimate
+    assert len(e.weights) == len(e.errors) == len(e.reasons) == len(e.leverage) == made.case.count
+    assert ((e.weights > 0.0) & (e.weights <= 1.0)).all()
+    assert {"outliers", "redundancy", "determined", "convergence", "fit", "clocks"} <= {
+        check.name for check in node.outcome.checks
+    }
+
+
+def test_node_and_command_have_the_same_settings(kept, made):
+    node = kept(made)
+    options = parser(made.kind).parse_args(["bag"])
+    for f in fields(made.kind.settings):
+        assert getattr(options, f.name) == f.default
+        want = made.case.settings.get(f.name, f.default)
+        assert node.get_parameter(f.name).value == want
+    assert {f.name for f in fields(node_settings(made.kind))} >= {
+        "frame_id", "state_file", "output", "report"
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"arm": "/nowhere/arm.yaml"}, "/nowhere/arm.yaml"),
+        ({"max_duration": 0.1}, r"max_duration is 0.1 s, expected (0.5|20.0) or more"),
+        ({"loss": "none"}, "loss is 'none', expected one of square, huber, cauchy"),
+        ({"min_probability": 1.0}, "min_probability is 1.0, expected 0 or more, and below 1"),
+        ({"still": 1.0}, "no parameter still; there are"),
+    ],
+)
+def test_impossible_parameters_are_refused(ros, made, settings, message):
+    with pytest.raises((ValueError, OSError), match=message):
+        made.node(**settings)
+
+
+def test_a_recorded_result_is_computed_again(made, tmp_path, capsys):
+    kind, outcome, bag = made.kind, made.outcome, Recording(tmp_path)
+    for stamp, topic, message in (
+        (1, kind.data.topic, kind.data.to_message(outcome.data, "fss")),
+        (2, kind.topic, kind.to_message(outcome, "fss")),
+    ):
+        bag.add(f"/{topic}", f"fss_arm_msgs/msg/{type(message).__name__}", [LATCHED])
+        bag.write(f"/{topic}", stamp, serialized(message))
+    bag.close()
+    assert recompute_command([str(bag.path)]) == 0
+    assert f"{made.case.count} {kind.data.noun}s, pass: the same" in capsys.readouterr().out
+
+
+def test_the_command_for_bags(made, tmp_path, capsys):
+    bag, output, page = str(made.bag), tmp_path / "found.yaml", tmp_path / "report"
+    flag = [] if made.kind.name == "kinematic" else [f"--{made.kind.name}"]
+    given = [f"--{k.replace('_', '-')}={v}" for k, v in made.case.settings.items()]
+    assert from_bag([*flag, bag, *given, "--output", str(output), "--report", str(page)]) == 0
+    text = capsys.readouterr().out
+    assert f"{made.kind.written} written to {output}" in text
+    assert output.exists()
+    assert "pass" in (page / "index.html").read_text()
+    asked = [f"--{k.replace('_', '-')}={v}" for k, v in made.case.asked.items()]
+    no = tmp_path / "no.yaml"
+    assert from_bag([*flag, bag, *given, *asked, "--output", str(no)]) == 2
+    assert "not written, as the verdict is fail" in capsys.readouterr().out
+    assert not no.exists()
+
+
+def test_the_help_tells_what_a_kind_lacks(made, capsys):
+    with pytest.raises(SystemExit):
+        from_bag([f"--{made.kind.name}", "--help"])
+    said = " ".join(capsys.readouterr().out.split())
+    for what, why in made.kind.lacks.items():
+        assert f"No {what}: {why}." in said
+
+
+def test_parameters_are_read_only(kept, made):
+    (result,) = kept(made).set_parameters([Parameter("loss", value="huber")])
+    assert not result.successful

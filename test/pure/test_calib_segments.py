@@ -1,0 +1,240 @@
+"""Rests, maneuvers and drifts out of the same streams: whatever arrives, and however."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from calib_float import SECOND, SUBJECTS, Float, Sample, at, feed, postures, telemetry
+
+from fss_arm_calib.segments.drifts import DriftFinder
+from fss_arm_calib.segments.maneuvers import ManeuverFinder
+from fss_arm_calib.segments.rests import RestFinder
+from fss_arm_calib.segments.settings import DriftFinderSettings, ManeuverSettings, RestSettings
+
+KINDS = {
+    "rests": lambda n=4, **s: RestFinder(n, RestSettings(**s)),
+    "maneuvers": lambda n=4, **s: ManeuverFinder(n, ManeuverSettings(**s)),
+    "drifts": lambda n=4, **s: DriftFinder(
+        n, DriftFinderSettings(min_duration=5.0, max_duration=20.0, **s)
+    ),
+}
+STREAMS = [1, 2, 3, 4, "base", "tip", "gyro", "link_2"]
+NAMES = {**{i: f"joint_{i}" for i in range(1, 5)}, **SUBJECTS}
+STATE = np.array([0.1, 0.2, 3.0, 0.02, -0.01, 0.003, 0.001, -0.0005])
+YEAR_2038 = 2**31 * SECOND - 1
+
+
+@pytest.fixture(params=KINDS)
+def make(request):
+    """A new finder of each kind."""
+    return KINDS[request.param]
+
+
+@pytest.fixture(scope="module")
+def rig():
+    return Float(postures(3), state=STATE, rest=8.0)
+
+
+@pytest.fixture(scope="module")
+def samples(rig):
+    """Four rests and the maneuvers between them: joints, both subjects, gyro and telemetry."""
+    return telemetry(rig.samples(rate=20, tip=True))
+
+
+def by_stream(samples):
+    streams: dict[int | str, list[Sample]] = {}
+    for s in samples:
+        streams.setdefault(s.stream, []).append(s)
+    return streams
+
+
+def interleaved(samples, seed, most=300):
+    """In another order that keeps each stream's own."""
+    rng, streams, mixed = np.random.default_rng(seed), by_stream(samples), []
+    while streams:
+        name = sorted(streams, key=str)[rng.integers(len(streams))]
+        burst = int(rng.integers(1, most))
+        mixed += streams[name][:burst]
+        streams[name] = streams[name][burst:]
+        if not streams[name]:
+            del streams[name]
+    return mixed
+
+
+def total(refused, *reasons):
+    return sum(number for kind, number in refused.items() if kind.endswith(reasons))
+
+
+def test_all_are_found_in_order_of_time(make, samples):
+    found = feed(make(), samples)
+    assert len(found) == (3 if isinstance(make(), ManeuverFinder) else 4)
+    assert all(getattr(one, "used", True) for one in found)
+    assert all(a.start < b.start for a, b in pairwise(found))
+    for lost in ("base", 2):
+        nothing = feed(make(), [s for s in samples if s.stream != lost])
+        assert not any(getattr(one, "used", True) for one in nothing)
+
+
+@pytest.mark.parametrize(
+    "seed", [0, 1, *(pytest.param(k, marks=pytest.mark.slow) for k in range(2, 12))]
+)
+def test_the_order_of_arrival_does_not_matter(make, samples, seed):
+    """Gaps, occlusions, frozen poses, jumps and stamps astray included."""
+    rng = np.random.default_rng(seed)
+    worse = [s for s in samples if s.stream != 2 or not at(30.0) < s.t < at(31.2)]
+    for k in rng.choice(len(worse), 40, replace=False):
+        s = worse[k]
+        ill = [
+            s._replace(t=YEAR_2038),
+            s._replace(t=s.t - 400 * SECOND),
+            s._replace(t=s.t - SECOND),
+        ]
+        if s.stream in SUBJECTS:
+            x, y, heading = s.value
+            ill += [s._replace(value=None), s._replace(value=(x + 2.0, y, heading))]
+        worse[k] = ill[rng.integers(len(ill))]
+    expected = feed(make(), worse)
+    assert len(expected) >= 3
+    for order in range(3):
+        assert feed(make(), interleaved(worse, order)) == expected
+
+
+@pytest.mark.parametrize("burst", [1, 7, 250])
+def test_poses_and_rates_may_come_in_bursts(make, samples, burst):
+    """Occluded, frozen, impossible and those that jump included."""
+    worse, frozen = [], next(s.value for s in samples if s.stream == "base" and s.t > at(20.0))
+    for k, s in enumerate(samples):
+        if s.stream == "base" and at(20.0) < s.t < at(21.7):
+            s = s._replace(value=frozen)
+        worse.append(s)
+        if k % 97 == 0 and s.stream in SUBJECTS:
+            ill = None, (1e308, *s.value[1:]), (s.value[0] + 2.0, *s.value[1:])
+            worse.append(s._replace(t=s.t + 1, value=ill[k % 3]))
+        elif k % 97 == 0 and s.stream == "gyro":
+            worse.append(s._replace(t=[s.t + 1, YEAR_2038][k % 2], value=[np.nan, s.value][k % 2]))
+    one_by_one, together, found = make(), make(), []
+    for name, stream in by_stream(worse).items():
+        if name not in (*SUBJECTS, "gyro"):
+            found += feed(together, stream, close=False)
+            continue
+        for k in range(0, len(stream), burst):
+            t = np.array([s.t for s in stream[k : k + burst]], dtype=np.int64)
+            values = [s.value or 3 * (np.nan,) for s in stream[k : k + burst]]
+            if name == "gyro":
+                found += together.rates(t, np.array(values, dtype=float))
+            else:
+                found += together.poses(SUBJECTS[name], t, np.array(values))
+    assert found + together.close() == feed(one_by_one, worse)
+    assert together.streams() == one_by_one.streams()
+
+
+@pytest.mark.parametrize("stamp", [0, YEAR_2038])
+@pytest.mark.parametrize("place", ["first", "amid"])
+def test_a_stamp_far_from_all_others_is_rejected_by_itself(make, samples, stamp, place):
+    """Three on end, in any one stream or in all at once: one stopped a calibration for good."""
+    expected, streams = feed(make(), samples), by_stream(samples)
+    for those in ([1], [3], ["base"], ["tip"], ["gyro"], ["link_2"], STREAMS):
+        astray = [streams[name][0]._replace(t=stamp + k) for name in those for k in range(3)]
+        k = 0 if place == "first" else len(samples) // 2
+        finder = make()
+        assert feed(finder, [*samples[:k], *astray, *samples[k:]]) == expected, those
+        assert finder.streams().refused == {
+            f"{NAMES.get(name, name)} astray in time": 3 for name in sorted(those, key=str)
+        }
+        assert not any(finder.streams().set_back.values())
+
+
+def test_a_clock_that_all_share_may_be_set_ahead(make, rig, samples):
+    """By a day amid the third rest: what came before is found, and what comes after."""
+    moment = at(0.5 * (rig.ends[1] + rig.begins[2]))
+    step = 86_400 * SECOND
+    finder, whole = make(), feed(make(), samples)
+    found = feed(finder, [s if s.t < moment else s._replace(t=s.t + step) for s in samples])
+    assert not finder.streams().refused
+    assert found[0] == whole[0]
+    assert found[-1].end == whole[-1].end + step
+
+
+@pytest.mark.parametrize("back", [5, 3600])
+def test_a_clock_set_back_is_told_and_a_new_finder_begins_anew(make, rig, samples, back):
+    moment = at(0.5 * (rig.ends[1] + rig.begins[2]))
+    late = [s._replace(t=s.t - back * SECOND) for s in samples if s.t >= moment]
+    finder = make()
+    feed(finder, [s for s in samples if s.t < moment] + late)
+    backs = finder.streams().set_back
+    assert [backs[name] for name in NAMES.values()] == pytest.approx([back] * 6, abs=0.5)
+    again = make()
+    assert feed(again, late) == feed(make(), late)
+    assert not any(again.streams().set_back.values())
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e308, -1e308])
+def test_numbers_that_no_sensor_reads_are_rejected_and_counted(make, samples, value):
+    """From the very first sample on, each with a stamp of its own."""
+    bad, poses = [], 0
+    for k, s in enumerate(samples):
+        part = k % 3
+        if s.stream in SUBJECTS and k % 10 == 0:
+            pose = [*s.value[:part], value, *s.value[part + 1 :]]
+            bad.append(s._replace(t=s.t - 1, value=tuple(pose)))
+            poses += 1
+        elif s.stream == "gyro" and k % 10 == 0:
+            bad.append(s._replace(t=s.t - 1, value=value))
+        elif isinstance(s.stream, int):
+            bad.append(s._replace(t=s.t - 1, value=(value, 0.0)))
+        bad.append(s)
+    finder = make()
+    assert feed(finder, bad) == feed(make(), samples)
+    refused = finder.streams().refused
+    assert sum(refused.values()) == len(bad) - len(samples)
+    assert total(refused, "occluded", "not finite", "out of range") == len(bad) - len(samples)
+    assert total(refused, "occluded") in (0, poses)
+
+
+@pytest.mark.parametrize("value", [np.inf, 1e308])
+def test_a_rate_that_no_drive_has_is_derived(samples, value):
+    """Of its reading nothing is wrong."""
+    bad = [
+        s._replace(value=(s.value[0], value)) if s.stream == 3 and s.t % SECOND < 3e8 else s
+        for s in samples
+    ]
+    finder = ManeuverFinder(4)
+    found, expected = feed(finder, bad), feed(ManeuverFinder(4), samples)
+    assert [m.q for m in found] == [m.q for m in expected]
+    for one, other in zip(found, expected, strict=True):
+        assert one.qd[2] == pytest.approx(other.qd[2], abs=0.12)
+    assert finder.streams().refused.keys() == {"joint_3 rate out of range"}
+
+
+def test_repeated_samples_change_nothing(make, samples):
+    finder = make()
+    assert feed(finder, [s for s in samples for _ in range(2)]) == feed(make(), samples)
+    refused = finder.streams().refused
+    assert total(refused, "repeated") == sum(refused.values()) == len(samples)
+
+
+def test_a_silent_joint_lets_no_others_pile_up(make, samples):
+    finder = make(horizon=5.0)
+    feed(finder, [s for s in samples if s.stream != 2], close=False)
+    assert max(len(joint.waiting) for joint in finder.joints) <= 26
+
+
+def test_memory_is_bounded(make, rig, samples):
+    """Six times the same, with the arm silent for the last three."""
+    finder = make(horizon=10.0)
+    for lap in range(6):
+        shift = lap * round((rig.length + 1.0) * SECOND)
+        lap_samples = [s._replace(t=s.t + shift) for s in samples if s.t < at(rig.length - 1.0)]
+        feed(finder, [s for s in lap_samples if lap < 3 or s.stream in SUBJECTS], close=False)
+        kept = 2 * 10.0 + finder.settings.max_duration + 22.0
+        for poses in (finder.base, finder.tip, finder.gyro):
+            assert len(poses.t) < 20 * kept + 1000
+        assert len(finder.joints[0].t) < 5 * kept + 1000 / 8
+        assert len(finder._pending) <= 3
+
+
+def test_joints_of_another_arm_are_named(make, samples):
+    finder = make(3)
+    feed(finder, samples[:500], close=False)
+    assert finder.streams().strange == ("joint_4",)
+    assert make(2).streams().silent[:3] == ("joint_1", "joint_2", "fss")
