@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 from mujoco import rollout as mujoco_rollout
 
-sys.path.append(str(Path(__file__).parents[1] / "test" / "pure"))
+sys.path.append(str(Path(__file__).parents[1] / "test" / "support"))
 from model_arms import random_arm
 from model_oracles import mujoco_model, pinocchio_model
 

@@ -86,7 +86,7 @@ def main() -> None:
             f"{100 * empty:.1f} % of the cells empty"
         )
     print(
-        "(ours: within 1e-4 m^2 of an exhaustive search, test/pure/test_workspace_manipulability)"
+        "(ours: within 1e-4 m^2 of an exhaustive search, test/pure/workspace/test_manipulability)"
     )
     around = np.linspace(0.0, 2.0 * np.pi, 361)[:-1]
     for base in ("fixed", "floating"):

@@ -6,23 +6,12 @@ and field checks on: without them rclpy publishes nonsense for a value of the wr
 
 import gc
 import os
-import signal
-import subprocess
-import sys
-import time
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-
-from fss_sim.rehearsal.domain import reserve
-
-# Before anything imports rclpy. Above 101 DDS ports meet the system's ephemeral ports.
-OWN = next(reserve(range(66, 102)))  # reserved for as long as it is referred to
-OWN.enter()
-DOMAIN = OWN.number
-os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
+from running import DOMAIN, Program, wait_until
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -65,16 +54,6 @@ def ros() -> Iterator[None]:
     gc.collect()  # a node whose making failed: it lives in the traceback, and others see it
 
 
-def wait_until(until: Callable[[], Any], timeout: float, step: Callable[[], Any]) -> Any:
-    """Call `step` until `until()` is true and return that; fail at the deadline [s]."""
-    deadline = time.monotonic() + timeout
-    while not (got := until()):
-        if time.monotonic() > deadline:
-            pytest.fail(f"not within {timeout} s")
-        step()
-    return got
-
-
 @pytest.fixture
 def spin(ros: None) -> Iterator[Callable[..., Any]]:
     """spin(nodes, until, timeout=10.0): run nodes in this thread until `until()` holds.
@@ -97,40 +76,6 @@ def spin(ros: None) -> Iterator[Callable[..., Any]]:
         executor.remove_node(node)
         node.destroy_node()
     executor.shutdown()
-
-
-class Program:
-    """A process of ours under test: its output so far, and how it ended."""
-
-    def __init__(self, module: str, args: tuple[Any, ...], log: Path, env: dict[str, str]) -> None:
-        module, _, main = module.partition(":")
-        main = main or "main"
-        code = f"import sys; from {module} import {main}; sys.exit({main}())"
-        self.log = log
-        with log.open("wb") as output:
-            self.process = subprocess.Popen(
-                [sys.executable, "-c", code, *map(str, args)],
-                stdout=output,
-                stderr=subprocess.STDOUT,
-                stdin=subprocess.DEVNULL,
-                env={**os.environ, **env},
-            )
-
-    @property
-    def output(self) -> str:
-        return self.log.read_text(errors="replace")
-
-    def wait(self, timeout: float = 20.0) -> int:
-        """Wait for the end and return the exit code."""
-        try:
-            return self.process.wait(timeout)
-        except subprocess.TimeoutExpired:
-            pytest.fail(f"still running after {timeout} s:\n{self.output}")
-
-    def stop(self, how: int = signal.SIGTERM, timeout: float = 20.0) -> int:
-        """Send a signal and return the exit code (negative: the signal killed it)."""
-        self.process.send_signal(how)
-        return self.wait(timeout)
 
 
 @pytest.fixture

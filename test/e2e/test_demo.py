@@ -12,10 +12,10 @@ from threading import Event
 import numpy as np
 import pytest
 import rclpy
-from conftest import wait_until
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from running import wait_until
 from std_srvs.srv import SetBool, Trigger
 
 from fss_arm_bags.reader import open_bags

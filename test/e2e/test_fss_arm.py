@@ -11,12 +11,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import DOMAIN
 from driver_link import RATE, FakeTransport
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
 from rosgraph_msgs.msg import Clock
+from running import DOMAIN
 from std_msgs.msg import Empty
 from std_srvs.srv import SetBool, Trigger
 

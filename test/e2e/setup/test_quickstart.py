@@ -1,0 +1,152 @@
+"""The quick starts, as somebody types them."""
+
+import os
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import calib_rig
+import pytest
+import yaml
+from calib_float import Float, postures, record
+from running import DOMAIN, OWN
+
+from fss_arm_bags.reader import open_bags
+from fss_arm_calib.experiment.postures import DEFAULT
+from fss_arm_model.description import load
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+def typed(page):
+    """All that a page has one type."""
+    blocks = re.findall(r"^```sh\n(.*?)^```", (ROOT / "docs" / page).read_text(), re.M | re.S)
+    return re.sub(r"\\\n *", "", "".join(blocks))
+
+
+def shell(text, timeout):
+    """Run it line by line, up to the first that fails; what it said."""
+    run = subprocess.run(
+        ["bash", "-ec", text], cwd=ROOT, capture_output=True, text=True, timeout=timeout,
+        env=os.environ | {"ROS_DOMAIN_ID": str(DOMAIN)},
+    )  # fmt: skip
+    assert run.returncode == 0, run.stdout + run.stderr
+    return run.stdout
+
+
+@pytest.mark.slow
+def test_without_hardware(tmp_path):
+    ports = OWN.ports(4)
+    config = (ROOT / "config/fss_sim.sh").read_text()
+    for old, new in (
+        ("ROS_DOMAIN_ID=0", f"ROS_DOMAIN_ID={DOMAIN} FSS_LOGS={tmp_path / 'logs'}"),
+        ("out/fss_sim", str(tmp_path / "out")),
+        ("preset:=paper", f"preset:=paper -p ports:=[{','.join(map(str, ports))}]"),
+        (
+            "in 1 2 3 4; do",
+            f"in 1 2 3 4; do port=$(echo {' '.join(map(str, ports))} | cut -d' ' -f$i)",
+        ),
+        ("500$i?bind=600$i", "$port?bind=0"),
+    ):
+        assert old in config
+        config = config.replace(old, new)
+    (tmp_path / "lab.sh").write_text(config)
+    text = typed("simulation.md").replace("config/fss_sim.sh", str(tmp_path / "lab.sh"))
+    text = text.replace("out/fss_sim", str(tmp_path / "out"))
+    try:
+        again = typed("calibration.md").replace("bags/monday", str(tmp_path / "out/bags"))
+        said = shell(text.replace("scripts/setup.sh\n", "") + again, 600)
+    finally:
+        subprocess.run([ROOT / "scripts/fss_down.sh", tmp_path / "lab.sh"], check=False)
+    assert re.search(r"/calibration/kinematic +pass", said)
+    assert load(tmp_path / "out/arm.yaml").n == 4
+    assert list((tmp_path / "out/report").glob("*.html"))
+    known = re.sub(r"link_<i>", "link_1", (ROOT / "docs/topics.md").read_text())
+    with open_bags(tmp_path / "out/bags") as bags:
+        heard = {re.sub(r"^/link_\d", "/link_1", topic) for topic in bags.topics}
+    for topic in heard - {"/rosout", "/parameter_events"}:
+        assert f"`{topic}`" in known or f"`{topic[1:]}`" in known, topic
+
+
+@pytest.mark.slow
+def test_from_a_bag(tmp_path):
+    shutil.copytree(ROOT / "test/data/first", tmp_path / "first")
+    text = typed("bag.md").replace("test/data/first", str(tmp_path / "first"))
+    text = text.replace("out/", f"{tmp_path}/").replace("DOMAIN_ID=42", f"DOMAIN_ID={DOMAIN}")
+    text = re.sub(r"(fss_arm_calib kinematic.*)", r"\1 & trap 'kill %1' EXIT", text)
+    said = shell(text, 120)
+    assert "pass" in said
+    assert load(tmp_path / "first.yaml").n == 4
+    assert list((tmp_path / "fit").glob("*.html"))
+
+
+def watched(text):
+    """The same without comments; each node runs for some seconds and must not end before."""
+    command = r"from_bag|recompute|design|doctor|replay"
+    node = rf"^(ros2 run (?!\w+ (?:{command})).*)$"
+    text = re.sub(r" *#.*", "", text)
+    return re.sub(node, r"timeout -s INT -k 9 9 \1 || [ $? = 124 ]", text, flags=re.M)
+
+
+@pytest.mark.slow
+def test_tilt_and_hose(tmp_path):
+    state = [0.1, -0.2, 0.4, 0.02, -0.01, 0.01, 2e-4, -1e-4]
+    flight = Float(postures(2), state=state, rest=40.0, noise=(0.001, 0.009))
+    record(tmp_path / "monday", flight.samples(rate=20))
+    text = typed("drift.md").replace("bags/monday", str(tmp_path / "monday"))
+    text = text.replace("drift.yaml", str(tmp_path / "drift.yaml"))
+    text = text.replace("=arm.yaml", "=config/arm.yaml")
+    said = shell(watched(text.replace(" arm.yaml", " config/arm.yaml")), 120)
+    assert "tilt along x" in said
+    told = yaml.safe_load((tmp_path / "drift.yaml").read_text())
+    assert told.keys() == {"dynamic", "base_reaction"}
+
+
+@pytest.mark.slow
+def test_watching_the_base_react():
+    shell(watched(re.sub(r"^ssh.*", "", typed("view.md"), flags=re.M)), 60)
+
+
+@pytest.mark.slow
+def test_by_hand(tmp_path):
+    """The README from the real links to the bag; the arm's commands find nobody who obeys."""
+    calib_rig.record(tmp_path / "monday", calib_rig.Rig(DEFAULT[:8], rate=50.0).samples())
+    readme = typed("../README.md")
+    text = readme[readme.index("ros2 run fss_arm_driver link") : readme.index(". /opt/ros")]
+    for old, new in (
+        ("output:=bags/monday", f"output:={tmp_path / 'new'}"),
+        ("bags/monday", str(tmp_path / "monday")),
+        ("calibrated.yaml", str(tmp_path / "arm.yaml")),
+        ("my_arm.yaml", "config/cad.yaml"),
+        ("--report fit", f"--report {tmp_path / 'fit'}"),
+    ):
+        assert old in text
+        text = text.replace(old, new)
+    said = shell(re.sub(r"^(scripts/.*)", r"! \1", watched(text), flags=re.M), 200)
+    assert "pass" in said
+    assert load(tmp_path / "arm.yaml").n == 4
+    assert list((tmp_path / "new").iterdir())
+
+
+@pytest.mark.slow
+def test_dynamics(tmp_path):
+    calib_rig.record(tmp_path / "sunday", calib_rig.Rig(DEFAULT[:8], rate=50.0).samples())
+    record(tmp_path / "monday", Float(postures(8)).samples(rate=20))
+    text = typed("dynamic.md").replace("scripts/rehearse_dynamic.sh", ":")  # has a test of its own
+    for old, new in (
+        ("--report report", f"--report {tmp_path / 'report'} || [ $? = 2 ]"),
+        ("bags/sunday", str(tmp_path / "sunday")),
+        ("bags/monday", str(tmp_path / "monday")),
+        ("calibrated.yaml", str(tmp_path / "calibrated.yaml")),
+        ("kinematics.yaml", str(tmp_path / "kinematics.yaml")),
+        ("plan.yaml", str(tmp_path / "plan.yaml")),
+        ("=arm.yaml", "=config/arm.yaml"),
+        (" arm.yaml", " config/arm.yaml"),
+    ):
+        assert old in text
+        text = text.replace(old, new)
+    said = shell(watched(text), 400)
+    assert "b_4" in said
+    assert list((tmp_path / "report").glob("*.html"))
+    assert len(yaml.safe_load((tmp_path / "plan.yaml").read_text())) > 0

@@ -1,0 +1,98 @@
+"""The numbers that calibrations gave before: nobody moves them unnoticed."""
+
+import json
+from pathlib import Path
+
+import calib_drift
+import calib_float
+import calib_rig
+import numpy as np
+import pytest
+
+from fss_arm_calib.experiment.postures import DEFAULT
+from fss_arm_calib.from_bag import solve_bag
+from fss_arm_calib.kinds import KINDS
+
+DATA = Path(__file__).parents[2] / "data"
+GOLDEN = json.loads((DATA / "golden.json").read_text())
+
+STATE = np.array([0.1, 0.2, 0.3, 0.01, -0.02, 0.005, 0.0, 0.0])
+RIG, FLOAT = calib_rig.Rig, calib_float.Float
+
+#: Of each bag, which is made once: where, and how it is recorded.
+BAGS = {
+    "rig": lambda p: calib_rig.record(p, RIG(DEFAULT, noise=0.005, seed=3).samples()),
+    "lag": lambda p: calib_rig.record(p, RIG(DEFAULT, noise=0.005, seed=4).samples(30_000_000)),
+    "long": lambda p: calib_rig.record(
+        p, RIG(DEFAULT[:6], rest=45.0, noise=0.003, seed=7, rate=50.0).samples()
+    ),
+    "float": lambda p: calib_float.record(
+        p,
+        FLOAT(calib_float.postures(10, 5), state=STATE, noise=(0.001, 0.005), seed=6).samples(
+            tip=True
+        ),
+    ),
+    "first": lambda _: DATA / "first",
+}
+
+CASES = {
+    **{
+        f"rig {p} {loss}": ("rig", "kinematic", {"parametrization": p, "loss": loss})
+        for p in ("equal", "full")
+        for loss in ("square", "huber", "cauchy")
+    },
+    "lag equal square": ("lag", "kinematic", {}),
+    "first": ("first", "kinematic", {}),
+    "float square": ("float", "dynamic", {}),
+    "float huber": ("float", "dynamic", {"loss": "huber"}),
+    "float kinematic": ("float", "kinematic", {}),
+    "long drift": ("long", "drift", {}),
+    "float drift": ("float", "drift", {}),
+}
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory):
+    made = {}
+
+    def get(name):
+        if name not in made:
+            made[name] = BAGS[name](tmp_path_factory.mktemp(name) / "bag")
+        return made[name]
+
+    return get
+
+
+def check(name, outcome):
+    """Within rounding, of which linear algebra makes more or less by its number of threads."""
+    then, p = GOLDEN[name], len(outcome.names)
+    assert (outcome.verdict, list(outcome.names)) == (then["verdict"], then["names"])
+    if np.isnan(then["values"]).all():
+        assert np.isnan(outcome.values).all()
+        assert np.isnan(outcome.covariance).all()
+        return
+    covariance = np.reshape(then["covariance"], (p, p))
+    deviations = np.sqrt(np.diag(covariance))
+    assert (np.abs(outcome.values - then["values"]) <= 1e-12 + 1e-10 * deviations).all()
+    known = deviations < 1e-12  # beforehand: what is left of their covariance is rounding
+    deviations[known] = np.inf
+    rounding = 1e-10 * np.outer(deviations, deviations)
+    assert (np.abs(outcome.covariance - covariance) <= rounding).all()
+    assert outcome.estimate.chi_square == pytest.approx(then["chi_square"], rel=1e-10)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_numbers_are_those_found_then(name, bag):
+    source, kind, settings = CASES[name]
+    kind = KINDS[kind]
+    check(name, solve_bag(kind, bag(source), kind.settings(**settings)))
+
+
+def test_the_drifts_of_a_simulated_base():
+    found, _ = calib_drift.drifts(11)
+    outcome = KINDS["drift"].calibrate(found, calib_drift.ARM)
+    check("drifts", outcome)
+
+
+def test_no_case_is_forgotten():
+    assert GOLDEN.keys() == {*CASES, "drifts"}

@@ -1,0 +1,517 @@
+"""The node of one link: a link behind a fake transport or a UDP port, and real topics."""
+
+import os
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from dataclasses import replace
+from math import inf, nan
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from driver_link import RATE, SECOND, FakeLink, FakeTransport
+from driver_wire import ENDS
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rosgraph_msgs.msg import Clock
+from running import wait_until
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Empty
+from std_srvs.srv import SetBool, Trigger
+
+from fss_arm_driver.host_clock import HostClock
+from fss_arm_driver.link_node import LinkNode
+from fss_arm_driver.protocol import Mode, Order, Slow, State
+from fss_arm_msgs.msg import CommandStatus, LinkCommand, LinkTelemetry
+from fss_arm_ros.convert import stamp_ns, to_time
+
+KEY = bytes(range(16))
+
+
+class User(Node):
+    """Hears all that a link's node publishes, and asks of it."""
+
+    def __init__(self):
+        super().__init__("user")
+        self.joints, self.telemetry, self.health = [], [], []
+        self.create_subscription(JointState, "joint_states", self.joints.append, 100)
+        self.create_subscription(LinkTelemetry, "link_1/telemetry", self.telemetry.append, 100)
+        self.create_subscription(DiagnosticArray, "/diagnostics", self.health.append, 10)
+        self.command = self.create_publisher(LinkCommand, "link_1/command", 1)
+        self.stop = self.create_publisher(Empty, "arm/stop", 10)
+        self.arm = self.create_client(SetBool, "link_1/arm")
+        self.clear, self.status = self.create_client(Trigger, "link_1/clear_faults"), []
+        self.create_subscription(CommandStatus, "link_1/command_status", self.status.append, 10)
+
+    def level(self):
+        return self.health[-1].status[0].level if self.health else None
+
+    def values(self):
+        return {pair.key: pair.value for pair in self.health[-1].status[0].values}
+
+
+def options(**parameters):
+    parameters = {"rate": RATE, "timeout": 5.0, **parameters}
+    return {"parameter_overrides": [Parameter(name, value=v) for name, v in parameters.items()]}
+
+
+@pytest.fixture
+def bench(spin, request):
+    """A link's node with these parameters, its user, and what they need to meet."""
+    transport, parameters = FakeTransport(), getattr(request, "param", {})
+    node, user = LinkNode(1, transport=transport, **options(**parameters)), User()
+
+    def until(condition, timeout=10.0):
+        return spin([node, user], condition, timeout)
+
+    until(lambda: user.telemetry and user.joints and user.health)
+    until(lambda: user.arm.service_is_ready() and user.command.get_subscription_count())
+    until(lambda: user.stop.get_subscription_count() and user.clear.service_is_ready())
+    until(lambda: node.status.get_subscription_count())
+    return node, user, transport, until
+
+
+def arm(user, until, data=True):
+    answer = user.arm.call_async(SetBool.Request(data=data))
+    until(answer.done)
+    return answer.result()
+
+
+def order(user, **fields):
+    fields = {"mode": Mode.POSITION, "time_to_live": 10.0, **fields}
+    message = LinkCommand(**fields)
+    message.header.stamp = user.get_clock().now().to_msg()
+    user.command.publish(message)
+
+
+def test_each_frame_is_a_joint_state_and_a_telemetry(bench):
+    _, user, transport, until = bench
+    transport.link.position = 10_000
+    until(lambda: user.telemetry[-1].position == 10_000 and user.joints[-1].position[0] > 0.0)
+    joint = user.joints[-1]
+    assert joint.name == ["joint_1"]
+    assert joint.position[0] == pytest.approx(0.2617993877991494)
+    assert (list(joint.velocity), list(joint.effort)) == ([0.0], [0.0])
+    message = user.telemetry[-1]
+    assert (message.link, message.boot, message.supply) == (1, 5, 240)
+    assert message.header.frame_id == "link_1"
+    assert message.clock_deviation < 0.05
+    assert message.round_trip < 0.05
+    assert not message.armed
+    stamps = [stamp_ns(m.header.stamp) for m in user.telemetry]
+    assert stamps == sorted(set(stamps))
+    assert abs(stamps[-1] - transport.link.born - 1000 * message.clock) < 0.05 * SECOND
+
+
+def test_a_command_that_another_replaces_is_told_to_have_ended(bench):
+    _, user, _, until = bench
+    assert arm(user, until).success
+    order(user, set_point=1.0, max_velocity=0.01)
+    until(lambda: user.status)
+    order(user, mode=Mode.VELOCITY, set_point=0.1)
+    until(lambda: user.status[-1].given != user.status[0].given)
+    ended = [m for m in user.status if m.given == user.status[0].given][-1]
+    assert (ended.status, ended.reason) == (ended.ABORTED, "another command took its place")
+
+
+@pytest.mark.parametrize("bench", [{"timeout": 1.5}], indirect=True)
+def test_one_message_for_each_valid_frame_and_none_for_others(bench):
+    _, user, transport, until = bench
+    transport.talks = False
+    damaged = bytearray(transport.link.telemetry(time.time_ns()))
+    damaged[28] ^= 1
+    for data in (b"", bytes(72), bytes(damaged), bytes(damaged) * 2):
+        transport.put(data)
+    until(lambda: user.level() == DiagnosticStatus.ERROR and int(user.values()["length"]) == 2)
+    values = user.values()
+    assert int(values["believed"]) == len(user.joints) == len(user.telemetry)
+    assert int(values["magic"]) == 1
+    assert int(values["crc"]) == 1
+
+
+@pytest.mark.parametrize("bench", [{"timeout": 1.5}], indirect=True)
+def test_a_silent_link_shows_as_an_error_and_comes_back_disarmed(bench):
+    node, user, transport, until = bench
+    until(lambda: user.level() == DiagnosticStatus.OK)
+    assert arm(user, until).success
+    transport.talks = False
+    until(lambda: user.level() == DiagnosticStatus.ERROR)
+    heard = len(user.joints)
+    refusal = arm(user, until)
+    assert not refusal.success
+    assert "link 1 is lost: silent for" in refusal.message
+    assert len(user.joints) == heard
+    transport.talks = True
+    until(lambda: len(user.joints) > heard)
+    assert not node.session.armed
+    until(lambda: not user.telemetry[-1].armed)
+    assert arm(user, until).success
+
+
+def test_commands_move_an_armed_link_only(bench):
+    _, user, transport, until = bench
+    order(user, set_point=0.5)
+    until(lambda: transport.link.taken.sequence > 10)
+    assert transport.link.position == 0
+    assert arm(user, until).message == "link_1 is armed"
+    until(lambda: user.telemetry[-1].armed)
+    order(user, set_point=0.05, max_velocity=0.1, time_to_live=60.0)
+    until(lambda: user.joints[-1].position[0] == pytest.approx(0.05, abs=1e-4))
+    assert transport.link.taken.velocity == 38197
+    order(user, set_point=0.05, time_to_live=0.5)
+    until(lambda: transport.link.taken.flags & Order.HOLD)  # the command has expired
+    assert arm(user, until, data=False).success
+    until(lambda: not user.telemetry[-1].armed)
+    assert transport.link.flags == 0
+
+
+def test_refused_commands_change_nothing_and_are_said_once(bench, monkeypatch):
+    node, user, transport, until = bench
+    said = []
+    monkeypatch.setattr(node.get_logger(), "warning", said.append)
+    arm(user, until)
+
+    def refused(count, **fields):
+        order(user, **fields)
+        until(lambda: len(said) == count)
+
+    refused(1, set_point=2.0)
+    assert said[0] == "command refused: set_point is 2.0 rad, expected -1.5708 to 1.5708"
+    refused(2, set_point=nan)
+    refused(3, set_point=0.1, time_to_live=0.0)
+    assert said[2] == "command refused: time_to_live is 0.0 s, expected above 0"
+    order(user, set_point=0.1, time_to_live=inf)
+    order(user, set_point=0.1, time_to_live=inf)
+    until(lambda: len(said) == 4)
+    late = LinkCommand(mode=Mode.POSITION, set_point=0.1, time_to_live=0.5)
+    late.header.stamp = to_time(time.time_ns() - 2 * SECOND)
+    user.command.publish(late)
+    until(lambda: len(said) == 5)
+    assert "expired" in said[4]
+    until(lambda: transport.link.taken.flags == Order.ARM | Order.HOLD)
+    assert transport.link.position == 0
+
+
+def test_commands_are_told_how_far_they_have_come(bench):
+    _, user, _, until = bench
+    order(user, set_point=0.05)
+    until(lambda: user.status and user.status[-1].reason == "link 1 is disarmed, not armed")
+    assert user.status[-1].status == CommandStatus.REFUSED
+    assert arm(user, until).success
+    until(lambda: user.telemetry[-1].armed)
+    order(user, set_point=0.05, max_velocity=0.1, time_to_live=60.0)
+    until(lambda: user.status[-1].status == CommandStatus.REACHED)
+    stations = [message.status for message in user.status]
+    assert stations[0] == CommandStatus.REFUSED
+    assert stations[1:] == sorted(set(stations[1:]))
+    assert CommandStatus.MOVING in stations
+
+
+def test_a_link_without_reference_has_telemetry_and_no_joint_state(bench):
+    _, user, transport, until = bench
+    transport.link.referenced = False
+    until(lambda: user.telemetry[-1].flags & State.REFERENCED == 0)
+    heard = len(user.joints)
+    assert arm(user, until).message == "link_1 is armed: not referenced"
+    until(lambda: user.health[-1].status[0].level == DiagnosticStatus.WARN)
+    assert len(user.joints) == heard
+    order(user, set_point=0.1)
+    until(lambda: user.status and "home it first" in user.status[-1].reason)
+    order(user, mode=LinkCommand.HOME)
+    until(lambda: len(user.joints) > heard)
+    until(lambda: user.status[-1].status == CommandStatus.REACHED)
+
+
+def test_faults_are_told_and_cleared(bench):
+    node, user, transport, until = bench
+    assert arm(user, until).success
+    transport.link.frame = replace(transport.link.frame, slow_id=Slow.FAULTS, slow_value=1 << 9)
+    until(lambda: not node.session.armed)
+    assert arm(user, until).message == "link 1 has faults: tracking error"
+    until(lambda: user.values()["faults"] == "tracking error")
+    assert user.level() == DiagnosticStatus.ERROR
+    cleared = user.clear.call_async(Trigger.Request())
+    until(cleared.done)
+    assert cleared.result().success
+    until(lambda: transport.link.taken.flags == Order.CLEAR_FAULTS)
+    transport.link.frame = replace(transport.link.frame, slow_value=0)
+    until(lambda: not node.session.faults)
+    assert arm(user, until).success
+
+
+def test_stop_goes_out_at_once_and_latches(bench):
+    node, user, transport, until = bench
+    arm(user, until)
+    user.stop.publish(Empty())
+    until(lambda: transport.link.flags == State.STOPPED)
+    assert not node.session.armed
+    order(user, set_point=0.5)
+    until(lambda: node.session.counts["commands_refused"])
+    assert transport.link.position == 0
+    assert arm(user, until).success
+    until(lambda: transport.link.flags == State.ARMED)
+
+
+def test_disarming_succeeds_when_the_link_says_that_it_is_off(bench):
+    _, user, transport, until = bench
+    arm(user, until)
+    order(user, set_point=0.5, max_velocity=0.1, time_to_live=60.0)
+    until(lambda: transport.link.position)
+    answer = arm(user, until, data=False)
+    assert (answer.success, answer.message) == (True, "link_1 is disarmed")
+    assert not transport.link.flags
+
+
+def test_disarming_a_link_that_does_not_hear_fails_in_words(bench):
+    _, user, transport, until = bench
+    arm(user, until)
+    transport.hears = False
+    answer = arm(user, until, data=False)
+    assert not answer.success
+    words = "link_1 does not say that it is off: asked to disarm, not confirmed"
+    assert answer.message == words
+
+
+@pytest.mark.parametrize("bench", [{"timeout": 1.0}], indirect=True)
+def test_disarming_a_lost_link_fails_in_words(bench):
+    node, user, transport, until = bench
+    arm(user, until)
+    transport.talks = False
+    for lost in (False, True):  # on the way, and before
+        assert node.session.lost == lost
+        answer = arm(user, until, data=False)
+        assert not answer.success
+        assert answer.message == "link_1 is lost: asked to disarm, not confirmed"
+
+
+def test_arming_a_link_that_does_not_hear_fails_in_words(bench):
+    _, user, transport, until = bench
+    transport.hears = False
+    answer = arm(user, until)
+    assert not answer.success
+    assert answer.message == "link_1 is disarmed"
+
+
+def test_simulated_time_is_waited_for_and_followed(spin):
+    simulated = 0
+    transport = FakeTransport(clock=lambda: simulated)
+    node = LinkNode(1, transport=transport, **options(use_sim_time=True))
+    user = User()
+    clock = user.create_publisher(Clock, "/clock", 10)
+    for _ in range(3):
+        transport.put(transport.link.telemetry(SECOND))
+    spin([node, user], lambda: user.health and clock.get_subscription_count())
+    assert user.health[-1].status[0].message == "the clock stands still"
+    assert not node.session.counts["received"]
+    simulated = 50 * SECOND
+
+    def tick():
+        nonlocal simulated
+        simulated += SECOND // 100
+        clock.publish(Clock(clock=to_time(simulated)))
+        return len(user.telemetry) > 5
+
+    spin([node, user], tick)
+    stamps = [stamp_ns(m.header.stamp) for m in user.telemetry]
+    # The link here keeps real time, and /clock may lag behind it by the timeout.
+    assert all(50 * SECOND < stamp < simulated + 5 * SECOND for stamp in stamps)
+    spin([node, user], lambda: user.health[-1].status[0].message == "the clock stands still")
+
+
+@pytest.mark.parametrize("step", [-3600.0, -30.0, 30.0, 3600.0])
+@pytest.mark.parametrize("key", [None, KEY])
+def test_a_clock_that_is_set_shows_in_the_stamps_and_nowhere_else(spin, tmp_path, key, step):
+    off = 0
+    keys = tmp_path / "keys"
+    keys.write_text(f"1 {KEY.hex()}\n")
+    keys.chmod(0o600)
+
+    def day():
+        return time.time_ns() + off
+
+    transport, user = FakeTransport(key=key, clock=time.monotonic_ns), User()
+    parameters = options(timeout=1.0, **({"keys": str(keys)} if key else {}))
+    node = LinkNode(1, transport=transport, clock=HostClock(day=day), **parameters)
+
+    def until(condition):
+        return spin([node, user], condition)
+
+    def command(set_point):
+        message = LinkCommand(mode=Mode.POSITION, set_point=set_point, max_velocity=0.1)
+        message.header.stamp, message.time_to_live = to_time(day()), 60.0
+        user.command.publish(message)
+
+    until(lambda: user.joints and user.arm.service_is_ready())
+    until(lambda: user.command.get_subscription_count() and node.status.get_subscription_count())
+    assert arm(user, until).success
+    command(0.02)
+    until(lambda: user.status and user.status[-1].status == CommandStatus.REACHED)
+    for sign in (1, -1):  # and back
+        before, off = transport.link.taken.clock, off + round(sign * step * SECOND)
+        heard = len(user.joints)
+        until(lambda: len(user.joints) > heard + 3)  # noqa: B023
+        for message in user.joints[-2:]:
+            assert abs(stamp_ns(message.header.stamp) - day()) < 0.5 * SECOND
+        command(-0.02 * sign)
+        until(lambda: transport.link.position * sign < -700)  # noqa: B023
+        until(lambda: user.status[-1].status == CommandStatus.REACHED)
+        assert abs(stamp_ns(user.status[-1].given) - day()) < 5.0 * SECOND
+        assert before < transport.link.taken.clock
+    assert node.session.counts["lost"] == 0
+    assert node.session.armed
+    assert arm(user, until, data=False).success
+
+
+@pytest.mark.parametrize("kind", ENDS)
+def test_a_link_that_starts_later_and_is_unplugged(spin, tmp_path, kind):
+    end = ENDS[kind](tmp_path)
+    if kind != "pty":
+        end.unplug()
+    node, user = LinkNode(1, end.url, **options(timeout=1.5)), User()
+    spin([node, user], lambda: node.session.counts["sent"] > 3)  # to nobody
+    if kind != "pty":
+        end.replug()
+    link = FakeLink(boot=2, born=time.time_ns() - SECOND)
+
+    def serve():
+        if frame := end.receive(0.0):
+            link.take(frame, time.time_ns())
+            end.send(link.telemetry(time.time_ns()))
+
+    def heard():
+        serve()
+        return not node.session.lost and len(user.joints) == len(user.telemetry) > 3
+
+    spin([node, user], heard)
+    assert user.telemetry[-1].boot == 2
+    end.unplug()
+    spin([node, user], lambda: node.session.lost)
+    user.telemetry.clear(), user.joints.clear()
+    end.replug()
+    spin([node, user], heard)
+    end.close()
+
+
+def test_a_wrong_baud_rate_is_said_in_one_line(start, tmp_path):
+    end = ENDS["pty"](tmp_path)
+    program = start("fss_arm_driver.link_node", "--ros-args", "-p", f"url:={end.url}")
+
+    def said():
+        with suppress(BlockingIOError):
+            end.raw(b"\xf8\x00\x78" * 50)
+        end.receive(0.01)
+        return "bytes come" in program.output
+
+    os.set_blocking(end.line.fileno(), False)
+    wait_until(said, 20.0, lambda: None)
+    assert program.stop() == 0
+    assert program.output.count("\n") == 1
+    assert "bytes come that are no frames: is the other end set to 115200 baud" in program.output
+    end.close()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ((), "url is missing, expected udp://HOST:PORT?bind=PORT or tcp://HOST:PORT or"),
+        (("-p", "url:=tcp://x"), "url is 'tcp://x', expected tcp://HOST:PORT"),
+        (("-p", "url:=serial:///dev/no"), "'serial:///dev/no' cannot be opened: No such file"),
+        (("-p", "keys:=/no/keys"), "No such file or directory: '/no/keys'"),
+        (("-p", "link:=5"), "link is 5, expected 1 to 4, as arm 'paper' has"),
+        (("-p", "timeout:=0.0"), "timeout is 0.0 s, expected 0.001 to 3600"),
+        (("-p", "watchdog:=100.0"), "watchdog is 100.0 s"),
+        (("-p", "rate:=0.5"), "watchdog is 2.0 s, expected more than the 2 s"),
+        (("-p", "arm:=/no/such.yaml"), "/no/such.yaml"),
+        (("-p", "urls:=['udp://127.0.0.1:9', 'nonsense']"), "url is 'nonsense'"),
+    ],
+)
+def test_what_cannot_run_says_so_in_one_line(start, arguments, words):
+    program = start("fss_arm_driver.link_node", "--ros-args", *arguments)
+    assert program.wait() == 1
+    assert words in program.output
+    assert program.output.count("\n") == 1
+
+
+def test_a_link_without_a_key_among_keys_is_refused(start, tmp_path):
+    keys = tmp_path / "keys"
+    keys.write_text(f"1 {'0a' * 16}\n")
+    keys.chmod(0o600)
+    program = start(
+        "fss_arm_driver.link_node", "--ros-args", "-p", f"keys:={keys}", "-p", "link:=2"
+    )
+    assert program.wait() == 1
+    assert program.output.endswith("keys', which holds no key for link 2\n")
+    keys.chmod(0o644)
+    program = start("fss_arm_driver.link_node", "--ros-args", "-p", f"keys:={keys}")
+    assert program.wait() == 1
+    assert "has mode 644, expected 600" in program.output
+
+
+def test_unsigned_frames_over_a_network_are_warned_of(start):
+    arguments = "--ros-args", "-p", "url:=udp://192.0.2.1:9?bind=0"
+    program = start("fss_arm_driver.link_node", *arguments)
+    wait_until(lambda: "frames are not signed, so anybody" in program.output, 20.0, lambda: None)
+    program.stop()
+    assert "docs/security.md" in program.output
+
+
+def test_signed_frames_are_believed_and_answered(spin, tmp_path):
+    keys = tmp_path / "keys"
+    keys.write_text(f"1 {KEY.hex()}\n")
+    keys.chmod(0o600)
+    transport = FakeTransport(key=KEY)
+    node = LinkNode(1, transport=transport, **options(keys=str(keys)))
+    user = User()
+    spin([node, user], lambda: user.telemetry and user.joints and user.health)
+    assert user.values()["signed"] == "True"
+    assert KEY.hex() not in repr([node.get_parameter(name).value for name in node._parameters])
+    assert not any(node.session.counts[name] for name in ("signature", "unproven"))
+
+
+def test_a_battery_that_ends_soon_is_a_warning(bench):
+    node, user, _, until = bench
+    assert "battery lasts" not in user.health[-1].status[0].message
+    now = time.time_ns()
+    for age in range(600, 0, -10):  # 12.5 V in the end, 5 minutes above 12.0 V
+        node.session.battery.take(12.5 + age / 600.0, now - age * SECOND)
+    until(lambda: "the battery lasts 5 min" in user.health[-1].status[0].message)
+    assert user.level() == DiagnosticStatus.WARN
+
+
+def test_frames_of_somebody_else_are_shown_and_logged_once(bench, monkeypatch):
+    node, user, _, until = bench
+    said, sent = [], node.session.counts["sent"]
+    monkeypatch.setattr(node.get_logger(), "warning", said.append)
+    node.session._dialogue.crowded = True
+    until(lambda: "; link 1 refuses frames of somebody" in user.health[-1].status[0].message)
+    assert user.level() == DiagnosticStatus.WARN
+    until(lambda: node.session.counts["sent"] > sent + 10)
+    assert len(said) == 1
+    assert arm(user, until).success
+
+
+def test_one_process_hosts_all_links_and_is_up_soon(start, spin):
+    user = Node("user")
+    heard = {}
+
+    def take(message):
+        heard.setdefault(message.status[0].name, time.monotonic())
+
+    user.create_subscription(DiagnosticArray, "/diagnostics", take, 100)
+    spin([user], lambda: True)
+    urls = ", ".join(["'udp://127.0.0.1:9?bind=0'"] * 4)
+    program = start("fss_arm_driver.link_node", "--ros-args", "-p", f"urls:=[{urls}]")
+    spin([user], lambda: len(heard) == 4)
+    assert set(heard) == {"link_1", "link_2", "link_3", "link_4"}
+    assert program.stop() == 0
+    assert program.output == ""
+
+
+def test_the_driver_loads_no_compiler():
+    code = """if True:
+        import sys
+        import fss_arm_driver.arm_node, fss_arm_driver.link_node
+        sys.exit({"numba", "scipy"} & set(sys.modules) != set())
+    """
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

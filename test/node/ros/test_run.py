@@ -1,0 +1,153 @@
+"""How a node's program ends."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.qos import HistoryPolicy, QoSProfile
+from running import wait_until
+from std_msgs.msg import Empty
+from std_srvs.srv import Trigger
+
+from fss_arm_ros.executor import BatchExecutor
+
+KEEP_ALL = QoSProfile(history=HistoryPolicy.KEEP_ALL)
+
+TOLD = """
+import os, signal, sys, time
+import rclpy
+from rclpy.node import Node
+from fss_arm_ros.run import run
+
+def make():
+    os.kill(os.getpid(), signal.SIGTERM)
+    while rclpy.ok():
+        time.sleep(0.01)
+    return Node("late")
+
+sys.exit(run(make))
+"""
+
+
+def test_told_to_end_while_it_is_made_it_ends_well():
+    ended = subprocess.run([sys.executable, "-c", TOLD], capture_output=True, text=True, timeout=30)
+    assert (ended.returncode, ended.stderr) == (0, "")
+
+
+def test_a_request_is_answered_after_all_that_came_before_it(ros):
+    node, heard, answered = Node("busy"), [], []
+    publisher = node.create_publisher(Empty, "much", KEEP_ALL)
+    node.create_subscription(Empty, "much", heard.append, KEEP_ALL)
+
+    def answer(_, response):
+        answered.append(len(heard))
+        return response
+
+    node.create_service(Trigger, "count", answer)
+    client = node.create_client(Trigger, "count")
+    assert client.wait_for_service(10.0)
+    for _ in range(300):
+        publisher.publish(Empty())
+    assert publisher.wait_for_all_acked(Duration(seconds=10))
+    future = client.call_async(Trigger.Request())
+    executor = BatchExecutor()
+    executor.add_node(node)
+    wait_until(future.done, 10.0, lambda: executor.spin_once(timeout_sec=0.02))
+    assert answered == [300]
+    node.destroy_node()
+
+
+NAMED = """
+import sys
+from dataclasses import dataclass
+from rclpy.node import Node
+from std_srvs.srv import Trigger
+from fss_arm_ros.run import run
+from fss_arm_ros.parameters import declare
+
+@dataclass(frozen=True)
+class Nothing:
+    pass
+
+class Named(Node):
+    def __init__(self):
+        super().__init__("named")
+        declare(self, Nothing)
+        self.create_service(Trigger, "do", lambda request, response: response)
+        print("made", flush=True)
+        self.create_timer(0.1, lambda: print("spun", flush=True))
+
+    def unfinished(self):
+        return "after 2 of 3"
+
+def main():
+    return run(Named, Nothing)
+"""
+
+
+@pytest.fixture
+def named(start, tmp_path):
+    """named(*args): the process of a node `named` that offers `do` and has a job to finish."""
+    (tmp_path / "named.py").write_text(NAMED)
+    path = f"{tmp_path}:{os.environ.get('PYTHONPATH', '')}"
+    return lambda *args: start("named", "--ros-args", *args, PYTHONPATH=path)
+
+
+def spun(program):
+    wait_until(lambda: "spun" in program.output, 20.0, lambda: time.sleep(0.02))
+
+
+def ended(program, domain, what):
+    allows = "-p allow_duplicate:=true allows it"
+    assert program.wait() == 1
+    assert program.output.endswith(f"-c: {what} already in ROS domain {domain}; {allows}\n")
+
+
+def test_a_second_node_of_a_name_is_refused_unless_allowed(named, domain):
+    first = named()
+    spun(first)
+    second = named()
+    ended(second, domain, "/named is there")
+    assert "made" not in second.output
+    spun(named("-r", "__ns:=/elsewhere"))
+    spun(named("-p", "allow_duplicate:=true"))
+    assert first.process.poll() is None
+
+
+def test_a_node_that_offers_what_another_does_is_refused_before_it_spins(named, domain):
+    spun(named())
+    other = named("-r", "__node:=other")
+    ended(other, domain, "/named offers /do")
+    assert "spun" not in other.output
+    spun(named("-r", "__node:=other", "-r", "do:=do_other"))
+
+
+def test_a_node_that_was_killed_is_started_again_at_once(named):
+    for _ in range(3):
+        program = named()
+        spun(program)
+        program.stop(signal.SIGKILL)
+
+
+def test_of_nodes_that_begin_together_one_stays(named, domain):
+    together = [named() for _ in range(3)]
+    gone = wait_until(
+        lambda: len(over := [p for p in together if p.process.poll() is not None]) == 2 and over,
+        20.0, lambda: time.sleep(0.02),
+    )  # fmt: skip
+    for program in gone:
+        ended(program, domain, "/named is there")
+    spun(next(p for p in together if p not in gone))
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
+def test_a_job_that_is_interrupted_says_how_far_it_came(named, how):
+    program = named()
+    spun(program)
+    assert program.stop(how) == 130
+    assert program.output.endswith("-c: interrupted after 2 of 3\n")

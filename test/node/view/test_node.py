@@ -1,0 +1,263 @@
+"""The node view: what it shows of a flight, and that it notices its viewer's end."""
+
+import socket
+import subprocess
+import sys
+import time
+from collections import Counter
+from contextlib import suppress
+from pathlib import Path
+from urllib.request import Request, urlopen
+
+import pytest
+import rerun_cli
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import Point, PoseStamped
+from rclpy.parameter import Parameter
+from running import wait_until
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Empty, Header
+from view_bench import BEGIN, Bench
+from view_flight import Flight
+from visualization_msgs.msg import Marker, MarkerArray
+
+from fss_arm_model.description import paper_arm
+from fss_arm_msgs.msg import (
+    BaseReaction,
+    Calibration,
+    DynamicCalibration,
+    KinematicCalibration,
+    LinkTelemetry,
+    ThrusterCommand,
+)
+from fss_arm_ros.convert import SECOND, pose_stamped, to_time
+from fss_arm_ros.diagnostics import ERROR, OK, WARN
+from fss_arm_ros.qos import LATCHED, SENSOR
+from fss_arm_view.sink import Viewer, host
+from fss_arm_view.view_node import ViewNode
+from fss_arm_workspace.workspace_node import WorkspaceNode
+
+
+def view(**settings):
+    return ViewNode(parameter_overrides=[Parameter(k, value=v) for k, v in settings.items()])
+
+
+def written(node, file):
+    """What a view has drawn into a file."""
+    node.close()
+    node.sink.stream.disconnect()
+    rerun = Path(rerun_cli.__file__).parent / "rerun"
+    return subprocess.run(
+        [rerun, "rrd", "print", "-vvv", file],
+        stdout=subprocess.PIPE,
+        text=True,
+        timeout=60,
+        check=True,
+    ).stdout
+
+
+def free_port():
+    with socket.socket() as s:
+        s.bind(("127.0.0.1", 0))
+        return s.getsockname()[1]
+
+
+@pytest.fixture(scope="module")
+def flight():
+    return Flight(paper_arm(), end=1.0)
+
+
+def test_what_is_published_is_shown(spin, flight, tmp_path):
+    file = tmp_path / "view.rrd"
+    node, bench = view(mode="file", file=str(file)), Bench(flight)
+    reacts = bench.create_publisher(BaseReaction, "base_reaction", SENSOR)
+    tells = bench.create_publisher(LinkTelemetry, "link_2/telemetry", SENSOR)
+    stops = bench.create_publisher(Empty, "arm/stop", 10)
+    dynamic = bench.create_publisher(DynamicCalibration, "calibration/dynamic", LATCHED)
+    thrust = bench.create_publisher(ThrusterCommand, "thrusters/command", SENSOR)
+    target = bench.create_publisher(PoseStamped, "vicon/target/target", SENSOR)
+    used = (bench.joints, bench.pose, bench.calibration, reacts, tells, stops, dynamic)
+    used += (thrust, target)
+    spin([node, bench], lambda: all(p.get_subscription_count() for p in used))
+    reacts.publish(BaseReaction())
+    for sequence in (1, 2, 5):  # two are missing
+        tells.publish(LinkTelemetry(link=2, sequence=sequence, current=120))
+    stops.publish(Empty())
+    thrust.publish(ThrusterCommand(on_time=[0.0, 9.0, *[0.0] * 6]))
+    target.publish(pose_stamped(1, "world", (1.0, 1.0, 0.0)))
+    dynamic.publish(
+        DynamicCalibration(calibration=Calibration(verdict="fail", reason="no maneuvers"))
+    )
+    bench.calibration.publish(
+        KinematicCalibration(calibration=Calibration(verdict="fail", reason="too few"))
+    )
+    bench.play(400)
+    spin([node, bench], lambda: node.losses.get(2))
+    spin([node, bench], lambda: {"thrusters", "target"} <= set(node.legend))
+    spin([node, bench], lambda: node.t >= BEGIN + 390_000_000 and node.sink.counts["shown"] >= 12)
+    assert node.losses[2] == pytest.approx(0.05 * 2 / 3)
+    assert node.health().level == OK
+    shown = written(node, file)
+    for entity in ("/table/arm", "/plot/angle/link_1", "/plot/loss/link_2"):
+        assert entity in shown
+    for entity in ("/table/centre_of_mass", "/table/target", "arm/stop", "too few", "no maneuvers"):
+        assert entity in shown
+
+
+@pytest.mark.parametrize("measured", ["joints", "base"])
+def test_what_is_no_measurement_is_drawn_at_the_time_of_one(ros, tmp_path, measured):
+    """Its stamp may be of today beside a bag of yesterday, whose plots would be long over."""
+    node, drawn = view(mode="file", file=str(tmp_path / "view.rrd")), []
+    node.sink.put = lambda t, drawings: drawn.append((t, drawings[0][0]))
+    if measured == "joints":
+        stamp = to_time(5 * SECOND)
+        node.on_joints(JointState(header=Header(stamp=stamp), name=["joint_1"], position=[0.1]))
+    else:
+        node.on_base(pose_stamped(5 * SECOND, "world", (0.0, 0.0, 0.0)))
+    today = Header(stamp=to_time(1_800_000_000 * SECOND), frame_id="fss")
+    node.on_diagnostics(DiagnosticArray(header=today, status=[DiagnosticStatus(name="replay")]))
+    node.on_stop(Empty())
+    node.on_calibration(
+        "calibration/kinematic", KinematicCalibration(calibration=Calibration(header=today))
+    )
+    line = Marker(header=today, type=Marker.LINE_STRIP, points=[Point(), Point(x=1.0)])
+    node.on_outlines("workspace/markers", MarkerArray(markers=[line]))
+    assert [what for _, what in drawn].count("log") == 3
+    assert {t for t, what in drawn if "legend" not in what} == {5 * SECOND}
+    node.close()
+    node.destroy_node()
+
+
+def test_stamps_that_go_back_begin_another_recording(ros, tmp_path):
+    """Or the viewer would stay with the newest drawing; what is told once is drawn again."""
+    node = view(mode="file", file=str(tmp_path / "view.rrd"), rate=1e9)
+    line = Marker(ns="reach", type=Marker.LINE_STRIP, points=[Point(), Point(x=1.0)])
+    node.on_outlines("workspace/markers", MarkerArray(markers=[line]))
+    node.on_stop(Empty())
+    for begin in (100, 0):
+        for k in range(30):
+            t = begin * SECOND + k * SECOND // 100
+            node.on_base(pose_stamped(t, "world", (0.0, 0.0, 0.0)))
+            node.on_tip(pose_stamped(t, "world", (begin + 0.1 * k, 0.0, 0.0)))
+        if begin:
+            node.on_reaction(BaseReaction(header=Header(stamp=to_time(t))))
+            node.on_thrust(ThrusterCommand(on_time=[9.0] * 8))
+    assert node.trails["tip_path"]
+    assert max(x for x, _ in node.trails["tip_path"]) < 10.0
+    assert not node.trails["com_path"]
+    assert node.difference is None
+    assert not any(node.valves_until)
+    first, second = (written(node, tmp_path / name) for name in ("view.rrd", "view_1.rrd"))
+    assert "arm/stop" in first
+    assert "arm/stop" not in second
+    for entity in ("/table/edge", "/table/outlines/reach", "/table/legend/5", "/table/arm"):
+        assert entity in first
+        assert entity in second
+    node.destroy_node()
+
+
+def test_the_workspace_is_drawn_where_its_node_publishes_it(spin, flight, tmp_path):
+    file = tmp_path / "view.rrd"
+    node, bench = view(mode="file", file=str(file)), Bench(flight)
+    few = {"cell": 0.2, "directions": 12}
+    workspace = WorkspaceNode(parameter_overrides=[Parameter(k, value=v) for k, v in few.items()])
+    nodes = [node, bench, workspace]
+    spin(nodes, lambda: bench.joints.get_subscription_count() == 2)
+    bench.play(400)
+    boundaries = {"fixed vehicle workspace", "maximum reachable workspace"}
+    boundaries |= {f"straight paths, {base}" for base in ("fixed", "floating", "zero reaction")}
+    spin(nodes, lambda: boundaries <= set(node.legend), 60.0)
+    shown = written(node, file)
+    assert "/table/fss/fixed_vehicle_workspace" in shown
+    assert "straight paths, zero reaction" in shown  # a word of the legend
+    in_base, in_world = (f"/table/{of}/straight_paths_floating" for of in ("fss", "outlines"))
+    assert in_base in shown
+    assert in_world in shown
+
+
+def test_a_viewer_that_ended_is_an_error_and_not_the_end(spin):
+    node = view(mode="web", port=free_port(), web_port=free_port())
+    spin(node, lambda: node.viewer.alive())
+    node.viewer.process.kill()
+    spin(node, lambda: node.health().level == ERROR)
+    assert node.health().message == "the viewer has ended"
+
+
+OWNER = """
+import sys
+from fss_arm_view.sink import Viewer
+viewer = Viewer("web", "127.0.0.1", sys.argv[1], sys.argv[2], "100MB")
+print(viewer.process.pid, flush=True)
+viewer.process.wait()
+"""
+
+
+def test_a_viewer_goes_with_its_owner_however_that_ends():
+    command = [sys.executable, "-c", OWNER, str(free_port()), str(free_port())]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as owner:
+        viewer = Path(f"/proc/{owner.stdout.readline().strip()}/cmdline")
+        wait_until(lambda: "rerun" in viewer.read_text(), 10.0, lambda: time.sleep(0.05))
+        owner.kill()
+    wait_until(lambda: not viewer.exists(), 10.0, lambda: time.sleep(0.05))
+
+
+def test_an_open_address_is_warned_of_and_told_as_others_reach_it(spin, capfd):
+    port, web_port, said = free_port(), free_port(), []
+    node = view(mode="web", bind="0.0.0.0", port=port, web_port=web_port)
+    name = socket.gethostname()
+
+    def told():
+        said.append(capfd.readouterr().err)
+        return f"whoever reaches {name}:{port}" in "".join(said)
+
+    spin(node, told)
+    assert f"open http://{name}:{web_port}/?url=rerun%2Bhttp://{name}:{port}/" in "".join(said)
+
+
+def test_drawings_get_to_the_address_that_the_viewer_is_bound_to(spin):
+    port = free_port()
+    node = view(mode="web", bind="127.0.0.2", port=port, web_port=free_port())
+    established = f"0200007F:{port:04X} 01"  # as the kernel lists addresses and states
+    spin(node, lambda: established in Path("/proc/net/tcp").read_text())
+
+
+@pytest.mark.parametrize(
+    ("bind", "name"), [("0.0.0.0", "lab"), ("127.0.0.2", "127.0.0.2"), ("127.0.0.1", "localhost")]
+)
+def test_the_page_may_read_the_data_by_whatever_name_it_was_opened(bind, name):
+    """A browser asks so before a page reads from another port than its own."""
+    port, web_port = free_port(), free_port()
+    viewer = Viewer("web", bind, port, web_port, "100MB")
+    origin = f"http://{name}:{web_port}"
+    headers = {"Origin": origin, "Access-Control-Request-Method": "POST"}
+    url = f"http://{host(bind, '127.0.0.1')}:{port}/"
+
+    def answer():
+        with suppress(OSError), urlopen(Request(url, method="OPTIONS", headers=headers)) as found:
+            return found.headers
+
+    try:
+        told = wait_until(answer, 10.0, lambda: time.sleep(0.05))
+    finally:
+        viewer.close()
+    assert told["Access-Control-Allow-Origin"] == origin
+
+
+@pytest.mark.parametrize(
+    ("bind", "name"),
+    [("192.168.1.7", "192.168.1.7"), ("::1", "[::1]"), ("::", "x"), ("0.0.0.0", "x")],
+)
+def test_an_address_in_a_url(bind, name):
+    assert host(bind, "x") == name
+
+
+def test_a_viewer_that_takes_nothing_is_warned_of(ros, tmp_path):
+    node = view(mode="file", file=str(tmp_path / "view.rrd"))
+    node.sink.counts = Counter(shown=3)
+    assert node.health().level == OK
+    node.sink.counts = Counter(shown=3, dropped=1)
+    assert node.health().level == WARN
+    node.sink.counts = Counter(shown=4, dropped=2)
+    assert node.health().level == OK
+    node.close()
+    node.destroy_node()

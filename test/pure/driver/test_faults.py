@@ -1,0 +1,244 @@
+"""The drive's fault table, the progress of commands, homing, and the battery."""
+
+from dataclasses import replace
+from math import inf, isnan
+from pathlib import Path
+
+import pytest
+from driver_link import SAMPLE, SECOND, FakeLink
+
+from fss_arm_driver.faults import FAULTS, IN_MOTION, Word, as_markdown, blocking, present
+from fss_arm_driver.protocol import Mode, Order, Slow, State, decode
+from fss_arm_driver.scale import HOME, CommandError, Scale
+from fss_arm_driver.session import Arming, LinkSession
+from fss_arm_driver.session.battery import Battery
+from fss_arm_driver.session.progress import STALL_TIME, START_TIMEOUT, Progress, Status
+from fss_arm_model.description import Drive, paper_arm
+
+LINK = paper_arm().links[0]
+SCALE = Scale(LINK)
+PERIOD = SECOND // 5
+HALF = round(0.5 * 240_000 / 6.283185307179586)  # [counts]
+
+
+def test_the_documentation_is_the_table():
+    text = Path(__file__, "../../../../docs/faults.md").resolve().read_text()
+    assert text == as_markdown()
+
+
+def test_each_bit_stands_once_and_what_blocks_has_a_remedy():
+    places = [(fault.word, fault.bit) for fault in FAULTS]
+    assert len(set(places)) == len(places)
+    assert all(bool(fault.remedy) == fault.blocks for fault in FAULTS)
+    assert all(fault.blocks for fault in FAULTS if fault.word is Word.FAULTS)
+
+
+@pytest.mark.parametrize(
+    ("status", "faults", "names"),
+    [
+        (0, 0, []),
+        (1 << 27 | 1 << 12 | 1 << 20 | 1 << 9, 0, []),
+        (1 << 0, 0, ["short circuit"]),
+        (1 << 22, 0, ["latched fault"]),
+        (1 << 22, 1 << 9, ["tracking error"]),
+        (1 << 18 | 1 << 22, 1 << 9, ["tracking error"]),
+        (0, 1 << 31 | 1 << 5, ["supply too high", "latched fault 31"]),
+    ],
+)
+def test_what_blocks_is_named_once(status, faults, names):
+    assert blocking(status, faults) == names
+
+
+def test_words_for_what_does_not_block():
+    assert [fault.name for fault in present(1 << 27 | 1 << 20, 0)] == ["was reset", "in motion"]
+
+
+class Bench:
+    """A session and a link, armed."""
+
+    def __init__(self, description=LINK):
+        self.session = LinkSession(1, description)
+        self.now = 1_700_000_000 * SECOND
+        self.link = FakeLink(boot=7, born=self.now - SECOND)
+        while self.session.lost:
+            self.step()
+        self.arm()
+
+    def arm(self):
+        self.session.arm(self.now)
+        while self.session.arming is Arming.ARMING:
+            self.step()
+
+    def step(self, down=True, **changes):
+        self.now += PERIOD // 2
+        data = self.session.command(self.now)
+        if down:
+            self.link.take(data, self.now)
+        self.now += PERIOD // 2
+        return self.session.feed(self.link.telemetry(self.now, **changes), self.now)
+
+    def told(self):
+        return decode(self.session.command(self.now))
+
+    def set(self, mode, value=0.0, time_to_live=1.0):
+        expiry = self.now + round(time_to_live * SECOND)
+        self.session.set(mode, value, 0.0, 0.0, expiry, self.now)
+
+
+@pytest.fixture
+def bench():
+    return Bench()
+
+
+def test_a_fault_disarms_and_forbids_arming_until_it_is_gone(bench):
+    bench.set(Mode.POSITION, 0.5)
+    bench.step(status=1 << 3)
+    assert bench.session.arming is Arming.DISARMED
+    assert bench.session.progress.status is Status.ABORTED
+    assert bench.session.progress.reason == "supply too low"
+    with pytest.raises(CommandError, match="link 1 has faults: supply too low"):
+        bench.session.arm(bench.now)
+    bench.step()
+    bench.arm()
+    assert bench.session.armed
+
+
+def test_latched_faults_are_cleared_by_frames_that_do_not_arm(bench):
+    bench.step(slow_id=Slow.FAULTS, slow_value=1 << 9)
+    assert bench.session.faults == ["tracking error"]
+    bench.session.clear_faults(bench.now)
+    assert bench.told().flags == Order.CLEAR_FAULTS
+    bench.step(slow_id=Slow.FAULTS, slow_value=0)
+    bench.arm()
+    assert not bench.told().flags & Order.CLEAR_FAULTS
+
+
+def test_a_link_without_reference_is_commanded_no_position_until_homed(bench):
+    bench.link.referenced = False
+    assert not bench.step().referenced
+    with pytest.raises(CommandError, match="link 1 is not referenced: home it first"):
+        bench.set(Mode.POSITION, 0.1)
+    bench.set(Mode.VELOCITY, 0.1)
+    assert bench.told().mode == Mode.VELOCITY
+    bench.set(HOME)
+    told = bench.told()
+    assert (told.flags, told.mode, told.set_point) == (Order.ARM | Order.HOME, Mode.POSITION, 0)
+    bench.step()
+    assert bench.step().referenced
+    assert bench.session.progress.status is Status.REACHED
+    bench.set(Mode.POSITION, 0.1)
+
+
+def test_a_current_that_makes_too_much_torque_is_clamped():
+    drive = Drive(torque_constant=0.8, max_torque=0.4, max_current=2.25)
+    bench = Bench(replace(LINK, drive=drive))
+    bench.set(Mode.CURRENT, 2.0)
+    assert bench.told().set_point == 50
+    assert bench.session.counts["commands_clamped"] == 1
+
+
+def test_a_command_is_accepted_moving_and_reached(bench):
+    stations = []
+    for _ in range(20):
+        bench.set(Mode.POSITION, 0.5)
+        stations.append(bench.session.progress.status)
+        bench.step()
+    assert stations == sorted(stations)
+    assert set(stations) == {Status.ACCEPTED, Status.MOVING, Status.REACHED}
+
+
+@pytest.mark.parametrize(
+    ("end", "status", "reason"),
+    [
+        (lambda b: b.session.stop(), Status.ABORTED, "stopped"),
+        (lambda b: b.session.disarm(), Status.ABORTED, "disarmed"),
+        (lambda b: b.set(Mode.VELOCITY, 0.1), Status.ABORTED, "another command took its place"),
+        (lambda b: b.session.tick(b.now + 2 * SECOND), Status.ABORTED, "the link is lost"),
+        (lambda b: [b.step() for _ in range(4)], Status.TIMED_OUT, "its time to live ended"),
+        (
+            lambda b: (
+                b.link.take(b.session.command(b.now), b.now)
+                or setattr(b.link, "flags", State.WATCHDOG)
+                or b.step(down=False)
+            ),
+            Status.ABORTED,
+            "the link has disarmed itself",
+        ),
+    ],
+)
+def test_a_command_may_end_otherwise(bench, end, status, reason):
+    bench.set(Mode.POSITION, 1.2, time_to_live=0.5)
+    progress = bench.session.progress
+    bench.step()
+    end(bench)
+    assert (progress.status, progress.reason) == (status, reason)
+
+
+ARMED = replace(SAMPLE, flags=State.ARMED | State.REFERENCED, mode=Mode.POSITION)
+
+
+def follow(frames, mode=Mode.POSITION, value=0.5):
+    progress = Progress(SCALE.set_point(mode, value), 0, SCALE)
+    for now, taken, changes in frames:
+        progress.follow(replace(ARMED, **changes), taken, now)
+    return progress.status, progress.reason
+
+
+MOVING = {"status": IN_MOTION, "velocity": 100, "position": HALF // 2}
+
+
+@pytest.mark.parametrize(
+    ("frames", "status", "reason"),
+    [
+        ([(1, False, MOVING)], Status.ACCEPTED, ""),
+        ([(START_TIMEOUT + 1, False, {})], Status.TIMED_OUT, "the link has not taken it"),
+        ([(1, True, {})], Status.ACCEPTED, ""),
+        ([(START_TIMEOUT + 1, True, {})], Status.TIMED_OUT, "the joint has not begun to move"),
+        ([(1, True, MOVING)], Status.MOVING, ""),
+        ([(1, True, MOVING), (2, True, {"position": HALF // 2})], Status.MOVING, ""),
+        (
+            [(1, True, MOVING), (STALL_TIME + 2, True, {"position": HALF // 2})],
+            Status.ABORTED,
+            "the joint came to rest before it",
+        ),
+        ([(1, True, {**MOVING, "position": HALF})], Status.MOVING, ""),
+        ([(1, True, {"position": HALF + 100})], Status.REACHED, ""),
+        ([(1, True, {"position": HALF + 200})], Status.ACCEPTED, ""),
+        ([(1, True, {"position": HALF, "mode": Mode.VELOCITY})], Status.ACCEPTED, ""),
+    ],
+)
+def test_the_status_words_tell_the_progress(frames, status, reason):
+    assert follow(frames) == (status, reason)
+
+
+def test_velocity_and_current_are_reached_when_they_are_measured():
+    velocity = {"status": IN_MOTION, "mode": Mode.VELOCITY, "velocity": 190_000}
+    assert follow([(1, True, velocity)], Mode.VELOCITY)[0] is Status.REACHED
+    assert follow([(1, True, {**velocity, "velocity": 90_000})], Mode.VELOCITY)[0] is Status.MOVING
+    current = {"mode": Mode.CURRENT, "current": 50}
+    assert follow([(1, True, current)], Mode.CURRENT)[0] is Status.REACHED
+
+
+def test_a_battery_tells_how_long_it_lasts():
+    battery = Battery(empty=12.0)
+    assert isnan(battery.time_left())
+    for second in range(0, 600, 2):
+        volts = 14.8 - 0.0005 * second
+        battery.take(round(volts, 1), second * SECOND)
+    assert battery.time_left() == pytest.approx((volts - 12.0) / 0.0005, rel=0.1)
+
+
+def test_a_battery_is_read_on_when_the_clock_was_set_back():
+    battery = Battery(empty=12.0)
+    for second in range(9000, 9100):
+        battery.take(13.0, second * SECOND)
+    for second in range(900):
+        battery.take(16.0 - 0.001 * second, second * SECOND)
+    assert battery.time_left() == pytest.approx((15.1 - 12.0) / 0.001, rel=0.01)
+
+
+def test_a_battery_that_does_not_fall_lasts():
+    battery = Battery(empty=12.0)
+    for second in range(0, 600, 10):
+        battery.take(14.8, second * SECOND)
+    assert battery.time_left() == inf

@@ -1,0 +1,725 @@
+"""The link's firmware on this computer, under sanitizers, beside the Python codec."""
+
+import random
+import re
+import shutil
+import subprocess
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+from firmware import Core, FirmwareLink, build
+from firmware_vectors import cases
+
+from fss_arm_driver.faults import FAULTS, Word
+from fss_arm_driver.protocol import Command, Mode, Order, Slow, State, decode, encode
+from fss_arm_model.description import paper_arm
+from fss_sim.link.electronics import LinkElectronics
+from fss_sim.plant.plant import Motion
+
+VECTORS = Path(__file__).parents[2] / "vectors/firmware.txt"
+
+
+@pytest.fixture(scope="module")
+def core() -> Iterator[Core]:
+    core = Core()
+    yield core
+    core.close()
+
+
+def test_the_vectors_are_what_the_python_codec_says():
+    lines = VECTORS.read_text().splitlines()
+    assert lines == [f"{request} = {answer}" for request, answer in cases(seed=1, count=40)]
+
+
+def test_the_firmware_agrees_with_the_vectors(core):
+    lines = VECTORS.read_text().splitlines()
+    answers = {answer.split()[0] for line in lines for answer in [line.split(" = ")[1]]}
+    assert answers >= {"command", "length", "magic", "version", "kind", "crc", "signature", "field"}
+    for line in lines:
+        request, answer = line.split(" = ")
+        assert core.ask(request) == answer, request
+
+
+def test_the_firmware_agrees_with_the_python_codec_on_random_frames(core):
+    for request, answer in cases(seed=2, count=400):
+        assert core.ask(request) == answer, request
+
+
+# --- the link ------------------------------------------------------------------------------------
+
+BOOT, SECOND = 7, 1_000_000
+KEY = bytes(range(16))
+QUIET = Command(
+    link=2, flags=0, boot=BOOT, sequence=1, clock=5, expiry=0, mode=Mode.OFF, watchdog=2000,
+    set_point=0, velocity=0, acceleration=0,
+)  # fmt: skip
+MOVE = replace(
+    QUIET, flags=Order.ARM, sequence=2, expiry=100 * SECOND, mode=Mode.POSITION,
+    set_point=200_000, velocity=381_972, acceleration=7639,
+)  # fmt: skip
+TURN = replace(MOVE, mode=Mode.VELOCITY, set_point=-300_000, velocity=0)
+PUSH = replace(MOVE, mode=Mode.CURRENT, set_point=20, velocity=0, acceleration=0)
+HOME = replace(QUIET, flags=Order.ARM | Order.HOME, mode=Mode.POSITION, expiry=100 * SECOND)
+LATCHES = State.ARMED | State.STOPPED | State.WATCHDOG
+
+
+@pytest.fixture
+def link(core) -> FirmwareLink:
+    """A link whose drive is connected, at one second."""
+    link = FirmwareLink(core)
+    link.run(1.0)
+    link.orders()
+    return link
+
+
+def moving(link, command=MOVE):
+    """The link, one second into a command."""
+    assert link.send(QUIET)
+    assert link.send(command)
+    link.run(1.0)
+    assert abs(link.joint().velocity) > 20_000
+    link.orders()
+    return link
+
+
+def test_it_finds_the_drive_and_starts_disarmed_and_off(core):
+    link = FirmwareLink(core)
+    frames = link.run(2.0)
+    assert link.orders() == ["s r0x90 115200"]
+    assert (link.joint().baud, link.joint().mode) == (115200, Mode.OFF)
+    assert all(frame.flags == State.REFERENCED and frame.mode == Mode.OFF for frame in frames)
+    assert frames[0].clock < 600_000
+
+
+def test_it_measures_five_times_a_second_whatever_arrives(link):
+    for _ in range(40):
+        link.send(bytes(72))
+    frames = link.run(3.0)
+    periods = [later.clock - frame.clock for frame, later in pairwise(frames)]
+    assert len(frames) == 15
+    assert all(abs(period - 200_000) < 15_000 for period in periods)
+    assert {later.sequence - frame.sequence for frame, later in pairwise(frames)} == {1}
+    slow = {Slow(frame.slow_id): frame.slow_value for frame in frames}
+    assert slow == {
+        Slow.FAULTS: 0, Slow.SUPPLY: 240, Slow.BATTERY: 148, Slow.TEMPERATURE: 31,
+        Slow.FIRMWARE: 0x10000, Slow.HOMINGS: 1, Slow.REFUSED: 40,
+    }  # fmt: skip
+
+
+def test_it_echoes_the_last_command_at_the_measurement(link):
+    assert link.send(replace(QUIET, clock=(1 << 33) + 77))
+    (frame,) = link.run(0.2)
+    assert frame.echo == 77
+    assert frame.turnaround == frame.clock - SECOND
+
+
+@pytest.mark.parametrize("counts", [0, 1, -1, 123_456, (1 << 23) - 1, -(1 << 23)])
+def test_it_reads_the_torque_converter(link, counts):
+    link.tell(f"torque {counts}")
+    frame = link.frame()
+    assert frame.torque == counts
+    assert frame.torque_age <= 13
+
+
+def test_a_move_is_what_the_drives_guide_says(link):
+    assert link.send(QUIET)
+    assert link.send(replace(MOVE, set_point=40_000))
+    reached = link.run(1.9)[-1]
+    assert link.orders() == [
+        "s r0x24 21", "s r0xc8 0", "s r0xca 40000", "s r0xcb 381972", "s r0xcc 7639",
+        "s r0xcd 7639", "t 1",
+    ]  # fmt: skip
+    assert (link.joint().position, reached.position) == (40_000, 40_000)
+    assert reached.mode == Mode.POSITION
+
+
+@pytest.mark.parametrize(
+    ("command", "orders"),
+    [
+        (TURN, ["s r0x36 76", "s r0x37 76", "s r0x2f -300000", "s r0x24 11"]),
+        (PUSH, ["s r0x02 20", "s r0x24 1"]),
+    ],
+)
+def test_set_points_are_written_before_the_mode_that_follows_them(link, command, orders):
+    assert link.send(QUIET)
+    assert link.send(command)
+    frame = link.run(1.0)[-1]
+    assert link.orders() == orders
+    assert frame.mode == command.mode
+    assert frame.velocity * command.set_point > 0
+
+
+def test_a_command_repeated_is_the_same_move(link):
+    moving(link)
+    for sequence in range(3, 8):
+        assert link.send(replace(MOVE, sequence=sequence))
+        link.run(0.2)
+    assert link.orders() == []
+
+
+def test_set_points_faster_than_the_line_do_not_keep_it_from_measuring(link):
+    moving(link, TURN)
+    frames = []
+    for sequence in range(3, 503):
+        assert link.send(replace(TURN, sequence=sequence, set_point=-300_000 - 10 * sequence))
+        frames += link.run(0.002)
+    assert len(frames) == 5
+    assert frames[-1].velocity < -304_000
+    link.run(0.1)
+    assert link.joint().velocity == pytest.approx(-30_502)
+
+
+def test_a_new_target_is_taken_in_motion_and_another_mode_from_rest(link):
+    moving(link)
+    assert link.send(replace(MOVE, sequence=3, set_point=300_000))
+    link.run(0.1)
+    assert link.orders()[-1] == "t 1"
+    assert link.joint().velocity > 20_000
+    assert link.send(replace(TURN, sequence=4))
+    link.run(1.0)
+    assert link.orders() == [
+        "t 0", "s r0x36 76", "s r0x37 76", "s r0x2f -300000", "s r0x24 11",
+    ]  # fmt: skip
+    assert link.joint().velocity < -20_000
+
+
+@pytest.mark.parametrize("command", [MOVE, TURN, PUSH])
+def test_silence_trips_the_watchdog_and_only_a_disarming_frame_resets_it(link, command):
+    moving(link, command)
+    link.run(0.99)
+    assert link.frame().flags & LATCHES == State.WATCHDOG  # two seconds have passed
+    link.run(0.8)
+    still = link.joint()
+    assert (still.velocity, still.mode) == (0, Mode.POSITION)
+    assert not link.send(replace(MOVE, sequence=3))
+    assert link.send(replace(QUIET, sequence=4))
+    assert link.send(replace(MOVE, sequence=5))
+    assert link.frame().flags & LATCHES == State.ARMED
+
+
+def test_the_watchdog_is_as_long_as_the_last_command_says(link):
+    moving(link, replace(MOVE, watchdog=1500))
+    assert not link.run(0.45)[-1].flags & State.WATCHDOG
+    link.run(0.2)
+    assert link.orders() == ["t 0"]
+
+
+@pytest.mark.parametrize("command", [MOVE, TURN, PUSH])
+def test_an_expired_set_point_is_held_and_the_link_stays_armed(link, command):
+    moving(link, replace(command, expiry=2_100_000))
+    link.run(0.9)
+    assert link.send(replace(command, sequence=3, expiry=2_950_000))
+    frame = link.run(1.0)[-1]
+    assert frame.flags & LATCHES == State.ARMED
+    assert link.joint().velocity == 0
+    assert frame.mode == Mode.POSITION
+
+
+@pytest.mark.parametrize(
+    ("command", "braking", "holding"),
+    [
+        (MOVE, ["t 0"], []),
+        (TURN, ["s r0x37 300", "s r0x2f 0"], ["s r0x24 21"]),
+        (PUSH, ["s r0x37 300", "s r0x2f 0", "s r0x24 11"], ["s r0x24 21"]),
+    ],
+)
+def test_stop_brakes_at_once_and_latches(link, command, braking, holding):
+    moving(link, command)
+    assert link.send(replace(QUIET, sequence=0, boot=BOOT + 5, flags=Order.STOP))
+    link.run(0.02)  # a reading under way, then three orders
+    assert link.orders() == braking
+    link.run(1.0)
+    assert link.orders() == holding
+    assert link.joint().velocity == 0
+    assert link.send(replace(MOVE, sequence=4))
+    assert link.frame().flags & LATCHES == State.STOPPED
+    assert link.joint().velocity == 0
+    assert link.send(replace(QUIET, sequence=5))
+    assert link.send(replace(MOVE, sequence=6))
+    assert link.frame().flags & LATCHES == State.ARMED
+
+
+def test_a_stop_switches_nothing_on(link):
+    link.run(1.0)
+    assert link.send(QUIET)
+    assert link.send(replace(QUIET, sequence=2, flags=Order.STOP))
+    frame = link.run(1.0)[-1]
+    assert (frame.mode, frame.flags & LATCHES) == (Mode.OFF, State.STOPPED)
+    assert link.joint().mode == Mode.OFF
+
+
+@pytest.mark.parametrize("command", [MOVE, TURN, PUSH])
+def test_stop_is_obeyed_whatever_exchange_is_under_way(core, command):
+    for moment in range(60):
+        link = FirmwareLink(core)
+        link.run(1.0)
+        assert link.send(QUIET)
+        assert link.send(command)
+        link.run(0.0004 * moment)
+        assert link.send(replace(QUIET, sequence=3, flags=Order.STOP))
+        link.run(0.5)
+        assert link.joint().velocity == 0
+        assert link.joint().mode == Mode.POSITION
+
+
+@pytest.mark.parametrize("command", [MOVE, TURN, PUSH])
+def test_disarming_brakes_and_switches_off_at_rest(link, command):
+    moving(link, command)
+    assert link.send(replace(QUIET, sequence=3))
+    link.run(0.01)
+    assert link.joint().mode != Mode.OFF
+    frame = link.run(1.0)[-1]
+    assert (frame.mode, frame.flags & LATCHES) == (Mode.OFF, 0)
+    assert (link.joint().mode, link.joint().velocity) == (Mode.OFF, 0)
+
+
+@pytest.mark.parametrize("command", [MOVE, TURN, PUSH])
+def test_a_joint_that_does_not_come_to_rest_is_switched_off_in_bounded_time(link, command):
+    moving(link, command)
+    link.tell("shake 1")
+    assert link.send(replace(QUIET, sequence=3))
+    link.run(2.9)
+    assert link.joint().mode != Mode.OFF
+    link.run(0.2)
+    assert link.joint().mode == Mode.OFF
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        replace(MOVE, sequence=2),
+        replace(MOVE, sequence=1),
+        replace(MOVE, sequence=0xFFFFFFF0),
+        replace(MOVE, sequence=3, boot=BOOT + 1),
+        replace(MOVE, sequence=3, expiry=SECOND - 1),
+        replace(MOVE, sequence=3, link=3),
+        b"",
+        encode(MOVE)[:71],
+        encode(replace(MOVE, sequence=3)) + b"\0",
+    ],
+)
+def test_what_it_refuses_changes_nothing(link, command):
+    moving(link)
+    assert not link.send(command)
+    assert link.run(0.9)[-1].flags & LATCHES == State.ARMED
+    assert link.orders() == []
+    link.run(0.2)  # and did not put off the watchdog
+    assert link.orders() == ["t 0"]
+
+
+def test_a_session_cannot_begin_armed(link):
+    assert not link.send(MOVE)
+    assert link.frame().flags & LATCHES == 0
+
+
+def test_a_flood_does_not_keep_it_from_stopping(link):
+    moving(link)
+    assert link.send(replace(QUIET, sequence=3, flags=Order.STOP))
+    for _ in range(200):
+        assert not link.send(bytes(72))
+    link.run(0.01)
+    assert link.orders() == ["t 0"]
+
+
+# --- signed --------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def signed(core) -> FirmwareLink:
+    """A link with a key, moving, at two seconds; its last command has stamp 6."""
+    link = FirmwareLink(core, key=KEY)
+    link.run(1.0)
+    return moving(link, replace(MOVE, clock=6))
+
+
+ATTACKS = {
+    "not signed": encode(replace(MOVE, sequence=3, clock=7)),
+    "another key": encode(replace(MOVE, sequence=3, clock=7), bytes(range(1, 17))),
+    "another link's": encode(replace(MOVE, link=3, sequence=3, clock=7), KEY),
+    "replayed": encode(replace(MOVE, clock=6), KEY),
+    "stop from before": encode(replace(QUIET, flags=Order.STOP, sequence=9, clock=6), KEY),
+    "disarm from before": encode(replace(QUIET, sequence=9, clock=4), KEY),
+    "not signed stop": encode(replace(QUIET, flags=Order.STOP, sequence=9, clock=9)),
+    "another start's": encode(replace(MOVE, sequence=3, clock=7, boot=BOOT - 1), KEY),
+    "good signature of another frame": encode(replace(MOVE, sequence=3, clock=8), KEY)[:56]
+    + encode(replace(MOVE, sequence=3, clock=7), KEY)[56:],
+}
+
+
+@pytest.mark.parametrize("attack", ATTACKS)
+def test_an_attack_changes_nothing(signed, attack):
+    assert not signed.send(ATTACKS[attack])
+    assert signed.run(0.9)[-1].flags & LATCHES == State.ARMED
+    assert signed.orders() == []
+    assert signed.send(replace(QUIET, flags=Order.STOP, sequence=9, clock=7))
+    assert signed.frame().flags & LATCHES == State.STOPPED
+
+
+def test_a_recorded_session_cannot_be_played_to_a_silent_link(signed):
+    signed.run(3.0)
+    for command in (replace(QUIET, clock=5), replace(MOVE, clock=6)):
+        assert not signed.send(command)
+    assert signed.frame().flags & LATCHES == State.WATCHDOG
+
+
+# --- the link against the simulator's ------------------------------------------------------------
+
+
+def clumsy_command(rng, clock, sequence):
+    """A command as a computer in trouble may send it: doubled, late, for another start."""
+    flags = rng.choice([Order.ARM] * 8 + [Order.ARM | Order.HOLD] * 3 + [0, 0, 0, Order.STOP])
+    return replace(
+        rng.choice([MOVE, TURN, PUSH]),
+        sequence=(sequence + rng.choice([-1, 0, 1, 1, 1, 1, 1, 2])) & 0xFFFFFFFF,
+        flags=flags,
+        clock=clock + rng.randint(-100_000, 0),
+        boot=rng.choice([BOOT] * 9 + [BOOT + 1]),
+        watchdog=rng.choice([500, 2000]),
+        expiry=clock + rng.randint(-50_000, 2 * SECOND),
+        set_point=rng.randint(-100, 100),
+    )
+
+
+@pytest.mark.parametrize("key", [None, KEY])
+@pytest.mark.parametrize("seed", range(4))
+def test_it_takes_arms_and_trips_as_the_simulated_link_does(core, seed, key):
+    link = FirmwareLink(core, key=key)
+    link.run(1.0)
+    simulated = LinkElectronics(2, paper_arm().links[1], BOOT, key=key)
+    rest = Motion(q=0.0, qd=0.0, current=0.0, torque=0.0)
+    rng, sequence, seen = random.Random(seed), 0, set()
+    for _ in range(200):
+        command = clumsy_command(rng, link.clock, sequence)
+        taken = link.send(command)
+        assert simulated.receive(encode(command, key), link.clock) == taken
+        sequence = command.sequence if taken else sequence
+        for frame in link.run(rng.choice([0.05, 0.2, 0.2, 0.2, 0.4, 2.5])):
+            simulated.demand(frame.clock, rest)
+            expected = decode(simulated.telemetry(frame.clock, rest), key)
+            assert frame.flags & LATCHES == expected.flags & LATCHES
+            assert (frame.echo, frame.turnaround) == (expected.echo, expected.turnaround)
+            seen.add(frame.flags & LATCHES)
+        simulated.demand(link.clock, rest)
+    assert seen >= {0, State.ARMED, State.STOPPED, State.WATCHDOG}
+
+
+@pytest.mark.parametrize("inputs", [5_000, pytest.param(10_000_000, marks=pytest.mark.slow)])
+def test_random_and_damaged_inputs(inputs):
+    fuzz = subprocess.run([build("fuzz"), str(inputs)], capture_output=True, text=True)
+    assert fuzz.returncode == 0, fuzz.stdout + fuzz.stderr
+
+
+# --- the drive's line ----------------------------------------------------------------------------
+
+ERRORS = [1, 3, 4, 5, 9, 10, 11, 14, 15, 16, 18, 19, 20, 21, 22, 25, 27, 31, 32, 33, 36, 46, 48]
+
+
+@pytest.mark.parametrize("code", ERRORS)
+def test_what_the_drive_refuses_is_held_instead_until_commanded_again(link, code):
+    moving(link)
+    link.tell(f"fail {code}")
+    assert link.send(replace(MOVE, sequence=3, set_point=300_000))
+    link.run(0.5)
+    assert link.orders()[-1] == "t 0"
+    assert link.joint().velocity == 0
+    assert link.send(replace(MOVE, sequence=4, set_point=300_000))
+    link.run(0.5)
+    assert link.joint().velocity > 20_000
+
+
+def test_what_the_drive_refused_before_a_stop_does_not_count_against_the_stop(core):
+    outcomes = set()
+    for moment in range(50):
+        link = FirmwareLink(core)
+        link.run(1.0)
+        moving(link)
+        link.tell("fail 15")
+        assert link.send(replace(MOVE, sequence=3, set_point=300_000))
+        link.run(0.0004 * moment)
+        assert link.send(replace(QUIET, sequence=4, flags=Order.STOP))
+        link.run(0.5)
+        held = link.joint().mode == Mode.POSITION
+        assert held == ("s r0xc8 0" in link.orders())  # else it was the stop that was refused
+        outcomes.add(held)
+    assert outcomes == {True, False}
+
+
+def test_a_drive_that_cannot_hold_is_switched_off(link):
+    moving(link)
+    link.tell("fail 15")
+    assert link.send(replace(QUIET, sequence=3, flags=Order.STOP))
+    link.run(0.5)
+    assert link.orders() == ["t 0", "s r0x24 0"]
+    assert link.joint().mode == Mode.OFF
+    assert set(stopped_again_and_again(link, 1.0)) == {Mode.OFF}
+
+
+def test_one_that_cannot_hold_when_its_time_is_over_is_switched_off(link):
+    assert link.send(QUIET)
+    assert link.send(replace(TURN, expiry=2 * SECOND))
+    link.run(0.5)
+    link.tell("fail 15")
+    for sequence in range(3, 13):
+        link.send(replace(TURN, sequence=sequence, expiry=2 * SECOND))
+        link.run(0.2)
+    assert "s r0x24 0" in link.orders()
+    assert link.joint().mode == Mode.OFF
+    assert not link.frame().flags & State.ARMED
+
+
+SLOW = {Slow.FAULTS: 0xA4, Slow.SUPPLY: 0x1E, Slow.TEMPERATURE: 0x20, "deceleration": 0xCF}
+
+
+@pytest.mark.parametrize("lacking", SLOW)
+def test_what_a_drive_lacks_is_not_taken_from_another_variable(core, lacking):
+    link = FirmwareLink(core)
+    link.tell(f"lack {SLOW[lacking]}")
+    slow = {frame.slow_id: frame.slow_value for frame in link.run(3.0)}
+    expected = {Slow.FAULTS: 0, Slow.SUPPLY: 240, Slow.TEMPERATURE: 31} | {lacking: 0}
+    assert {name: slow.get(name, 0) for name in expected} == expected
+    moving(link, TURN)
+    assert link.send(replace(QUIET, sequence=3))
+    link.run(0.02)
+    limit = [] if lacking == "deceleration" else ["s r0x37 300"]
+    assert link.orders() == [*limit, "s r0x2f 0"]
+
+
+def test_a_pulled_cable_disarms_and_says_nothing_stale(link):
+    moving(link)
+    link.tell("plug 0")
+    before = link.run(1.0)
+    assert all(frame.clock < 2_000_000 + 20_000 for frame in before)
+    assert link.send(replace(QUIET, sequence=3, boot=0))
+    link.tell("plug 1")
+    after = link.run(3.0)
+    assert after
+    assert not any(frame.flags & LATCHES for frame in after)
+    assert link.joint()[1:] == (0, Mode.OFF, 115200)
+
+
+def test_a_cable_pulled_in_mid_line_is_survived(link):
+    for cut in range(1, 60):
+        link.run(0.0001 * cut)
+        link.tell("plug 0")
+        link.run(0.0004)
+        link.tell("plug 1")
+        link.run(0.25)
+    assert link.frame().status & 1 << 12
+
+
+def test_noise_on_the_line_is_survived_and_never_believed(link):
+    rng = random.Random(3)
+    moving(link)
+    frames = []
+    for sequence in range(3, 103):
+        assert link.send(replace(MOVE, sequence=sequence, set_point=10_000_000))
+        noise = rng.choice([b"ok\r", b"v 5\r", b"e 3\r", b"\r", rng.randbytes(30), b"v 99"])
+        if sequence % 2:
+            link.tell(f"noise {noise.hex()}")
+        frames += link.run(0.2)
+    assert len(frames) > 60
+    assert not any({5, 99} & {frame.position, frame.velocity, frame.current} for frame in frames)
+    assert all(frame.status in (1 << 27, 0) for frame in frames)
+
+
+def test_a_power_cycle_is_survived_unreferenced_and_disarmed(link):
+    moving(link)
+    link.tell("power")
+    frames = link.run(3.0)
+    assert frames[-1].clock > 3_700_000
+    assert not frames[-1].flags & (State.REFERENCED | State.ARMED)
+    assert frames[-1].status & 1 << 20
+    assert link.joint()[1:] == (0, Mode.OFF, 115200)
+    link.tell("reference 1")
+    homed = {frame.slow_id: frame for frame in link.run(2.0)}[Slow.HOMINGS]
+    assert homed.flags & State.REFERENCED
+    assert homed.slow_value == 2
+
+
+def test_a_drive_that_others_switched_off_is_not_switched_on_again(link):
+    moving(link)
+    link.tell("off")
+    for sequence in range(3, 8):
+        link.send(replace(MOVE, sequence=sequence))
+        link.run(0.02)
+    link.run(0.5)
+    assert link.joint().mode == Mode.OFF
+    assert not link.frame().flags & State.ARMED
+
+
+def test_homing_is_begun_once_and_counted(link):
+    assert link.send(QUIET)
+    for sequence in range(2, 5):
+        assert link.send(replace(HOME, sequence=sequence))
+        frames = link.run(0.25)
+        assert bool(frames[-1].flags & State.REFERENCED) == (sequence > 2)
+    assert link.orders() == ["s r0x24 21", "t 2"]
+    (homings,) = {f.slow_value for f in link.run(1.6) if f.slow_id == Slow.HOMINGS}
+    assert homings == 2
+
+
+def test_it_is_not_referenced_from_the_order_to_home_on(link):
+    link.tell(f"lack {SLOW['deceleration']}")
+    moving(link, replace(TURN, acceleration=3000))
+    assert link.send(replace(HOME, sequence=3, clock=99))
+    frames = [frame for frame in link.run(3.0) if frame.echo == 99]
+    referenced = [bool(frame.flags & State.REFERENCED) for frame in frames]
+    assert not any(referenced[:3])  # while it brakes
+    assert referenced == sorted(referenced)
+    assert referenced[-1]
+
+
+def test_a_drive_that_refuses_to_home_does_not_say_that_it_has(link):
+    moving(link)
+    link.tell("fail 15")
+    assert link.send(replace(HOME, sequence=3, clock=99))
+    frames = [frame for frame in link.run(1.0) if frame.echo == 99]
+    assert frames
+    assert not any(frame.flags & State.REFERENCED for frame in frames)
+    assert link.send(replace(HOME, sequence=4, flags=Order.ARM | Order.HOLD, mode=Mode.OFF))
+    assert link.frame().flags & State.REFERENCED
+
+
+@pytest.mark.parametrize("flags", [Order.ARM | Order.HOLD, Order.STOP])
+def test_a_drive_that_held_is_off_after_a_power_cycle(link, flags):
+    moving(link)
+    assert link.send(replace(MOVE, sequence=3, flags=flags))
+    link.run(0.5)
+    assert link.joint().mode == Mode.POSITION
+    link.tell("power")
+    for _ in range(8):
+        link.run(0.2)
+        assert link.joint().mode == Mode.OFF
+
+
+def stopped_again_and_again(link, seconds):
+    """The modes that the drive is in meanwhile."""
+    modes = []
+    for _ in range(round(seconds / 0.2)):
+        link.send(replace(QUIET, sequence=3, boot=0, flags=Order.STOP))
+        link.run(0.2)
+        modes.append(link.joint().mode)
+    return modes
+
+
+@pytest.mark.parametrize("stop", [True, False])
+def test_no_stop_switches_on_a_drive_whose_power_came_back(link, stop):
+    moving(link)
+    if stop:
+        assert set(stopped_again_and_again(link, 1.0)) == {Mode.POSITION}
+    else:
+        link.run(2.0)  # the watchdog trips
+    link.tell("power")
+    assert set(stopped_again_and_again(link, 4.0)) == {Mode.OFF}
+    assert link.frame().flags & State.STOPPED
+    assert not link.send(MOVE)
+    assert link.send(replace(QUIET, sequence=10))
+    assert link.send(replace(TURN, sequence=11))
+    link.run(0.5)
+    assert link.joint().mode == Mode.VELOCITY
+
+
+def test_no_stop_switches_on_a_drive_that_was_blocked(link):
+    moving(link)
+    stopped_again_and_again(link, 1.0)
+    link.tell(f"status {1 << 11}")  # the enable input
+    stopped_again_and_again(link, 1.0)
+    link.tell("status 0")
+    assert set(stopped_again_and_again(link, 3.0)) == {Mode.OFF}
+    assert link.frame().flags & LATCHES == State.STOPPED
+
+
+@pytest.mark.parametrize("command", [MOVE, replace(QUIET, sequence=3, flags=Order.STOP)])
+def test_a_reset_that_is_over_at_once_is_noticed_by_its_status_bit(link, command):
+    moving(link)
+    link.send(command)
+    link.tell(f"status {1 << 20}")
+    link.run(0.2)
+    assert set(stopped_again_and_again(link, 3.0)) == {Mode.OFF}
+
+
+@pytest.mark.parametrize("command", [MOVE, TURN, PUSH])
+def test_its_own_restart_stops_a_moving_drive(link, command):
+    moving(link, command)
+    link.tell(f"restart 2 {BOOT + 1} -")
+    frames = link.run(2.0)
+    assert link.joint()[1:] == (0, Mode.OFF, 115200)
+    assert frames[-1].boot == BOOT + 1
+    assert not frames[-1].flags & LATCHES
+
+
+@pytest.mark.parametrize("bit", [*range(20), *range(21, 32)])
+def test_status_bits_disarm_as_the_fault_table_says(link, bit):
+    blocks = {fault.bit: fault.blocks for fault in FAULTS if fault.word is Word.STATUS}
+    moving(link)
+    link.tell(f"status {1 << bit}")
+    frame = link.run(0.5)[-1]
+    assert frame.status >> bit & 1
+    assert bool(frame.flags & State.ARMED) != blocks.get(bit, False)
+
+
+def test_a_latched_fault_disarms_and_is_cleared_once_the_drive_is_off(link):
+    moving(link)
+    link.tell("faults 4")
+    frame = link.run(1.0)[-1]
+    assert not frame.flags & State.ARMED
+    assert link.joint().mode == Mode.OFF
+    assert not link.send(replace(MOVE, sequence=2))
+    assert link.send(replace(MOVE, sequence=3))
+    assert not link.frame().flags & State.ARMED  # while it lasts
+    assert link.send(replace(QUIET, sequence=4, flags=Order.CLEAR_FAULTS))
+    link.run(0.5)
+    assert link.orders()[-1] == "s r0xa4 4"
+    assert link.send(replace(MOVE, sequence=5))
+    assert link.frame().flags & State.ARMED
+
+
+def test_without_a_drive_it_neither_arms_nor_talks(core):
+    link = FirmwareLink(core)
+    link.tell("plug 0")
+    link.send(QUIET)
+    link.send(MOVE)
+    assert link.run(3.0) == []
+    link.tell("plug 1")
+    assert link.run(2.0)[-1].flags & LATCHES == 0
+
+
+# --- on the Due's processor ----------------------------------------------------------------------
+
+needs_arm = pytest.mark.skipif(
+    not shutil.which("arm-none-eabi-g++"), reason="arm-none-eabi-g++ is not installed"
+)
+needs_emulator = pytest.mark.skipif(
+    not shutil.which("qemu-system-arm"), reason="qemu-system-arm is not installed"
+)
+
+
+@needs_arm
+def test_it_fits_the_due_and_never_asks_for_memory():
+    program = build("due.elf")
+    sizes = subprocess.check_output(["arm-none-eabi-size", program], text=True).splitlines()[1]
+    text, data, bss = (int(size) for size in sizes.split()[:3])
+    assert text + data < 16_000
+    assert data + bss < 2_000
+    names = subprocess.check_output(["arm-none-eabi-nm", "-C", program], text=True)
+    assert "fss::Link::poll" in names
+    assert not re.search(r"malloc|operator new|sbrk", names)
+
+
+@needs_arm
+@needs_emulator
+@pytest.mark.slow
+def test_a_cortex_m3_agrees_with_the_vectors_and_with_this_computer(core):
+    emulated = Core(cortex_m3=True)
+    for line in VECTORS.read_text().splitlines():
+        request, answer = line.split(" = ")
+        assert emulated.ask(request) == answer, request
+    for request in [
+        "start 2 7 -", "run 1000000", f"send {encode(QUIET).hex()}", f"send {encode(MOVE).hex()}",
+        "run 2500000", "joint", "orders",
+    ]:  # fmt: skip
+        assert emulated.ask(request) == core.ask(request)
+    emulated.close()

@@ -1,0 +1,274 @@
+import math
+import os
+import re
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from model_arms import random_arm
+
+from fss_arm_model import description
+from fss_arm_model.description import (
+    Arm,
+    Base,
+    DescriptionError,
+    Drive,
+    Link,
+    TorqueSensor,
+    described,
+    from_yaml,
+    load,
+    paper_arm,
+    save,
+    to_yaml,
+)
+from fss_arm_model.layout import kinematic_index, kinematic_names
+
+CONFIG = Path(__file__).parents[3] / "config"
+
+numbers = st.floats(allow_nan=False, allow_infinity=False)
+positives = st.floats(min_value=0.0, exclude_min=True, allow_infinity=False)
+drives = st.builds(
+    Drive,
+    counts_per_turn=st.integers(min_value=1),
+    direction=st.sampled_from([1, -1]),
+    torque_constant=positives,
+    max_current=positives,
+    max_velocity=positives,
+    max_acceleration=positives,
+)
+sensors = st.builds(TorqueSensor, gain=numbers.filter(bool), zero=numbers)
+
+
+def links(theta_0: st.SearchStrategy[float]) -> st.SearchStrategy[Link]:
+    limits = st.tuples(numbers, numbers).filter(lambda limits: limits[0] < limits[1])
+    link = st.builds(
+        Link,
+        a=positives,
+        theta_0=theta_0,
+        mass=positives,
+        inertia=positives,
+        b=numbers,
+        lateral=numbers,
+        drive=drives,
+        torque_sensor=sensors,
+    )
+    return st.builds(lambda k, limits: replace(k, q_min=limits[0], q_max=limits[1]), link, limits)
+
+
+names = st.text(min_size=1).filter(lambda name: name.isprintable() and name.strip())
+bases = st.builds(
+    Base,
+    mass=positives,
+    inertia=positives,
+    com=st.tuples(numbers, numbers),
+    mount=st.tuples(numbers, numbers, numbers),
+)
+arms = st.builds(
+    lambda name, base, first, others, theta_E: Arm(name, base, (first, *others), theta_E),
+    names,
+    bases,
+    links(st.just(0.0)),
+    st.lists(links(numbers), max_size=3),
+    numbers,
+)
+
+
+@settings(deadline=None, max_examples=10)
+@given(arms)
+def test_yaml_gives_the_same_arm_back(arm):
+    assert from_yaml(to_yaml(arm)) == arm
+
+
+@pytest.mark.parametrize("n", [1, 12])
+def test_file_gives_the_same_arm_back(n, tmp_path):
+    arm = random_arm(n, np.random.default_rng(n))
+    save(arm, tmp_path / "arm.yaml")
+    save(arm, tmp_path / "arm.yaml")
+    assert load(tmp_path / "arm.yaml") == arm
+    assert [file.name for file in tmp_path.iterdir()] == ["arm.yaml"]
+
+
+def test_defaults_need_not_be_written():
+    link = "{a: 38e-2, theta_0: 0, mass: 3, inertia: 3e-2, b: 0.2}"
+    arm = from_yaml(f"name: short\nbase: {{mass: 10, inertia: .25}}\nlinks: [{link}]")
+    assert arm == Arm("short", Base(10.0, 0.25), (Link(0.38, 0.0, 3.0, 0.03, 0.2),))
+    assert isinstance(arm.links[0].mass, float)
+
+
+WRONG = [
+    # where in the paper's description, value, field as named, what was expected
+    (["base", "mass"], -1.0, "base: mass", "a positive number [kg]"),
+    (["base", "mass"], True, "base: mass", "a positive number [kg]"),
+    (["base", "mass"], "heavy", "base: mass", "a positive number [kg]"),
+    (["base", "inertia"], 0, "base: inertia", "a positive number [kg m^2]"),
+    (["base", "inertia"], math.nan, "base: inertia", "a positive number [kg m^2]"),
+    (["base", "com"], [0.0], "base: com", "two finite numbers (x, y) [m]"),
+    (["base", "com"], 0.1, "base: com", "two finite numbers (x, y) [m]"),
+    (["base", "mount"], [0.0, math.inf, 0.0], "base: mount", "three finite numbers"),
+    (["base", "wheels"], 4, "base: wheels", "only the entries mass, inertia, com, mount"),
+    (["base"], 3, "base", "a base"),
+    (["theta_E"], [0.1], "theta_E", "a finite number [rad]"),
+    (["theta_E"], {"a": 1.0}, "theta_E", "a finite number [rad]"),
+    (["name"], "", "name", "a printable text that is not empty"),
+    (["links"], 4, "links", "a list of links"),
+    (["links", 1], [1.0], "links", "a list of links"),
+    (["links", 1, "drive"], None, "link 2: drive", "a drive"),
+    (["links"], [], "links", "1 to 12 links"),
+    (["links", 0, "theta_0"], 0.1, "link 1: theta_0", "0, as theta_BJ1 takes its place"),
+    (["links", 1, "a"], 0.0, "link 2: a", "a positive number [m]"),
+    (["links", 3, "mass"], None, "link 4: mass", "a positive number [kg]"),
+    (["links", 3, "q_max"], -2.0, "link 4: q_max", "more than q_min = -1.5707963267948966 [rad]"),
+    (["links", 1, "drive", "direction"], 0, "link 2: drive: direction", "1 or -1"),
+    (["links", 1, "drive", "counts_per_turn"], 2.5, "link 2: drive: counts_per_turn", "integer"),
+    (["links", 1, "torque_sensor", "gain"], 0.0, "link 2: torque_sensor: gain", "other than zero"),
+]
+
+
+@pytest.mark.parametrize(("where", "value", "field", "expected"), WRONG)
+def test_wrong_entry_is_named_with_value_and_expectation(where, value, field, expected):
+    description = yaml.safe_load(to_yaml(paper_arm()))
+    part = description
+    for key in where[:-1]:
+        part = part[key]
+    part[where[-1]] = value
+    with pytest.raises(DescriptionError) as caught:
+        from_yaml(yaml.safe_dump(description))
+    error = caught.value
+    assert error.field == field
+    assert expected in error.expected
+    given = "missing" if value is None else repr(error.value)
+    assert (
+        str(error)
+        == f"{field} is {given[:77]}{'...' * (len(given) > 80)}, expected {error.expected}"
+    )
+
+
+def test_thirteen_links_are_too_many():
+    with pytest.raises(DescriptionError, match="links is 13, expected 1 to 12 links"):
+        random_arm(13, np.random.default_rng(0))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "arm is missing, expected the entries name, base, links, theta_E"),
+        ("[]", "arm is [], expected the entries name, base, links, theta_E"),
+        ("name: [", "line "),
+        ("\0", "text is"),
+        ("name: 2020-13-45", "text is"),
+        ("{[1]: 2}", "line 1 is"),
+        ("name: !!python/object:os.system x", "line 1 is"),
+        ("name: x\nname: y", "name is 'given twice', expected once"),
+        ("name: x\nlinks: []", "base is missing, expected a base"),
+    ],
+)
+def test_text_that_is_no_description_is_refused_in_one_line(text, message):
+    with pytest.raises(DescriptionError, match=f"^{re.escape(message)}") as caught:
+        from_yaml(text)
+    assert "\n" not in str(caught.value)
+
+
+def test_load_names_the_file(tmp_path):
+    file = tmp_path / "arm.yaml"
+    file.write_bytes(b"\xff")
+    with pytest.raises(
+        DescriptionError, match=rf"^{file}: byte 0 is 'invalid start byte', expected UTF-8"
+    ):
+        load(file)
+    file.write_text(to_yaml(paper_arm()).replace("mass: 10.0", "mass: -10.0"))
+    with pytest.raises(DescriptionError, match=rf"^{file}: base: mass is -10.0, expected a pos"):
+        load(file)
+
+
+def test_vector_holds_base_and_links_in_order():
+    p = paper_arm().vector()
+    assert p[:8] == pytest.approx([10.0, 0.25, 0.0, 0.0, 0.2058, 0.0155, math.radians(18.211), 0])
+    assert p[14:20] == pytest.approx([0.3825, math.radians(5.801), 2.88, 0.034, 0.1915, 0.0])
+    assert p.shape == (8 + 6 * 4,)
+
+
+@pytest.mark.parametrize("n", [1, 4])
+def test_kinematic_parameters_are_part_of_the_vector(n):
+    arm = random_arm(n, np.random.default_rng(n))
+    xi = arm.vector()[kinematic_index(n)]
+    assert len(kinematic_names(n)) == len(xi) == 2 * n + 2
+    assert arm.with_kinematics(xi) == arm
+    other = arm.with_kinematics(xi + 0.01)
+    assert other.vector()[kinematic_index(n)].tolist() == (xi + 0.01).tolist()
+    assert [k.b for k in other.links] == [k.b for k in arm.links]
+
+
+def test_kinematic_names_follow_the_paper():
+    assert " ".join(kinematic_names(2)) == "a_1 a_2 theta_0_2 x_BJ1 y_BJ1 theta_BJ1"
+    values = dict(zip(kinematic_names(4), paper_arm().vector()[kinematic_index(4)], strict=True))
+    assert values["a_4"] == 0.3351
+    assert math.degrees(values["theta_0_3"]) == pytest.approx(-3.402)
+    assert math.degrees(values["theta_BJ1"]) == pytest.approx(18.211)
+
+
+def test_kinematic_parameters_that_cannot_be_are_refused():
+    xi = paper_arm().vector()[kinematic_index(4)]
+    with pytest.raises(DescriptionError, match="expected 10 numbers"):
+        paper_arm().with_kinematics(xi[1:])
+    xi[1] = -0.38
+    with pytest.raises(DescriptionError, match=r"link 2: a is -0.38, expected a positive"):
+        paper_arm().with_kinematics(xi)
+
+
+def test_default_description_is_the_papers():
+    assert load(CONFIG / "arm.yaml") == paper_arm()
+    assert (CONFIG / "arm.yaml").read_text() == to_yaml(paper_arm())
+
+
+@pytest.mark.parametrize("name", ["paper", "cad", "truth"])
+def test_an_arm_is_found_by_its_name_as_by_its_file(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert described(name).name == name
+    save(described(name), tmp_path / "copy")
+    assert described("copy") == described(str(tmp_path / "copy")) == described(name)
+
+
+def test_a_name_that_nobody_knows_is_answered_with_those_there_are():
+    with pytest.raises(DescriptionError, match=r"^arm is 'cda', expected .* paper, cad, truth$"):
+        described("cda")
+    with pytest.raises(FileNotFoundError):
+        described("cda.yaml")
+    assert described("") == paper_arm()
+
+
+def test_an_installed_copy_finds_the_descriptions_in_share(tmp_path):
+    package = tmp_path / "lib/python3/site-packages/fss_arm_model"
+    shutil.copytree(Path(description.__file__).parent, package)
+    shutil.copytree(CONFIG, tmp_path / "share/fss_arm_model/config")
+    program = "from fss_arm_model.description import described; print(described('truth').name)"
+    path = {**os.environ, "PYTHONPATH": str(package.parent)}
+    run = subprocess.run(
+        [sys.executable, "-c", program], cwd="/", env=path, capture_output=True, text=True
+    )
+    assert run.stdout == "truth\n", run.stderr
+
+
+def test_cad_and_truth_differ_from_the_paper_in_kinematics():
+    cad, truth = load(CONFIG / "cad.yaml"), load(CONFIG / "truth.yaml")
+    assert [k.a for k in cad.links] == [0.39, 0.39, 0.39, 0.34]
+    assert [k.theta_0 for k in cad.links] == [0.0] * 4
+    assert cad.base.mount == (0.2, 0.0, 0.3)
+    assert [k.a for k in truth.links] == [0.3841, 0.3841, 0.3841, 0.3338]
+    offsets = [math.degrees(k.theta_0) for k in truth.links]
+    assert offsets == pytest.approx([0.0, 4.9, -2.7, -0.6])
+    assert truth.base.mount == pytest.approx((0.2043, 0.0171, math.radians(17.6)))
+    dynamics = [[(k.mass, k.inertia, k.b) for k in arm.links] for arm in (truth, paper_arm())]
+    assert dynamics[0] == dynamics[1]
+
+
+def test_importing_the_description_loads_no_compiler():
+    code = "import sys, fss_arm_model.description; sys.exit('numba' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -1,0 +1,93 @@
+"""The documentation: tables as the code has them, links that lead somewhere, real commands."""
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+from dataclasses import fields
+from importlib.metadata import distribution
+from itertools import pairwise
+from pathlib import Path
+from typing import get_type_hints
+
+import pytest
+import yaml
+
+ROOT = Path(__file__).resolve().parents[3]
+PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").glob("*.md"))]
+#: Commands of the system and of ROS that the documentation may use.
+SYSTEM = {
+    *(".", "cd", "cmake", "colcon", "cp", "export", "make", "python", "ssh", "sudo", "systemctl"),
+    *("awk", "arduino-cli", "fast-discovery-server", "build/firmware/fss_link"),
+}
+
+
+def commands():
+    """Each command line in the pages' blocks of shell and in their text, with the page's name."""
+    for page in PAGES:
+        text = page.read_text()
+        blocks = re.findall(r"^ *```sh\n(.*?)^ *```", text, re.M | re.S)
+        lines = [line for block in blocks for line in block.replace("\\\n", " ").splitlines()]
+        lines += re.findall(r"(?<!`)`((?:ros2 run|scripts/[\w.]+) [^`]+)`", text)
+        for line in lines:
+            words = shlex.split(line, comments=True)
+            if words:
+                yield pytest.param(words, id=f"{page.stem}: {' '.join(words)[:60]}")
+
+
+def test_the_tables_are_those_of_the_code():
+    run = subprocess.run(
+        [sys.executable, ROOT / "scripts/make_docs.py", "--check"], capture_output=True, text=True
+    )
+    assert run.returncode == 0, run.stdout + run.stderr
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_within_the_repository_lead_somewhere(page):
+    for target in re.findall(r"\]\(([^)#]+)[^)]*\)", page.read_text()):
+        if not target.startswith("http"):
+            assert (page.parent / target).exists(), target
+
+
+@pytest.mark.parametrize("words", list(commands()))
+def test_each_command_can_be_given(words):
+    program, *arguments = [word for word in words if word != "..."]
+    if program.startswith("scripts/"):
+        assert os.access(ROOT / program, os.X_OK), program
+        named = [word for word in arguments if word.startswith("config/")]
+        assert all((ROOT / name).exists() for name in named), named
+    elif [program, *arguments[:1]] == ["ros2", "run"]:
+        check_node(*arguments[1:])
+    elif program == "ros2":
+        assert arguments[0] == "security"  # of the distribution; not among the wheels
+    else:
+        assert program in SYSTEM or program.startswith("("), program
+
+
+def check_node(package, executable, *arguments):
+    """That the program exists and takes these arguments, parameters with their types and limits."""
+    entry = distribution(package).entry_points[executable]
+    module = sys.modules[entry.load().__module__]
+    if "--help" in arguments:
+        return
+    plain = arguments
+    if "--ros-args" in arguments:
+        plain = arguments[: arguments.index("--ros-args")]
+    if hasattr(module, "parser"):
+        kind = [module.asked(plain)] if hasattr(module, "asked") else []
+        module.parser(*kind).parse_args(plain)
+        return
+    if hasattr(module, "node_settings"):  # of a record
+        settings = module.node_settings(module.KINDS[executable])
+    else:
+        settings = getattr(module, f"{executable.title().replace('_', '')}Settings")
+    hints, given = get_type_hints(settings), {}
+    for flag, word in pairwise(arguments):
+        if flag == "-p":
+            name, _, text = word.partition(":=")
+            value = yaml.safe_load(text)
+            assert name in {f.name for f in fields(settings)} | {"use_sim_time"}, name
+            if name in hints:
+                given[name] = tuple(value) if isinstance(value, list) else hints[name](value)
+    settings(**given)

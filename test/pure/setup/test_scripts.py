@@ -1,0 +1,426 @@
+"""The shell scripts: what they leave in a shell, and the one line that every failure ends in."""
+
+import fcntl
+import os
+import re
+import runpy
+import shlex
+import shutil
+import subprocess
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from io import StringIO
+from itertools import pairwise
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from rich.console import Console
+
+ROOT = Path(__file__).parents[3]
+STAND_IN = ROOT / "scripts/bin/ros2"
+SCRIPTS = [
+    str(path.relative_to(ROOT))
+    for pattern in ("scripts/**/*.sh", "scripts/bin/*", ".ci/run", "config/*.sh")
+    for path in sorted(ROOT.glob(pattern))
+]
+
+
+def run(
+    *command: str | Path, env: Mapping[str, str] | None = None, cwd: Path | None = None
+) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [str(part) for part in command], env=env, cwd=cwd, capture_output=True, text=True
+    )
+
+
+def script(path: Path, text: str) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(f"#!/bin/sh\n{text}\n")
+    path.chmod(0o755)
+    return path
+
+
+def test_shellcheck_finds_nothing() -> None:
+    check = run("shellcheck", "-x", *SCRIPTS, cwd=ROOT)
+    assert check.returncode == 0, check.stdout
+
+
+@pytest.mark.parametrize("name", [n for n in SCRIPTS if "fss" in n])
+def test_the_scripts_for_the_spacecraft_are_plain_sh(name: str) -> None:
+    assert re.search(r"^#!/bin/sh$|^# shellcheck shell=sh\b", (ROOT / name).read_text(), re.M)
+
+
+# --- env.sh --------------------------------------------------------------------------------------
+
+SHELLS = [
+    pytest.param(
+        shell,
+        marks=pytest.mark.skipif(not shutil.which(shell), reason=f"{shell} is not installed"),
+    )
+    for shell in ("bash", "zsh", "dash")
+]
+BARE = {"PATH": "/usr/local/bin:/usr/bin:/bin", "HOME": "/nonexistent"}
+SOURCE = f". {ROOT}/scripts/env.sh"
+
+
+@pytest.mark.parametrize("options", ["", "set -u; ", "set -e; ", "set -eu; "])
+@pytest.mark.parametrize("shell", SHELLS)
+def test_env_leaves_the_shells_options_alone(shell: str, options: str) -> None:
+    program = f'{options}before=$-; {SOURCE}; echo "<$before> <$->"; set | grep ^_fss || true'
+    shown = run(shell, "-c", program, env=BARE, cwd=ROOT)
+    assert shown.stderr == ""
+    before, after = shown.stdout.split()  # what the script forgot to unset would come after
+    assert before == after
+
+
+@pytest.mark.parametrize("shell", SHELLS)
+def test_env_gives_the_workspace_to_a_bare_shell(shell: str) -> None:
+    names = "ROS_AUTOMATIC_DISCOVERY_RANGE ROS_LOG_DIR FASTRTPS_DEFAULT_PROFILES_FILE"
+    program = (
+        f"{SOURCE}; {SOURCE}; command -v python; echo $PATH; "
+        f"for name in {names}; do eval echo \\$$name; done; "
+        "python -c 'import rclpy, fss_arm_msgs.msg, fss_arm_model'"
+    )
+    shown = run(shell, "-c", program, env=BARE, cwd=ROOT)
+    assert (shown.returncode, shown.stderr) == (0, "")
+    python, path, reach, logs, profiles = shown.stdout.splitlines()
+    assert python == f"{ROOT}/.venv/bin/python"
+    folders = path.split(":")
+    assert (folders[0], folders[-1]) == (f"{ROOT}/.venv/bin", f"{ROOT}/scripts/bin")
+    assert len(folders) == len(set(folders))
+    assert reach == "SYSTEM_DEFAULT"
+    assert logs == f"{ROOT}/log/ros"
+    assert profiles == f"{ROOT}/config/fastdds.xml"
+
+
+def test_env_keeps_what_the_user_chose() -> None:
+    chosen = BARE | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET", "ROS_LOG_DIR": "/mine"}
+    names = "$ROS_AUTOMATIC_DISCOVERY_RANGE $ROS_LOG_DIR $FASTRTPS_DEFAULT_PROFILES_FILE"
+    shown = run("bash", "-c", f"{SOURCE}; echo {names}", env=chosen)
+    assert shown.stdout.split() == ["SUBNET", "/mine", f"{ROOT}/config/fastdds_network.xml"]
+
+
+def test_env_says_in_one_line_what_it_lacks(tmp_path: Path) -> None:
+    script(tmp_path / "scripts/env.sh", (ROOT / "scripts/env.sh").read_text())
+    shown = run("bash", "-c", f"set -u; . {tmp_path}/scripts/env.sh || echo $? $-", env=BARE)
+    assert shown.stderr == (f"env.sh: there is no .venv yet; run {tmp_path}/scripts/setup.sh\n")
+    assert shown.stdout.startswith("1 ")
+    assert "u" in shown.stdout
+    elsewhere = run("dash", "-c", SOURCE, env=BARE, cwd=tmp_path.parent)
+    assert elsewhere.stderr.count("\n") == 1
+
+
+# --- the spacecraft's configuration --------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "first", "last"),
+    [
+        ("fss", ["record"], ["kinematic", "base_reaction"]),
+        ("fss_sim", ["record", "testbed"], ["kinematic", "base_reaction"]),
+    ],
+)
+def test_systemd_takes_the_units_of_each_configuration(
+    tmp_path: Path, name: str, first: list[str], last: list[str]
+) -> None:
+    written = run("scripts/fss_systemd.sh", tmp_path, f"config/{name}.sh", cwd=ROOT)
+    assert written.returncode == 0, written.stderr
+    nodes = [*first, *(f"link_{i}" for i in range(1, 5)), "arm", *last]
+    units = {tmp_path / f"{name}-{node}.service" for node in nodes}
+    assert set(tmp_path.iterdir()) == units | {tmp_path / f"{name}.target"}
+    after = dict(pairwise(nodes))
+    for node, following in after.items():
+        unit = (tmp_path / f"{name}-{following}.service").read_text()
+        assert f"After={name}-{node}.service" in unit
+        assert "keep.sh" not in unit  # systemd alone starts again
+    if shutil.which("systemd-analyze"):
+        verified = run("systemd-analyze", "verify", *tmp_path.iterdir())
+        assert (verified.returncode, verified.stderr) == (0, "")
+
+
+def test_units_reach_the_nodes_and_leave_the_logs_to_their_user(tmp_path: Path) -> None:
+    reach = {
+        "ROS_DOMAIN_ID": "7",
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET",
+        "ROS_STATIC_PEERS": "192.168.1.10;192.168.1.20",
+        "ROS_DISCOVERY_SERVER": "192.168.1.10:11811;192.168.1.20:11811",
+        "ROS_SUPER_CLIENT": "TRUE",
+    }
+    config = tmp_path / "lab.sh"
+    settings = [f"FSS_LOGS={tmp_path}/logs", *(f'export {k}="{v}"' for k, v in reach.items())]
+    config.write_text("\n".join([*settings, "node arm p x", "node b p y"]) + "\n")
+    written = run("scripts/fss_systemd.sh", tmp_path / "units", config, cwd=ROOT)
+    assert (written.returncode, written.stderr) == (0, "")
+    for node in ("arm", "b"):
+        unit = (tmp_path / f"units/lab-{node}.service").read_text()
+        given = re.findall(r'^Environment="(.*?)=(.*)"$', unit, re.M)
+        assert sorted(given) == sorted(reach.items())
+        assert f"StandardOutput=append:{tmp_path}/logs/{node}.log\n" in unit
+        assert (tmp_path / f"logs/{node}.log").is_file()  # else systemd would make it as root
+
+
+@pytest.mark.parametrize(("process", "said"), [({"MAINPID": "7"}, "disarm\n"), ({}, "")])
+def test_systemd_disarms_by_the_arm_node_if_there_is_one_left(
+    tmp_path: Path, process: dict[str, str], said: str
+) -> None:
+    config = tmp_path / "lab.sh"
+    config.write_text(f"FSS_LOGS={tmp_path}/logs\nnode arm p x\nnode b p y\n")
+    run("scripts/fss_systemd.sh", tmp_path / "units", config, cwd=ROOT)
+    assert "ExecStop=" not in (tmp_path / "units/lab-b.service").read_text()
+    (command,) = re.findall(
+        r"^ExecStop=-(.*)$", (tmp_path / "units/lab-arm.service").read_text(), re.M
+    )
+    words = shlex.split(command.replace("$$", "$").replace(f"{ROOT}/scripts/fss_arm.sh", "echo"))
+    stopped = run(*words, env=BARE | process)
+    assert (stopped.returncode, stopped.stdout, stopped.stderr) == (0, said, "")
+
+
+@pytest.mark.parametrize("command", [["fss_status.sh"], ["fss_arm.sh", "stop"]])
+def test_a_configuration_that_is_nowhere_is_named(command):
+    script, *words = command
+    run = subprocess.run(
+        [ROOT / "scripts" / script, *words, "/nowhere/at/all.sh"], capture_output=True, text=True
+    )
+    assert run.returncode == 1
+    assert run.stderr == f"{script}: /nowhere/at/all.sh: no such configuration\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "has no node"),
+        ("node", "node '': expected letters"),
+        ("node a-b p x", "node 'a-b': expected letters"),
+        ("node a p", "node a: expected NAME PACKAGE EXECUTABLE"),
+        ("node a p x; node a p y", "node a is there twice"),
+        ("node a p x", "node a: there is no executable 'x' in a package 'p'"),
+        (None, "no such configuration"),
+    ],
+)
+def test_a_wrong_configuration_ends_in_one_line(
+    tmp_path: Path, text: str | None, words: str
+) -> None:
+    config = tmp_path / "lab.sh"
+    if text is not None:
+        config.write_text(f"FSS_LOGS={tmp_path}/logs\n{text}\n")
+    shown = run("scripts/fss_up.sh", config, cwd=ROOT)
+    assert (shown.returncode, shown.stdout) == (1, "")
+    assert shown.stderr.startswith("fss_up.sh: ")
+    assert words in shown.stderr
+    assert shown.stderr.count("\n") == 1
+
+
+def test_a_process_with_no_node_of_its_name_is_told_from_one_that_is_mute(tmp_path: Path) -> None:
+    status = runpy.run_path(str(ROOT / "scripts/fss_status.py"))
+    processes = status["Processes"](tmp_path, ["links", "arm"], ["vicon"])
+    ok = DiagnosticStatus(name="arm", level=DiagnosticStatus.OK, message="all is well")
+    listener = SimpleNamespace(reports={"arm": ok}, report={"arm": ok}.get)
+    screen = StringIO()
+    console = Console(file=screen, width=120)
+    with ExitStack() as files:
+        for name in ("links", "arm", "vicon"):
+            fcntl.flock(files.enter_context((tmp_path / f"{name}.node").open("w")), fcntl.LOCK_EX)
+        console.print(status["nodes"](processes, listener))
+    shown = {line.split()[0]: line for line in screen.getvalue().splitlines() if line.strip()}
+    assert "runs, but no node of this name reports" in shown["links"]
+    assert shown["arm"].rstrip().endswith("all is well")
+    assert "runs, but" not in shown["vicon"]
+
+
+# --- the stand-in for ros2 -----------------------------------------------------------------------
+
+
+@pytest.fixture
+def prefix(tmp_path: Path) -> Path:
+    """An ament prefix with the package `pkg`, whose executables are `hello` and `other`."""
+    prefix = tmp_path / "ament prefix"
+    marker = prefix / "share/ament_index/resource_index/packages/pkg"
+    marker.parent.mkdir(parents=True)
+    marker.touch()
+    script(prefix / "lib/pkg/hello", 'printf "<%s>" "$@"; exit 3')
+    script(prefix / "lib/pkg/other", "exit 0")
+    (prefix / "lib/pkg/data.txt").touch()
+    return prefix
+
+
+@pytest.fixture
+def ros2(prefix: Path) -> Callable[..., subprocess.CompletedProcess[str]]:
+    env = BARE | {"AMENT_PREFIX_PATH": f"/nowhere:{prefix}"}
+    return lambda *arguments: run(STAND_IN, *arguments, env=env)
+
+
+def test_run_passes_arguments_and_exit_code_on(
+    ros2: Callable[..., subprocess.CompletedProcess[str]],
+) -> None:
+    shown = ros2("run", "pkg", "hello", "--ros-args", "-p", "name:=a b", "")
+    assert (shown.stdout, shown.returncode) == ("<--ros-args><-p><name:=a b><>", 3)
+
+
+@pytest.mark.parametrize("package", [(), ("pkg",)])
+def test_executables_are_listed(
+    ros2: Callable[..., subprocess.CompletedProcess[str]], package: tuple[str, ...]
+) -> None:
+    shown = ros2("pkg", "executables", *package)
+    assert (shown.stdout, shown.returncode) == ("pkg hello\npkg other\n", 0)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ((), "stand-in has only"),
+        (("topic", "list"), "stand-in has only"),
+        (("pkg", "list"), "stand-in has only"),
+        (("run",), "stand-in has only"),
+        (("run", "pkg"), "usage"),
+        (("run", "nope", "hello"), "package 'nope' not found"),
+        (("run", "pkg", "nope"), "no executable 'nope'"),
+        (("run", "pkg", "data.txt"), "no executable 'data.txt'"),
+        (("pkg", "executables", "nope"), "package 'nope' not found"),
+        (("pkg", "executables", "pkg", "pkg"), "usage"),
+    ],
+)
+def test_what_it_cannot_do_ends_in_one_line(
+    ros2: Callable[..., subprocess.CompletedProcess[str]], arguments: tuple[str, ...], words: str
+) -> None:
+    shown = ros2(*arguments)
+    assert shown.returncode != 0
+    assert shown.stdout == ""
+    assert words in shown.stderr
+    assert shown.stderr.count("\n") == 1
+
+
+def test_it_steps_aside_for_the_real_one(tmp_path: Path) -> None:
+    real = script(tmp_path / "real/ros2", 'echo "real $*"')
+    env = BARE | {"PATH": f"{STAND_IN.parent}:{BARE['PATH']}:{real.parent}"}
+    assert run(STAND_IN, "topic", "list", env=env).stdout == "real topic list\n"
+
+
+def test_what_it_runs_it_becomes_whatever_the_real_one_does(tmp_path: Path, prefix: Path) -> None:
+    real = script(tmp_path / "real/ros2", 'echo "real $*"')
+    env = {"PATH": f"{real.parent}:{BARE['PATH']}", "AMENT_PREFIX_PATH": str(prefix)}
+    script(prefix / "lib/pkg/hello", "echo $$")
+    with subprocess.Popen([STAND_IN, "run", "pkg", "hello"], env=env, stdout=subprocess.PIPE) as it:
+        assert it.stdout is not None
+        assert it.stdout.read() == f"{it.pid}\n".encode()
+    assert run(STAND_IN, "run", "--prefix", "x", "pkg", "hello", env=env).stdout.startswith("real ")
+
+
+def test_two_workspaces_stand_ins_do_not_call_each_other(tmp_path: Path) -> None:
+    other = script(tmp_path / "other/ros2", STAND_IN.read_text())
+    env = BARE | {"PATH": f"{STAND_IN.parent}:{BARE['PATH']}:{other.parent}"}
+    assert run("timeout", "10", other, "topic", "list", env=env).returncode == 1
+
+
+# --- setup.sh ------------------------------------------------------------------------------------
+
+
+class Machine:
+    """A copy of the scripts, on a machine whose commands a test can take the place of."""
+
+    def __init__(self, folder: Path) -> None:
+        self.root, self.bin = folder / "workspace", folder / "bin"
+        shutil.copytree(ROOT / "scripts", self.root / "scripts")
+        self.bin.mkdir()
+        environment = {k: v for k, v in os.environ.items() if k not in {"ROS_DISTRO", "PYTHONPATH"}}
+        self.env = environment | {"PATH": f"{self.bin}:{os.environ['PATH']}"}
+
+    def replace(self, command: str, text: str) -> None:
+        script(self.bin / command, text)
+
+    def setup(self, *arguments: str, **env: str) -> str:
+        """The one line that the set-up ends in; it must end with an exit code that is not 0."""
+        shown = run(self.root / "scripts/setup.sh", *arguments, env=self.env | env)
+        assert shown.returncode == 1
+        assert shown.stdout == ""
+        last = [line for line in shown.stderr.splitlines() if "making .venv" not in line]
+        assert len(last) == 1, shown.stderr
+        return last[0]
+
+
+@pytest.fixture
+def machine(tmp_path: Path) -> Machine:
+    return Machine(tmp_path)
+
+
+def test_a_path_with_spaces_is_refused(tmp_path: Path) -> None:
+    folder = tmp_path / "with space"
+    folder.mkdir()
+    assert "does not support spaces" in Machine(folder).setup()
+
+
+def test_an_unknown_argument_is_refused(machine: Machine) -> None:
+    assert "usage: scripts/setup.sh" in machine.setup("--fast")
+
+
+def test_another_ros_is_refused(machine: Machine) -> None:
+    assert machine.setup(ROS_DISTRO="humble").startswith("setup: ROS 2 humble is sourced")
+
+
+def test_another_processor_is_told_of_the_other_way(machine: Machine) -> None:
+    machine.replace("uname", "echo Linux aarch64")
+    assert "source a ROS 2 Jazzy" in machine.setup()
+
+
+def test_a_full_disk_is_named(machine: Machine) -> None:
+    machine.replace("df", "echo; echo /dev/x 9 9 102400 9% /")
+    assert "too little disk: 100 MB are free" in machine.setup()
+
+
+@pytest.mark.parametrize(
+    ("command", "words", "package"),
+    [
+        ("c++", "a C++ compiler", "g++"),
+        ("make", "make", "make"),
+        ("cmake", "CMake 3.20 or later", "cmake"),
+    ],
+)
+def test_what_is_missing_is_named_with_the_command_that_installs_it(
+    machine: Machine, command: str, words: str, package: str
+) -> None:
+    machine.replace(command, "exit 127")
+    machine.replace("id", "echo 1000")
+    machine.replace("apt-get", "exit 1")
+    line = machine.setup()
+    assert line.startswith(f"setup: missing: {words}; install with: sudo apt-get ")
+    assert line.endswith(f"--no-install-recommends {package}")
+
+
+def test_an_old_cmake_is_as_none(machine: Machine) -> None:
+    machine.replace("cmake", "echo cmake version 3.9.6")
+    machine.replace("id", "echo 1000")
+    machine.replace("apt-get", "exit 1")
+    assert "missing: CMake 3.20 or later" in machine.setup()
+
+
+def test_root_installs_and_says_so(machine: Machine) -> None:
+    machine.replace("make", "exit 127")
+    machine.replace("id", "echo 0")
+    machine.replace("apt-get", 'echo "$*" >>"$(dirname "$0")/calls"; echo noise; exit 0')
+    shown = run(machine.root / "scripts/setup.sh", env=machine.env)
+    assert shown.returncode == 1
+    assert [line.partition(";")[0] for line in shown.stderr.splitlines()] == [
+        "setup: missing: make",
+        "setup: after the installation still missing: make",
+    ]
+    assert (machine.bin / "calls").read_text() == (
+        "update\ninstall -y --no-install-recommends make\n"
+    )
+
+
+@pytest.mark.slow
+def test_no_network_is_named_without_addresses(machine: Machine) -> None:
+    line = machine.setup(
+        PIP_INDEX_URL="http://127.0.0.1:9/simple", PIP_RETRIES="1", PIP_FIND_LINKS=""
+    )
+    assert "index cannot be reached" in line
+    assert "127.0.0.1" not in line
+    assert not (machine.root / ".venv/.stamp").exists()
+
+
+@pytest.mark.slow
+def test_a_missing_wheel_is_named(machine: Machine) -> None:
+    line = machine.setup(PIP_NO_INDEX="1", PIP_FIND_LINKS="")
+    assert line.startswith("setup: there is no wheel of setuptools==")
+    assert "for Python 3.1" in line

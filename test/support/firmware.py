@@ -1,0 +1,121 @@
+"""The firmware's programs on this computer, built once and kept for the next run."""
+
+import fcntl
+import os
+import subprocess
+from pathlib import Path
+from typing import NamedTuple
+
+from fss_arm_driver.protocol import Command, Telemetry, decode, encode
+
+# The search for leaks traces the process, which a container may forbid; the core has no heap.
+os.environ.setdefault("ASAN_OPTIONS", "detect_leaks=0")
+
+ROOT = Path(__file__).parents[2]
+SOURCES = ROOT / "src/fss_arm_driver/firmware"
+BUILT = ROOT / "build/firmware"
+
+
+def build(target: str) -> Path:
+    """Make one of the programs, or wait until another test process has; return its path."""
+    BUILT.mkdir(parents=True, exist_ok=True)
+    with (BUILT / ".lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        path = BUILT / target
+        made = subprocess.run(
+            ["make", "-s", "-j2", "-C", SOURCES, f"BUILD={BUILT}", path],
+            capture_output=True,
+            text=True,
+        )
+    assert made.returncode == 0, made.stdout + made.stderr
+    return path
+
+
+# A Cortex-M3 whose program reads and writes this computer's pipes (semihosting).
+EMULATOR = """qemu-system-arm -M mps2-an385 -nographic -monitor none -serial none
+    -semihosting-config enable=on,target=native -kernel"""
+
+
+class Core:
+    """The firmware's core at a pipe: requests in, answers out."""
+
+    def __init__(self, cortex_m3: bool = False) -> None:
+        emulated = [*EMULATOR.split(), build("core_pipe_m3.elf")] if cortex_m3 else None
+        self.process = subprocess.Popen(
+            emulated or [build("core_pipe")],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            bufsize=1,
+        )
+
+    def ask(self, request: str) -> str:
+        """The answer to one request."""
+        assert self.process.stdin
+        assert self.process.stdout
+        self.process.stdin.write(request + "\n")
+        if answer := self.process.stdout.readline():
+            return answer.rstrip("\n")
+        _, report = self.process.communicate()
+        raise AssertionError(f"the core failed at {request!r}:\n{report}")
+
+    def close(self) -> None:
+        """End it; a report of the sanitizers fails the test."""
+        _, report = self.process.communicate()
+        assert self.process.returncode == 0, report
+
+
+class Joint(NamedTuple):
+    """What the simulated drive really does."""
+
+    position: float  # [counts]
+    velocity: float  # [counts/s]
+    mode: int
+    baud: int
+
+
+class FirmwareLink:
+    """A link's electronics in simulated time, a simulated drive behind them."""
+
+    def __init__(
+        self, core: Core, number: int = 2, boot: int = 7, key: bytes | None = None
+    ) -> None:
+        self.core, self.key = core, key
+        self.clock = 0  # [us]
+        self.tell(f"start {number} {boot} {key.hex() if key else '-'}")
+
+    def tell(self, request: str) -> None:
+        """Let something happen to it."""
+        assert self.core.ask(request) == "done"
+
+    def send(self, command: Command | bytes) -> bool:
+        """Deliver a datagram; whether it was taken as a command."""
+        data = command if isinstance(command, bytes) else encode(command, self.key)
+        answer = self.core.ask(f"send {data.hex() or '-'}")
+        assert answer in ("taken", "refused")
+        return answer == "taken"
+
+    def run(self, seconds: float) -> list[Telemetry]:
+        """Let time pass; what it sent meanwhile."""
+        answer = self.core.ask(f"run {round(1e6 * seconds)}")
+        self.clock += round(1e6 * seconds)
+        frames = [
+            decode(bytes.fromhex(frame), self.key) for frame in answer.split() if frame != "-"
+        ]
+        assert all(isinstance(frame, Telemetry) for frame in frames)
+        return frames
+
+    def frame(self) -> Telemetry:
+        """The next one that it sends."""
+        return self.run(0.25)[-1]
+
+    def orders(self) -> list[str]:
+        """What the drive was told since the last call, but for readings."""
+        answer = self.core.ask("orders")
+        return [] if answer == "-" else answer.split("; ")
+
+    def joint(self) -> Joint:
+        """The drive and its motor."""
+        position, velocity, mode, baud = self.core.ask("joint").split()
+        return Joint(float(position), float(velocity), int(mode), int(baud))
