@@ -1,6 +1,6 @@
 """Damaged copies of bags, and what becomes of each: read, looked at and repaired by `doctor`.
 
-Run by itself it prints tables, also when it is interrupted: test/damaged_bags.py --count 1000
+Run by itself it prints tables, also when it is interrupted: test/support/damaged_bags.py --count 1000
 """
 
 import argparse
