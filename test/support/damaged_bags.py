@@ -1,6 +1,6 @@
 """Damaged copies of bags, and what becomes of each: read, looked at and repaired by `doctor`.
 
-Run by itself it prints tables, also when it is interrupted: test/support/damaged_bags.py --count 1000
+Run by itself it prints tables, also when it is interrupted: damaged_bags.py --count 1000
 """
 
 import argparse
@@ -30,7 +30,7 @@ from fss_arm_bags.reader import BagError, open_bags
 from fss_arm_bags.recorder import bag_qos
 from fss_arm_ros.qos import LATCHED, SENSOR
 
-PATIENCE = 10  # [s] within which each step must end
+PATIENCE = 10.0  # [s] of the processor's time within which each step must end
 TYPES = {
     "/robot_description": ("std_msgs/msg/String", LATCHED),
     "/joint_states": ("sensor_msgs/msg/JointState", SENSOR),
@@ -300,17 +300,17 @@ class Hang(BaseException):
 
 
 @contextmanager
-def within(seconds: int) -> Iterator[None]:
+def within(seconds: float) -> Iterator[None]:
     def over(*_: Any) -> None:
         raise Hang
 
-    before = signal.signal(signal.SIGALRM, over)
-    signal.alarm(seconds)
+    before = signal.signal(signal.SIGPROF, over)
+    signal.setitimer(signal.ITIMER_PROF, seconds)
     try:
         yield
     finally:
-        signal.alarm(0)
-        signal.signal(signal.SIGALRM, before)
+        signal.setitimer(signal.ITIMER_PROF, 0)
+        signal.signal(signal.SIGPROF, before)
 
 
 def contents(bag: Path) -> tuple[list[Any], Any, list[str]]:
