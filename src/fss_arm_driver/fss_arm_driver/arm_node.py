@@ -155,7 +155,7 @@ class ArmNode(Node):
         try:
             while not self.reached(move):
                 elapsed = (self.now() - begun) / SECOND
-                if elapsed > move.duration + self.settings.patience:
+                if elapsed > move.duration + self.settings.max_overrun:
                     raise MoveError(f"not reached within {elapsed:.1f} s, {self.farthest(move)}")
                 self.send(map(position, move.profiles), given)
                 remaining = max(0.0, move.duration - elapsed)
@@ -205,7 +205,7 @@ class ArmNode(Node):
         """Whether all joints are at their goals and at rest."""
         return all(
             abs(self.links[i].q - part.target) <= self.settings.tolerance
-            and abs(self.links[i].qd) <= self.settings.still
+            and abs(self.links[i].qd) <= self.settings.motion_threshold
             for i, part in enumerate(move.profiles, 1)
         )
 

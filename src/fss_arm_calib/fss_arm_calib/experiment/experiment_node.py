@@ -21,7 +21,7 @@ from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.experiment.design import Planned, from_yaml
 from fss_arm_calib.experiment.postures import default
 from fss_arm_model.description import Arm, described
-from fss_arm_model.settings import setting
+from fss_arm_model.settings import FINITE, POSITIVE, Settings, setting
 from fss_arm_msgs.action import MoveArm
 from fss_arm_msgs.msg import KinematicObservations, Maneuvers
 from fss_arm_ros.convert import SECOND, stamp_ns
@@ -35,29 +35,35 @@ STALL = 2.0  # of this process, after which only a person has the arm move on [s
 
 
 @dataclass(frozen=True)
-class ExperimentSettings:
+class ExperimentSettings(Settings):
     """The parameters of an ExperimentNode."""
 
     arm: str = setting("", "description YAML of the arm; empty: the paper's arm")
     postures: tuple[float, ...] = setting(
-        (), "joint readings of each posture, row after row [rad]; empty: chosen for the arm"
-    )
+        (), "joint readings of each posture, row after row; empty: chosen for the arm",
+        unit="rad", check=FINITE,
+    )  # fmt: skip
     maneuvers: str = setting(
         "", "file of maneuvers to make instead, as `design` writes it; empty: postures"
     )
-    pause: float = setting(5.2, "rest before and after a maneuver [s]")
-    tolerance: float = setting(0.0175, "a posture observed this close is the one wanted [rad]")
-    rest: float = setting(3.0, "rest at each posture if nobody observes [s]")
-    patience: float = setting(20.0, "longest wait for an observation [s]")
-    retry: float = setting(1.0, "wait before a move that failed is asked for again [s]")
-    silence: float = setting(3.0, "a move without feedback for this long is lost [s]")
-    keep_alive: float = setting(0.5, "silence of this node that ends its move [s, real time]")
+    pause: float = setting(5.2, "rest before and after a maneuver", unit="s", check=POSITIVE)
+    tolerance: float = setting(
+        0.0175, "a posture observed this close is the one wanted", unit="rad", check=POSITIVE
+    )
+    rest: float = setting(3.0, "rest at each posture if nobody observes", unit="s", check=POSITIVE)
+    observation_timeout: float = setting(
+        20.0, "longest wait for an observation", unit="s", check=POSITIVE
+    )
+    retry: float = setting(
+        1.0, "wait before a move that failed is asked for again", unit="s", check=POSITIVE
+    )
+    silence: float = setting(
+        3.0, "a move without feedback for this long is lost", unit="s", check=POSITIVE
+    )
+    keep_alive: float = setting(
+        0.5, "silence of this node, in real time, that ends its move", unit="s", check=POSITIVE
+    )
     state_file: str = setting("", "progress is kept here across restarts; empty: nowhere")
-
-    def __post_init__(self) -> None:
-        for name in ("pause", "tolerance", "rest", "patience", "retry", "silence", "keep_alive"):
-            if not getattr(self, name) > 0.0:
-                raise ValueError(f"{name} is {getattr(self, name)}, must be positive")
 
 
 @dataclass
@@ -250,7 +256,7 @@ class ExperimentNode(Node):
             for end, q in self.observed
         ):
             self.leave("observed")
-        elif self.observer and self.waited(now, self.settings.patience):
+        elif self.observer and self.waited(now, self.settings.observation_timeout):
             self.get_logger().warning(f"{self.title}: not observed")
             self.leave("left")
         elif not self.observer and self.waited(now, self.settings.rest):
@@ -269,7 +275,7 @@ class ExperimentNode(Node):
             self.rounds, self.progress.done, self.departed = self.rounds + 1, first + 1, now
             self.save()
             self.enter(self.go, 0)
-        elif told or self.waited(now, stop.pause + self.settings.patience):
+        elif told or self.waited(now, stop.pause + self.settings.observation_timeout):
             self.get_logger().warning(f"{self.title}: not observed")
             self.leave("left")
 

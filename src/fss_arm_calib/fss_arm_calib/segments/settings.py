@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, SettingError, Settings, setting
+from fss_arm_model.settings import FINITE, NOT_NEGATIVE, POSITIVE, SettingError, Settings, setting
 
 
 @dataclass(frozen=True)
@@ -76,8 +76,8 @@ class ManeuverSettings(RestSettings):
         0.0,
         "about how much the joints' and the gyro's stamps are later than motion capture's; what "
         "the gyro tells of it takes its place",
-        unit="s",
-    )
+        unit="s", check=FINITE,
+    )  # fmt: skip
     max_base_turn: float = setting(
         3.0, "the base turns no faster; what it may turn by unseen, the gyro must tell",
         unit="rad/s", check=POSITIVE,
