@@ -31,7 +31,7 @@ from fss_arm_ros.executor import BatchExecutor
 from fss_arm_ros.qos import command, sensor, subscribe_sensor
 from fss_arm_ros.run import RCLError
 
-PATIENCE = 10.0  # for an answer [s]
+ANSWER_TIMEOUT = 10.0  # [s]
 SETTLED = 1.0  # without a new one, all are known [s]
 LINKS = range(1, 13)  # numbers that a link may have
 WORDS = ("arm", "disarm", "stop", "home", "clear", "solve", "forget")
@@ -60,9 +60,9 @@ def call(node: Node, kind: Any, name: str, request: Any, wait: float) -> Answer:
     if not client.wait_for_service(wait):
         raise NoAnswerError(f"nobody offers {name}")
     future = client.call_async(request)
-    rclpy.spin_until_future_complete(node, future, timeout_sec=PATIENCE)
+    rclpy.spin_until_future_complete(node, future, timeout_sec=ANSWER_TIMEOUT)
     if not future.done():
-        raise NoAnswerError(f"{name} did not answer within {PATIENCE:.0f} s")
+        raise NoAnswerError(f"{name} did not answer within {ANSWER_TIMEOUT:.0f} s")
     return future.result().success, future.result().message
 
 
@@ -95,7 +95,9 @@ class Stop:
         self.publishers: dict[str, Publisher] = {}
         self.begun = self.known = monotonic()  # of the last link that became known
         self.since = int(node.get_clock().now().nanoseconds)  # by the clock of telemetry's stamps
-        self.after: dict[str, float] = {}  # when each link told that it has stopped [s]; inf: not
+        self.after: dict[
+            str, float
+        ] = {}  # when each link reported that it has stopped [s]; inf: not
         self.publish(node.resolve_topic_name("arm/stop"))
         node.create_subscription(Clock, "/clock", self.on_clock, sensor())
 
@@ -109,7 +111,7 @@ class Stop:
         """Time is simulated, and so are the stamps."""
         self.since = min(self.since, stamp_ns(message.clock))
 
-    def look(self) -> None:
+    def discover(self) -> None:
         """Publish to all arms, and listen to links that are new."""
         for topic, _ in self.node.get_topic_names_and_types():
             found = TOPIC.fullmatch(topic)
@@ -136,7 +138,7 @@ class Stop:
         executor = BatchExecutor()
         executor.add_node(self.node)
         while True:
-            self.look()
+            self.discover()
             until = (now := monotonic()) + REPEAT
             while now < until:
                 executor.spin_once(timeout_sec=until - now)

@@ -111,15 +111,15 @@ def test_it_waits_for_the_observation_of_the_posture(spin, spin_to_the_end):
 
 def test_a_rest_that_a_gap_spoiled_is_repeated(spin, spin_to_the_end):
     arm, observer, experiment = FakeArm(), FakeObserver(), make_node()
-    nodes, spoiled = (arm, observer, experiment), [0.3, 0.2, 0.1, 0.0]
-    for count, row in enumerate([*ROWS, spoiled], 1):
+    nodes, rejected = (arm, observer, experiment), [0.3, 0.2, 0.1, 0.0]
+    for count, row in enumerate([*ROWS, rejected], 1):
         spin(nodes, lambda k=count: len(arm.goals) == k)
         if count == 2:
-            observer.observe(spoiled, used=False)
+            observer.observe(rejected, used=False)
         observer.observe(row)
     assert spin_to_the_end(*nodes) == 0
-    assert arm.goals == [*ROWS, spoiled]
-    assert "repeating rests that gaps spoiled: 1" in experiment.log
+    assert arm.goals == [*ROWS, rejected]
+    assert "repeating rejected rests: 1" in experiment.log
 
 
 def test_an_observation_that_does_not_come_is_given_up(spin_to_the_end):

@@ -170,7 +170,7 @@ def test_a_look_at_a_frozen_base_spoils_a_maneuver(rig, samples):
         found = feed(finder, frozen(samples, amid, end))
         assert [m.used for m in found] == used, end
         assert [m.reason.startswith("fss frozen for") for m in found] == [not u for u in used]
-        assert (finder.streams().refused.get("fss frozen", 0) > 100) == (not all(used))
+        assert (finder.streams().rejected.get("fss frozen", 0) > 100) == (not all(used))
 
 
 def test_a_base_that_stands_still_without_noise_is_not_frozen(rig, samples):

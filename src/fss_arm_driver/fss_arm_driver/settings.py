@@ -20,7 +20,7 @@ class LinkSettings(Settings):
     rate: float = setting(5.0, "rate of the commands", unit="1/s", check=between(0.1, 1000.0))
     timeout: float = setting(
         1.0,
-        "silence after which the link is lost, and longest delay there and back to arm at",
+        "silence after which the link is lost, and longest round trip to arm at",
         unit="s",
         check=between(0.001, 3600.0),
     )

@@ -23,7 +23,7 @@ def calibrate(
     streams: Streams | None = None,
     source: str = LIVE,
 ) -> Outcome[Drift, Solution]:
-    """Solve for what acts on the base from outside, and judge the result.
+    """Solve for what acts on the base from outside, and check the result.
 
     However short, drifts are solved: the deviations then say how little they tell.
 
@@ -38,7 +38,7 @@ def calibrate(
     used, known = [one for one in drifts if one.used], joints_known(streams, arm)
     found = [known, clocks_kept(streams, s.joint_gap), checks.long_enough(used, streams, s)]
     solution = solution_of(used, arm, s) if used and known.verdict == PASS else None
-    found += checks.judge(solution, s) if solution else []
+    found += checks.evaluate(solution, s) if solution else []
     parts = [(one.q, one.times, one.poses, one.frames, one.seconds) for one in used]
     return concluded(
         drifts,

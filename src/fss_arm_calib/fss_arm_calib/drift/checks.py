@@ -30,7 +30,7 @@ def long_enough(drifts: Sequence[Drift], streams: Streams, s: DriftSettings) -> 
     return enough("time", total, s.least_time, reason, streams)
 
 
-def judge(solution: Solution, s: DriftSettings) -> list[Check]:
+def evaluate(solution: Solution, s: DriftSettings) -> list[Check]:
     """The checks of a solution."""
     r, m = solution.result, solution.result.minimum
     tilt = float(np.sqrt(np.diag(r.covariance)[:2]).max()) / GRAVITY

@@ -54,7 +54,7 @@ class DriftSettings(DriftFinderSettings, CalibrationSettings):
         unit="deviations", check=POSITIVE,
     )  # fmt: skip
     least_time: float = setting(
-        60.0, "least time to judge by, all drifts together", unit="s", check=POSITIVE
+        60.0, "least time of all drifts together to accept a result from", unit="s", check=POSITIVE
     )
     max_tilt: float = setting(
         radians(0.001), "largest deviation of the table's tilt", unit="rad", check=POSITIVE

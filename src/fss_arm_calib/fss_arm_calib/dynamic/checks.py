@@ -63,7 +63,7 @@ def tips_described(used: Sequence[Maneuver], arm: Arm, s: DynamicSettings) -> li
     return [quiet(at_most("end_effector", distance, limit, words, failing))]
 
 
-def judge(solution: Solution, s: DynamicSettings) -> list[Check]:
+def evaluate(solution: Solution, s: DynamicSettings) -> list[Check]:
     """The checks of a solution."""
     r, m = solution.result, solution.result.minimum
     held = r.at_bound

@@ -21,7 +21,7 @@ from fss_arm_calib.segments.settings import RestSettings
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_calib.segments.telemetry import Link
 
-PATIENCE = 0.5  # of the horizon, for streams that need not be there
+OPTIONAL = 0.5  # of the horizon: how long streams that need not be there are waited for
 CLEANING = 1000  # samples from one forgetting to the next
 
 
@@ -116,8 +116,8 @@ class Finder(ABC, Generic[C, S]):
         every: list[Stream] = [*timed, self.gyro, *self.links]
         return Streams(
             silent=tuple(one.name for one in [*self.joints, *self._poses] if one.newest < 0),
-            strange=tuple(f"joint_{i}" for i in sorted(self.rests.unknown)),
-            refused={
+            unknown=tuple(f"joint_{i}" for i in sorted(self.rests.unknown)),
+            rejected={
                 f"{one.name} {why}": number
                 for one in every
                 for why, number in sorted(one.rejected.items())
@@ -174,7 +174,7 @@ class Finder(ABC, Generic[C, S]):
     def _heard(self) -> int:
         """Up to when all has been heard that is waited for."""
         seen = self._seen
-        late = seen - round(PATIENCE * self.horizon)
+        late = seen - round(OPTIONAL * self.horizon)
         others: list[Stream] = [self.gyro, self.tip, *self.links]
         return min([seen, *(max(one.reached, late) for one in others if one.newest >= 0)])
 
