@@ -1,4 +1,4 @@
-"""Tell the arm something, and print its answer.
+"""Give the arm an order, and print its answer.
 
 arm, disarm: all links (arm/enable). stop: all links at once, of any namespace; those that are on
 hold, under power, until disarmed or armed anew (arm/stop); it fails unless each link says that it
@@ -208,7 +208,7 @@ def home_link(node: Node, i: int, heard: dict[int, LinkTelemetry], within: float
 
 
 def clear(node: Node, wait: float) -> Answer:
-    """Disarm all links and clear their drives' faults; telemetry tells what remains.
+    """Disarm all links and clear their drives' faults; telemetry shows what remains.
 
     Raises:
         NoAnswerError: there is no link, or one's driver is silent.
@@ -239,8 +239,8 @@ def together(answers: dict[str, Answer]) -> Answer:
     return all(done for done, _ in answers.values()), "\n".join(lines)
 
 
-def tell(node: Node, what: str, wait: float, within: float) -> Answer:
-    """Do as told.
+def order(node: Node, what: str, wait: float, within: float) -> Answer:
+    """Carry out an order.
 
     Raises:
         NoAnswerError: nobody is there, or nobody answers.
@@ -255,7 +255,7 @@ def tell(node: Node, what: str, wait: float, within: float) -> Answer:
 
 
 def main() -> int:
-    """Run; the exit code is 0 if the arm did as told, 1 if not, 130 if interrupted before."""
+    """Run; the exit code is 0 if the arm did so, 1 if not, 130 if interrupted before."""
     parser = argparse.ArgumentParser("fss_arm.sh", description=__doc__.replace("\n\n", "\n"))
     parser.add_argument("what", choices=WORDS)
     parser.add_argument("--namespace", help="of the arm; without, stop is for all of any namespace")
@@ -269,7 +269,7 @@ def main() -> int:
         if options.what == "stop":
             done, words = Stop(node, options.namespace)(options.wait or 2.0)
         else:
-            done, words = tell(node, options.what, options.wait or 10.0, options.within)
+            done, words = order(node, options.what, options.wait or 10.0, options.within)
         code = 0 if done else 1
     except NoAnswerError as error:
         words = str(error)

@@ -207,7 +207,7 @@ def test_who_comes_late_gets_the_arms_description(spin):
 def test_settings_are_checked(start):
     program = start("fss_arm_driver.arm_node", "--ros-args", "-p", "tolerance:=0.0")
     assert program.wait() == 1
-    assert program.output.strip().endswith("tolerance is 0.0 rad, expected above 0, at most 1e+06")
+    assert program.output.strip().endswith("tolerance is 0.0 rad, expected a positive number")
 
 
 @pytest.mark.parametrize("kind", [ClockType.STEADY_TIME, ClockType.ROS_TIME])

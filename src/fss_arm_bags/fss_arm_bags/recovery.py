@@ -53,7 +53,7 @@ def is_sound(path: Path) -> bool:
     """Whether a bag has its index and metadata; its chunks are not looked at.
 
     Raises:
-        BagError: it is of a kind that cannot be told, or of which nothing can be recovered.
+        BagError: it is of an unknown kind, or of which nothing can be recovered.
     """
     try:
         with Reader(path):
@@ -90,7 +90,7 @@ def recover(path: Path, copy: Path) -> Recovered:
                 elif isinstance(record, Message) and record.channel_id in channels:
                     writer.write(channels[record.channel_id], record.log_time, record.data)
                     messages += 1
-                elif isinstance(record, Message):  # what tells its type was in a damaged chunk
+                elif isinstance(record, Message):  # what defines its type was in a damaged chunk
                     lost += len(record.data)
             lost += found.lost
     return Recovered(path, messages, lost)

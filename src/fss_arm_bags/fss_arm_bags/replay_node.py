@@ -191,7 +191,7 @@ class ReplayNode(Node):
         self.state = "playing"
 
     def pace(self, receipt: int) -> Iterator[None]:
-        """Until it is time for a message, but not through a silence; tell the time on /clock."""
+        """Until it is time for a message, but not through a silence; publish the time on /clock."""
         rate = self.settings.rate
         silence = receipt - self.bag_time if self.bag_time and rate else 0
         if silence > SILENCE:

@@ -84,7 +84,7 @@ def enough(name: str, found: float, needed: float, reason: str, streams: Streams
 def determined(
     undetermined: Sequence[str], missing: int, condition: float, most: float, hint: str = ""
 ) -> Check:
-    """Whether the data tell all parameters apart.
+    """Whether the data determine all parameters.
 
     Args:
         undetermined: names of those that they do not.

@@ -19,7 +19,7 @@ def reported(
     details: Sequence[Table] = (),
     figures: Sequence[Figure] = (),
 ) -> Report:
-    """A report of an outcome: what matters most, then all that every kind of calibration tells."""
+    """A report of an outcome: what matters most, then what every kind of calibration reports."""
     o = outcome
     return Report(
         title=title,

@@ -4,7 +4,7 @@ With s from 0 to 1 as the common path, joint i turns by d_i s(t): its profile ve
 |d_i| V and its acceleration |d_i| A for the rate V and acceleration A of s, the largest that no
 joint's limits forbid. The drives run the profiles by themselves.
 
-A frame tells an acceleration in steps that are coarse for a slow joint. Such a joint accelerates
+A frame gives an acceleration in steps that are coarse for a slow joint. Such a joint accelerates
 faster than its part, to a velocity with which it still arrives with the others.
 """
 
@@ -81,7 +81,7 @@ def plan(arm: Arm, q: tuple[float, ...], goal: tuple[float, ...], duration: floa
 
 
 def _profile(link: Link, target: float, way: float, acceleration: float, lasts: float) -> Profile:
-    """One joint's part, for an acceleration that may be raised to what a frame can tell."""
+    """One joint's part, for an acceleration that may be raised to what a frame can hold."""
     if not way:
         return Profile(target, 0.0, 0.0)
     scale, drive = Scale(link), link.drive

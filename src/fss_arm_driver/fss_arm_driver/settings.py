@@ -5,7 +5,7 @@ from urllib.parse import urlsplit
 
 from fss_arm_driver.protocol import load_keys
 from fss_arm_model.description import Arm, Link, described
-from fss_arm_model.settings import NOT_NEGATIVE, Settings, above, between, setting
+from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, Settings, between, setting
 
 
 @dataclass(frozen=True)
@@ -79,21 +79,21 @@ class ArmSettings(Settings):
 
     arm: str = setting("", "file of the arm's description; empty: the paper's arm")
     rate: float = setting(
-        5.0, "rate of each link's commands during a move", unit="1/s", check=above(0.0, 1e6)
+        5.0, "rate of each link's commands during a move", unit="1/s", check=between(0.1, 1000.0)
     )
     time_to_live: float = setting(
         1.0, "age at which a command, or what a link reported, holds no more", unit="s",
-        check=above(0.0, 1e6),
+        check=between(0.001, 3600.0),
     )  # fmt: skip
     tolerance: float = setting(
-        0.005, "a joint nearer to its goal has reached it", unit="rad", check=above(0.0, 1e6)
+        0.005, "a joint nearer to its goal has reached it", unit="rad", check=POSITIVE
     )
     motion_threshold: float = setting(
-        0.01, "rate above which a joint counts as moving", unit="rad/s", check=above(0.0, 1e6)
+        0.01, "rate above which a joint counts as moving", unit="rad/s", check=POSITIVE
     )
     max_overrun: float = setting(
         5.0, "most time that a move may take beyond what was planned", unit="s",
-        check=above(0.0, 1e6),
+        check=POSITIVE,
     )  # fmt: skip
 
     def description(self) -> Arm:

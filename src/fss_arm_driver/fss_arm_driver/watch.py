@@ -28,7 +28,7 @@ class Asker:
 
 @dataclass
 class Stall:
-    """Tells a process that it stood still, and for as long again that what it hears may be old.
+    """Finds that a process stood still, and says so for as long again: what it hears may be old.
 
     `now` may jump back, as simulated time does when it begins anew.
     """

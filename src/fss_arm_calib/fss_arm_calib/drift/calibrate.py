@@ -25,7 +25,7 @@ def calibrate(
 ) -> Outcome[Drift, Solution]:
     """Solve for what acts on the base from outside, and check the result.
 
-    However short, drifts are solved: the deviations then say how little they tell.
+    However short, drifts are solved: the deviations then say how little they determine.
 
     Args:
         drifts: in order of time.
@@ -56,7 +56,7 @@ def calibrate(
 
 
 def parameters(outcome: Outcome[Drift, Solution]) -> str:
-    """What `dynamic` and `base_reaction` may be told, as a ROS parameter file.
+    """What `dynamic` and `base_reaction` may be given, as a ROS parameter file.
 
     The first takes tilt and momentum as unknown within what was found, the second subtracts the
     tilt and takes its deviation as uncertain.

@@ -53,7 +53,7 @@ class DriftSettings(DriftFinderSettings, CalibrationSettings):
         3.0, "error of a drift predicted from the others above which it is an outlier",
         unit="deviations", check=POSITIVE,
     )  # fmt: skip
-    least_time: float = setting(
+    min_time: float = setting(
         60.0, "least time of all drifts together to accept a result from", unit="s", check=POSITIVE
     )
     max_tilt: float = setting(

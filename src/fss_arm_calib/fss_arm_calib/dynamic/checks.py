@@ -45,7 +45,7 @@ def number(every: Sequence[Maneuver], streams: Streams, s: DynamicSettings) -> C
 def tips_described(used: Sequence[Maneuver], arm: Arm, s: DynamicSettings) -> list[Check]:
     """Whether the end effector is where the description puts it; nothing if it was not seen.
 
-    The base's motion does not tell: lengths of another arm hide in centres of mass.
+    The base's motion does not show it: lengths of another arm hide in centres of mass.
     """
     known = [one for one in used if one.tip]
     if not known:

@@ -1,4 +1,4 @@
-"""Maneuvers worth making: those that tell most about chosen parameters, before the arm moves.
+"""Maneuvers worth making: those that determine chosen parameters best, before the arm moves.
 
 A maneuver is a sequence of straight moves in joint space, each from rest to rest with the trapezoid
 of the drives. Candidates stay within joint limits and torque, off the table's edge and the arm's
@@ -289,7 +289,7 @@ def design(
 def _before(model: DynamicProblem, settings: DynamicSettings) -> Floats:
     """Information (p, p) of the priors, and where there are none of what is vaguely known.
 
-    Without the latter the first few maneuvers, which cannot tell all parameters, had no order.
+    Without the latter the first few maneuvers, which cannot determine all parameters, had no order.
     """
     basis = model.choice.basis
     vague = basis.T @ settings.deviations(model.arm.n) / basis.sum(axis=0)

@@ -1,4 +1,4 @@
-"""Postures to observe: those that tell most about the parameters, in an order of short moves."""
+"""Postures to observe: those that determine the parameters best, in an order of short moves."""
 
 from itertools import combinations, pairwise
 

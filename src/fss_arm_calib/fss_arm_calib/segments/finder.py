@@ -98,7 +98,7 @@ class Finder(ABC, Generic[C, S]):
         return self._fed(len(t))
 
     def telemetry(self, i: int, t: int, armed: bool, boot: int, homings: int) -> list[S]:
-        """What link i, 1 to n, tells: whether it is armed, its start, and its homings since."""
+        """What link i, 1 to n, reports: whether it is armed, its start, and its homings since."""
         if 1 <= i <= len(self.links):
             self.links[i - 1].append(t, armed, boot, homings)
         return self._fed()
@@ -188,7 +188,7 @@ class Finder(ABC, Generic[C, S]):
         return boots, homings
 
     def _learn(self, move: Offset) -> None:
-        """Allow for what a move tells of the clocks' offset."""
+        """Allow for the clocks' offset that a move shows."""
         self.alignment.learn(move)
         if self.alignment.offset.deviation < inf:
             self._lag(self.alignment.offset.value)

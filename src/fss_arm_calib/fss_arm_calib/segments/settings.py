@@ -69,9 +69,7 @@ class ManeuverSettings(RestSettings):
     bin: float = setting(
         0.5, "time over which poses of a window are averaged", unit="s", check=POSITIVE
     )
-    least_travel: float = setting(
-        0.05, "a smaller motion is no maneuver", unit="rad", check=POSITIVE
-    )
+    min_travel: float = setting(0.05, "a smaller motion is no maneuver", unit="rad", check=POSITIVE)
     time_offset: float = setting(
         0.0,
         "about how much the joints' and the gyro's stamps are later than motion capture's, "

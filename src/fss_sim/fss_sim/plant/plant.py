@@ -157,7 +157,7 @@ class Plant:
         return self._state[1]
 
     def command(self, joint: int, demand: Demand) -> None:
-        """Tell the drive of a joint, counted from 0, what to do from now on."""
+        """Command the drive of a joint, counted from 0, from now on."""
         mode, set_point, speed, acceleration = demand
         scale = self._torque_constant[joint] if mode == CURRENT else 1.0
         self._demand[joint] = mode, scale * set_point, speed, acceleration

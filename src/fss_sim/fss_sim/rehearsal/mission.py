@@ -189,7 +189,7 @@ def start_all(nodes: Nodes, arm: Path, out: Path, seed: int) -> None:
 
 
 class Flight(NamedTuple):
-    """What sim/truth tells of the mission, (k, ...)."""
+    """What sim/truth shows of the mission, (k, ...)."""
 
     time: np.ndarray  # [s]
     q: np.ndarray
