@@ -26,7 +26,7 @@ class DriftSettings(DriftFinderSettings, CalibrationSettings):
     )
     fresh_rate: float = setting(
         10.0,
-        "how often a pose's error is another one: averaging helps by so many a second",
+        "rate of poses with independent errors, as averaging counts them",
         unit="1/s",
         check=POSITIVE,
     )
