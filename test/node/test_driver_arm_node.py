@@ -271,7 +271,7 @@ def test_after_the_node_stood_still_nothing_old_moves_or_arms(bench):
     bench.enable()
     move = bench.begin(0.5, 0.5, duration=20.0)
     bench.until(lambda: any(transport.link.speed for transport in bench.transports))
-    bench.arm.stall.looked -= 5.0  # as after SIGSTOP and SIGCONT
+    bench.arm.stall.checked -= 5.0  # as after SIGSTOP and SIGCONT
     message = bench.end(move).result.message
     assert re.fullmatch(r"this program stood still for 5\.\d s", message)
     bench.until(lambda: all(transport.link.speed == 0.0 for transport in bench.transports))
