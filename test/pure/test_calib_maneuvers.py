@@ -365,7 +365,7 @@ def test_an_offset_between_the_clocks_is_allowed_for(samples, found, late):
     allowed = feed(finder, shifted(samples, late))
     assert_alike(allowed, found, round(late * SECOND))
     assert allowed[0].time_offset == late
-    with pytest.raises(ValueError, match="time_offset is -60.0 s, expected within"):
+    with pytest.raises(ValueError, match=r"time_offset is -60\.0 s, expected within"):
         ManeuverSettings(time_offset=-60.0)
 
 
