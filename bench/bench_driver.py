@@ -79,7 +79,7 @@ class Peer:
 
 
 class FakeLink(Peer):
-    """A link that measures when it is told to."""
+    """A link that measures on demand."""
 
     def __init__(self, number: int = 1) -> None:
         super().__init__()

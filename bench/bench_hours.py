@@ -123,12 +123,12 @@ def operate(graph: Graph, hours: float) -> tuple[dict[str, float], dict[str, flo
     moves = -1  # at the row before
     first: dict[str, float] = {}
     held: dict[str, float] = {}  # the least of a quarter of an hour: without what work takes
-    begin, told = time.monotonic(), 0.0
+    begin, reported = time.monotonic(), 0.0
     print(" hours   took " + " ".join(f"{name:>9}" for name in memory(graph)) + "  [MB]")
     while rclpy.ok() and (now := operator.hours()) < hours:
         operator.move()
         held = {name: min(mb, held.get(name, mb)) for name, mb in memory(graph).items()}
-        if now >= told:
+        if now >= reported:
             if operator.moves == moves:
                 raise RuntimeError(f"no move is reached any more, see {graph.folder}/arm.log")
             moves = operator.moves
@@ -136,9 +136,9 @@ def operate(graph: Graph, hours: float) -> tuple[dict[str, float], dict[str, flo
             took = (time.monotonic() - begin) / 3600
             print(f"{now:6.2f} {took:6.2f} " + " ".join(f"{mb:9.1f}" for mb in held.values())
                   + f"  {operator.moves} moves", flush=True)  # fmt: skip
-            if told > 1.0 and not first:  # the least from the end of the first hour on
+            if reported > 1.0 and not first:  # the least from the end of the first hour on
                 first = held
-            last, held, told = held, {}, told + 0.25
+            last, held, reported = held, {}, reported + 0.25
     if not rclpy.ok():
         raise SystemExit(f"interrupted after {operator.hours():.2f} hours")
     operator.wait(operator.pause.call_async(SetBool.Request(data=True)), 10.0)

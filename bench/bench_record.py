@@ -1,7 +1,7 @@
 """What recording everything costs, and whether anything is lost, with links at 500 frames a second.
 
 The real drivers and test bed at five times real time, 100 simulated frames a second of each link:
-500 a second on the wire and on topics, likewise VICON, FOG and /clock. The recorder runs as always,
+500 a second on the wire and on topics, as of VICON, FOG and /clock. The recorder runs as always,
 flushing twice a second; beside it a bare raw subscription to the same topics that only counts. Then
 rosbags' writer alone writes the same messages from memory.
 """

@@ -1,4 +1,4 @@
-"""Tell the arm something, and print its answer.
+"""Give the arm an order, and print its answer.
 
 arm, disarm: all links (arm/enable). stop: all links at once, of any namespace; those that are on
 hold, under power, until disarmed or armed anew (arm/stop); it fails unless each link says that it
@@ -31,7 +31,7 @@ from fss_arm_ros.executor import BatchExecutor
 from fss_arm_ros.qos import command, sensor, subscribe_sensor
 from fss_arm_ros.run import RCLError
 
-PATIENCE = 10.0  # for an answer [s]
+ANSWER_TIMEOUT = 10.0  # [s]
 SETTLED = 1.0  # without a new one, all are known [s]
 LINKS = range(1, 13)  # numbers that a link may have
 WORDS = ("arm", "disarm", "stop", "home", "clear", "solve", "forget")
@@ -60,9 +60,9 @@ def call(node: Node, kind: Any, name: str, request: Any, wait: float) -> Answer:
     if not client.wait_for_service(wait):
         raise NoAnswerError(f"nobody offers {name}")
     future = client.call_async(request)
-    rclpy.spin_until_future_complete(node, future, timeout_sec=PATIENCE)
+    rclpy.spin_until_future_complete(node, future, timeout_sec=ANSWER_TIMEOUT)
     if not future.done():
-        raise NoAnswerError(f"{name} did not answer within {PATIENCE:.0f} s")
+        raise NoAnswerError(f"{name} did not answer within {ANSWER_TIMEOUT:.0f} s")
     return future.result().success, future.result().message
 
 
@@ -95,7 +95,9 @@ class Stop:
         self.publishers: dict[str, Publisher] = {}
         self.begun = self.known = monotonic()  # of the last link that became known
         self.since = int(node.get_clock().now().nanoseconds)  # by the clock of telemetry's stamps
-        self.after: dict[str, float] = {}  # when each link told that it has stopped [s]; inf: not
+        self.after: dict[
+            str, float
+        ] = {}  # when each link reported that it has stopped [s]; inf: not
         self.publish(node.resolve_topic_name("arm/stop"))
         node.create_subscription(Clock, "/clock", self.on_clock, sensor())
 
@@ -109,7 +111,7 @@ class Stop:
         """Time is simulated, and so are the stamps."""
         self.since = min(self.since, stamp_ns(message.clock))
 
-    def look(self) -> None:
+    def discover(self) -> None:
         """Publish to all arms, and listen to links that are new."""
         for topic, _ in self.node.get_topic_names_and_types():
             found = TOPIC.fullmatch(topic)
@@ -136,7 +138,7 @@ class Stop:
         executor = BatchExecutor()
         executor.add_node(self.node)
         while True:
-            self.look()
+            self.discover()
             until = (now := monotonic()) + REPEAT
             while now < until:
                 executor.spin_once(timeout_sec=until - now)
@@ -206,7 +208,7 @@ def home_link(node: Node, i: int, heard: dict[int, LinkTelemetry], within: float
 
 
 def clear(node: Node, wait: float) -> Answer:
-    """Disarm all links and clear their drives' faults; telemetry tells what remains.
+    """Disarm all links and clear their drives' faults; telemetry shows what remains.
 
     Raises:
         NoAnswerError: there is no link, or one's driver is silent.
@@ -237,8 +239,8 @@ def together(answers: dict[str, Answer]) -> Answer:
     return all(done for done, _ in answers.values()), "\n".join(lines)
 
 
-def tell(node: Node, what: str, wait: float, within: float) -> Answer:
-    """Do as told.
+def order(node: Node, what: str, wait: float, within: float) -> Answer:
+    """Carry out an order.
 
     Raises:
         NoAnswerError: nobody is there, or nobody answers.
@@ -253,7 +255,7 @@ def tell(node: Node, what: str, wait: float, within: float) -> Answer:
 
 
 def main() -> int:
-    """Run; the exit code is 0 if the arm did as told, 1 if not, 130 if interrupted before."""
+    """Run; the exit code is 0 if the arm did so, 1 if not, 130 if interrupted before."""
     parser = argparse.ArgumentParser("fss_arm.sh", description=__doc__.replace("\n\n", "\n"))
     parser.add_argument("what", choices=WORDS)
     parser.add_argument("--namespace", help="of the arm; without, stop is for all of any namespace")
@@ -267,7 +269,7 @@ def main() -> int:
         if options.what == "stop":
             done, words = Stop(node, options.namespace)(options.wait or 2.0)
         else:
-            done, words = tell(node, options.what, options.wait or 10.0, options.within)
+            done, words = order(node, options.what, options.wait or 10.0, options.within)
         code = 0 if done else 1
     except NoAnswerError as error:
         words = str(error)

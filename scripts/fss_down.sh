@@ -30,7 +30,7 @@ members() {
 }
 
 gone() {
-  tries=$((FSS_PATIENCE * 10))
+  tries=$((FSS_STOP_TIMEOUT * 10))
   while held "$1.keep" || held "$1.node" || [ "$(members "$2")" ]; do
     [ "$tries" -gt 0 ] || return 1
     tries=$((tries - 1))

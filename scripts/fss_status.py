@@ -117,7 +117,7 @@ class Listener(Node):
 
 
 class Processes:
-    """The node processes of a configuration, as the locks that they hold tell."""
+    """The node processes of a configuration, by the locks that they hold."""
 
     def __init__(self, logs: Path, names: list[str], mute: list[str]) -> None:
         self.logs, self.names, self.mute = logs, [*names, *mute], mute
@@ -137,7 +137,7 @@ class Processes:
         return time.time() - (self.logs / f"{name}.node").stat().st_mtime
 
     def events(self) -> list[str]:
-        """What the operator was told last."""
+        """What was said to the operator last."""
         log = self.logs / "events.log"
         return log.read_text(errors="replace").splitlines()[-EVENTS:] if log.exists() else []
 

@@ -43,7 +43,7 @@ END
 ExecStopPost=-$fss_scripts/fss/tell.sh $fss_config $1 \${SERVICE_RESULT}
 Restart=on-failure
 RestartSec=1
-TimeoutStopSec=$FSS_PATIENCE
+TimeoutStopSec=$FSS_STOP_TIMEOUT
 StandardOutput=append:$FSS_LOGS/$1.log
 StandardError=inherit
 

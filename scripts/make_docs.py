@@ -135,7 +135,7 @@ def _row(*cells: str) -> str:
 def main() -> int:
     """Run; with --check, exit with 1 if a file is not as it would be made."""
     parser = argparse.ArgumentParser("make_docs.py", description=__doc__)
-    parser.add_argument("--check", action="store_true", help="write nothing, tell what is old")
+    parser.add_argument("--check", action="store_true", help="write nothing, list what is old")
     check = parser.parse_args().check
     old = []
     for name, make in (("interfaces.md", interfaces), ("parameters.md", parameters)):

@@ -13,7 +13,7 @@ read_config() {
   FSS_LOGS=log/$fss_name   # of all nodes
   FSS_RESTARTS=3           # of a node that fails, until it has run for as long as the window
   FSS_WINDOW=600           # [s]
-  FSS_PATIENCE=10          # with a node that is to stop [s]
+  FSS_STOP_TIMEOUT=10          # with a node that is to stop [s]
   fss_nodes=
   . "$fss_config"
   [ "$fss_nodes" ] || fail "$fss_config: has no node"

@@ -16,7 +16,7 @@ from fss_arm_calib.experiment.postures import DEFAULT
 from fss_arm_calib.kinematic.calibrate import calibrate
 from fss_arm_calib.kinematic.settings import KinematicSettings
 from fss_arm_calib.segments.maneuvers import ManeuverFinder
-from fss_arm_calib.segments.rests import BASE, TIP, RestFinder, spoiled
+from fss_arm_calib.segments.rests import BASE, TIP, RestFinder, unrepeated
 from fss_arm_driver.move import plan
 from fss_arm_driver.scale import CommandError
 from fss_arm_driver.session import Arming, LinkSession
@@ -33,7 +33,7 @@ DYNAMIC = DynamicSettings(
     position_deviation=0.0005, heading_deviation=radians(0.1), fresh_rate=100.0
 )
 WAIT = 6.0  # for an observation of a rest [s]
-ROUNDS = 2  # of postures whose rest was spoiled
+ROUNDS = 2  # of postures whose rest was rejected
 
 
 class Rehearsal:
@@ -91,9 +91,9 @@ class Rehearsal:
                 link.arm(self.now)
                 self.arming_asked[i] += 1
 
-    def go(self, posture, patience=20.0):
+    def go(self, posture, timeout=20.0):
         """Move there and wait for the rest to be observed; whether it was."""
-        done, seen, end = None, len(self.observations), self.bed.now + patience * SECOND
+        done, seen, end = None, len(self.observations), self.bed.now + timeout * SECOND
         order = None
         while self.bed.now < end:
             if self.bed.frame % COMMANDS == 0:
@@ -128,7 +128,7 @@ class Rehearsal:
         for posture in self.postures:
             self.go(posture)
         for _ in range(ROUNDS):
-            for lost in spoiled(self.observations, np.radians(1.0)):
+            for lost in unrepeated(self.observations, np.radians(1.0)):
                 self.go(lost.q)
         self.observations += self.finder.close()
         self.maneuvers += self.maneuver_finder.close()

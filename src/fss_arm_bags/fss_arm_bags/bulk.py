@@ -1,6 +1,6 @@
 """Many serialized messages of one type as arrays: hours of motion capture in seconds.
 
-A message is plain CDR behind four bytes that tell its byte order; numbers are aligned to their
+A message is plain CDR behind four bytes that give its byte order; numbers are aligned to their
 size, a string is its length and its bytes with a zero at the end. All poses of a topic are laid
 out alike, unless its frame id changes, so that they can be taken apart together.
 """

@@ -31,9 +31,9 @@ STALL = 0.1  # longest step of bag time: after a pause the replay goes on, it do
 SILENCE = 10 * SECOND  # of bag time; a longer one is skipped, as that between two sessions [ns]
 # At rate 0. Larger bursts overrun the transport's queue, and what is sent again comes late.
 BURST = 50  # messages between two acknowledgements
-PATIENCE = 0.05  # with an acknowledgement; it comes with a heartbeat, which may be slow [s]
+ACK_TIMEOUT = 0.05  # an acknowledgement comes with a heartbeat, which may be slow [s]
 CLOCK_STEP = SECOND // 100  # [ns]
-RIVALS = 0.25  # from one look for other publishers to the next [s]
+RIVALS = 0.25  # from one check for other publishers to the next [s]
 
 
 @dataclass(frozen=True)
@@ -142,7 +142,7 @@ class ReplayNode(Node):
             yield from self.pace(receipt)
             yield from self.send(topic, msgtype, data)
             if self.settings.rate == 0.0 and self.played % BURST == 0:
-                yield from self.wait_for_acknowledgement(PATIENCE)
+                yield from self.wait_for_acknowledgement(ACK_TIMEOUT)
             if (now := 10 * (receipt - self.begin) // max(1, self.end - self.begin)) > tenth:
                 tenth = now
                 self.get_logger().info(f"{10 * tenth} %")
@@ -191,7 +191,7 @@ class ReplayNode(Node):
         self.state = "playing"
 
     def pace(self, receipt: int) -> Iterator[None]:
-        """Until it is time for a message, but not through a silence; tell the time on /clock."""
+        """Until it is time for a message, but not through a silence; publish the time on /clock."""
         rate = self.settings.rate
         silence = receipt - self.bag_time if self.bag_time and rate else 0
         if silence > SILENCE:
@@ -206,12 +206,12 @@ class ReplayNode(Node):
             self.turn = now
         self.publish_clock(receipt)
 
-    def wait_for_acknowledgement(self, patience: float = inf) -> Iterator[None]:
-        """Until all subscribers have everything, or patience [s] is at its end."""
+    def wait_for_acknowledgement(self, timeout: float = inf) -> Iterator[None]:
+        """Until all subscribers have everything, for `timeout` [s] at most."""
         begin = monotonic()
         yield  # at least once: a burst may be acknowledged at once, and others want their turn
         while not all(p.wait_for_all_acked(Duration()) for p in self.players.values()):
-            if monotonic() - begin > patience:
+            if monotonic() - begin > timeout:
                 return
             yield
 

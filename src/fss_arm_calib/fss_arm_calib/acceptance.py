@@ -48,7 +48,7 @@ def by_chance(name: str, chi_square: float, freedom: int, least: float, failing:
 
 def joints_known(streams: Streams, arm: Arm) -> Check:
     """Whether no joint was heard that the arm does not have."""
-    unknown = streams.strange
+    unknown = streams.unknown
     reason = f"{', '.join(unknown)} heard, but {arm.name!r} has {count(arm.n, 'joint')}"
     verdict = NOT_EVALUATED if unknown else PASS
     return Check("joints", verdict, arm.n + len(unknown), arm.n, reason if unknown else "")
@@ -57,7 +57,7 @@ def joints_known(streams: Streams, arm: Arm) -> Check:
 def clocks_kept(streams: Streams, most: float) -> Check:
     """Whether no clock ran back by more than `most` [s], which may have hidden what happened.
 
-    Clocks too far apart to be aligned are only told: swapped subjects look the same.
+    Clocks too far apart to be aligned are only reported: swapped subjects look the same.
     """
     name, back = max(streams.set_back.items(), key=lambda item: item[1], default=("", 0.0))
     reason, bad = "", back > most
@@ -71,12 +71,12 @@ def clocks_kept(streams: Streams, most: float) -> Check:
 
 
 def enough(name: str, found: float, needed: float, reason: str, streams: Streams) -> Check:
-    """Whether there are data enough to judge by; if not, what the streams say of it."""
+    """Whether there are data enough for a verdict; if not, what the streams say of it."""
     if found >= needed:
         return Check(name, PASS, found, needed, reason)
     if streams.silent:
         reason += f"; nothing heard of {', '.join(streams.silent)}"
-    if rejected := [f"{number} {why}" for why, number in streams.refused.items() if number]:
+    if rejected := [f"{number} {why}" for why, number in streams.rejected.items() if number]:
         reason += f"; samples rejected: {', '.join(rejected)}"
     return Check(name, NOT_EVALUATED, found, needed, reason)
 
@@ -84,7 +84,7 @@ def enough(name: str, found: float, needed: float, reason: str, streams: Streams
 def determined(
     undetermined: Sequence[str], missing: int, condition: float, most: float, hint: str = ""
 ) -> Check:
-    """Whether the data tell all parameters apart.
+    """Whether the data determine all parameters.
 
     Args:
         undetermined: names of those that they do not.
@@ -148,7 +148,7 @@ def checked(redundancy: Floats, kept: Mask, least: float, noun: str) -> Check:
 def conclude(checks: Sequence[Check]) -> tuple[str, str]:
     """The verdict of all checks, and its reason: what lacks, what failed, what is well.
 
-    What lacks something that is needed is not judged: a failure may follow from that.
+    What lacks something that is needed is not evaluated: a failure may follow from that.
     """
     missing = [s for s in checks if s.verdict == NOT_EVALUATED and s.needed]
     failed = [s for s in checks if s.verdict == FAIL]

@@ -165,14 +165,14 @@ class CalibrationNode(Node):
             "verdict": self.outcome.verdict,
             "time offset [s]": kind.lacks.get("time offset", streams.offset.value),
             **kind.health(self.finder),
-            **{f"rejected: {why}": number for why, number in streams.refused.items()},
+            **{f"rejected: {why}": number for why, number in streams.rejected.items()},
         }
         if trouble := self.writes.trouble:
             return Health(ERROR, trouble, values)
         if streams.silent:
             return Health(WARN, f"waiting for {', '.join(streams.silent)}", values)
-        if streams.strange:
-            return Health(WARN, f"the arm has no {', '.join(streams.strange)}", values)
+        if streams.unknown:
+            return Health(WARN, f"the arm has no {', '.join(streams.unknown)}", values)
         if clocks := clocks_kept(streams, self.settings.joint_gap).reason:
             return Health(WARN, f"{clocks}: {kind.name}/forget begins anew", values)
         if stale := kind.stale(self.outcome, streams):

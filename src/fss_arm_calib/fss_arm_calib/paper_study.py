@@ -1,7 +1,7 @@
 """`python -m fss_arm_calib.paper_study`: the paper's Tables 2-4 again, on simulated data.
 
-Prints Markdown, or puts it between its marks in a file (docs/paper.md): what this software makes of
-data with the paper's noise, and how far such numbers can be believed.
+Prints Markdown, or puts it between its markers in a file (docs/paper.md): what this software makes
+of data with the paper's noise, and how far such numbers can be believed.
 """
 
 import argparse
@@ -87,7 +87,7 @@ def shares(result: DynamicResult) -> tuple[float, float]:
 
 
 def designed(count: int, words: str, **settings: float) -> DynamicResult:
-    """Maneuvers chosen for the common inertia, headings and positions of averaged looks."""
+    """Maneuvers chosen for the common inertia, headings and positions of averaged windows."""
     s = DynamicSettings(estimate=words, **settings)  # type: ignore[arg-type]
     conditions = Conditions(rest=REST, kinds=("single", "sweep"))
     plan = design(ARM, min(count, 16), s, conditions, chosen=["I"], tried=100)

@@ -46,7 +46,7 @@ def again(kind: Calibration[Any, Any], result: Any, data: Any) -> Outcome[Any, A
     """The outcome of a published result's data by its settings and its guess.
 
     Raises:
-        ValueError: the result does not tell its settings or its guess.
+        ValueError: the result does not hold its settings or its guess.
     """
     found = common(result)
     settings, arm = settings_of(found.provenance, kind.settings), from_yaml(found.guess)
@@ -57,7 +57,7 @@ def recompute(kind: Calibration[Any, Any], result: Any, data: Any) -> Comparison
     """Compute a published result again from its data; None: it has others.
 
     Raises:
-        ValueError: the result does not tell its settings or its guess.
+        ValueError: the result does not hold its settings or its guess.
     """
     outcome, found = again(kind, result, data), common(result)
     if outcome.provenance.data_hash != found.provenance.data_hash:
@@ -82,7 +82,7 @@ def comparisons(bags: Bags) -> list[Comparison]:
 
     Raises:
         BagError: no result was recorded, or one without its data.
-        ValueError: a result does not tell its settings.
+        ValueError: a result does not hold its settings.
     """
     found = []
     for kind in KINDS.values():
@@ -91,7 +91,7 @@ def comparisons(bags: Bags) -> list[Comparison]:
         data = [m for topic, m in read if topic == source]
         ends = [{0, *(one.end for one in kind.data.from_message(m))} for m in data]
         for result in (m for topic, m in read if topic == results):
-            # Solving takes longer than to tell that a datum is missing; the first that has it fits.
+            # Solving takes longer than finding that a datum is missing; the first that has it fits.
             end = stamp_ns(common(result).provenance.end)
             alike = (m for those, m in zip(ends, data, strict=True) if end in those)
             same = next((c for m in alike if (c := recompute(kind, result, m))), None)

@@ -1,6 +1,6 @@
 """What a calibration found, for people: printed as tables, or a page to read and to print.
 
-A kind of calibration gives a Report of its outcome; how a report looks is said here.
+A kind of calibration gives a Report of its outcome; its layout is defined here.
 """
 
 import base64
@@ -48,7 +48,7 @@ class Figure:
 
 @dataclass(frozen=True)
 class Report:
-    """All that is told of a calibration."""
+    """All that is reported of a calibration."""
 
     title: str
     verdict: str

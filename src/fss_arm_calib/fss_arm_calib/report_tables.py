@@ -19,7 +19,7 @@ def reported(
     details: Sequence[Table] = (),
     figures: Sequence[Figure] = (),
 ) -> Report:
-    """A report of an outcome: what matters most, then all that every kind of calibration tells."""
+    """A report of an outcome: what matters most, then what every kind of calibration reports."""
     o = outcome
     return Report(
         title=title,
@@ -76,11 +76,11 @@ def checks(outcome: Outcome[Any, Any]) -> Table:
 def streams(outcome: Outcome[Any, Any]) -> Table:
     """Samples that were rejected, by stream and reason, and the offset between the clocks."""
     s = outcome.streams
-    rows: list[Sequence[str]] = [[kind, str(number)] for kind, number in s.refused.items()]
+    rows: list[Sequence[str]] = [[kind, str(number)] for kind, number in s.rejected.items()]
     if np.isfinite(s.offset.value):
         offset = f"{1e3 * s.offset.value:.2f} ± {1e3 * s.offset.deviation:.2f} ms"
         rows.append(["joints' stamps less motion capture's", offset])
-    rows = rows or [["nothing to tell", ""]]
+    rows = rows or [["nothing to report", ""]]
     return Table("Samples rejected, and the clocks", ["what", ""], rows)
 
 

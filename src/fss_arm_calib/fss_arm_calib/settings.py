@@ -1,4 +1,4 @@
-"""What every calibration may be told, each setting with its meaning."""
+"""The settings that all calibrations share."""
 
 from dataclasses import dataclass
 

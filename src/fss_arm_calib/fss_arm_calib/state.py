@@ -15,13 +15,13 @@ from fss_arm_model.files import write_text
 
 LARGEST = 2**24  # of a state file [bytes]: a day's state is a tenth of it
 DEEPEST = 10  # nesting of lists and objects
-LONGEST = 200  # characters of a value in an error
+MAX_SHOWN = 200  # characters of a value in an error
 
 _TOKENS = re.compile(r'"(?:[^"\\]|\\.)*"|[\[\]{}]', re.DOTALL)
 _STEPS = {"[": 1, "{": 1, "]": -1, "}": -1}
 
 _shown = Repr()
-_shown.maxstring = _shown.maxother = _shown.maxlong = LONGEST
+_shown.maxstring = _shown.maxother = _shown.maxlong = MAX_SHOWN
 
 D = TypeVar("D")
 
@@ -61,7 +61,7 @@ def read(path: str | Path, default: Any) -> Any:
             raise ValueError(f"nested more than {DEEPEST} deep")
         return json.loads(text, parse_constant=_no_constant)
     except ValueError as error:
-        raise StateError(f"{path} is no state file: {str(error)[:LONGEST]}") from None
+        raise StateError(f"{path} is no state file: {str(error)[:MAX_SHOWN]}") from None
 
 
 @dataclass(frozen=True)
@@ -76,17 +76,17 @@ class Flags:
     def of(cls, streams: Streams) -> "Flags":
         """What happened to some streams."""
         back = {name: by for name, by in streams.set_back.items() if by > 0.0}
-        return cls(tuple(streams.strange), back, dict(streams.refused))
+        return cls(tuple(streams.unknown), back, dict(streams.rejected))
 
     def and_then(self, streams: Streams) -> Streams:
         """The streams with what happened to them before."""
-        back, counts = dict(streams.set_back), dict(streams.refused)
+        back, counts = dict(streams.set_back), dict(streams.rejected)
         for name, by in self.set_back.items():
             back[name] = max(by, back.get(name, 0.0))
         for why, number in self.rejected.items():
             counts[why] = number + counts.get(why, 0)
-        unknown = tuple(dict.fromkeys([*self.unknown, *streams.strange]))
-        return replace(streams, strange=unknown, set_back=back, refused=counts)
+        unknown = tuple(dict.fromkeys([*self.unknown, *streams.unknown]))
+        return replace(streams, unknown=unknown, set_back=back, rejected=counts)
 
 
 def save(path: str | Path, kind: str, joints: int, data: Sequence[Any], flags: Flags) -> None:
@@ -156,7 +156,7 @@ def _finite(value: Any) -> Any:
 
 
 def _wrong(where: str, value: Any, expected: str) -> ValueError:
-    return ValueError(f"{where} is {_shown.repr(value)[:LONGEST]}, expected {expected}")
+    return ValueError(f"{where} is {_shown.repr(value)[:MAX_SHOWN]}, expected {expected}")
 
 
 def _read(hint: Any, value: Any, where: str) -> Any:
@@ -175,7 +175,9 @@ def _read(hint: Any, value: Any, where: str) -> Any:
     if kind is not None:  # a mapping
         if not isinstance(value, dict):
             raise _wrong(where, value, "an object")
-        return {key: _read(args[1], one, f"{where}.{key[:LONGEST]}") for key, one in value.items()}
+        return {
+            key: _read(args[1], one, f"{where}.{key[:MAX_SHOWN]}") for key, one in value.items()
+        }
     if hint is float:
         if value is None:
             return nan

@@ -17,7 +17,7 @@ from std_msgs.msg import Empty, String
 from std_srvs.srv import SetBool
 from unique_identifier_msgs.msg import UUID
 
-from fss_arm_driver.move import LONGEST, Move, MoveError, Profile, plan
+from fss_arm_driver.move import MAX_DURATION, Move, MoveError, Profile, plan
 from fss_arm_driver.protocol import State
 from fss_arm_driver.scale import Scale
 from fss_arm_driver.settings import ArmSettings
@@ -103,7 +103,7 @@ class ArmNode(Node):
 
     def stood_still(self) -> str:
         """That this process did, for longer than a command lives; what it hears now may be old."""
-        return self.stall.look(1e-9 * self.clock.now().nanoseconds)
+        return self.stall.check(1e-9 * self.clock.now().nanoseconds)
 
     def tick(self) -> None:
         """Let a move under way go on."""
@@ -148,14 +148,16 @@ class ArmNode(Node):
         given = self.check(handle)
         request = handle.request
         move, begun = plan(self.arm, self.q(), tuple(request.q), request.duration), self.now()
-        if not 0.0 <= request.keep_alive <= LONGEST:
-            raise MoveError(f"keep_alive is {request.keep_alive} s, expected 0 to {LONGEST:.0f}")
+        if not 0.0 <= request.keep_alive <= MAX_DURATION:
+            raise MoveError(
+                f"keep_alive is {request.keep_alive} s, expected 0 to {MAX_DURATION:.0f}"
+            )
         self.moving = handle.goal_id.uuid.tobytes()
         self.asker = Asker(request.keep_alive, time.monotonic())
         try:
             while not self.reached(move):
                 elapsed = (self.now() - begun) / SECOND
-                if elapsed > move.duration + self.settings.patience:
+                if elapsed > move.duration + self.settings.max_overrun:
                     raise MoveError(f"not reached within {elapsed:.1f} s, {self.farthest(move)}")
                 self.send(map(position, move.profiles), given)
                 remaining = max(0.0, move.duration - elapsed)
@@ -205,7 +207,7 @@ class ArmNode(Node):
         """Whether all joints are at their goals and at rest."""
         return all(
             abs(self.links[i].q - part.target) <= self.settings.tolerance
-            and abs(self.links[i].qd) <= self.settings.still
+            and abs(self.links[i].qd) <= self.settings.motion_threshold
             for i, part in enumerate(move.profiles, 1)
         )
 

@@ -214,7 +214,7 @@ class LinkNode(Node):
         return response
 
     def progressed(self) -> bool:
-        """Whether the last command has come to a stage that is not yet reported."""
+        """Whether the last command has a status that is not yet reported."""
         progress = self.session.progress
         return progress is not None and (progress.given, progress.status) != self.reported
 

@@ -4,7 +4,7 @@ With s from 0 to 1 as the common path, joint i turns by d_i s(t): its profile ve
 |d_i| V and its acceleration |d_i| A for the rate V and acceleration A of s, the largest that no
 joint's limits forbid. The drives run the profiles by themselves.
 
-A frame tells an acceleration in steps that are coarse for a slow joint. Such a joint accelerates
+A frame gives an acceleration in steps that are coarse for a slow joint. Such a joint accelerates
 faster than its part, to a velocity with which it still arrives with the others.
 """
 
@@ -14,8 +14,8 @@ from math import ceil, sqrt
 from fss_arm_driver.scale import Scale
 from fss_arm_model.description import Arm, Link
 
-STILL = 1e-9  # [rad], a way not worth a profile
-LONGEST = 3600.0  # [s]
+MIN_TRAVEL = 1e-9  # [rad], a way not worth a profile
+MAX_DURATION = 3600.0  # [s]
 STEPS = 50  # of a frame, that an acceleration has at least: so it is rounded by 1% at most
 
 
@@ -56,14 +56,14 @@ def plan(arm: Arm, q: tuple[float, ...], goal: tuple[float, ...], duration: floa
     """
     if len(goal) != arm.n:
         raise MoveError(f"q has {len(goal)} joints, expected {arm.n}")
-    if not 0.0 <= duration <= LONGEST:
-        raise MoveError(f"duration is {duration} s, expected 0 to {LONGEST:.0f}")
+    if not 0.0 <= duration <= MAX_DURATION:
+        raise MoveError(f"duration is {duration} s, expected 0 to {MAX_DURATION:.0f}")
     for i, (link, angle) in enumerate(zip(arm.links, goal, strict=True), 1):
         if not link.q_min <= angle <= link.q_max:
             raise MoveError(
                 f"q of joint {i} is {angle} rad, expected {link.q_min:.6g} to {link.q_max:.6g}"
             )
-    way = [d if (d := abs(b - a)) > STILL else 0.0 for a, b in zip(q, goal, strict=True)]
+    way = [d if (d := abs(b - a)) > MIN_TRAVEL else 0.0 for a, b in zip(q, goal, strict=True)]
     drives = [link.drive for link in arm.links]
     if not any(way):
         return Move(tuple(Profile(angle, 0.0, 0.0) for angle in goal), 0.0)
@@ -81,7 +81,7 @@ def plan(arm: Arm, q: tuple[float, ...], goal: tuple[float, ...], duration: floa
 
 
 def _profile(link: Link, target: float, way: float, acceleration: float, lasts: float) -> Profile:
-    """One joint's part, for an acceleration that may be raised to what a frame can tell."""
+    """One joint's part, for an acceleration that may be raised to what a frame can hold."""
     if not way:
         return Profile(target, 0.0, 0.0)
     scale, drive = Scale(link), link.drive

@@ -17,7 +17,7 @@ class Receiver(Thread):
     Args:
         transport: where from.
         take: what to do.
-        guard: a guard condition, triggered if `take` fails; `error` then tells how.
+        guard: a guard condition, triggered if `take` fails; `error` then says how.
     """
 
     def __init__(self, transport: Transport, take: Callable[[], None], guard: Any) -> None:

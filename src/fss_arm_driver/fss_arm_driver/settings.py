@@ -5,7 +5,7 @@ from urllib.parse import urlsplit
 
 from fss_arm_driver.protocol import load_keys
 from fss_arm_model.description import Arm, Link, described
-from fss_arm_model.settings import NOT_NEGATIVE, Settings, between, setting
+from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, Settings, between, setting
 
 
 @dataclass(frozen=True)
@@ -20,7 +20,7 @@ class LinkSettings(Settings):
     rate: float = setting(5.0, "rate of the commands", unit="1/s", check=between(0.1, 1000.0))
     timeout: float = setting(
         1.0,
-        "silence after which the link is lost, and longest delay there and back to arm at",
+        "silence after which the link is lost, and longest round trip to arm at",
         unit="s",
         check=between(0.001, 3600.0),
     )
@@ -74,20 +74,27 @@ class LinkSettings(Settings):
 
 
 @dataclass(frozen=True)
-class ArmSettings:
+class ArmSettings(Settings):
     """The parameters of an ArmNode."""
 
     arm: str = setting("", "file of the arm's description; empty: the paper's arm")
-    rate: float = setting(5.0, "commands sent to each link a second during a move [1/s]")
-    time_to_live: float = setting(1.0, "of a command, and of what a link reported [s]")
-    tolerance: float = setting(0.005, "a joint nearer to its goal has reached it [rad]")
-    still: float = setting(0.01, "a joint slower than this is at rest [rad/s]")
-    patience: float = setting(5.0, "time that a move may take beyond what was planned [s]")
-
-    def __post_init__(self) -> None:
-        for name in ("rate", "time_to_live", "tolerance", "still", "patience"):
-            if not 0.0 < (value := getattr(self, name)) < 1e6:
-                raise ValueError(f"{name} is {value}, expected a positive number")
+    rate: float = setting(
+        5.0, "rate of each link's commands during a move", unit="1/s", check=between(0.1, 1000.0)
+    )
+    time_to_live: float = setting(
+        1.0, "age at which a command, or what a link reported, holds no more", unit="s",
+        check=between(0.001, 3600.0),
+    )  # fmt: skip
+    tolerance: float = setting(
+        0.005, "a joint nearer to its goal has reached it", unit="rad", check=POSITIVE
+    )
+    motion_threshold: float = setting(
+        0.01, "rate above which a joint counts as moving", unit="rad/s", check=POSITIVE
+    )
+    max_overrun: float = setting(
+        5.0, "most time that a move may take beyond what was planned", unit="s",
+        check=POSITIVE,
+    )  # fmt: skip
 
     def description(self) -> Arm:
         """The arm to move."""

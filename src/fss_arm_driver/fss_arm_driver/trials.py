@@ -27,7 +27,7 @@ ENOUGH = 0.03  # of a turn to see which way it goes [rad]
 FAR = 0.35  # of a turn at most in a test [rad]
 SLOW_TURN = 0.1  # velocity of the tests of stop and watchdog [rad/s]
 STEPS = 5  # of current, until the joint turns
-STILL = 0.01  # [rad/s]
+MOTION_THRESHOLD = 0.01  # [rad/s]
 WATCHDOG = 1.0  # tried with [s]
 NO_TORQUE = "no samples of the torque sensor come"
 
@@ -147,7 +147,7 @@ class Rig:
         self.send()  # even if the joint rests already: it may be held there under power
 
         def released() -> bool:
-            at_rest = self.sample and abs(self.sample.velocity) < STILL
+            at_rest = self.sample and abs(self.sample.velocity) < MOTION_THRESHOLD
             return bool(self.session.released and at_rest)
 
         if not self.until(released, 1e-9 * RELEASE_TIMEOUT):
@@ -268,7 +268,10 @@ def stop(rig: Rig) -> Finding:
         rig.session.stop()
         rig.send()
         stopped = rig.until(
-            lambda: rig.now().frame.flags & State.STOPPED and abs(rig.now().velocity) < STILL, 3.0
+            lambda: (
+                rig.now().frame.flags & State.STOPPED and abs(rig.now().velocity) < MOTION_THRESHOLD
+            ),
+            3.0,
         )
         took = time.monotonic() - begun
     words = f"at rest {took:.2f} s after it" if stopped else "goes on"
@@ -284,7 +287,7 @@ def watchdog(rig: Rig) -> Finding:
             lambda: (
                 rig.sample
                 and rig.sample.frame.flags & State.WATCHDOG
-                and abs(rig.sample.velocity) < STILL
+                and abs(rig.sample.velocity) < MOTION_THRESHOLD
             ),
             WATCHDOG + 2.0,
         )

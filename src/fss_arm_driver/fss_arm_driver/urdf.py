@@ -10,7 +10,7 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from fss_arm_model.description import Arm, Link
 
-WIDTH, HEIGHT = 0.08, 0.06  # of a link, to look at [m]
+WIDTH, HEIGHT = 0.08, 0.06  # of a link as drawn [m]
 BASE_SIZE = 0.27  # of the base [m]
 SLENDER = 1e-3  # of the moment about z, about the link's own axis: a solid body has some
 

@@ -6,10 +6,10 @@ DISCOVERY = 3.0  # by then ROS knows of a client that has asked already [s]
 
 
 class Asker:
-    """Whoever asked for a move: shall tell so again and again, if it said it would.
+    """Whoever asked for a move: shall confirm that again and again, if it said it would.
 
     Args:
-        keep_alive: silence that means it is gone [s]; 0: it never tells.
+        keep_alive: silence that means it is gone [s]; 0: it never does.
         now: when it asked.
     """
 
@@ -28,20 +28,20 @@ class Asker:
 
 @dataclass
 class Stall:
-    """Tells a process that it stood still, and for as long again that what it hears may be old.
+    """Finds that a process stood still, and says so for as long again: what it hears may be old.
 
     `now` may jump back, as simulated time does when it begins anew.
     """
 
-    longest: float  # from one look to the next without being a stall [s]
+    max_interval: float  # from one check to the next without being a stall [s]
     lasted: float = 0.0  # the last one [s]
     ended: float = float("-inf")
-    looked: float | None = None
+    checked: float | None = None
 
-    def look(self, now: float) -> str:
+    def check(self, now: float) -> str:
         """What to say of a stall that was just now, if there was one."""
-        late, self.looked = now - (now if self.looked is None else self.looked), now
-        if late > self.longest:
+        late, self.checked = now - (now if self.checked is None else self.checked), now
+        if late > self.max_interval:
             self.lasted, self.ended = late, now
-        recent = 0.0 <= now - self.ended < self.longest
+        recent = 0.0 <= now - self.ended < self.max_interval
         return f"this program stood still for {self.lasted:.1f} s" if recent else ""

@@ -1,4 +1,4 @@
-"""The arm and its base as data: what every other module is told about the hardware.
+"""The arm and its base as data: what every other module knows of the hardware.
 
 SI units and radians throughout; `g`, the distance from joint to centre of mass, follows from the
 stored `a` and `b` (a = g + b). A description is checked when it is made, so that one in hand is a

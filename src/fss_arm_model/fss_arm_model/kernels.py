@@ -39,7 +39,7 @@ def cache_folder(package: str) -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache", "fss_arm", key)
 
 
-_one_thread = Lock()  # numba is told by a global where to keep a kernel
+_one_thread = Lock()  # numba has from a global where to keep a kernel
 
 
 @contextmanager

@@ -14,7 +14,7 @@ from rclpy.node import Node, NodeNameNonExistentError
 from rclpy.parameter import Parameter
 
 WINDOW = 0.4  # by then a process that has joined the graph knows it [s]
-AGAIN = 0.1  # to the second look before giving way, as a claim comes after its node [s]
+AGAIN = 0.1  # to the second check before giving way, as a claim comes after its node [s]
 CLAIM = "_claim_"
 ALLOW = "allow_duplicate"
 ABOUT = "start beside a node that has the same name, or offers the same services, in the ROS domain"

@@ -1,4 +1,4 @@
-"""What every node's `main` does: --help, start, spin, and an end that tells what went wrong."""
+"""What every node's `main` does: --help, start, spin, and an end that says what went wrong."""
 
 import sys
 from collections.abc import Callable, Sequence
@@ -27,11 +27,11 @@ def run(
     args: Sequence[str] | None = None,
     takes: str = "",
 ) -> int:
-    """Make a node, spin it until it is told to stop or ends by itself, and clean up.
+    """Make a node, spin it until it is asked to stop or ends by itself, and clean up.
 
     A node ends by itself by raising SystemExit in a callback, with a code or a reason. A node
     that has a `close()` is closed before it is destroyed, however it ends. One that has a job to
-    finish tells in `unfinished()` how far it is, or nothing once that is done. No node begins
+    finish says in `unfinished()` how far it is, or nothing once that is done. No node begins
     beside another of its name, or that offers what it does, unless `allow_duplicate` is set.
 
     Args:

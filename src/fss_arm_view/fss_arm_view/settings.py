@@ -31,7 +31,7 @@ PORT = between(1, 65535)
 
 @dataclass(frozen=True)
 class ReactionSettings(SensorErrors):
-    """When the arm rests, and over what times its base is judged."""
+    """When the arm rests, and over what windows its base is averaged."""
 
     motion_threshold: float = setting(
         0.005, "joint rate above which a joint moves", unit="rad/s", check=POSITIVE

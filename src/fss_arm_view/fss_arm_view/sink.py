@@ -63,13 +63,13 @@ class Sink:
             return False
         return True
 
-    def close(self, patience: float = 2.0) -> None:
-        """Write what waits, but not for longer than `patience` [s]."""
+    def close(self, timeout: float = 2.0) -> None:
+        """Write what waits, but not for longer than `timeout` [s]."""
         try:
-            self.queue.put(None, timeout=patience)
+            self.queue.put(None, timeout=timeout)
         except Full:
             return
-        self.thread.join(patience)
+        self.thread.join(timeout)
 
     def _run(self) -> None:
         stream = self.stream

@@ -218,7 +218,7 @@ class ViewNode(Node):
 
     def on_calibration(self, topic: str, message: Any) -> None:
         """A verdict; the arm is drawn with a calibration that passed."""
-        with suppress(ValueError):  # base_reaction tells of it
+        with suppress(ValueError):  # base_reaction reports it
             known = self.known.with_message(topic, message)
             self.known = known if known.arm.n == self.known.arm.n else self.known
         found = message.calibration

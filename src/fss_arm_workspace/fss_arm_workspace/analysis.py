@@ -72,7 +72,7 @@ def analyse(
     Args:
         known: the arm, and how well it is known.
         settings: what is computed.
-        progress: told what is being done and the share done; what it raises ends the work.
+        progress: called with what is being done and the share done; what it raises ends the work.
 
     Raises:
         ValueError: no cell is small enough for its centre to be reached.

@@ -57,7 +57,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def calibrated(sources: Sequence[str]) -> Calibrated:
-    """The arm that a description, or the calibrations in bags, tell of.
+    """The arm that a description, or the calibrations in bags, give.
 
     Raises:
         BagError: a bag cannot be read, or holds no calibration that passed.
@@ -111,7 +111,7 @@ def report(analysis: Analysis, straight: Mapping[str, Paths], console: Console) 
 
 
 def _known(value: float, deviation: float) -> str:
-    """A number and how well it is known, where that is told."""
+    """A number and how well it is known, where that is known."""
     return f"{value:.4f} ± {deviation:.4f}" if deviation > 0.0 else f"{value:.4f}"
 
 

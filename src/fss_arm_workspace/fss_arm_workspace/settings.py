@@ -11,9 +11,9 @@ class WorkspaceSettings(AnalysisSettings):
     """What is computed, from which topics, and in which frames it is published."""
 
     arm: str = setting("", "description YAML until a calibration comes; empty: the paper's arm")
-    moved: float = setting(
-        0.02, "change of a joint [rad] or of the base [m, rad] that begins straight paths anew",
-        check=POSITIVE,
+    motion_threshold: float = setting(
+        0.02, "change of a joint or of the base's pose that begins straight paths anew",
+        unit="rad or m", check=POSITIVE,
     )  # fmt: skip
     rate: float = setting(10.0, "rate of the ellipsoids", unit="1/s", check=POSITIVE)
     scale: float = setting(0.25, "size of drawn ellipsoids", unit="m per m/rad", check=POSITIVE)

@@ -5,7 +5,7 @@ For a number f of the arm's parameters p with covariance C, to first order,
     sigma_f^2 = (df/dp) C (df/dp)^T
 
 A point of the boundary belongs to a posture in which nothing moves the tip outwards, so that the
-boundary moves, to first order, by what the tip of that posture moves along the normal. Likewise
+boundary moves, to first order, by what the tip of that posture moves along the normal. And
 the largest w at a point changes as w does while its posture gives way just enough to stay there.
 """
 

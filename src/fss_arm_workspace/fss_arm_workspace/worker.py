@@ -56,8 +56,8 @@ class Worker:
             except Superseded:
                 pass
             except Exception as error:
-                told = str(error) if isinstance(error, ValueError) else repr(error)
-                self.doing, self.failure = "failed", told
+                words = str(error) if isinstance(error, ValueError) else repr(error)
+                self.doing, self.failure = "failed", words
 
     def _progress(self, what: str, share: float) -> None:
         self.doing = f"{what}: {100.0 * share:.0f} %"

@@ -126,7 +126,7 @@ class WorkspaceNode(Node):
             return False
         change = state - self.shown[1]
         change[2] = remainder(change[2], 2.0 * pi)
-        return bool((np.abs(change) <= self.settings.moved).all())
+        return bool((np.abs(change) <= self.settings.motion_threshold).all())
 
     def take(self, topic: str, message: Any) -> None:
         """In the worker's thread: know the arm by a calibration, too, unless it is of another."""

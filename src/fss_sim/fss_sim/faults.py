@@ -15,6 +15,7 @@ from typing import Any
 
 from fss_arm_model.files import ContentError, read_yaml, shown
 from fss_arm_model.settings import (
+    FINITE,
     NOT_NEGATIVE,
     Check,
     SettingError,
@@ -84,7 +85,7 @@ class Event(Settings):
     at: float = setting(MISSING, "when the fault begins", unit="s", check=NOT_NEGATIVE)
     part: str = setting(MISSING, "part of the test bed that has the fault")
     fault: str = setting(MISSING, "kind of the fault")
-    value: float = setting(1.0, "size of the fault")
+    value: float = setting(1.0, "size of the fault, in the unit of its kind", check=FINITE)
     duration: float = setting(
         inf, "how long the fault lasts", unit="s", check=Check("above 0", lambda value: value > 0.0)
     )

@@ -33,7 +33,7 @@ SPEED, TURN = 0.08, 0.05  # most in the approach [m/s], [rad/s]
 REACH_SPEED, REACH_TURN = 0.05, 0.15  # of the end effector past the fixture [m/s], [rad/s]
 LEAD = 3.0  # the reach begins so long before the fixture faces the arm [s]
 RATE = 0.4  # most of a joint [rad/s]
-STILL = 0.004, 0.004  # of the whole when it is stopped [m/s], [rad/s]
+MOTION_THRESHOLD = 0.004, 0.004  # of the whole when it is stopped [m/s], [rad/s]
 
 
 class Orders(NamedTuple):
@@ -200,7 +200,7 @@ class Guidance:
     def _stop(self, q: Floats, qd: Floats) -> list[float]:
         """Thrust against what moves."""
         mass, moment, c, velocity, turning = self._whole(q, qd)
-        is_still = abs(velocity) < STILL[0] and abs(turning) < STILL[1]
+        is_still = abs(velocity) < MOTION_THRESHOLD[0] and abs(turning) < MOTION_THRESHOLD[1]
         self._calm = self._calm + 1 if is_still else 0
         if self._calm * PERIOD >= 2.0:
             self.phase = "done"

@@ -122,7 +122,7 @@ def truth(stamp: int, frame_id: str, plant: Plant) -> SimTruth:
 
 
 def gripper_state(stamp: int, plant: Plant) -> GripperState:
-    """The gripper as its sensors tell."""
+    """The gripper by its sensors."""
     seen = plant.approach
     message = GripperState(
         closed=plant.closed,

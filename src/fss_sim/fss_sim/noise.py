@@ -18,7 +18,7 @@ class Noise(Settings):
 
     position_noise: float = error("white noise of a VICON pose, each axis, 1 sigma", "m")
     heading_noise: float = error("white noise of a VICON pose's heading, 1 sigma", "rad")
-    vicon_hold: float = error("time for which the white noise of a VICON pose stays the same", "s")
+    vicon_hold: float = error("time after which the white noise of a VICON pose is drawn anew", "s")
     rest_position_error: float = error(
         "error of the tip seen from the base, each axis, by rest, 1 sigma", "m"
     )

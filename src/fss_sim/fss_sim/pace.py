@@ -8,9 +8,9 @@ from fss_arm_model.units import SECOND
 from fss_sim.testbed import FRAME
 
 LEAD = 40  # frames that may pass without a word from a driver that sends five times a second
-SHORTEST = 0.001  # real time to let pass between two looks [s]: sending costs more than frames
+SHORTEST = 0.001  # real time to let pass between two checks [s]: sending costs more than frames
 STRIDE = 10  # frames made at once at most, so that the node remains responsive
-PATIENCE = 1_000_000_000  # a driver silent for this long of real time has ended [ns]
+DRIVER_TIMEOUT = 1_000_000_000  # a driver silent for this long of real time has ended [ns]
 
 
 class Pace(Protocol):
@@ -18,7 +18,7 @@ class Pace(Protocol):
 
     epoch: int  # time of frame 0 by the clock that it follows [ns]
     jumps: int  # of that clock
-    rest: float  # real time from one look at it to the next [s]
+    rest: float  # real time from one check of it to the next [s]
 
     def due(self, frame: int) -> int:
         """How many frames are due after the last one made."""
@@ -37,7 +37,7 @@ class Clocked:
         now: reads the clock.
         frame: the last one made.
         back: a clock that is further behind the last frame was set, not late [ns].
-        ahead: likewise, ahead of it; the pace then goes on from the new time.
+        ahead: one that is further ahead of it was set, too; the pace goes on from the new time.
         speed: of that clock, in multiples of real time.
     """
 
@@ -83,7 +83,7 @@ class FlatOut:
     def due(self, frame: int) -> int:
         """As many as leave no driver behind that is there."""
         now = self.now()
-        there = [k for k, t in self._heard.values() if now - t <= PATIENCE]
+        there = [k for k, t in self._heard.values() if now - t <= DRIVER_TIMEOUT]
         return max(0, min(STRIDE, *(k + LEAD - frame for k in there)) if there else STRIDE)
 
     def late(self, frame: int) -> int:

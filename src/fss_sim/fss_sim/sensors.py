@@ -130,7 +130,7 @@ class Sensors:
         self._target_chance = Chance(seed, 3, _TARGET)
         self._draw_rest()
 
-    def look(
+    def observe(
         self,
         frame: int,
         base: Pose,

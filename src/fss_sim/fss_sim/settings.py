@@ -14,6 +14,7 @@ from fss_arm_model.settings import (
     Settings,
     above,
     at_least,
+    between,
     like,
     one_of,
     setting,
@@ -101,7 +102,7 @@ def _error(name: str) -> Any:
     about = Noise.__dataclass_fields__[name].metadata
     return field(
         default=-1.0,
-        metadata={**about, "about": f"{about['about']}; below 0: the preset's", "check": None},
+        metadata={**about, "about": f"{about['about']}; below 0: the preset's", "check": FINITE},
     )
 
 
@@ -111,7 +112,9 @@ class TestbedSettings(PlantSettings):
 
     arm: str = setting("", "file of the true arm's description; empty: the paper's arm")
     host: str = setting("127.0.0.1", "address that the links' UDP ports are opened on")
-    ports: tuple[int, ...] = setting((), "the links' UDP ports, 0: any; empty: 5001, 5002, ...")
+    ports: tuple[int, ...] = setting(
+        (), "the links' UDP ports, 0: any; empty: 5001, 5002, ...", check=between(0, 65535)
+    )
     terminals: tuple[str, ...] = setting(
         (), "paths of pseudo-terminals to reach the links by, as by RS-232; empty: UDP"
     )
@@ -199,8 +202,8 @@ class TestbedSettings(PlantSettings):
     def link_ports(self, n: int) -> tuple[int, ...]:
         """One port for each link."""
         ports = self.ports or tuple(range(5001, 5001 + n))
-        if len(ports) != n or not all(0 <= port <= 65535 for port in ports):
-            raise ValueError(f"ports is {list(ports)}, expected {n} of 0 to 65535")
+        if len(ports) != n:
+            raise ValueError(f"ports is {list(ports)}, expected {n}")
         return ports
 
     def begin(self, n: int) -> State:

@@ -82,7 +82,7 @@ class Report(NamedTuple):
 
 
 class Testbed:
-    """A floating arm with its links' electronics and the sensors that look on.
+    """A floating arm with its links' electronics and the sensors that observe it.
 
     Args:
         arm: the true parameters.
@@ -141,7 +141,7 @@ class Testbed:
         plant, of = self.plant, self.faults
         rate, qd = float(plant.qd[2]), plant.qd[3:]
         target = plant.target[0].tolist() if plant.world.target else None
-        sight = self.sensors.look(
+        sight = self.sensors.observe(
             self.frame, plant.base, plant.tip, rate, qd, of.base, of.tip, of.gyro, target
         )
         telemetry = [

@@ -39,7 +39,7 @@ STALL = 0.3  # of a busy computer, in real time [s]
 REMINDED = 10 * RATE  # from one telling of the faults to the next, for recorders that come late
 TOGETHER = 5  # of them, for which the clock is published once
 SAVED = RATE // 5  # frames from one writing of the state file to the next
-LONGEST = 60 * RATE  # frames of one step, so that the node answers before long
+MAX_FRAMES = 60 * RATE  # frames of one step, so that the node answers before long
 
 
 class TestbedNode(Node):
@@ -180,8 +180,8 @@ class TestbedNode(Node):
         with self.lock:
             if not self.paused:
                 response.message = "time runs: pause it first"
-            elif request.frames > LONGEST:
-                response.message = f"{request.frames} frames, expected at most {LONGEST}"
+            elif request.frames > MAX_FRAMES:
+                response.message = f"{request.frames} frames, expected at most {MAX_FRAMES}"
             else:
                 for _ in range(request.frames):
                     self.receive()

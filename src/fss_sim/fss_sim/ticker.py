@@ -10,7 +10,7 @@ class Ticker(Thread):
 
     Args:
         tick: what to do.
-        guard: a guard condition, triggered if `tick` fails; `error` then tells how.
+        guard: a guard condition, triggered if `tick` fails; `error` then says how.
     """
 
     def __init__(self, tick: Callable[[], float], guard: Any) -> None:

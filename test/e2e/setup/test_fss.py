@@ -156,7 +156,8 @@ def test_a_node_that_ends_well_is_not_missed(laboratory):
 @pytest.mark.slow
 def test_a_node_that_does_not_stop_is_killed(laboratory, tmp_path):
     lab = laboratory(
-        "FSS_PATIENCE=1", f"node record fss_arm_bags record --ros-args -p output:={tmp_path}/bags"
+        "FSS_STOP_TIMEOUT=1",
+        f"node record fss_arm_bags record --ros-args -p output:={tmp_path}/bags",
     )
     assert lab.run("up").returncode == 0
     pid = lab.pid("record")
@@ -236,7 +237,9 @@ def script_package(folder, **programs):
 
 def test_what_a_node_leaves_behind_is_ended_too(laboratory, tmp_path):
     prefix = script_package(tmp_path / "prefix", parent="sleep 61 9>&- & exec sleep 60")
-    lab = laboratory(f"export AMENT_PREFIX_PATH={prefix}", "FSS_PATIENCE=1", "node a pkg parent")
+    lab = laboratory(
+        f"export AMENT_PREFIX_PATH={prefix}", "FSS_STOP_TIMEOUT=1", "node a pkg parent"
+    )
     lab.run("up")
     session = lab.keeper("a")
     wait_until(lambda: len(members(session)) == 3, 20, PAUSE)
@@ -249,7 +252,7 @@ def test_what_a_node_leaves_behind_is_ended_too(laboratory, tmp_path):
 def test_what_cannot_be_ended_is_told_by_its_numbers(laboratory, tmp_path):
     prefix, able = script_package(tmp_path / "prefix", a="exec sleep 60"), tmp_path / "able"
     lab = laboratory(
-        f"export AMENT_PREFIX_PATH={prefix}", "FSS_PATIENCE=1",
+        f"export AMENT_PREFIX_PATH={prefix}", "FSS_STOP_TIMEOUT=1",
         f"case $0 in *fss_down.sh) [ -e {able} ] || kill() {{ :; }} ;; esac",
         "node a pkg a", "node b pkg a",
     )  # fmt: skip

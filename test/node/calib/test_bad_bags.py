@@ -47,7 +47,7 @@ def test_nothing_is_wrong_with_this_one(samples, tmp_path):
     assert calibration.verdict == PASS
     assert calibration.provenance.source.startswith("bag_0 ")
     assert len(calibration.provenance.source) == len("bag_0 ") + 64
-    assert not calibration.streams.refused
+    assert not calibration.streams.rejected
 
 
 @pytest.mark.parametrize(("share", "verdict"), [(0.9, PASS), (0.4, NOT_EVALUATED)])
@@ -131,7 +131,7 @@ def test_numbers_that_are_none_are_refused(samples, tmp_path, stream):
     harmed = sum(s.value is value for s in some)
     calibration = solve_bag(KINEMATIC, record(tmp_path / "some", some))
     assert calibration.verdict == PASS
-    assert calibration.streams.refused == {why: harmed}
+    assert calibration.streams.rejected == {why: harmed}
     every = [s._replace(value=value) if s.stream == stream else s for s in samples]
     calibration = solve_bag(KINEMATIC, record(tmp_path / "every", every))
     assert calibration.verdict == NOT_EVALUATED
@@ -149,9 +149,9 @@ def test_a_stamp_of_another_year_is_rejected_by_itself(samples, tmp_path, place)
     expected = solve_bag(KINEMATIC, record(tmp_path / "bag", samples))
     assert calibration.verdict == PASS
     assert calibration.values.tolist() == expected.values.tolist()
-    refused = calibration.streams.refused
-    assert len(refused) == 6
-    assert {why.split(" ", 1)[1] for why in refused} == {"astray in time"}
+    rejected = calibration.streams.rejected
+    assert len(rejected) == 6
+    assert {why.split(" ", 1)[1] for why in rejected} == {"astray in time"}
 
 
 @pytest.mark.parametrize("streams", [{2}, {BASE, TIP}])
@@ -178,9 +178,9 @@ def test_swapped_subjects_are_named(samples, tmp_path):
     # from the fifth posture's approach to the sixth's departure
     some = [swapped(s) if at(20.0) < s.t < at(30.0) else s for s in samples]
     calibration = solve_bag(KINEMATIC, record(tmp_path / "some", some))
-    refused = calibration.streams.refused
-    assert refused[f"{BASE} jump"] > 0
-    assert refused[f"{TIP} jump"] > 0
+    rejected = calibration.streams.rejected
+    assert rejected[f"{BASE} jump"] > 0
+    assert rejected[f"{TIP} jump"] > 0
     assert calibration.verdict == FAIL
     assert "base and end effector are swapped in observations 5" in calibration.reason
 

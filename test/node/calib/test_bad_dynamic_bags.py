@@ -41,7 +41,7 @@ def test_nothing_is_wrong_with_this_one(samples, tmp_path):
     calibration = solved(record(tmp_path / "bags", samples))
     assert calibration.verdict == PASS, calibration.reason
     assert calibration.accepted == 10
-    assert not calibration.streams.refused
+    assert not calibration.streams.rejected
 
 
 @pytest.mark.parametrize(
@@ -203,7 +203,7 @@ def test_a_swapped_subject_is_named(samples, tmp_path):
 
     # in the midst of two maneuvers
     calibration = solved(record(tmp_path / "some", of_the_tip(samples, rig(), 27.0, 39.0)))
-    refused = calibration.streams.refused
-    assert refused["fss jump"] > 0
+    rejected = calibration.streams.rejected
+    assert rejected["fss jump"] > 0
     assert calibration.verdict == FAIL
     assert re.search(r"maneuvers? [2-5]\b.* off", calibration.reason)

@@ -137,7 +137,7 @@ def test_a_lost_base_is_waited_for_no_longer_than_the_horizon(samples):
 
 
 def test_too_little_is_not_evaluated_and_a_push_fails(samples, bag, capsys):
-    assert from_bag(["--drift", str(bag), "--least-time", "500"]) == 3
+    assert from_bag(["--drift", str(bag), "--min-time", "500"]) == 3
     assert "at least 500 s needed" in " ".join(capsys.readouterr().out.split())
     drifts = feed(DriftFinder(ARM.n), samples)
     pushed = calibrate([push(drifts[0]), *drifts[1:]], ARM)

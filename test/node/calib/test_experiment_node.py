@@ -111,19 +111,19 @@ def test_it_waits_for_the_observation_of_the_posture(spin, spin_to_the_end):
 
 def test_a_rest_that_a_gap_spoiled_is_repeated(spin, spin_to_the_end):
     arm, observer, experiment = FakeArm(), FakeObserver(), make_node()
-    nodes, spoiled = (arm, observer, experiment), [0.3, 0.2, 0.1, 0.0]
-    for count, row in enumerate([*ROWS, spoiled], 1):
+    nodes, rejected = (arm, observer, experiment), [0.3, 0.2, 0.1, 0.0]
+    for count, row in enumerate([*ROWS, rejected], 1):
         spin(nodes, lambda k=count: len(arm.goals) == k)
         if count == 2:
-            observer.observe(spoiled, used=False)
+            observer.observe(rejected, used=False)
         observer.observe(row)
     assert spin_to_the_end(*nodes) == 0
-    assert arm.goals == [*ROWS, spoiled]
-    assert "repeating rests that gaps spoiled: 1" in experiment.log
+    assert arm.goals == [*ROWS, rejected]
+    assert "repeating rejected rests: 1" in experiment.log
 
 
 def test_an_observation_that_does_not_come_is_given_up(spin_to_the_end):
-    arm, observer, experiment = FakeArm(), FakeObserver(), make_node(patience=0.3)
+    arm, observer, experiment = FakeArm(), FakeObserver(), make_node(observation_timeout=0.3)
     assert spin_to_the_end(arm, observer, experiment) == 0
     assert experiment.log.count("posture 3 of 3: not observed") == 1
     assert len(arm.goals) == 3
@@ -133,7 +133,7 @@ def test_what_was_observed_before_it_began_does_not_count(spin, spin_to_the_end)
     arm, observer = FakeArm(), FakeObserver()
     for row in ROWS:
         observer.observe(row)
-    experiment = make_node(patience=0.3)
+    experiment = make_node(observation_timeout=0.3)
     assert spin_to_the_end(arm, observer, experiment) == 0
     assert experiment.log.count("posture 1 of 3: not observed") == 1
 
@@ -219,7 +219,7 @@ def test_an_experiment_that_was_killed_goes_on(spin, spin_to_the_end, tmp_path):
     [
         ({"postures": POSTURES[:3]}, "postures has 3 numbers, expected 4 a row"),
         ({"postures": [0.0, 1.6, 0.0, 0.0]}, "joint 2 at 1.6 rad, expected -1.571 to 1.571"),
-        ({"retry": 0.0}, "retry is 0.0, must be positive"),
+        ({"retry": 0.0}, "retry is 0.0 s, expected a positive number"),
     ],
 )
 def test_impossible_parameters_are_refused(ros, settings, message):
@@ -271,7 +271,9 @@ def test_a_maneuver_that_a_gap_spoiled_is_repeated(spin, spin_to_the_end, tmp_pa
     """After going back the way it came, of which nothing is asked; at most three times."""
     (tmp_path / "plan.yaml").write_text(PLAN)
     arm, dynamic = FakeArm(), FakeDynamic()
-    experiment = make_node(maneuvers=str(tmp_path / "plan.yaml"), pause=0.2, patience=60.0)
+    experiment = make_node(
+        maneuvers=str(tmp_path / "plan.yaml"), pause=0.2, observation_timeout=60.0
+    )
     nodes, gap = (arm, dynamic, experiment), "joint_2 silent for 0.80 s"
     a, b, c, d = (stop.q.tolist() for stop in experiment.stops)
     for so_far, reason in (
@@ -293,7 +295,9 @@ def test_a_maneuver_that_a_gap_spoiled_is_repeated(spin, spin_to_the_end, tmp_pa
 def test_a_maneuver_that_nobody_tells_of_is_given_up(spin_to_the_end, tmp_path):
     (tmp_path / "plan.yaml").write_text(PLAN)
     arm, dynamic = FakeArm(), FakeDynamic()
-    experiment = make_node(maneuvers=str(tmp_path / "plan.yaml"), pause=0.2, patience=0.3)
+    experiment = make_node(
+        maneuvers=str(tmp_path / "plan.yaml"), pause=0.2, observation_timeout=0.3
+    )
     assert spin_to_the_end(arm, dynamic, experiment) == 0
     assert len(arm.goals) == 4
     assert experiment.log.count("posture 4 of 4: not observed") == 1

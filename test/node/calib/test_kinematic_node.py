@@ -135,7 +135,7 @@ def test_a_stamp_of_another_year_and_an_endless_name_stop_nothing(spin, samples)
     bed.outputs["joint_states"].publish(year_2038)
     run(spin, bed, node, [s for s in samples if s.t >= at(9.0)])
     assert ask(spin, bed, node, bed.solver).success
-    assert node.finder.streams().refused == {"joint_2 astray in time": 2}
+    assert node.finder.streams().rejected == {"joint_2 astray in time": 2}
     bed.outputs["joint_states"].publish(year_2038)
     ask(spin, bed, node, bed.forgetter)
     spin([bed, node], lambda: bed.found() == 0)
@@ -156,7 +156,7 @@ def test_occluded_poses_are_counted_and_harmless(spin, samples):
     run(spin, bed, node, occluded)
     spin([bed, node], lambda: bed.found() == 1)
     assert bed.data[-1].observations[0].used
-    assert sum(node.finder.streams().refused.values()) == sum(s.value is None for s in occluded)
+    assert sum(node.finder.streams().rejected.values()) == sum(s.value is None for s in occluded)
 
 
 @pytest.mark.parametrize(

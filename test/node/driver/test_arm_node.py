@@ -39,7 +39,7 @@ class Bench:
             LinkNode(i, transport=transport, parameter_overrides=links)
             for i, transport in enumerate(self.transports, 1)
         ]
-        arm = overrides(rate=RATE, arm=str(file), time_to_live=2.5, patience=2.0)
+        arm = overrides(rate=RATE, arm=str(file), time_to_live=2.5, max_overrun=2.0)
         self.arm = ArmNode(parameter_overrides=arm)
         self.user = Node("user")
         self.mover = ActionClient(self.user, MoveArm, "arm/move")
@@ -207,7 +207,7 @@ def test_who_comes_late_gets_the_arms_description(spin):
 def test_settings_are_checked(start):
     program = start("fss_arm_driver.arm_node", "--ros-args", "-p", "tolerance:=0.0")
     assert program.wait() == 1
-    assert program.output.strip().endswith("tolerance is 0.0, expected a positive number")
+    assert program.output.strip().endswith("tolerance is 0.0 rad, expected a positive number")
 
 
 @pytest.mark.parametrize("kind", [ClockType.STEADY_TIME, ClockType.ROS_TIME])
@@ -271,7 +271,7 @@ def test_after_the_node_stood_still_nothing_old_moves_or_arms(bench):
     bench.enable()
     move = bench.begin(0.5, 0.5, duration=20.0)
     bench.until(lambda: any(transport.link.speed for transport in bench.transports))
-    bench.arm.stall.looked -= 5.0  # as after SIGSTOP and SIGCONT
+    bench.arm.stall.checked -= 5.0  # as after SIGSTOP and SIGCONT
     message = bench.end(move).result.message
     assert re.fullmatch(r"this program stood still for 5\.\d s", message)
     bench.until(lambda: all(transport.link.speed == 0.0 for transport in bench.transports))

@@ -184,7 +184,7 @@ def test_headings_alone_as_in_the_paper(maneuvers):
 
 
 def test_joints_of_another_arm_are_not_evaluated(maneuvers):
-    result = calibrate(maneuvers, ARM, SETTINGS, Streams(strange=("joint_5",)))
+    result = calibrate(maneuvers, ARM, SETTINGS, Streams(unknown=("joint_5",)))
     assert result.verdict == NOT_EVALUATED
     assert "joint_5 heard, but 'paper' has 4 joints" in result.reason
     with pytest.raises(ValueError, match="a maneuver is of 4 joints, expected 3"):

@@ -14,7 +14,7 @@ from fss_arm_calib.segments.rests import (
     RestFinder,
     homed,
     since_homed,
-    spoiled,
+    unrepeated,
 )
 from fss_arm_calib.segments.settings import RestSettings
 from fss_arm_calib.segments.streams import newest
@@ -135,7 +135,7 @@ def test_a_rest_that_vicon_missed_is_reported(streams):
     assert any(name in found[1].reason for name in streams)
     assert np.abs(np.array(found[1].q) - POSTURES[1]).max() <= 1e-3
     assert np.isnan(found[1].tip).all()
-    assert spoiled(found, 0.02) == [found[1]]
+    assert unrepeated(found, 0.02) == [found[1]]
 
 
 @pytest.mark.parametrize("streams", [{2}, {1, 2, 3, 4}])
@@ -155,8 +155,8 @@ def test_a_spoiled_posture_observed_again_is_no_loss():
     rig = Rig(np.array([*POSTURES, POSTURES[1] + 0.01]))
     found = find(without(rig.samples(), {TIP}, 5.0, 10.5))
     assert [o.used for o in found] == [True, False, True, True]
-    assert spoiled(found, np.radians(1.0)) == []
-    assert len(spoiled(found, np.radians(0.1))) == 1
+    assert unrepeated(found, np.radians(1.0)) == []
+    assert len(unrepeated(found, np.radians(0.1))) == 1
 
 
 def test_streams_that_begin_late_or_end_early():
@@ -251,7 +251,7 @@ def test_a_posture_is_known_however_long_nothing_was_heard(lost, begin):
     found = find(without(rig.samples(), lost, begin, 83.0), horizon=5.0)
     assert [o.used for o in found] == [True, False, True, True]
     assert np.abs(np.array(found[1].q) - POSTURES[1]).max() <= 1e-3
-    assert spoiled(found, np.radians(1.0)) == []
+    assert unrepeated(found, np.radians(1.0)) == []
 
 
 def test_the_newest_are_kept_whatever_was_spoiled_since():
@@ -291,8 +291,8 @@ def test_impossible_settings_are_refused(change, message):
 def test_spoiled_needs_all_joints_close():
     used = Observation(0, 1, (0.0, 0.0))
     unused = Observation(2, 3, (0.0, 0.1), used=False, reason="gap")
-    assert spoiled([used, unused], 0.05) == [unused]
-    assert spoiled([unused, used], 0.2) == []
+    assert unrepeated([used, unused], 0.05) == [unused]
+    assert unrepeated([unused, used], 0.2) == []
 
 
 def jumped(sample, x=1.0, heading=0.0):
@@ -312,9 +312,9 @@ def test_poses_that_jump_are_refused_and_counted(off):
     assert np.abs(postures_of(found) - POSTURES).max() <= COUNT / 2
     for observation, posture in zip(found, POSTURES, strict=True):
         assert observation.tip == pytest.approx(tip_in_base(ARM.vector(), posture), abs=1e-9)
-    refused = finder.streams().refused
-    assert sum(refused.values()) == len(subjects[50::100])
-    assert all(kind.endswith(" jump") for kind in refused)
+    rejected = finder.streams().rejected
+    assert sum(rejected.values()) == len(subjects[50::100])
+    assert all(kind.endswith(" jump") for kind in rejected)
 
 
 def test_a_subject_that_is_elsewhere_for_long_spoils_the_rest():
@@ -324,7 +324,7 @@ def test_a_subject_that_is_elsewhere_for_long_spoils_the_rest():
     ]
     finder = RestFinder(4)
     found = find(samples, finder=finder)
-    assert finder.streams().refused["end_effector jump"] > 10
+    assert finder.streams().rejected["end_effector jump"] > 10
     for observation, posture in zip(found, POSTURES, strict=True):
         near = np.abs(np.subtract(observation.tip, tip_in_base(ARM.vector(), posture))).max() < 0.01
         assert near or not observation.used
@@ -348,7 +348,7 @@ def test_a_pose_frozen_since_before_the_last_move_is_refused_and_counted(stream)
     found = find(frozen(Rig().samples(), stream, 5.0, 10.1), finder=finder)
     assert [o.used for o in found] == [True, False, True]
     assert f"{stream} frozen for" in found[1].reason
-    assert finder.streams().refused[f"{stream} frozen"] > 300
+    assert finder.streams().rejected[f"{stream} frozen"] > 300
 
 
 def test_a_pose_that_thaws_in_time_leaves_enough_of_the_rest():
@@ -366,4 +366,4 @@ def test_poses_without_noise_that_stand_still_are_not_frozen():
             samples = frozen(samples, name, 6.0 * k, 6.0 * k + 4.0)
     finder = RestFinder(4)
     assert [o.used for o in find(samples, finder=finder)] == [True] * 3
-    assert not finder.streams().refused
+    assert not finder.streams().rejected

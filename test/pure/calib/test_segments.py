@@ -61,8 +61,8 @@ def interleaved(samples, seed, most=300):
     return mixed
 
 
-def total(refused, *reasons):
-    return sum(number for kind, number in refused.items() if kind.endswith(reasons))
+def total(rejected, *reasons):
+    return sum(number for kind, number in rejected.items() if kind.endswith(reasons))
 
 
 def test_all_are_found_in_order_of_time(make, samples):
@@ -138,7 +138,7 @@ def test_a_stamp_far_from_all_others_is_rejected_by_itself(make, samples, stamp,
         k = 0 if place == "first" else len(samples) // 2
         finder = make()
         assert feed(finder, [*samples[:k], *astray, *samples[k:]]) == expected, those
-        assert finder.streams().refused == {
+        assert finder.streams().rejected == {
             f"{NAMES.get(name, name)} astray in time": 3 for name in sorted(those, key=str)
         }
         assert not any(finder.streams().set_back.values())
@@ -150,7 +150,7 @@ def test_a_clock_that_all_share_may_be_set_ahead(make, rig, samples):
     step = 86_400 * SECOND
     finder, whole = make(), feed(make(), samples)
     found = feed(finder, [s if s.t < moment else s._replace(t=s.t + step) for s in samples])
-    assert not finder.streams().refused
+    assert not finder.streams().rejected
     assert found[0] == whole[0]
     assert found[-1].end == whole[-1].end + step
 
@@ -185,10 +185,10 @@ def test_numbers_that_no_sensor_reads_are_rejected_and_counted(make, samples, va
         bad.append(s)
     finder = make()
     assert feed(finder, bad) == feed(make(), samples)
-    refused = finder.streams().refused
-    assert sum(refused.values()) == len(bad) - len(samples)
-    assert total(refused, "occluded", "not finite", "out of range") == len(bad) - len(samples)
-    assert total(refused, "occluded") in (0, poses)
+    rejected = finder.streams().rejected
+    assert sum(rejected.values()) == len(bad) - len(samples)
+    assert total(rejected, "occluded", "not finite", "out of range") == len(bad) - len(samples)
+    assert total(rejected, "occluded") in (0, poses)
 
 
 @pytest.mark.parametrize("value", [np.inf, 1e308])
@@ -203,14 +203,14 @@ def test_a_rate_that_no_drive_has_is_derived(samples, value):
     assert [m.q for m in found] == [m.q for m in expected]
     for one, other in zip(found, expected, strict=True):
         assert one.qd[2] == pytest.approx(other.qd[2], abs=0.12)
-    assert finder.streams().refused.keys() == {"joint_3 rate out of range"}
+    assert finder.streams().rejected.keys() == {"joint_3 rate out of range"}
 
 
 def test_repeated_samples_change_nothing(make, samples):
     finder = make()
     assert feed(finder, [s for s in samples for _ in range(2)]) == feed(make(), samples)
-    refused = finder.streams().refused
-    assert total(refused, "repeated") == sum(refused.values()) == len(samples)
+    rejected = finder.streams().rejected
+    assert total(rejected, "repeated") == sum(rejected.values()) == len(samples)
 
 
 def test_a_silent_joint_lets_no_others_pile_up(make, samples):
@@ -236,5 +236,5 @@ def test_memory_is_bounded(make, rig, samples):
 def test_joints_of_another_arm_are_named(make, samples):
     finder = make(3)
     feed(finder, samples[:500], close=False)
-    assert finder.streams().strange == ("joint_4",)
+    assert finder.streams().unknown == ("joint_4",)
     assert make(2).streams().silent[:3] == ("joint_1", "joint_2", "fss")

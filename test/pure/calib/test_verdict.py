@@ -324,14 +324,14 @@ def rejected_at(k):
 
 
 def test_a_spoiled_posture_is_not_evaluated_until_it_is_observed():
-    observations, spoiled = observe(), rejected_at(12)
-    lacking = calibrate([*observations, spoiled], paper_arm())
+    observations, rejected = observe(), rejected_at(12)
+    lacking = calibrate([*observations, rejected], paper_arm())
     assert lacking.verdict == NOT_EVALUATED
     assert "1 rest rejected (fss silent for 0.40 s)" in lacking.reason
     assert lacking.description == ""
     assert lacking.left_out == 1
     assert np.isfinite(lacking.values).all()
-    again = replace(spoiled, q=tuple(np.add(observations[5].q, 0.01)))
+    again = replace(rejected, q=tuple(np.add(observations[5].q, 0.01)))
     assert calibrate([*observations, again], paper_arm()).verdict == PASS
 
 

@@ -31,10 +31,10 @@ def test_a_client_may_take_its_time_to_be_seen_and_then_is_missed_at_once():
 
 def test_a_stall_is_told_for_as_long_as_what_is_heard_may_be_old():
     stall, words = Stall(1.0), "this program stood still for 5.0 s"
-    assert [stall.look(t) for t in (100.0, 100.2, 101.2)] == ["", "", ""]
-    assert [stall.look(t) for t in (106.2, 106.4, 107.1, 107.3)] == [words, words, words, ""]
+    assert [stall.check(t) for t in (100.0, 100.2, 101.2)] == ["", "", ""]
+    assert [stall.check(t) for t in (106.2, 106.4, 107.1, 107.3)] == [words, words, words, ""]
 
 
 def test_time_that_begins_anew_is_no_stall_and_ends_one():
     stall = Stall(1.0)
-    assert [bool(stall.look(t)) for t in (100.0, 105.0, 1.0, 1.2)] == [False, True, False, False]
+    assert [bool(stall.check(t)) for t in (100.0, 105.0, 1.0, 1.2)] == [False, True, False, False]

@@ -13,16 +13,14 @@ import pytest
 SOURCES = Path(__file__).parents[3] / "src"
 PACKAGES = sorted(path.parent.name for path in SOURCES.glob("*/setup.py"))
 
-#: Packages whose settings are yet to get units and checks; this list is to become empty.
-NOT_CONVERTED = {"fss_arm_calib", "fss_arm_driver", "fss_arm_workspace", "fss_sim"}
-
-#: Fields that are ratios, shares or factors; with the class where others have a unit.
+#: Fields that are ratios, shares or factors, or have their kind's unit; with the class where others
+#: have a unit.
 DIMENSIONLESS = {
     *("clock_drift", "gear_ratio", "gyro_scale", "ReplaySettings.rate", "speed", "tolerance"),
     *("battery", "corruption", "dead", "dropout", "duplication", "frozen", "loss", "occlusion"),
     *("reordering", "swap"),
     *("max_condition", "max_relative", "min_probability", "min_redundancy", "outlier"),
-    "DriftSettings.mass_deviation",
+    *("DriftSettings.mass_deviation", "Event.value"),
 }
 
 # A description that begins with one of these leans on the parameter's name or on the one before it.
@@ -59,13 +57,7 @@ def flaws(f: "Field[Any]", hint: Any, name: str) -> Iterator[str]:
         yield "leans on another description"
 
 
-@pytest.mark.parametrize(
-    "package",
-    [
-        pytest.param(p, marks=pytest.mark.xfail(p in NOT_CONVERTED, reason="yet", strict=True))
-        for p in PACKAGES
-    ],
-)
+@pytest.mark.parametrize("package", PACKAGES)
 def test_each_parameter_says_what_it_is(package: str) -> None:
     found = []
     for kind in settings(package):

@@ -34,7 +34,7 @@ def test_a_converter_samples_by_itself_and_tells_the_age(rate):
     clocks = range(5_000_000, 7_000_000, 10_000)
     seen = []
     for clock in clocks:
-        converter.look(clock, clock * 1e-7)
+        converter.sample(clock, clock * 1e-7)
         seen.append(converter.counts)
         assert 0 <= converter.age(clock) < 1_000_000 // rate
     assert len(set(seen)) == 2 * rate
@@ -47,11 +47,11 @@ def test_a_converter_is_noisy_and_saturates_at_24_bits():
     converter = TorqueConverter(TorqueSensor(gain=1e-6), 80, 0.002, 0.0, Random(1))
     seen = []
     for clock in range(0, 2000 * 12_500, 12_500):
-        converter.look(clock, 0.5)
+        converter.sample(clock, 0.5)
         seen.append(converter.counts * 1e-6)
     assert np.mean(seen) == pytest.approx(0.5, abs=4 * 0.002 / 2000**0.5)
     assert np.std(seen) == pytest.approx(0.002, rel=0.07)
-    converter.look(10**9, 50.0)
+    converter.sample(10**9, 50.0)
     assert converter.counts == (1 << 23) - 1
 
 

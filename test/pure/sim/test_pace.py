@@ -1,6 +1,6 @@
 """When frames are due: by a clock, or as fast as the drivers follow."""
 
-from fss_sim.pace import LEAD, PATIENCE, STRIDE, Clocked, FlatOut
+from fss_sim.pace import DRIVER_TIMEOUT, LEAD, STRIDE, Clocked, FlatOut
 from fss_sim.testbed import FRAME
 
 
@@ -27,5 +27,5 @@ def test_flat_out_goes_on_alone_waits_for_drivers_and_gives_up_those_that_ended(
     assert pace.due(100 + LEAD) == 0
     pace.hear(0, 100 + LEAD)
     assert pace.due(100 + LEAD) == 3
-    now = PATIENCE + 1
+    now = DRIVER_TIMEOUT + 1
     assert pace.due(103 + LEAD) == STRIDE

@@ -29,9 +29,9 @@ def test_each_rest_has_its_own_error_of_the_stated_size():
     base, tip = (0.4, -0.1, 2.0), (1.2, 0.3, 0.5)
     for rest in range(1500):
         for k in range(RATE // 5):
-            sight = sensors.look(rest * RATE + k, base, tip, 0.0, STILL)
+            sight = sensors.observe(rest * RATE + k, base, tip, 0.0, STILL)
         errors.append(np.subtract(seen_from_base(sight), tip))
-        sensors.look(rest * RATE + 99, base, tip, 0.0, MOVING)
+        sensors.observe(rest * RATE + 99, base, tip, 0.0, MOVING)
     deviation = np.std(errors, axis=0)
     # 1500 draws know a deviation to 1.8%, 1 sigma; the white noise adds under 0.1%.
     np.testing.assert_allclose(deviation[:2], 0.0177, rtol=0.07)
@@ -41,14 +41,14 @@ def test_each_rest_has_its_own_error_of_the_stated_size():
 
 def test_an_error_stays_for_its_rest():
     sensors = Sensors(PRESETS["paper"], seed=1)
-    sights = [sensors.look(k, (0, 0, 0), (1, 0, 0), 0.0, STILL).tip.pose for k in range(200)]
+    sights = [sensors.observe(k, (0, 0, 0), (1, 0, 0), 0.0, STILL).tip.pose for k in range(200)]
     white = np.std(sights, axis=0)
     np.testing.assert_allclose(white, [3e-4, 3e-4, math.radians(0.05)], rtol=0.2)
 
 
 def test_without_noise_the_truth_is_seen():
     sensors = Sensors(PRESETS["ideal"], seed=1)
-    sight = sensors.look(5, (0.1, 0.2, 0.3), (1.0, 0.5, 0.2), 0.7, STILL)
+    sight = sensors.observe(5, (0.1, 0.2, 0.3), (1.0, 0.5, 0.2), 0.7, STILL)
     tip = compose((0.1, 0.2, 0.3), (1.0, 0.5, 0.2))
     assert (sight.base.pose, sight.tip.pose, sight.rate) == ((0.1, 0.2, 0.3), tip, 0.7)
 
@@ -120,7 +120,7 @@ def test_a_file_that_is_no_state_is_refused_by_name(tmp_path, text):
 def look(faults, frames=2000, **gyro):
     sensors = Sensors(PRESETS["ideal"], seed=1)
     return [
-        sensors.look(
+        sensors.observe(
             k, (0.01 * k, 0.0, 0.5), (1.0, 0.0, 0.0), 0.1, STILL, faults, SEEN, GyroFaults(**gyro)
         )
         for k in range(frames)
@@ -144,7 +144,9 @@ def test_vicon_is_late_turned_or_frozen_as_told():
     assert look(SubjectFaults(turn=math.pi / 2), 3)[-1].base.pose == (0.02, 0.0, 0.5 + math.pi / 2)
     sensors = Sensors(PRESETS["default"], seed=1)
     poses = [
-        sensors.look(k, (0.01 * k, 0, 0), (1, 0, 0), 0.0, STILL, SubjectFaults(frozen=k >= 5)).base
+        sensors.observe(
+            k, (0.01 * k, 0, 0), (1, 0, 0), 0.0, STILL, SubjectFaults(frozen=k >= 5)
+        ).base
         for k in range(10)
     ]
     assert len(set(poses[:5])) == 5
@@ -158,7 +160,7 @@ def test_the_gyro_is_off_by_bias_walk_and_scale():
     for seed in range(300):
         sensors = Sensors(Noise(gyro_scale=1e-3, gyro_walk=1e-4), seed)
         seen = [
-            sensors.look(k, (0, 0, 0), (1, 0, 0), 1.0, STILL).rate - 1.0 for k in (0, 2500, 2550)
+            sensors.observe(k, (0, 0, 0), (1, 0, 0), 1.0, STILL).rate - 1.0 for k in (0, 2500, 2550)
         ]
         scales.append(seen[0])
         walks.append(seen[1] - seen[0])
@@ -171,7 +173,7 @@ def test_an_error_of_vicon_may_stay_for_some_frames():
     noise = Noise(position_noise=0.001, heading_noise=0.01, vicon_hold=0.1)
     sensors, fresh = Sensors(noise, 3), Sensors(replace(noise, vicon_hold=0.0), 3)
     still = ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), 0.0, np.zeros(4))
-    held = [sensors.look(k, *still).base.pose for k in range(600)]
+    held = [sensors.observe(k, *still).base.pose for k in range(600)]
     assert len(set(held)) == 60
     assert all(len(set(held[k : k + 10])) == 1 for k in range(0, 600, 10))
-    assert len({fresh.look(k, *still).base.pose for k in range(600)}) == 600
+    assert len({fresh.observe(k, *still).base.pose for k in range(600)}) == 600

@@ -1,4 +1,4 @@
-"""Tells what bags hold and how healthy they are; repairs damage on request."""
+"""Shows what bags hold and how healthy they are; repairs damage on request."""
 
 import argparse
 import sys

@@ -140,7 +140,7 @@ def _gaps(stream: Stream, begin: int) -> Iterator[str]:
 def _clocks(stream: Stream, begin: int) -> Iterator[str]:
     """Stamps that jump against the times of receipt, or are of another clock."""
     delays = stream.receipts - stream.stamps
-    # The least delay of some time, as a message that was held up tells nothing of its clock.
+    # The least delay of some time, as a message that was held up says nothing of its clock.
     starts = np.flatnonzero(np.diff((stream.receipts - stream.receipts[0]) // WINDOW, prepend=-1))
     steps = np.diff(np.minimum.reduceat(delays, starts))
     jumps = np.flatnonzero(np.abs(steps) > JUMP)

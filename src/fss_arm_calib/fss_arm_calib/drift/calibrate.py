@@ -23,9 +23,9 @@ def calibrate(
     streams: Streams | None = None,
     source: str = LIVE,
 ) -> Outcome[Drift, Solution]:
-    """Solve for what acts on the base from outside, and judge the result.
+    """Solve for what acts on the base from outside, and check the result.
 
-    However short, drifts are solved: the deviations then say how little they tell.
+    However short, drifts are solved: the deviations then say how little they determine.
 
     Args:
         drifts: in order of time.
@@ -38,7 +38,7 @@ def calibrate(
     used, known = [one for one in drifts if one.used], joints_known(streams, arm)
     found = [known, clocks_kept(streams, s.joint_gap), checks.long_enough(used, streams, s)]
     solution = solution_of(used, arm, s) if used and known.verdict == PASS else None
-    found += checks.judge(solution, s) if solution else []
+    found += checks.evaluate(solution, s) if solution else []
     parts = [(one.q, one.times, one.poses, one.frames, one.seconds) for one in used]
     return concluded(
         drifts,
@@ -56,7 +56,7 @@ def calibrate(
 
 
 def parameters(outcome: Outcome[Drift, Solution]) -> str:
-    """What `dynamic` and `base_reaction` may be told, as a ROS parameter file.
+    """What `dynamic` and `base_reaction` may be given, as a ROS parameter file.
 
     The first takes tilt and momentum as unknown within what was found, the second subtracts the
     tilt and takes its deviation as uncertain.

@@ -26,11 +26,11 @@ from fss_arm_model.units import GRAVITY
 def long_enough(drifts: Sequence[Drift], streams: Streams, s: DriftSettings) -> Check:
     """Whether the base drifted for long enough."""
     total = sum(drift.times[-1] for drift in drifts)
-    reason = f"{total:.0f} s of drift, at least {s.least_time:g} s needed"
-    return enough("time", total, s.least_time, reason, streams)
+    reason = f"{total:.0f} s of drift, at least {s.min_time:g} s needed"
+    return enough("time", total, s.min_time, reason, streams)
 
 
-def judge(solution: Solution, s: DriftSettings) -> list[Check]:
+def evaluate(solution: Solution, s: DriftSettings) -> list[Check]:
     """The checks of a solution."""
     r, m = solution.result, solution.result.minimum
     tilt = float(np.sqrt(np.diag(r.covariance)[:2]).max()) / GRAVITY

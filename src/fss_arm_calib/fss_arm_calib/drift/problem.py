@@ -135,7 +135,7 @@ class DriftProblem:
             weight = 1.0 / self.sigma[k].ravel()
             off = (np.array(self.drifts[k].poses) - poses).ravel() * weight
             every = np.column_stack([by.reshape(-1, 13) * weight[:, None], off])
-            few: Floats = np.linalg.qr(every)[1]  # as many rows as columns tell the same
+            few: Floats = np.linalg.qr(every)[1]  # as many rows as columns hold the same
             residuals.append(few[:, -1])
             J = np.zeros((len(few), len(unknowns)))
             J[:, :5] = few[:, :5]

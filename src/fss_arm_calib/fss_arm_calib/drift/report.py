@@ -16,7 +16,7 @@ WORDS = ("", "", "of it at rest", "resistance to turning", "resistance to moving
 
 
 def drift_report(outcome: Outcome[Drift, Solution], _: Arm | None = None) -> Report:
-    """Tell what a drift calibration found; a description knows nothing of it."""
+    """Report what a drift calibration found; a description knows nothing of it."""
     o = outcome
     figures = (
         Figure("drift_drifts", "Each drift",

@@ -26,7 +26,7 @@ class DriftSettings(DriftFinderSettings, CalibrationSettings):
     )
     fresh_rate: float = setting(
         10.0,
-        "how often a pose's error is another one: averaging helps by so many a second",
+        "rate of poses with independent errors, as averaging counts them",
         unit="1/s",
         check=POSITIVE,
     )
@@ -53,8 +53,8 @@ class DriftSettings(DriftFinderSettings, CalibrationSettings):
         3.0, "error of a drift predicted from the others above which it is an outlier",
         unit="deviations", check=POSITIVE,
     )  # fmt: skip
-    least_time: float = setting(
-        60.0, "least time to judge by, all drifts together", unit="s", check=POSITIVE
+    min_time: float = setting(
+        60.0, "least time of all drifts together to accept a result from", unit="s", check=POSITIVE
     )
     max_tilt: float = setting(
         radians(0.001), "largest deviation of the table's tilt", unit="rad", check=POSITIVE

@@ -23,7 +23,7 @@ def calibrate(
     streams: Streams | None = None,
     source: str = LIVE,
 ) -> Outcome[Maneuver, Solution]:
-    """Solve for the arm's dynamics and judge the result.
+    """Solve for the arm's dynamics and check the result.
 
     Args:
         maneuvers: in order of time.
@@ -41,7 +41,7 @@ def calibrate(
     found = [joints_known(streams, arm), clocks_kept(streams, s.joint_gap), number]
     found += checks.tips_described(used, arm, s)
     solution = solution_of(problem_of(used, arm, s), s) if number.verdict == PASS else None
-    found += checks.judge(solution, s) if solution else []
+    found += checks.evaluate(solution, s) if solution else []
     return concluded(
         maneuvers, used, [array for one in used for array in _arrays(one)], arm, s,
         DynamicSettings, streams, source, found, estimate_of(arm, s, used, solution), solution,

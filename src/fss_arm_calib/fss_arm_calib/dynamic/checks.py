@@ -45,7 +45,7 @@ def number(every: Sequence[Maneuver], streams: Streams, s: DynamicSettings) -> C
 def tips_described(used: Sequence[Maneuver], arm: Arm, s: DynamicSettings) -> list[Check]:
     """Whether the end effector is where the description puts it; nothing if it was not seen.
 
-    The base's motion does not tell: lengths of another arm hide in centres of mass.
+    The base's motion does not show it: lengths of another arm hide in centres of mass.
     """
     known = [one for one in used if one.tip]
     if not known:
@@ -63,7 +63,7 @@ def tips_described(used: Sequence[Maneuver], arm: Arm, s: DynamicSettings) -> li
     return [quiet(at_most("end_effector", distance, limit, words, failing))]
 
 
-def judge(solution: Solution, s: DynamicSettings) -> list[Check]:
+def evaluate(solution: Solution, s: DynamicSettings) -> list[Check]:
     """The checks of a solution."""
     r, m = solution.result, solution.result.minimum
     held = r.at_bound

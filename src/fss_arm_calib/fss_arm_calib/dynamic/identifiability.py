@@ -1,4 +1,4 @@
-"""What a dynamic calibration can tell at all, what its data told, and what they hardly see.
+"""What a dynamic calibration can determine at all, what its data did, and what they hardly see.
 
 Of the masses, centres of mass and inertias of n links on a known base, motion depends on 2 n + 1
 combinations only (see fss_arm_model.base_motion):

@@ -29,7 +29,7 @@ from fss_arm_ros.convert import stamp_ns, to_time
 
 
 def inputs(s: DynamicSettings, n: int) -> list[Input]:
-    """Joints and base; gyro, end effector and what links tell may be absent."""
+    """Joints and base; gyro, end effector and the links' telemetry may be absent."""
     return [
         *telemetry_inputs(n),
         joints_input(s.joints_topic),

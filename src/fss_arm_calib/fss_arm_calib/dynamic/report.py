@@ -19,7 +19,7 @@ PAPER_HEADING_RESIDUAL = float(np.radians(1.54))  # section 4.2
 
 
 def dynamic_report(outcome: Outcome[Maneuver, Solution], truth: Arm | None = None) -> Report:
-    """Tell what a dynamic calibration found, beside the truth if that is known."""
+    """Report what a dynamic calibration found, beside the truth if that is known."""
     o, found = outcome, outcome.solution
     figures = (
         Figure("dynamic_motion", "Base motion, predicted and measured", lambda: motion(o)),
@@ -93,7 +93,7 @@ def _combinations(outcome: Outcome[Maneuver, Solution]) -> Table:
         "All that motion depends on when base and kinematics are known: m = sum m_k, "
         "S_j = m_j g_j + a_j sum m_k, K_j = I_j + m_j g_j² + a_j² sum m_k, k > j."
     )
-    return Table("What motion can tell of the links", head, rows, words=2, note=note)
+    return Table("What motion determines of the links", head, rows, words=2, note=note)
 
 
 def _residual_table(outcome: Outcome[Maneuver, Solution]) -> Table:

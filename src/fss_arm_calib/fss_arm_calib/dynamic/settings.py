@@ -20,7 +20,7 @@ POSE, HEADING = "pose", "heading"
 
 @dataclass(frozen=True)
 class DynamicSettings(ManeuverSettings, CalibrationSettings, Knowledge):
-    """What is known beforehand, what is estimated and how it is judged.
+    """What is known beforehand, what is estimated and how it is checked.
 
     Raises:
         SettingError: a setting is impossible.
@@ -50,7 +50,7 @@ class DynamicSettings(ManeuverSettings, CalibrationSettings, Knowledge):
     )
     fresh_rate: float = setting(
         10.0,
-        "how often a pose's error is another one: averaging helps by so many a second",
+        "rate of poses with independent errors, as averaging counts them",
         unit="1/s",
         check=POSITIVE,
     )
@@ -66,7 +66,7 @@ class DynamicSettings(ManeuverSettings, CalibrationSettings, Knowledge):
         radians(0.02), "1 sigma, about 0, of the table's tilt, each axis; 0: level", unit="rad",
         check=NOT_NEGATIVE,
     )  # fmt: skip
-    min_maneuvers: int = setting(6, "fewest maneuvers to judge by", check=at_least(1))
+    min_maneuvers: int = setting(6, "fewest maneuvers to accept a result from", check=at_least(1))
     outlier: float = setting(
         3.0, "error of a maneuver predicted from the others above which it is an outlier",
         unit="deviations", check=POSITIVE,

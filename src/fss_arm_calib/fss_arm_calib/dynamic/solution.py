@@ -73,7 +73,7 @@ def nothing_seen(arm: Arm, settings: DynamicSettings) -> DynamicProblem:
 
 @dataclass(frozen=True)
 class Solution:
-    """A result, which of M maneuvers it is from, and what motion can tell at all."""
+    """A result, which of M maneuvers it is from, and what motion can determine at all."""
 
     result: DynamicResult  # of those not rejected
     kept: Mask  # (M,)

@@ -1,4 +1,4 @@
-"""Maneuvers worth making: those that tell most about chosen parameters, before the arm moves.
+"""Maneuvers worth making: those that determine chosen parameters best, before the arm moves.
 
 A maneuver is a sequence of straight moves in joint space, each from rest to rest with the trapezoid
 of the drives. Candidates stay within joint limits and torque, off the table's edge and the arm's
@@ -196,21 +196,21 @@ def within(arm: Arm, kind: str, waypoints: Floats, conditions: Conditions) -> Pl
     return planned if reach <= 0.5 * conditions.table - EDGE else None
 
 
-def marks(planned: Planned, settings: DynamicSettings, rest: float) -> tuple[Path, Floats]:
-    """The path with marks in the looks before and after it, and how often each is seen anew."""
-    look = min(settings.max_duration, (rest - settings.settle_time) / 2.0)
-    bins = max(1, round(look / settings.bin))
-    middles = look / bins * (np.arange(bins) + 0.5)
+def windowed(planned: Planned, settings: DynamicSettings, rest: float) -> tuple[Path, Floats]:
+    """The path, knots in the windows before and after it, and independent poses in each of them."""
+    window = min(settings.max_duration, (rest - settings.settle_time) / 2.0)
+    bins = max(1, round(window / settings.bin))
+    middles = window / bins * (np.arange(bins) + 0.5)
     law, edges = planned.law()
-    times = np.concatenate([middles - look, planned.length + settings.settle_time + middles])
-    return path(law, edges, times), np.full(2 * bins, max(1.0, settings.fresh_rate * look / bins))
+    times = np.concatenate([middles - window, planned.length + settings.settle_time + middles])
+    return path(law, edges, times), np.full(2 * bins, max(1.0, settings.fresh_rate * window / bins))
 
 
 def problem(
     arm: Arm, plan: Sequence[Planned], settings: DynamicSettings, rest: float
 ) -> DynamicProblem:
     """What would be solved after a plan, its poses those predicted for an arm as described."""
-    paths, fresh = zip(*(marks(one, settings, rest) for one in plan), strict=True)
+    paths, fresh = zip(*(windowed(one, settings, rest) for one in plan), strict=True)
     deviations = np.array([settings.position_deviation] * 2 + [settings.heading_deviation])
     if settings.residuals == HEADING:
         deviations[:2] = inf
@@ -251,7 +251,7 @@ def design(
         begin: (n) where the arm is [rad]; 0 by default.
         seed: of the candidates.
         tried: candidates for each maneuver.
-        progress: told the number of maneuvers found.
+        progress: called with the number of maneuvers found.
 
     Raises:
         NoManeuver: nothing keeps to the conditions.
@@ -270,8 +270,8 @@ def design(
                 f"torque and a table of {conditions.table:g} m"
             )
         model = problem(arm, options, settings, conditions.rest)
-        if strange := set(chosen) - set(model.names):
-            raise ValueError(f"{', '.join(sorted(strange))} is not estimated")
+        if unknown := set(chosen) - set(model.names):
+            raise ValueError(f"{', '.join(sorted(unknown))} is not estimated")
         which = [k for k, name in enumerate(model.names) if not chosen or name in chosen]
         each = information(model)
         before = _before(model, settings)
@@ -289,7 +289,7 @@ def design(
 def _before(model: DynamicProblem, settings: DynamicSettings) -> Floats:
     """Information (p, p) of the priors, and where there are none of what is vaguely known.
 
-    Without the latter the first few maneuvers, which cannot tell all parameters, had no order.
+    Without the latter the first few maneuvers, which cannot determine all parameters, had no order.
     """
     basis = model.choice.basis
     vague = basis.T @ settings.deviations(model.arm.n) / basis.sum(axis=0)

@@ -21,7 +21,7 @@ from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.experiment.design import Planned, from_yaml
 from fss_arm_calib.experiment.postures import default
 from fss_arm_model.description import Arm, described
-from fss_arm_model.settings import setting
+from fss_arm_model.settings import FINITE, POSITIVE, Settings, setting
 from fss_arm_msgs.action import MoveArm
 from fss_arm_msgs.msg import KinematicObservations, Maneuvers
 from fss_arm_ros.convert import SECOND, stamp_ns
@@ -30,34 +30,40 @@ from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED
 from fss_arm_ros.run import run
 
-ROUNDS = 3  # of repeating the rests that gaps spoiled, or a maneuver, at most
+ROUNDS = 3  # of repeating the rejected rests, or a maneuver, at most
 STALL = 2.0  # of this process, after which only a person has the arm move on [s]
 
 
 @dataclass(frozen=True)
-class ExperimentSettings:
+class ExperimentSettings(Settings):
     """The parameters of an ExperimentNode."""
 
     arm: str = setting("", "description YAML of the arm; empty: the paper's arm")
     postures: tuple[float, ...] = setting(
-        (), "joint readings of each posture, row after row [rad]; empty: chosen for the arm"
-    )
+        (), "joint readings of each posture, row after row; empty: chosen for the arm",
+        unit="rad", check=FINITE,
+    )  # fmt: skip
     maneuvers: str = setting(
         "", "file of maneuvers to make instead, as `design` writes it; empty: postures"
     )
-    pause: float = setting(5.2, "rest before and after a maneuver [s]")
-    tolerance: float = setting(0.0175, "a posture observed this close is the one wanted [rad]")
-    rest: float = setting(3.0, "rest at each posture if nobody observes [s]")
-    patience: float = setting(20.0, "longest wait for an observation [s]")
-    retry: float = setting(1.0, "wait before a move that failed is asked for again [s]")
-    silence: float = setting(3.0, "a move without feedback for this long is lost [s]")
-    keep_alive: float = setting(0.5, "silence of this node that ends its move [s, real time]")
+    pause: float = setting(5.2, "rest before and after a maneuver", unit="s", check=POSITIVE)
+    tolerance: float = setting(
+        0.0175, "a posture observed this close is the one wanted", unit="rad", check=POSITIVE
+    )
+    rest: float = setting(3.0, "rest at each posture if nobody observes", unit="s", check=POSITIVE)
+    observation_timeout: float = setting(
+        20.0, "longest wait for an observation", unit="s", check=POSITIVE
+    )
+    retry: float = setting(
+        1.0, "wait before a move that failed is asked for again", unit="s", check=POSITIVE
+    )
+    silence: float = setting(
+        3.0, "a move without feedback for this long is lost", unit="s", check=POSITIVE
+    )
+    keep_alive: float = setting(
+        0.5, "silence of this node, in real time, that ends its move", unit="s", check=POSITIVE
+    )
     state_file: str = setting("", "progress is kept here across restarts; empty: nowhere")
-
-    def __post_init__(self) -> None:
-        for name in ("pause", "tolerance", "rest", "patience", "retry", "silence", "keep_alive"):
-            if not getattr(self, name) > 0.0:
-                raise ValueError(f"{name} is {getattr(self, name)}, must be positive")
 
 
 @dataclass
@@ -80,10 +86,10 @@ class ExperimentNode(Node):
     """Takes the arm through a list of postures, or of maneuvers, and ends when all are done.
 
     Each posture is left when it has been observed, or after a rest if nobody observes; a maneuver
-    goes from one posture to the next at once, and ends with a pause. If somebody observes, what a
-    gap spoiled is repeated; a maneuver after going back the way it came. It never arms a link:
-    until somebody has, as after any failed or lost move, it asks for the move again. It ends if its
-    process stood still, as the arm has stopped then, and nobody may expect it to move on.
+    goes from one posture to the next at once, and ends with a pause. If somebody observes, what
+    is rejected for a gap is repeated; a maneuver after going back the way it came. It never arms a
+    link: until somebody has, as after any failed or lost move, it asks for the move again. It ends
+    if its process stood still, as the arm has stopped then, and nobody may expect it to move on.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -97,10 +103,10 @@ class ExperimentNode(Node):
         self.alive = self.create_publisher(UUID, "arm/move/alive", 10)
         self.ticked = 0.0  # in real time [s]
         self.observed: list[tuple[int, tuple[float, ...]]] = []  # end [ns], readings [rad]
-        self.spoiled: list[Floats] = []  # readings [rad]
-        self.rounds = 0  # of repeating all spoiled rests, or the present maneuver
+        self.rejected: list[Floats] = []  # readings [rad]
+        self.rounds = 0  # of repeating all rejected rests, or the present maneuver
         self.observer = False  # somebody observes
-        self.seen: list[tuple[int, str]] = []  # maneuvers' ends [ns], and what spoiled them
+        self.seen: list[tuple[int, str]] = []  # maneuvers' ends [ns], and why rejected
         self.departed = 0  # end of the last pause, or when it began [ns]
         self.way_back: deque[Stop] = deque()  # to where a maneuver began that is to be repeated
         self.create_subscription(
@@ -134,7 +140,7 @@ class ExperimentNode(Node):
     def on_observations(self, message: KinematicObservations) -> None:
         """What has been observed so far."""
         self.observed = [(stamp_ns(o.end), tuple(o.q)) for o in message.observations if o.used]
-        self.spoiled = [
+        self.rejected = [
             np.array(o.q)
             for o in message.observations
             if not o.used and stamp_ns(o.end) >= self.progress.begun and np.isfinite(o.q).all()
@@ -184,19 +190,19 @@ class ExperimentNode(Node):
         return words if done < len(self.stops) else ""
 
     def repeat(self) -> bool:
-        """Go again to where a gap in the data spoiled a rest, as the verdict asks for it."""
+        """Go again to where a rest was rejected, as the verdict asks for it."""
         missing = [
-            spoiled
-            for spoiled in self.spoiled
+            q
+            for q in self.rejected
             if not any(
-                np.abs(spoiled - q).max() <= self.settings.tolerance for _, q in self.observed
+                np.abs(q - seen).max() <= self.settings.tolerance for _, seen in self.observed
             )
         ]
         if not missing or self.rounds >= ROUNDS or self.settings.maneuvers:
             return False
         self.rounds += 1
         self.stops += [Stop(q) for q in missing]
-        self.say(f"repeating rests that gaps spoiled: {len(missing)}")
+        self.say(f"repeating rejected rests: {len(missing)}")
         return True
 
     def go(self, now: int) -> None:
@@ -244,32 +250,32 @@ class ExperimentNode(Node):
         posture, _, pause = self.stop
         if pause >= 0.0:
             if self.waited(now, pause):
-                self.judge(now)
+                self.conclude(now)
         elif any(
             end >= self.progress.begun and np.abs(posture - q).max() <= self.settings.tolerance
             for end, q in self.observed
         ):
             self.leave("observed")
-        elif self.observer and self.waited(now, self.settings.patience):
+        elif self.observer and self.waited(now, self.settings.observation_timeout):
             self.get_logger().warning(f"{self.title}: not observed")
             self.leave("left")
         elif not self.observer and self.waited(now, self.settings.rest):
             self.leave("done, nobody observes")
 
-    def judge(self, now: int) -> None:
-        """Go on if the maneuver that ends here has been observed, back if a gap spoiled it."""
+    def conclude(self, now: int) -> None:
+        """Go on if the maneuver that ends here has been observed, back if it was rejected."""
         stop, first = self.stop, self.began
         planned = stop.pause > 0.0 and self.progress.done > 0 and not self.way_back
-        told = [spoiled for end, spoiled in self.seen if end >= self.departed]
-        if not planned or not self.observer or (told and not any(told)):
+        reasons = [reason for end, reason in self.seen if end >= self.departed]
+        if not planned or not self.observer or (reasons and not any(reasons)):
             self.leave("done")
-        elif told and self.rounds < ROUNDS:
-            self.say(f"{self.title}: {max(told)}, so going back to repeat it")
+        elif reasons and self.rounds < ROUNDS:
+            self.say(f"{self.title}: {max(reasons)}, so going back to repeat it")
             self.way_back = back(self.stops[first : self.progress.done + 1])
             self.rounds, self.progress.done, self.departed = self.rounds + 1, first + 1, now
             self.save()
             self.enter(self.go, 0)
-        elif told or self.waited(now, stop.pause + self.settings.patience):
+        elif reasons or self.waited(now, stop.pause + self.settings.observation_timeout):
             self.get_logger().warning(f"{self.title}: not observed")
             self.leave("left")
 

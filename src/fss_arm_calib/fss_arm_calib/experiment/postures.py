@@ -1,4 +1,4 @@
-"""Postures to observe: those that tell most about the parameters, in an order of short moves."""
+"""Postures to observe: those that determine the parameters best, in an order of short moves."""
 
 from itertools import combinations, pairwise
 
@@ -13,7 +13,7 @@ MARGIN = 0.2  # least distance between links that are not neighbours [m]
 APART = np.radians(45.0)  # two postures differ by as much in some joint at least
 BASE_RADIUS = 0.3  # about the base's origin, kept clear by all links but the first [m]
 
-ROUNDS = 20  # of exchanges at most: about five settle it, unless too many crowd a single joint
+ROUNDS = 20  # of exchanges at most: about five are enough, unless too many crowd a single joint
 
 #: What design(paper_arm(), seed=5) finds, for the paper's arm and those like it, (13, 4) [rad].
 DEFAULT: Floats = np.radians(

@@ -26,7 +26,7 @@ def calibrate(
     streams: Streams | None = None,
     source: str = LIVE,
 ) -> Outcome[Observation, Solution]:
-    """Solve for the arm's kinematics and judge the result.
+    """Solve for the arm's kinematics and check the result.
 
     Args:
         observations: in order of time; those from before a link was homed last are left out, as
@@ -56,7 +56,7 @@ def calibrate(
         why = checks.why_off(solution.result, problem, s)
         reasons = (r and r + w for r, w in zip(solution.reasons, why, strict=True))
         solution = replace(solution, reasons=tuple(reasons))
-        found += checks.judge(solution, s)
+        found += checks.evaluate(solution, s)
     return concluded(
         observations, used, (problem.q, problem.tip), arm, s, KinematicSettings, streams, source,
         found, estimate_of(problem, solution), solution,

@@ -32,7 +32,7 @@ from fss_arm_calib.kinematic.problem import (
 )
 from fss_arm_calib.kinematic.settings import KinematicSettings
 from fss_arm_calib.kinematic.solution import Solution, fewest
-from fss_arm_calib.segments.rests import Observation, homed, since_homed, spoiled
+from fss_arm_calib.segments.rests import Observation, homed, since_homed, unrepeated
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_model.description import DescriptionError
 from fss_arm_model.planar import inverse
@@ -53,7 +53,7 @@ def rests(observations: Sequence[Observation], needed: int, s: KinematicSettings
     """A rejected rest need not be repeated once those used since then are enough by themselves."""
     used = [o for o in observations if o.used]
     since = used[-needed].start if len(used) >= needed else 0
-    lost = [o for o in spoiled(observations, s.same_posture) if o.end >= since]
+    lost = [o for o in unrepeated(observations, s.same_posture) if o.end >= since]
     reason = (
         f"{count(len(lost), 'rest')} rejected ({lost[0].reason}) and not repeated" if lost else ""
     )
@@ -70,7 +70,7 @@ def number(problem: KinematicProblem, streams: Streams, s: KinematicSettings) ->
     return enough("observations", found, needed, reason, streams)
 
 
-def judge(solution: Solution, s: KinematicSettings) -> list[Check]:
+def evaluate(solution: Solution, s: KinematicSettings) -> list[Check]:
     """The checks of a solution."""
     r = solution.result
     checks = [_determined(r, s)]

@@ -27,7 +27,7 @@ from fss_arm_ros.convert import stamp_ns, to_time
 
 
 def inputs(s: KinematicSettings, n: int) -> list[Input]:
-    """Joints, base, end effector, and what links tell of their zeros."""
+    """Joints, base, end effector, and the links' reports of their zeros."""
     return [
         *telemetry_inputs(n),
         joints_input(s.joints_topic),

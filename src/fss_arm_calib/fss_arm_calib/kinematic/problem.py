@@ -321,7 +321,7 @@ def solve(
     max_condition: float = 1e3,
     start: npt.ArrayLike | None = None,
 ) -> KinematicResult:
-    """As `fit`, all parameters told apart.
+    """As `fit`, all parameters determined.
 
     Raises:
         NotIdentifiable: the observations are too few or too alike for all parameters.
@@ -404,7 +404,7 @@ def _turns(problem: KinematicProblem) -> npt.NDArray[np.complex128]:
 def _linear_stage(problem: KinematicProblem, xi: Floats) -> Floats:
     """The start with xi's angles and the lengths and mount that suit them best.
 
-    What the observations do not tell stays as it is in xi.
+    What the observations do not determine stays as it is in xi.
     """
     n = problem.arm.n
     values = problem.all_parameters(xi)

@@ -21,7 +21,7 @@ from fss_arm_model.description import Arm, kinematic_index, kinematic_names, pap
 
 
 def kinematic_report(outcome: Outcome[Observation, Solution], truth: Arm | None = None) -> Report:
-    """Tell what a kinematic calibration found, beside the truth if that is known."""
+    """Report what a kinematic calibration found, beside the truth if that is known."""
     o = outcome
     labels = [_label(name, o.arm.n) for name in o.names]
     figures = (

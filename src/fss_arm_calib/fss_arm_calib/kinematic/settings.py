@@ -17,7 +17,7 @@ from fss_arm_model.settings import POSITIVE, Check, at_least, one_of, setting
 
 @dataclass(frozen=True)
 class KinematicSettings(CalibrationSettings):
-    """What is estimated of lengths and angles, and how it is judged.
+    """What is estimated of lengths and angles, and how it is checked.
 
     Raises:
         SettingError: a setting is impossible.
@@ -38,7 +38,9 @@ class KinematicSettings(CalibrationSettings):
     heading_deviation: float = setting(
         HEADING_DEVIATION, "1 sigma of an observed heading", unit="rad", check=POSITIVE
     )
-    min_observations: int = setting(6, "fewest observations to judge by", check=at_least(1))
+    min_observations: int = setting(
+        6, "fewest observations to accept a result from", check=at_least(1)
+    )
     max_condition: float = setting(
         200.0, "largest condition number of the column-scaled regressor",
         check=Check("more than 1", lambda value: value > 1.0, low=1.0),

@@ -7,7 +7,7 @@ whatever the lengths. If a joint's stamp is delta more than motion capture's of 
 
 over the frames t of a move. delta is searched for on a grid and refined by Gauss-Newton. Errors of
 the readings' interpolation last for about the time between two readings, so that frames within it
-count as one: a move's deviation is rather too large. Several moves tell theirs by their scatter.
+count as one: a move's deviation is rather too large. Several moves show theirs by their scatter.
 """
 
 from collections import deque
@@ -23,11 +23,11 @@ from fss_arm_calib.segments.joints import Joint
 from fss_arm_calib.segments.samples import SECOND
 
 LONGEST_MOVE = 20.0  # of a move, only so much at its end is used [s]
-LEAST_TURN = 0.1  # a move that turns the end effector less tells nothing [rad]
+LEAST_TURN = 0.1  # a move that turns the end effector less shows nothing [rad]
 GRID = 0.02  # step of the search [s]
-WORST = 0.05  # a move that tells the offset no better tells nothing [s]
+WORST = 0.05  # a move that determines the offset no better shows nothing [s]
 FRAME = 0.01  # at which a move is looked at [s]
-ENOUGH = 5  # moves to tell their scatter from
+ENOUGH = 5  # moves to estimate their scatter from
 NEWEST = 100  # moves that the mean is of: clocks drift, and a day has thousands
 
 
@@ -91,7 +91,7 @@ def last_move(joints: Sequence[Joint], end: int, threshold: float) -> tuple[int,
 
 
 class Alignment:
-    """The mean offset that the newest moves tell.
+    """The mean offset of the newest moves.
 
     Args:
         search: largest offset that they are searched for [s].
@@ -103,7 +103,7 @@ class Alignment:
         self.moves: deque[Offset] = deque(maxlen=NEWEST)  # that turned what was looked at
 
     def learn(self, move: Offset) -> None:
-        """Learn what another move tells."""
+        """Learn from another move."""
         if isfinite(move.value):
             self.moves.append(move)
         if move.deviation <= WORST:
@@ -118,7 +118,7 @@ class Alignment:
 
 
 def mean_offset(moves: Collection[Offset]) -> Offset:
-    """The mean weighted by deviations; the scatter of ENOUGH moves tells how sure it is."""
+    """The mean weighted by deviations; the scatter of ENOUGH moves gives its deviation."""
     values = np.array([move.value for move in moves])
     weights = np.array([move.deviation for move in moves]) ** -2.0
     mean = float(weights @ values / np.sum(weights))

@@ -51,7 +51,7 @@ class DriftFinder(Finder[Interval, Drift]):
 
     @property
     def resting(self) -> Interval:
-        """The arm's present rest, as far as all joints tell."""
+        """The arm's present rest, as far as all joints have been heard."""
         begin = max(self._since, self.rests.begin)
         return Interval(begin, max(begin, self.rests.end))
 

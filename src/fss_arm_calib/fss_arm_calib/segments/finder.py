@@ -21,7 +21,7 @@ from fss_arm_calib.segments.settings import RestSettings
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_calib.segments.telemetry import Link
 
-PATIENCE = 0.5  # of the horizon, for streams that need not be there
+OPTIONAL = 0.5  # of the horizon: how long streams that need not be there are waited for
 CLEANING = 1000  # samples from one forgetting to the next
 
 
@@ -98,7 +98,7 @@ class Finder(ABC, Generic[C, S]):
         return self._fed(len(t))
 
     def telemetry(self, i: int, t: int, armed: bool, boot: int, homings: int) -> list[S]:
-        """What link i, 1 to n, tells: whether it is armed, its start, and its homings since."""
+        """What link i, 1 to n, reports: whether it is armed, its start, and its homings since."""
         if 1 <= i <= len(self.links):
             self.links[i - 1].append(t, armed, boot, homings)
         return self._fed()
@@ -116,8 +116,8 @@ class Finder(ABC, Generic[C, S]):
         every: list[Stream] = [*timed, self.gyro, *self.links]
         return Streams(
             silent=tuple(one.name for one in [*self.joints, *self._poses] if one.newest < 0),
-            strange=tuple(f"joint_{i}" for i in sorted(self.rests.unknown)),
-            refused={
+            unknown=tuple(f"joint_{i}" for i in sorted(self.rests.unknown)),
+            rejected={
                 f"{one.name} {why}": number
                 for one in every
                 for why, number in sorted(one.rejected.items())
@@ -174,7 +174,7 @@ class Finder(ABC, Generic[C, S]):
     def _heard(self) -> int:
         """Up to when all has been heard that is waited for."""
         seen = self._seen
-        late = seen - round(PATIENCE * self.horizon)
+        late = seen - round(OPTIONAL * self.horizon)
         others: list[Stream] = [self.gyro, self.tip, *self.links]
         return min([seen, *(max(one.reached, late) for one in others if one.newest >= 0)])
 
@@ -188,7 +188,7 @@ class Finder(ABC, Generic[C, S]):
         return boots, homings
 
     def _learn(self, move: Offset) -> None:
-        """Allow for what a move tells of the clocks' offset."""
+        """Allow for the clocks' offset that a move shows."""
         self.alignment.learn(move)
         if self.alignment.offset.deviation < inf:
             self._lag(self.alignment.offset.value)

@@ -45,7 +45,7 @@ class Rest(NamedTuple):
     """All joints still."""
 
     begin: int  # [ns]
-    end: int  # as far as all joints tell; before `begin`: it is none
+    end: int  # as far as all were heard; before `begin`: it is none
     until: int  # when a joint moved
     moved: int  # a moment just before, at which some joint was moving; -1: none is known
     low: tuple[float, ...]  # least reading of each joint, whatever was forgotten of them [rad]

@@ -3,12 +3,12 @@
 A pause too short to settle and for two windows is part of the motion. The second half of a rest,
 up to `max_duration`, is the window before the next maneuver, the first half that after the last
 one: no pose counts twice. In a window the base may drift, so its poses are averaged over short
-bins, each a mark of the path.
+bins, each a knot of the path.
 
-A joint that moves while its link tells that it is not armed is moved by hand: then the base is
-held, and what it does tells nothing of the arm.
+A joint that moves while its link reports that it is not armed is moved by hand: then the base is
+held, and what it does says nothing of the arm.
 
-How the base turns, by its gyro and by motion capture, tells the offset between their clocks; the
+How the base turns, by its gyro and by motion capture, gives the offset between their clocks; the
 gyro's stamps are of the joints' clock. What was learned by then shifts the windows that follow.
 """
 
@@ -81,7 +81,7 @@ class ManeuverFinder(Finder[Motion, Maneuver]):
     """Fed samples of n joints, the base and its gyro, gives the maneuvers that they complete.
 
     The gyro may be absent: it is needed only where the base was not seen for long. So may the end
-    effector, which only tells whose arm it is, and the links' telemetry.
+    effector, which only shows whose arm it is, and the links' telemetry.
     """
 
     settings: ManeuverSettings
@@ -132,7 +132,7 @@ class ManeuverFinder(Finder[Motion, Maneuver]):
         series = [joint_path(joint, *candidate, self.motion_threshold) for joint in self.joints]
         gaps = [gap for joint in self.joints for gap in self._joint_gaps(joint, candidate)]
         travel = max(float(np.ptp(q)) if len(q) else 0.0 for _, q, _ in series)
-        if not gaps and travel < self.settings.least_travel:
+        if not gaps and travel < self.settings.min_travel:
             return None
         times, q, qd = (
             tuple(tuple(part.tolist()) for part in parts) for parts in zip(*series, strict=True)
@@ -149,7 +149,7 @@ class ManeuverFinder(Finder[Motion, Maneuver]):
         return maneuver
 
     def _joint_gaps(self, joint: Joint, motion: Motion) -> list[Gap]:
-        """Silences of a joint that tell nothing of where it went meanwhile."""
+        """Silences of a joint that hide where it went meanwhile."""
         start, end = motion.before.begin, motion.end
         t, q, _ = joint.within(start, end)
         if not len(q):
@@ -172,7 +172,7 @@ class ManeuverFinder(Finder[Motion, Maneuver]):
         return gaps
 
     def _rejected(self, maneuver: Maneuver) -> str:
-        """What telemetry tells against a maneuver; empty: nothing."""
+        """What telemetry says against a maneuver; empty: nothing."""
         span = maneuver.start, maneuver.end
         for i, (joint, link) in enumerate(zip(self.joints, self.links, strict=True), 1):
             if link.homed(*span):

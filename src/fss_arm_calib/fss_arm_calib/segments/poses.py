@@ -132,12 +132,12 @@ class Poses(Stream):
         """How many poses of an interval are frozen."""
         return int(np.sum(np.array(self.since[self.inside(begin, end)]) <= moved - self.lag))
 
-    def gaps(self, begin: int, end: int, longest: int, moved: int = -1) -> list[Gap]:
-        """Silences longer than `max_duration` [ns] that reach into an interval."""
+    def gaps(self, begin: int, end: int, max_gap: int, moved: int = -1) -> list[Gap]:
+        """Silences longer than `max_gap` [ns] that reach into an interval."""
         stamps = self.about(begin, end, moved)[0]
         return [
             Gap(a, b, self.name, FROZEN if self.frozen(a, b, moved) else "silent")
-            for a, b in silences(stamps, begin, end, longest)
+            for a, b in silences(stamps, begin, end, max_gap)
         ]
 
 

@@ -29,7 +29,7 @@ from fss_arm_calib.segments.settings import RestSettings
 from fss_arm_calib.segments.telemetry import homed, since_homed
 from fss_arm_model.planar import wrap
 
-__all__ = ["BASE", "TIP", "Observation", "RestFinder", "homed", "since_homed", "spoiled"]
+__all__ = ["BASE", "TIP", "Observation", "RestFinder", "homed", "since_homed", "unrepeated"]
 
 MOST_CONTRADICTING = 0.1  # share of a rest's poses that may be rejected as jumps
 
@@ -52,8 +52,8 @@ class Observation:
     reason: str = ""  # why it is not used
 
 
-def spoiled(observations: Sequence[Observation], tolerance: float) -> list[Observation]:
-    """The unused ones whose posture has not been observed otherwise within `tolerance` [rad]."""
+def unrepeated(observations: Sequence[Observation], tolerance: float) -> list[Observation]:
+    """The rejected ones whose posture has not been observed otherwise within `tolerance` [rad]."""
     seen = [np.array(o.q) for o in observations if o.used]
     return [
         o

@@ -104,10 +104,10 @@ class Stream:
         """Samples of an interval, both ends included."""
         return slice(bisect_left(self.t, begin - self.lag), bisect_right(self.t, end - self.lag))
 
-    def gaps(self, begin: int, end: int, longest: int) -> list[Gap]:
-        """Silences longer than `max_duration` [ns] that reach into an interval."""
+    def gaps(self, begin: int, end: int, max_gap: int) -> list[Gap]:
+        """Silences longer than `max_gap` [ns] that reach into an interval."""
         stamps = np.array(self.t[self.around(begin, end)]) + self.lag
-        return [Gap(a, b, self.name) for a, b in silences(stamps, begin, end, longest)]
+        return [Gap(a, b, self.name) for a, b in silences(stamps, begin, end, max_gap)]
 
     def forget(self, before: int) -> None:
         """Drop all but the last one of what is older."""
@@ -116,13 +116,13 @@ class Stream:
             del column[: k * width]
 
 
-def silences(t: Stamps, begin: int, end: int, longest: int) -> list[tuple[int, int]]:
-    """Steps longer than `longest` between stamps in and around an interval, or its ends [ns]."""
+def silences(t: Stamps, begin: int, end: int, max_gap: int) -> list[tuple[int, int]]:
+    """Steps longer than `max_gap` between stamps in and around an interval, or its ends [ns]."""
     # Samples missing at either end: forgotten, or the stream has ended.
     before = [begin] if not len(t) or t[0] > begin else []
     after = [end] if not len(t) or t[-1] < end else []
     t = np.concatenate([before, t, after]).astype(np.int64)
-    return [(int(t[k]), int(t[k + 1])) for k in np.flatnonzero(np.diff(t) > longest)]
+    return [(int(t[k]), int(t[k + 1])) for k in np.flatnonzero(np.diff(t) > max_gap)]
 
 
 def between(begin: int, end: int, gaps: Sequence[Gap]) -> list[tuple[int, int]]:

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, SettingError, Settings, setting
+from fss_arm_model.settings import FINITE, NOT_NEGATIVE, POSITIVE, SettingError, Settings, setting
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class ManeuverSettings(RestSettings):
         unit="s", check=POSITIVE,
     )  # fmt: skip
     joint_gap: float = setting(
-        0.5, "silence of a joint that spoils a maneuver", unit="s", check=POSITIVE
+        0.5, "silence of a joint for which a maneuver is rejected", unit="s", check=POSITIVE
     )
     horizon: float = setting(
         60.0, "how far streams may lag each other, and how long a maneuver may last", unit="s",
@@ -69,17 +69,15 @@ class ManeuverSettings(RestSettings):
     bin: float = setting(
         0.5, "time over which poses of a window are averaged", unit="s", check=POSITIVE
     )
-    least_travel: float = setting(
-        0.05, "a smaller motion is no maneuver", unit="rad", check=POSITIVE
-    )
+    min_travel: float = setting(0.05, "a smaller motion is no maneuver", unit="rad", check=POSITIVE)
     time_offset: float = setting(
         0.0,
-        "about how much the joints' and the gyro's stamps are later than motion capture's; what "
-        "the gyro tells of it takes its place",
-        unit="s",
-    )
+        "about how much the joints' and the gyro's stamps are later than motion capture's, "
+        "until the gyro's and the base's turns show it",
+        unit="s", check=FINITE,
+    )  # fmt: skip
     max_base_turn: float = setting(
-        3.0, "the base turns no faster; what it may turn by unseen, the gyro must tell",
+        3.0, "largest rate of the base; what it may turn by unseen, the gyro must have seen",
         unit="rad/s", check=POSITIVE,
     )  # fmt: skip
 

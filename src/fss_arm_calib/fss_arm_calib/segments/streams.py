@@ -12,8 +12,8 @@ class Streams:
     """What became of the streams that a result is from."""
 
     silent: tuple[str, ...] = ()  # not heard yet
-    strange: tuple[str, ...] = ()  # joints heard that the arm does not have
-    refused: Mapping[str, int] = field(default_factory=dict)  # samples, by stream and reason
+    unknown: tuple[str, ...] = ()  # joints heard that the arm does not have
+    rejected: Mapping[str, int] = field(default_factory=dict)  # samples, by stream and reason
     set_back: Mapping[str, float] = field(default_factory=dict)  # longest step back of stamps [s]
     offset: Offset = field(default_factory=Offset)  # between the clocks
     offset_beyond: float = 0.0  # what it is more than, by most moves [s]

@@ -1,4 +1,4 @@
-"""What a link tells of itself: whether it is armed, and its zero."""
+"""What a link reports of itself: whether it is armed, and its zero."""
 
 from bisect import bisect_right
 from collections.abc import Sequence
@@ -27,7 +27,7 @@ class Link(Stream):
         self.states: list[State] = []
 
     def append(self, t: int, armed: bool, boot: int, homings: int) -> None:
-        """Take what a link tells; it knows of no homings until its drive does."""
+        """Take what a link reports; it knows of no homings until its drive does."""
         for stamp, (is_armed, reference) in self.admit(t, (armed, (boot, homings))):
             self.newest = stamp
             last = self.states[-1] if self.states else State(stamp, not is_armed, UNKNOWN)

@@ -13,7 +13,7 @@ from itertools import count, cycle
 from fss_arm_driver.copley.language import (
     FIRST_BAUD,
     HOMING,
-    LONGEST,
+    MAX_LENGTH,
     REFERENCED,
     RESET,
     Error,
@@ -35,7 +35,7 @@ REPLY_TIME = 200 * MILLISECOND  # at most
 LINE_TIME = 50 * MILLISECOND  # for what is still under way after a failure
 SWITCH_TIME = 150 * MILLISECOND  # for the order to leave at the old rate, and the drive's own
 REST_TIMEOUT = 3000 * MILLISECOND  # with a joint that does not come to rest and shall be released
-STILL = 1000  # slower is at rest [0.1 counts/s]
+MOTION_THRESHOLD = 1000  # a slower drive is at rest [0.1 counts/s]
 STATE = put(Variable.DESIRED_STATE, 0).removesuffix(b"0\r")  # what orders a mode begin with
 SLOW = (Variable.FAULTS, Variable.SUPPLY, Variable.TEMPERATURE, Variable.ABORT_DECELERATION)
 
@@ -156,7 +156,7 @@ class Drive:
             elif b"\r" in self._buffer:
                 line, _, self._buffer = self._buffer.partition(b"\r")
                 self._answer(line)
-            elif now > self._until or len(self._buffer) > LONGEST:
+            elif now > self._until or len(self._buffer) > MAX_LENGTH:
                 self._fail()
             else:
                 return b""
@@ -271,7 +271,7 @@ class Drive:
                 if demand != self.demand:
                     return True
                 too_long = goal.goal == Goal.RELEASE and self._now > end
-                if too_long or abs(reading.velocity) <= STILL:
+                if too_long or abs(reading.velocity) <= MOTION_THRESHOLD:
                     break
         return (yield from self._say(_program(goal, reading.mode)))
 

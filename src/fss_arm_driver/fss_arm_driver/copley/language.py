@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 FIRST_BAUD = 9600  # after power-up, a reset or a break
-LONGEST = 64  # of a line; a longer one is noise
+MAX_LENGTH = 64  # of a line; a longer one is noise
 
 
 class Variable(IntEnum):
@@ -142,4 +142,4 @@ def parse(line: bytes) -> Reply:
             return Value(number)
         if kind == b"e" and 0 <= number < 1000:
             return Error(number)
-    raise LineError(f"the drive said {line[:LONGEST]!r}")
+    raise LineError(f"the drive said {line[:MAX_LENGTH]!r}")

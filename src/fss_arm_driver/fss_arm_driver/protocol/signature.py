@@ -18,7 +18,7 @@ _LINE = re.compile(r"(\d{1,3})\s+((?:[0-9a-fA-F]{2}){16,32})")
 
 
 class KeyFileError(ValueError):
-    """A file does not hold keys, or not for its owner alone; the message tells no key."""
+    """A file does not hold keys, or not for its owner alone; the message shows no key."""
 
 
 def sign(data: bytes, key: bytes | None) -> bytes:
@@ -27,7 +27,7 @@ def sign(data: bytes, key: bytes | None) -> bytes:
 
 
 def is_signed(data: bytes, signature: bytes, key: bytes | None) -> bool:
-    """Whether `signature` is that of `data` (in a time that tells nothing about the key)."""
+    """Whether `signature` is that of `data` (in a time that gives nothing of the key away)."""
     return compare_digest(signature, sign(data, key))
 
 

@@ -13,7 +13,7 @@ from fss_arm_driver.session.clock import MICROSECOND, SECOND
 ECHO_MEMORY = 60 * SECOND  # for so long an echo is known as that of a command of ours
 MASK = 0xFFFFFFFF  # an echo is the low 32 bits of a stamp
 MAX_STAMP_LEAD = 86_400_000_000  # that stamps may run ahead of the time of day at most [us]
-CROWD_COMMANDS = 5  # to send before the share of refused datagrams is judged
+CROWD_COMMANDS = 5  # to send before the share of refused datagrams is checked
 
 
 class Refusals(NamedTuple):

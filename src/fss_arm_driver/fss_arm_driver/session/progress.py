@@ -13,7 +13,7 @@ POSITION_TOLERANCE = 0.005  # a joint nearer to its goal has reached it [rad]
 
 
 class Status(IntEnum):
-    """The stages of a command, by their numbers in CommandStatus."""
+    """How far a command has come, by its numbers in CommandStatus."""
 
     REFUSED = 0
     ACCEPTED = 1

@@ -208,7 +208,7 @@ class LinkSession:
         return f"{link} has faults: {', '.join(self.faults)}" if self.faults else ""
 
     def arm(self, now: int) -> None:
-        """Ask the link to arm, also after a stop; `arming` tells how far that has come.
+        """Ask the link to arm, also after a stop; `arming` says how far that has come.
 
         Raises:
             CommandError: there is an obstacle.

@@ -14,7 +14,7 @@ from fss_arm_model.kernels import Floats, helper, kernel
 from fss_arm_model.kinematics import _dot, checked
 from fss_arm_workspace.manipulability.measure import FIXED, _held, _square
 from fss_arm_workspace.manipulability.self_motion import (
-    _LONGEST,
+    _MAX_STEP,
     _close,
     _fit,
     _self_motions,
@@ -178,7 +178,7 @@ def _climbed(p, limits, kind, point, start, steps, q_m, w):  # type: ignore[no-u
                 free[outward] = 0.0
         if steepest <= _FLAT:
             break
-        share = min(1.0, _LONGEST / longest)
+        share = min(1.0, _MAX_STEP / longest)
         done = True  # unless a step gains more than the next one would
         for attempt in range(12):
             if attempt == 1:  # no farther than to the first limit

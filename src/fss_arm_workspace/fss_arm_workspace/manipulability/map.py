@@ -42,7 +42,7 @@ def manipulability_map(
         limits: lowest and highest joint readings, (n, 2) [rad]; the arm's by default.
         cell: size of a cell [m].
         workers: threads to use.
-        progress: told the share that is done, now and then; what it raises ends the work.
+        progress: called with the share that is done, now and then; what it raises ends the work.
 
     Raises:
         ValueError: limits have the wrong shape or order, the arm has a single link, or no cell's

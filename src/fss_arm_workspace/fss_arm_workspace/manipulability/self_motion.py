@@ -12,7 +12,7 @@ from fss_arm_model.kinematics import _chain, _dot
 from fss_arm_workspace.manipulability.measure import _held
 
 _CLOSED = 1e-12  # distance from the target that counts as none [m]
-_LONGEST = 0.3  # step of a joint [rad]
+_MAX_STEP = 0.3  # step of a joint [rad]
 
 
 @helper
@@ -53,7 +53,7 @@ def _close(p, limits, target, q, d, e, J, free, may):  # type: ignore[no-untyped
                 room = limits[k, 1] - q[3 + k] if move > 0.0 else q[3 + k] - limits[k, 0]
                 if move != 0.0 and room <= 0.0:
                     free[k], stopped = 0.0, True
-        y *= min(1.0, _LONGEST / longest)
+        y *= min(1.0, _MAX_STEP / longest)
         for k in range(free.size):
             move = free[k] * _dot(complex(J[0, k], J[1, k]), y)
             q[3 + k] = min(max(q[3 + k] + move, limits[k, 0]), limits[k, 1])

@@ -195,7 +195,7 @@ def enclose(candidates: Arcs, inside: Inside) -> Region:
 
     Args:
         candidates: arcs that cover the boundary; they may cross, touch and coincide.
-        inside: tells of complex points (m,) which belong to the region.
+        inside: says of complex points (m,) which belong to the region.
 
     Raises:
         ValueError: what is found does not close.

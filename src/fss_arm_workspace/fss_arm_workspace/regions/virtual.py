@@ -117,7 +117,7 @@ def base_mass_for(arm: Arm, radius: float) -> float:
     """The base's mass [kg] with which R of Eq. 13 becomes `radius` [m].
 
     Raises:
-        ValueError: no mass does; the message tells between which radii R can be.
+        ValueError: no mass does; the message says between which radii R can be.
     """
 
     def excess(log_mass: float) -> float:

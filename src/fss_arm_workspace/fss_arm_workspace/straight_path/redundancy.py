@@ -33,7 +33,7 @@ _MET = 1e-11  # distance from a limit that counts as none [rad]
 
 @helper
 def _solve(C: Floats, rows: int, y: Floats) -> bool:
-    """Solve C y' = y in place, C (rows, rows) symmetric and spoiled; False if it is singular."""
+    """Solve C y' = y in place, symmetric C (rows, rows) overwritten; False if it is singular."""
     for i in range(rows):
         scale = C[i, i]
         for k in range(i):

@@ -1,4 +1,4 @@
-"""What the filter is told about the base and its sensors."""
+"""What the filter knows of the base and its sensors."""
 
 from dataclasses import dataclass
 

@@ -24,8 +24,8 @@ from fss_arm_model.description import Link
 from fss_sim.link.instruments import Instruments, make
 from fss_sim.plant.plant import Demand, Motion
 
-STILL = 1e-3  # a joint slower than this is at rest [rad/s]
-PATIENCE = 3_000_000  # with a joint that does not come to rest and shall be released [us]
+MOTION_THRESHOLD = 1e-3  # a joint slower than this is at rest [rad/s]
+RELEASE_TIMEOUT = 3_000_000  # with a joint that does not come to rest and shall be released [us]
 
 # The servo drive's status word.
 DISABLED, AT_HIGHEST, AT_LOWEST, IN_MOTION = 1 << 12, 1 << 16, 1 << 17, 1 << 27
@@ -89,14 +89,14 @@ class LinkElectronics(LinkState):
         elif goal is not Goal.RELEASE:
             self._demand = self._held()
         elif self._demand.mode != Mode.OFF:
-            over = abs(motion.qd) < STILL or clock - self._kept > PATIENCE
+            over = abs(motion.qd) < MOTION_THRESHOLD or clock - self._kept > RELEASE_TIMEOUT
             self._demand = Demand(Mode.OFF) if over else self._held()
         return self._demand
 
     def telemetry(self, clock: int, motion: Motion) -> bytes | None:
         """The frame that is due now, measured now; None between frames."""
         encoder, torque = self.instruments.encoder, self.instruments.torque
-        torque.look(clock, motion.torque)
+        torque.sample(clock, motion.torque)
         if clock // self._period == self._periods:
             return None
         self._periods = clock // self._period
@@ -148,7 +148,7 @@ class LinkElectronics(LinkState):
             DISABLED * (self._demand.mode == Mode.OFF)
             | AT_HIGHEST * (motion.q >= self.link.q_max)
             | AT_LOWEST * (motion.q <= self.link.q_min)
-            | IN_MOTION * (abs(motion.qd) >= STILL)
+            | IN_MOTION * (abs(motion.qd) >= MOTION_THRESHOLD)
         )
 
     def _slow_value(self, slow: Slow) -> int:

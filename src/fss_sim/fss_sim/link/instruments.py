@@ -66,7 +66,7 @@ class TorqueConverter:
         self._sampled = -1  # [periods]
         self.counts = 0
 
-    def look(self, clock: int, torque: float) -> None:
+    def sample(self, clock: int, torque: float) -> None:
         """Sample the torque [N m] if it is time to, by the link's clock [us]."""
         if (period := clock // self._period) == self._sampled:
             return

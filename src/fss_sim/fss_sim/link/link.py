@@ -16,7 +16,7 @@ OFF = Demand(0)
 
 
 class Link:
-    """One link, told of every frame; times are the simulation's [ns].
+    """One link, stepped with every frame; times are the simulation's [ns].
 
     Args:
         number: 1 beside the base.

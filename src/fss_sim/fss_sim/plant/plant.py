@@ -25,7 +25,7 @@ Pose = tuple[float, float, float]  # x [m], y [m], heading [rad]
 
 
 class Demand(NamedTuple):
-    """What a servo drive is told to do, seen from the joint."""
+    """What a servo drive is commanded, seen from the joint."""
 
     mode: int  # 0 off, 1 current, 11 velocity, 21 position
     set_point: float = 0.0  # [A], [rad/s] or [rad], by mode
@@ -119,7 +119,7 @@ class Plant:
     ) -> None:
         self.arm, self.world = arm, world or World()
         self.thrusters = Thrusters(self.world.propulsion, propellant)
-        self.closed = holds  # the gripper, as it was told
+        self.closed = holds  # the gripper, as commanded
         self._place: Floats | None = None  # of the target in the frame of the link that holds it
         self._p, self._step = arm.vector(), 0
         self._p[MASS] -= propellant
@@ -157,7 +157,7 @@ class Plant:
         return self._state[1]
 
     def command(self, joint: int, demand: Demand) -> None:
-        """Tell the drive of a joint, counted from 0, what to do from now on."""
+        """Command the drive of a joint, counted from 0, from now on."""
         mode, set_point, speed, acceleration = demand
         scale = self._torque_constant[joint] if mode == CURRENT else 1.0
         self._demand[joint] = mode, scale * set_point, speed, acceleration

@@ -88,7 +88,7 @@ class Thrusters:
         """Open each valve for a time from now on [s]; 0 closes it.
 
         A pulse that is shorter than the minimum does not open a valve, and one that is open stays
-        so for the minimum. Told to open again before it has closed, it stays open.
+        so for the minimum. Commanded to open again before it has closed, it stays open.
 
         Raises:
             ValueError: there are not eight times, or one is not a number from 0 on.

@@ -46,7 +46,7 @@ class Calibrator(Operator):
 
     def __init__(self, domain: Domain) -> None:
         super().__init__(domain, parameter_overrides=[Parameter("use_sim_time", value=True)])
-        self.time, self.looked = self.get_clock().now(), time.monotonic()
+        self.time, self.checked = self.get_clock().now(), time.monotonic()
         self.done = 0  # postures
         self.result: KinematicCalibration | None = None
         self.observations = KinematicObservations()
@@ -89,10 +89,10 @@ class Calibrator(Operator):
         """
         now = self.get_clock().now()
         if now != self.time:
-            self.time, self.looked = now, time.monotonic()
-        elif time.monotonic() - self.looked > 1.0 and all(map(self.listened, LISTENED)):
+            self.time, self.checked = now, time.monotonic()
+        elif time.monotonic() - self.checked > 1.0 and all(map(self.listened, LISTENED)):
             self.service(self.pause, SetBool.Request(data=False), 2.0)
-            self.looked = time.monotonic()
+            self.checked = time.monotonic()
 
     def listened(self, topic: str) -> bool:
         """Whether recorder and calibration both hear the topic."""
@@ -113,7 +113,7 @@ def start_all(nodes: Nodes, options: argparse.Namespace, out: Path) -> None:
     truth, guess = CONFIG / "truth.yaml", CONFIG / "cad.yaml"
     clock = {"use_sim_time": True}
     # Processes take their real time: at higher speed, that is more of the clock's.
-    patience = max(1.0, options.speed)
+    timeout = max(1.0, options.speed)
     nodes.start(
         "testbed", "fss_sim", "testbed", arm=truth, seed=options.seed, preset=options.preset,
         ports=nodes.domain.ports(LINKS), keep_clock=True, speed=options.speed, paused=True,
@@ -122,10 +122,10 @@ def start_all(nodes: Nodes, options: argparse.Namespace, out: Path) -> None:
     nodes.start("record", "fss_arm_bags", "record", output=out / "bag", **clock)
     for i, url in enumerate(nodes.domain.urls(LINKS), 1):
         nodes.start(
-            f"link_{i}", "fss_arm_driver", "link", link=i, url=url, timeout=patience,
-            watchdog=2.0 * patience, **clock,
+            f"link_{i}", "fss_arm_driver", "link", link=i, url=url, timeout=timeout,
+            watchdog=2.0 * timeout, **clock,
         )  # fmt: skip
-    nodes.start("arm", "fss_arm_driver", "arm", time_to_live=patience, **clock)
+    nodes.start("arm", "fss_arm_driver", "arm", time_to_live=timeout, **clock)
     nodes.start(
         "kinematic", "fss_arm_calib", "kinematic", arm=guess, output=out / "arm.yaml",
         state_file=out / "observations.json", **clock,
@@ -232,10 +232,10 @@ def main() -> int:
             soft_wrap=True,
         )
         result = run(options, out, console, domain)
-    told = KINEMATIC.report_of(result, description.load(CONFIG / "truth.yaml"))
-    console.print(report.printed(told))
+    found = KINEMATIC.report_of(result, description.load(CONFIG / "truth.yaml"))
+    console.print(report.printed(found))
     console.print(from_bag(out / "bag", result))
-    report.write(out / "report", told)
+    report.write(out / "report", found)
     for name, what in (
         ("bag", "recording"),
         ("arm.yaml", "calibrated description"),

@@ -19,7 +19,7 @@ CONFIG = next(
 DOMAINS = range(65, 0, -1)  # for rehearsals; the tests have 66 to 101
 FIRST_PORT, PORTS = 7400, 250  # of domain 0, and of each domain (DDSI-RTPS 9.6.1)
 UNUSED = 200  # DDS has the ports before this one, for 95 processes
-#: What would lead a process to other computers, or to nodes that it is not told of.
+#: What would lead a process to other computers, or to nodes that it shall not know of.
 LEADS = (
     "ROS_LOCALHOST_ONLY", "ROS_STATIC_PEERS", "ROS_DISCOVERY_SERVER", "ROS_SUPER_CLIENT",
     "ROS_SECURITY_ENABLE", "FASTDDS_DEFAULT_PROFILES_FILE", "FASTDDS_ENVIRONMENT_FILE",

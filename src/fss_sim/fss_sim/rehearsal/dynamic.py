@@ -54,7 +54,7 @@ class Cameras:
     hold: float  # an error stays so long [s]
 
 
-#: The paper's 1.54 degrees are of a turn, the difference of two looks, its 17.7 mm of a pose.
+#: The paper's 1.54 degrees are of a turn, the difference of two headings, its 17.7 mm of a pose.
 NOISE = {
     "laboratory": Cameras(0.001, radians(0.5), 0.1),
     "paper": Cameras(0.0177, radians(1.54) / 2**0.5, 2.0),
@@ -171,7 +171,7 @@ def known(out: Path, cameras: Cameras) -> dict[str, Any]:
 
 
 def solve_first(out: Path, settings: DynamicSettings, count: int) -> Outcome[Maneuver, Solution]:
-    """What the first so many maneuvers tell: gaps may have made some be repeated, and more of them.
+    """What the first `count` maneuvers give: gaps may have made some be repeated, and more of them.
 
     Raises:
         BagError: a bag cannot be read.
@@ -240,9 +240,9 @@ def main() -> int:
         )
         run(options, out, cameras, console, domain)
     result = solve_first(out, settings, options.count)
-    told = DYNAMIC.report_of(result, truth)
-    console.print(report.printed(told))
-    page = report.write(out / "report", told)
+    found = DYNAMIC.report_of(result, truth)
+    console.print(report.printed(found))
+    page = report.write(out / "report", found)
     console.print(summary(result, truth, plan, promised))
     console.print(f"report {page}\nrecording {out / 'bags'}", soft_wrap=True)
     return EXIT_CODES[result.verdict]

@@ -42,7 +42,7 @@ BEGIN = {
     "target_pose": [1.05, 0.75, -0.3],
     "target_twist": [-0.012, 0.008, 0.15],
 }
-LONGEST = 300.0  # [s] of the mission
+MAX_DURATION = 300.0  # [s] of the mission
 STRIDE = 5  # frames at once; a driver whose clock is farther behind refuses telemetry as untimely
 AGREE = 1e-9  # momentum before and after the capture [N s, N m s]
 
@@ -113,13 +113,13 @@ class Pilot(Operator):
         self.wait(lambda: self.now >= stamp, "VICON is not heard")
         return stamp
 
-    def wait(self, until: Callable[[], bool], complaint: str, patience: float = 60.0) -> None:
+    def wait(self, until: Callable[[], bool], complaint: str, timeout: float = 60.0) -> None:
         """Spin until something holds.
 
         Raises:
-            RehearsalError: it does not within so many seconds.
+            RehearsalError: it does not within `timeout` [s].
         """
-        deadline = time.monotonic() + patience
+        deadline = time.monotonic() + timeout
         while not until():
             if time.monotonic() > deadline:
                 raise RehearsalError(complaint)
@@ -147,7 +147,7 @@ class Pilot(Operator):
             RehearsalError: what is needed is not heard, or somebody else drives links here.
         """
         phase = ""
-        while self.now < LONGEST * SECOND:
+        while self.now < MAX_DURATION * SECOND:
             self.pass_time(PERIOD)
             self.drives_alone()
             seen = np.array([self.joints[f"joint_{i}"] for i in self.armed])
@@ -189,7 +189,7 @@ def start_all(nodes: Nodes, arm: Path, out: Path, seed: int) -> None:
 
 
 class Flight(NamedTuple):
-    """What sim/truth tells of the mission, (k, ...)."""
+    """What sim/truth shows of the mission, (k, ...)."""
 
     time: np.ndarray  # [s]
     q: np.ndarray
@@ -225,7 +225,7 @@ def read(bag: Path) -> Flight:
     )  # fmt: skip
 
 
-def judge(flight: Flight, say: Callable[[str], None]) -> bool:
+def accept(flight: Flight, say: Callable[[str], None]) -> bool:
     """Say how it went; return whether all is as it should be."""
     if not flight.holds.any():
         say("the target was not captured")
@@ -321,7 +321,7 @@ def main() -> int:
         ended = pilot.fly(print)
         pilot.destroy_node()
     flight = read(out / "bag")
-    good = judge(flight, print) and ended
+    good = accept(flight, print) and ended
     plot(arm, flight, out / "mission.png")
     for name, what in (("bag", "recording"), ("mission.png", "drawing"), ("logs", "of the nodes")):
         print(f"{what:>16}  {out / name}")

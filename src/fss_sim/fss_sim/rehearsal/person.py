@@ -16,8 +16,8 @@ from fss_sim.rehearsal.domain import Domain, reserve
 from fss_sim.rehearsal.processes import RehearsalError
 
 LINKS = 4
-LOOK = 1.0  # for others; who is on this computer answers within a few tenths [s]
-PATIENCE = 2.0  # for an answer [s]
+DISCOVERY = 1.0  # of others; who is on this computer answers within a few tenths [s]
+ANSWER_TIMEOUT = 2.0  # [s]
 NUMBERS = range(1, 13)  # that a link may have
 DRIVERS = {"/arm/enable", *(f"/link_{i}/{what}" for i in NUMBERS for what in ("arm", "telemetry"))}
 
@@ -40,7 +40,7 @@ def own_domain() -> Iterator[Domain]:
 
 def is_alone(domain: Domain) -> bool:
     """Whether nobody answers."""
-    node, end = Node("operator"), time.monotonic() + LOOK
+    node, end = Node("operator"), time.monotonic() + DISCOVERY
     while not (others := list(strangers(node, domain))) and time.monotonic() < end:
         rclpy.spin_once(node, timeout_sec=0.05)
     node.destroy_node()
@@ -80,7 +80,7 @@ class Operator(Node):
         wanted = not all(self.armed.values()) and self.arm.service_is_ready()
         if self.drives_alone() and answered and wanted:
             self.answer = self.arm.call_async(SetBool.Request(data=True))
-            self.due = time.monotonic() + PATIENCE
+            self.due = time.monotonic() + ANSWER_TIMEOUT
 
     def drives_alone(self) -> bool:
         """Whether all who drive links here are known to be of this rehearsal.

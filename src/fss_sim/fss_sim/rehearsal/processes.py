@@ -23,7 +23,7 @@ LEADER = "trap '' TERM INT HUP; cat; kill -TERM 0; sleep 3; kill -KILL 0"
 
 
 class RehearsalError(RuntimeError):
-    """The rehearsal cannot go on; the message says why and where to look."""
+    """The rehearsal cannot go on; the message says why and where to find more."""
 
 
 class Nodes:
@@ -99,13 +99,13 @@ class Nodes:
         """Whether the node has finished its work."""
         return self.processes[name].poll() == 0
 
-    def stop(self, name: str, patience: float = 10.0) -> None:
+    def stop(self, name: str, timeout: float = 10.0) -> None:
         """Interrupt one node and wait until it is gone."""
         process = self.processes[name]
         if process.poll() is None:
             process.send_signal(signal.SIGINT)
         try:
-            process.wait(patience)
+            process.wait(timeout)
         except subprocess.TimeoutExpired:
             self.say(f"node {name} does not stop, killing it")
             process.kill()
@@ -143,10 +143,10 @@ def results(folder: Path | None, name: str) -> Path:
 
 def rehearse(name: str, body: Callable[[], int]) -> int:
     """Run a rehearsal; return its exit code, 1 after an error, 128 + the signal that ended it."""
-    told: list[int] = []
+    caught: list[int] = []
 
     def interrupt(number: int, _: FrameType | None) -> None:
-        told.append(number)
+        caught.append(number)
         raise KeyboardInterrupt
 
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
@@ -157,9 +157,9 @@ def rehearse(name: str, body: Callable[[], int]) -> int:
         print(f"{name}: {error}", file=sys.stderr)
         return 1
     except (KeyboardInterrupt, ExternalShutdownException, RCLError):
-        if not told:
+        if not caught:
             raise
         print(f"{name}: interrupted", file=sys.stderr)
-        return 128 + told[0]
+        return 128 + caught[0]
     finally:
         rclpy.try_shutdown()
