@@ -52,17 +52,17 @@ def test_without_hardware(tmp_path):
         assert old in config
         config = config.replace(old, new)
     (tmp_path / "lab.sh").write_text(config)
-    text = typed("simulation.md").replace("config/fss_sim.sh", str(tmp_path / "lab.sh"))
+    text = typed("start/simulation.md").replace("config/fss_sim.sh", str(tmp_path / "lab.sh"))
     text = text.replace("out/fss_sim", str(tmp_path / "out"))
     try:
-        again = typed("calibration.md").replace("bags/monday", str(tmp_path / "out/bags"))
+        again = typed("explanation/calibration.md").replace("bags/monday", str(tmp_path / "out/bags"))
         said = shell(text.replace("scripts/setup.sh\n", "") + again, 600)
     finally:
         subprocess.run([ROOT / "scripts/fss_down.sh", tmp_path / "lab.sh"], check=False)
     assert re.search(r"/calibration/kinematic +pass", said)
     assert load(tmp_path / "out/arm.yaml").n == 4
     assert list((tmp_path / "out/report").glob("*.html"))
-    known = re.sub(r"link_<i>", "link_1", (ROOT / "docs/topics.md").read_text())
+    known = re.sub(r"link_<i>", "link_1", (ROOT / "docs/reference/topics.md").read_text())
     with open_bags(tmp_path / "out/bags") as bags:
         heard = {re.sub(r"^/link_\d", "/link_1", topic) for topic in bags.topics}
     for topic in heard - {"/rosout", "/parameter_events"}:
@@ -72,7 +72,7 @@ def test_without_hardware(tmp_path):
 @pytest.mark.slow
 def test_from_a_bag(tmp_path):
     shutil.copytree(ROOT / "test/data/first", tmp_path / "first")
-    text = typed("bag.md").replace("test/data/first", str(tmp_path / "first"))
+    text = typed("start/bag.md").replace("test/data/first", str(tmp_path / "first"))
     text = text.replace("out/", f"{tmp_path}/").replace("DOMAIN_ID=42", f"DOMAIN_ID={DOMAIN}")
     text = re.sub(r"(fss_arm_calib kinematic.*)", r"\1 & trap 'kill %1' EXIT", text)
     said = shell(text, 120)

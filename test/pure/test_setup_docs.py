@@ -15,7 +15,7 @@ import pytest
 import yaml
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))]
 #: Commands of the system and of ROS that the documentation may use.
 SYSTEM = {
     *(".", "cd", "cmake", "colcon", "cp", "export", "make", "python", "ssh", "sudo", "systemctl"),
@@ -48,6 +48,19 @@ def test_links_within_the_repository_lead_somewhere(page):
     for target in re.findall(r"\]\(([^)#]+)[^)]*\)", page.read_text()):
         if not target.startswith("http"):
             assert (page.parent / target).exists(), target
+
+
+def test_the_example_of_the_method_prints_each_parameter_with_its_deviation(capsys):
+    page = (ROOT / "docs/explanation/method.md").read_text()
+    (code,) = re.findall(r"^```python\n(.*?)^```", page, re.M | re.S)
+    exec(compile(code, "method.md", "exec"), {})
+    *rows, last = capsys.readouterr().out.splitlines()
+    table = {name: (float(value), float(sigma)) for name, value, _, sigma in map(str.split, rows)}
+    assert len(table) == 8  # one length for all links but the last, four in all: n + 4
+    for name, truth in {"a": 0.3825, "a_4": 0.3351, "x_BJ1": 0.2058}.items():
+        value, sigma = table[name]
+        assert abs(value - truth) < 4 * sigma, name
+    assert last.startswith("residuals 0.00")
 
 
 @pytest.mark.parametrize("words", list(commands()))
