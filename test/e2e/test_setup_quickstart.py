@@ -55,7 +55,8 @@ def test_without_hardware(tmp_path):
     text = typed("start/simulation.md").replace("config/fss_sim.sh", str(tmp_path / "lab.sh"))
     text = text.replace("out/fss_sim", str(tmp_path / "out"))
     try:
-        again = typed("explanation/calibration.md").replace("bags/monday", str(tmp_path / "out/bags"))
+        again = typed("explanation/calibration.md")
+        again = again.replace("bags/monday", str(tmp_path / "out/bags"))
         said = shell(text.replace("scripts/setup.sh\n", "") + again, 600)
     finally:
         subprocess.run([ROOT / "scripts/fss_down.sh", tmp_path / "lab.sh"], check=False)
