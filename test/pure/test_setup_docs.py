@@ -43,11 +43,19 @@ def test_the_tables_are_those_of_the_code():
     assert run.returncode == 0, run.stdout + run.stderr
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def anchor(heading):
+    """What a link to it is made of, as GitHub does."""
+    return re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_links_within_the_repository_lead_somewhere(page):
-    for target in re.findall(r"\]\(([^)#]+)[^)]*\)", page.read_text()):
+    for target, _, part in re.findall(r"\]\(([^)#]*)(#([^)]+))?\)", page.read_text()):
         if not target.startswith("http"):
-            assert (page.parent / target).exists(), target
+            place = page.parent / target if target else page
+            assert place.exists(), target
+            headings = re.findall(r"^#+ (.*)", place.read_text(), re.M) if part else []
+            assert not part or part in map(anchor, headings), f"{target}#{part}"
 
 
 def test_the_example_of_the_method_prints_each_parameter_with_its_deviation(capsys):
