@@ -5,7 +5,7 @@
 # shellcheck shell=sh
 
 export ROS_DOMAIN_ID=0
-# export ROS_STATIC_PEERS="192.168.1.10;192.168.1.20"    # the ground's computer too: docs/network.md
+# export ROS_STATIC_PEERS="192.168.1.10;192.168.1.20"    # the ground's computer too: docs/how-to/network.md
 arm=config/arm.yaml    # your own; not out/arm.yaml, which the calibration writes anew
 
 node record fss_arm_bags record --ros-args -p output:=bags
@@ -18,7 +18,7 @@ node arm fss_arm_driver arm --ros-args -p arm:=$arm
 node kinematic fss_arm_calib kinematic --ros-args -p arm:=$arm \
   -p output:=out/arm.yaml -p state_file:=out/observations.json
 # When that has passed, the dynamic calibration can begin from its result, told its deviations
-# (docs/dynamic.md):
+# (docs/explanation/dynamic.md):
 # node dynamic fss_arm_calib dynamic --ros-args -p arm:=$arm -p output:=out/arm_dynamic.yaml \
 #   -p length_deviation:=0.0055 -p offset_deviation:=0.022 \
 #   -p mount_deviation:=0.005 -p mount_angle_deviation:=0.014

@@ -1,4 +1,4 @@
-"""Make docs/interfaces.md from the message files, and docs/parameters.md from the settings."""
+"""Make docs/reference/: interfaces.md from the messages, parameters.md from the settings."""
 
 import argparse
 import sys
@@ -14,6 +14,7 @@ from fss_arm_ros import alone
 
 ROOT = Path(__file__).resolve().parents[1]
 MESSAGES = ROOT / "src/fss_arm_msgs"
+REFERENCE = ROOT / "docs/reference"
 NOTE = "Made by `scripts/make_docs.py`; do not edit it by hand."
 
 
@@ -139,14 +140,14 @@ def main() -> int:
     check = parser.parse_args().check
     old = []
     for name, make in (("interfaces.md", interfaces), ("parameters.md", parameters)):
-        path, text = ROOT / "docs" / name, make()
+        path, text = REFERENCE / name, make()
         if path.exists() and path.read_text(encoding="utf-8") == text:
             continue
         old.append(name)
         if not check:
             path.write_text(text, encoding="utf-8")
     if check and old:
-        print(f"docs/{', docs/'.join(old)}: not up to date; run scripts/make_docs.py")
+        print(f"docs/reference: {' and '.join(old)} not up to date; run scripts/make_docs.py")
     return 1 if check and old else 0
 
 

@@ -177,7 +177,7 @@ def test_the_truth_comes_back_live_and_from_the_bag_whatever_node_dies(demo, sta
 
 
 def test_the_demo_keeps_away_from_links_in_the_exported_domain(ros, spin, demo, domain):
-    """As when the real arm's drivers run, and its domain is exported as docs/hardware.md tells."""
+    """As when the real arm's drivers run, and its domain is exported: docs/start/hardware.md."""
     real, asked = Node("arm"), []
     real.create_service(
         SetBool, "arm/enable", lambda request, answer: asked.append(request) or answer

@@ -1,4 +1,4 @@
-"""A servo drive as far as docs/hardware.md knows it, for the tests of the driver's side."""
+"""A servo drive as far as docs/start/hardware.md knows it, for the tests of the driver's side."""
 
 import os
 import select

@@ -3,7 +3,7 @@
     python test/support/firmware_vectors.py > test/vectors/firmware.txt
 
 A line is a request to the firmware's `core_pipe` and, after ` = `, its answer: what
-docs/protocol.md says, by the Python codec.
+docs/reference/protocol.md says, by the Python codec.
 """
 
 import random

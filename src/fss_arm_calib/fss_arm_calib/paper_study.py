@@ -1,7 +1,7 @@
 """`python -m fss_arm_calib.paper_study`: the paper's Tables 2-4 again, on simulated data.
 
-Prints Markdown, or puts it between its markers in a file (docs/paper.md): what this software makes
-of data with the paper's noise, and how far such numbers can be believed.
+Prints Markdown, or puts it between its markers in docs/explanation/paper.md: what this software
+makes of data with the paper's noise, and how far such numbers can be believed.
 """
 
 import argparse
@@ -164,7 +164,7 @@ def study() -> str:
 def main(args: Sequence[str] | None = None) -> int:
     """Print the study, or put it into a file."""
     parser = argparse.ArgumentParser("paper_study", description=__doc__)
-    parser.add_argument("--output", type=Path, metavar="FILE", help="as docs/paper.md")
+    parser.add_argument("--output", type=Path, metavar="FILE", help="as docs/explanation/paper.md")
     output = parser.parse_args(args).output
     text = study()
     if output is None:

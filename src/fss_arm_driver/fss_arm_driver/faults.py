@@ -1,6 +1,6 @@
 """The servo drive's fault table: what each bit of its two words means, and whether it stops motion.
 
-`python -m fss_arm_driver.faults` writes docs/faults.md from it.
+`python -m fss_arm_driver.faults` writes docs/reference/faults.md from it.
 """
 
 from dataclasses import dataclass
@@ -100,14 +100,15 @@ def blocking(status: int, faults: int) -> list[str]:
 
 
 def as_markdown() -> str:
-    """docs/faults.md."""
+    """docs/reference/faults.md."""
     lines = [
         "# Faults of the servo drive",
         "",
         "Written by `python -m fss_arm_driver.faults` from the table in that module. The bits are",
-        "those of Copley drives; `docs/hardware.md` says how sure it is that ours is one. Motion",
-        "is refused while a bit that blocks is set, and a link that moves is disarmed. Latched",
-        "faults are cleared by the service `link_<i>/clear_faults`, once their cause is gone.",
+        "those of Copley drives; that ours is one is inferred",
+        "([`hardware.md`](../start/hardware.md)). While a bit that blocks motion is set, motion is",
+        "refused and a moving link is disarmed. The service `link_<i>/clear_faults` clears latched",
+        "faults once their cause is gone.",
         "",
         "| word | bit | meaning | blocks motion | what to do |",
         "|---|---:|---|---|---|",

@@ -88,7 +88,7 @@ class LinkNode(Node):
         if settings.is_exposed():
             self.get_logger().warning(
                 f"{settings.url}: frames are not signed, so anybody on this network can move the "
-                "link; see docs/security.md"
+                "link; see docs/how-to/security.md"
             )
 
         self.joint_states = self.create_publisher(JointState, "joint_states", SENSOR)

@@ -145,7 +145,7 @@ class TestbedSettings(PlantSettings):
     battery: float = setting(
         1.0, "charge of the links' batteries at the begin, as a share", check=above(0.0, 1.0)
     )
-    faults: str = setting("", "file of a fault script (docs/simulator.md); empty: none")
+    faults: str = setting("", "file of a fault script (docs/explanation/simulator.md); empty: none")
     base: tuple[float, ...] = setting(
         (0.0, 0.0, 0.0), "pose of the base at the begin", unit="m, m, rad", check=FINITE, size=3
     )

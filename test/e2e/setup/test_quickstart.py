@@ -52,17 +52,18 @@ def test_without_hardware(tmp_path):
         assert old in config
         config = config.replace(old, new)
     (tmp_path / "lab.sh").write_text(config)
-    text = typed("simulation.md").replace("config/fss_sim.sh", str(tmp_path / "lab.sh"))
+    text = typed("start/simulation.md").replace("config/fss_sim.sh", str(tmp_path / "lab.sh"))
     text = text.replace("out/fss_sim", str(tmp_path / "out"))
     try:
-        again = typed("calibration.md").replace("bags/monday", str(tmp_path / "out/bags"))
+        again = typed("explanation/calibration.md")
+        again = again.replace("bags/monday", str(tmp_path / "out/bags"))
         said = shell(text.replace("scripts/setup.sh\n", "") + again, 600)
     finally:
         subprocess.run([ROOT / "scripts/fss_down.sh", tmp_path / "lab.sh"], check=False)
     assert re.search(r"/calibration/kinematic +pass", said)
     assert load(tmp_path / "out/arm.yaml").n == 4
     assert list((tmp_path / "out/report").glob("*.html"))
-    known = re.sub(r"link_<i>", "link_1", (ROOT / "docs/topics.md").read_text())
+    known = re.sub(r"link_<i>", "link_1", (ROOT / "docs/reference/topics.md").read_text())
     with open_bags(tmp_path / "out/bags") as bags:
         heard = {re.sub(r"^/link_\d", "/link_1", topic) for topic in bags.topics}
     for topic in heard - {"/rosout", "/parameter_events"}:
@@ -72,7 +73,7 @@ def test_without_hardware(tmp_path):
 @pytest.mark.slow
 def test_from_a_bag(tmp_path):
     shutil.copytree(ROOT / "test/data/first", tmp_path / "first")
-    text = typed("bag.md").replace("test/data/first", str(tmp_path / "first"))
+    text = typed("start/bag.md").replace("test/data/first", str(tmp_path / "first"))
     text = text.replace("out/", f"{tmp_path}/").replace("DOMAIN_ID=42", f"DOMAIN_ID={DOMAIN}")
     text = re.sub(r"(fss_arm_calib kinematic.*)", r"\1 & trap 'kill %1' EXIT", text)
     said = shell(text, 120)
@@ -94,7 +95,7 @@ def test_tilt_and_hose(tmp_path):
     state = [0.1, -0.2, 0.4, 0.02, -0.01, 0.01, 2e-4, -1e-4]
     flight = Float(postures(2), state=state, rest=40.0, noise=(0.001, 0.009))
     record(tmp_path / "monday", flight.samples(rate=20))
-    text = typed("drift.md").replace("bags/monday", str(tmp_path / "monday"))
+    text = typed("explanation/drift.md").replace("bags/monday", str(tmp_path / "monday"))
     text = text.replace("drift.yaml", str(tmp_path / "drift.yaml"))
     text = text.replace("=arm.yaml", "=config/arm.yaml")
     said = shell(watched(text.replace(" arm.yaml", " config/arm.yaml")), 120)
@@ -105,7 +106,7 @@ def test_tilt_and_hose(tmp_path):
 
 @pytest.mark.slow
 def test_watching_the_base_react():
-    shell(watched(re.sub(r"^ssh.*", "", typed("view.md"), flags=re.M)), 60)
+    shell(watched(re.sub(r"^ssh.*", "", typed("how-to/view.md"), flags=re.M)), 60)
 
 
 @pytest.mark.slow
@@ -113,7 +114,7 @@ def test_by_hand(tmp_path):
     """The README from the real links to the bag; the arm's commands find nobody who obeys."""
     calib_rig.record(tmp_path / "monday", calib_rig.Rig(DEFAULT[:8], rate=50.0).samples())
     readme = typed("../README.md")
-    text = readme[readme.index("ros2 run fss_arm_driver link") : readme.index(". /opt/ros")]
+    text = readme[readme.index("ros2 run fss_arm_driver link") :]
     for old, new in (
         ("output:=bags/monday", f"output:={tmp_path / 'new'}"),
         ("bags/monday", str(tmp_path / "monday")),
@@ -133,7 +134,8 @@ def test_by_hand(tmp_path):
 def test_dynamics(tmp_path):
     calib_rig.record(tmp_path / "sunday", calib_rig.Rig(DEFAULT[:8], rate=50.0).samples())
     record(tmp_path / "monday", Float(postures(8)).samples(rate=20))
-    text = typed("dynamic.md").replace("scripts/rehearse_dynamic.sh", ":")  # has a test of its own
+    text = typed("explanation/dynamic.md")
+    text = text.replace("scripts/rehearse_dynamic.sh", ":")  # has a test of its own
     for old, new in (
         ("--report report", f"--report {tmp_path / 'report'} || [ $? = 2 ]"),
         ("bags/sunday", str(tmp_path / "sunday")),

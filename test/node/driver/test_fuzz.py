@@ -2,8 +2,9 @@
 
 Half of the damaged frames have their CRC put right, so they are frames that somebody forged at the
 link's own address. Without a signature a forged frame that a link could have sent cannot be told
-from a true one; what is published must then still be what docs/protocol.md lets follow from the
-frames before. The judge below knows the truth and the published bounds, not the implementation.
+from a true one; what is published must then still be what docs/reference/protocol.md lets
+follow from the frames before. The judge below knows the truth and the published bounds, not the
+implementation.
 """
 
 import random

@@ -453,7 +453,7 @@ def test_unsigned_frames_over_a_network_are_warned_of(start):
     program = start("fss_arm_driver.link_node", *arguments)
     wait_until(lambda: "frames are not signed, so anybody" in program.output, 20.0, lambda: None)
     program.stop()
-    assert "docs/security.md" in program.output
+    assert "docs/how-to/security.md" in program.output
 
 
 def test_signed_frames_are_believed_and_answered(spin, tmp_path):

@@ -22,7 +22,7 @@ HALF = round(0.5 * 240_000 / 6.283185307179586)  # [counts]
 
 
 def test_the_documentation_is_the_table():
-    text = Path(__file__, "../../../../docs/faults.md").resolve().read_text()
+    text = Path(__file__, "../../../../docs/reference/faults.md").resolve().read_text()
     assert text == as_markdown()
 
 

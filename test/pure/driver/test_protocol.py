@@ -199,7 +199,7 @@ def test_sequence_numbers_wrap():
 
 
 def test_the_examples_in_the_documentation_are_these_frames():
-    text = Path(__file__, "../../../../docs/protocol.md").resolve().read_text()
+    text = Path(__file__, "../../../../docs/reference/protocol.md").resolve().read_text()
     examples = re.findall(r"```\n([0-9a-f\s]+)```", text)
     frames = [encode(SAMPLE), encode(ORDER), encode(ORDER, KEY), pack(encode(ORDER, KEY))]
     assert [bytes.fromhex(example) for example in examples] == frames

@@ -15,7 +15,7 @@ import pytest
 import yaml
 
 ROOT = Path(__file__).resolve().parents[3]
-PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))]
 #: Commands of the system and of ROS that the documentation may use.
 SYSTEM = {
     *(".", "cd", "cmake", "colcon", "cp", "export", "make", "python", "ssh", "sudo", "systemctl"),
@@ -43,11 +43,40 @@ def test_the_tables_are_those_of_the_code():
     assert run.returncode == 0, run.stdout + run.stderr
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def anchor(heading):
+    """What a link to it is made of, as GitHub does."""
+    return re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_links_within_the_repository_lead_somewhere(page):
-    for target in re.findall(r"\]\(([^)#]+)[^)]*\)", page.read_text()):
+    for target, _, part in re.findall(r"\]\(([^)#]*)(#([^)]+))?\)", page.read_text()):
         if not target.startswith("http"):
-            assert (page.parent / target).exists(), target
+            place = page.parent / target if target else page
+            assert place.exists(), target
+            headings = re.findall(r"^#+ (.*)", place.read_text(), re.M) if part else []
+            assert not part or part in map(anchor, headings), f"{target}#{part}"
+
+
+def test_the_example_of_the_method_prints_each_parameter_with_its_deviation(capsys):
+    page = (ROOT / "docs/explanation/method.md").read_text()
+    (code,) = re.findall(r"^```python\n(.*?)^```", page, re.M | re.S)
+    exec(compile(code, "method.md", "exec"), {})
+    *rows, last = capsys.readouterr().out.splitlines()
+    table = {name: (float(value), float(sigma)) for name, value, _, sigma in map(str.split, rows)}
+    assert len(table) == 8  # one length for all links but the last, four in all: n + 4
+    for name, truth in {"a": 0.3825, "a_4": 0.3351, "x_BJ1": 0.2058}.items():
+        value, sigma = table[name]
+        assert abs(value - truth) < 4 * sigma, name
+    assert last.startswith("residuals 0.00")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_files_of_the_repository_that_are_named_are_there(page):
+    named = re.findall(
+        r"\b(?:test|bench|src|config)/[\w/.]+\.(?:py|yaml|sh|msg|txt)\b", page.read_text()
+    )
+    assert not [name for name in named if not (ROOT / name).exists()]
 
 
 @pytest.mark.parametrize("words", list(commands()))

@@ -128,7 +128,7 @@ def test_a_corrupted_datagram_has_one_bit_flipped():
 
 
 def test_the_documentation_names_each_fault_and_no_other():
-    page = (ROOT / "docs/simulator.md").read_text()
+    page = (ROOT / "docs/explanation/simulator.md").read_text()
     table = page[page.index("| part | fault |") :].split("\n\n")[0]
     told = [row.split("|")[2].strip(" `") for row in table.splitlines()[2:]]
     assert told == [

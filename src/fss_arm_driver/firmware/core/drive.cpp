@@ -21,7 +21,7 @@ constexpr uint8_t kRound[] = {kPosition,         kVelocity,     kCurrent, kStatu
 constexpr uint8_t kSlowTurn = 6;  // where these take turns
 constexpr uint8_t kSlowReadings[] = {kFaults, kSupply, kTemperature, kAbortDeceleration};
 
-// Status bits that block motion, by docs/faults.md: short, heat, supply, feedback and phasing, the
+// Status bits that block motion (docs/reference/faults.md): short, heat, supply, feedback, phasing, the
 // enable input, tracking, latched faults.
 constexpr uint32_t kBlocking = 0x7F | 1u << 11 | 1u << 18 | 1u << 22;
 

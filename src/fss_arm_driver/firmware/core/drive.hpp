@@ -1,4 +1,4 @@
-// The servo drive behind its ASCII protocol (Copley's, docs/hardware.md): one exchange at a time.
+// The servo drive behind its ASCII protocol (Copley's, docs/start/hardware.md): one exchange at a time.
 //
 // The drive is told what to do as a goal; the orders that lead there are found from what the drive
 // has acknowledged so far, so a lost reply or a drive that was off for a while needs no care.

@@ -1,4 +1,4 @@
-// The frames of docs/protocol.md, as far as a link needs them: it writes telemetry and reads
+// The frames of docs/reference/protocol.md, as far as a link needs them: it writes telemetry and reads
 // commands.
 #pragma once
 

@@ -1,4 +1,5 @@
-// Which commands a link takes: each once, in order and in time (docs/protocol.md, Taking a command).
+// Which commands a link takes: each once, in order and in time.
+// See docs/reference/protocol.md, Taking a command.
 #pragma once
 
 #include <stddef.h>

@@ -1,4 +1,5 @@
-// One link's electronics (docs/protocol.md, The link): commands in, telemetry out, the drive told.
+// One link's electronics: commands in, telemetry and the drive's orders out.
+// See docs/reference/protocol.md, The link.
 #pragma once
 
 #include <stdint.h>

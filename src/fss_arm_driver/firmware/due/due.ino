@@ -1,4 +1,4 @@
-// The firmware of a link on the Arduino Due. Building and wiring: docs/firmware.md.
+// The firmware of a link on the Arduino Due. Building and wiring: docs/how-to/firmware.md.
 
 #include <Arduino.h>
 

@@ -1,4 +1,4 @@
-// A servo drive with its motor at the other end of the serial line, as far as docs/hardware.md
+// A servo drive with its motor at the other end of the serial line, as far as docs/start/hardware.md
 // knows it: the ASCII protocol at its pace, the modes and the trapezoid of its profiles.
 #pragma once
 

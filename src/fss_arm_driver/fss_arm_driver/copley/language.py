@@ -1,7 +1,7 @@
 """The ASCII language of Copley's servo drives: lines to the drive, and what it answers.
 
 One line at a time, ended by CR, without a checksum; the host speaks first, after power-up at 9600
-baud, 8N1. What is known of it, and how surely, is in docs/hardware.md.
+baud, 8N1. What is known of it, and how surely, is in docs/start/hardware.md.
 """
 
 from dataclasses import dataclass

@@ -33,7 +33,7 @@ GOALS = {
 
 
 class DriveLink:
-    """Takes commands and makes telemetry as docs/protocol.md says, and lets the drive do it.
+    """Takes commands and makes telemetry by docs/reference/protocol.md, and lets the drive do it.
 
     Args:
         number: of the link.

@@ -1,4 +1,4 @@
-"""The links' wire protocol, version 1 (docs/protocol.md): bytes in, bytes out."""
+"""The links' wire protocol, version 1 (docs/reference/protocol.md): bytes in, bytes out."""
 
 from fss_arm_driver.protocol.frames import (
     ACCELERATION_UNIT,

@@ -1,7 +1,7 @@
 """Telemetry and command frames to bytes and back.
 
-The layout and what both sides do with it are in docs/protocol.md. Raw counts only: whoever holds
-the arm's description turns them into SI units.
+The layout and what both sides do with it are in docs/reference/protocol.md. Raw counts only:
+whoever holds the arm's description turns them into SI units.
 """
 
 import struct

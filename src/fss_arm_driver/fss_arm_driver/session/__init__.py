@@ -11,7 +11,7 @@
 | `dialogue.py` | stamps of commands and their echoes: delay, other drivers |
 | `battery.py` | how long the battery lasts |
 
-The rules and their reasons are in docs/protocol.md.
+The rules and their reasons are in docs/reference/protocol.md.
 """
 
 from fss_arm_driver.session.arming import RELEASE_TIMEOUT, Arming

@@ -1,7 +1,7 @@
 """What the link's echo says of the commands: how long the way is, and whose commands it takes.
 
-The rules and their reasons are in docs/protocol.md, The computer. All times are the caller's, in
-nanoseconds.
+The rules and their reasons are in docs/reference/protocol.md, The computer. All times are the
+caller's, in nanoseconds.
 """
 
 from collections import deque

@@ -1,4 +1,4 @@
-"""Which telemetry of a link is believed, and when the link counts as lost (docs/protocol.md)."""
+"""Which telemetry of a link is believed, and when it is lost (docs/reference/protocol.md)."""
 
 from collections import Counter, deque
 from enum import Enum

@@ -1,7 +1,7 @@
 """The driver's side of one link: datagrams in and out, no I/O and no clock.
 
-What is sent when a link is lost, adopted, armed, commanded or stopped is as docs/protocol.md says.
-All times are the caller's, in integer nanoseconds.
+What is sent when a link is lost, adopted, armed, commanded or stopped is as in
+docs/reference/protocol.md. All times are the caller's, in integer nanoseconds.
 """
 
 from collections import Counter

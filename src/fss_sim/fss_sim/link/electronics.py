@@ -1,4 +1,4 @@
-"""One link's electronics, emulated: docs/protocol.md seen from the link. Bytes in, bytes out.
+"""One link's electronics, emulated: the link's side of docs/reference/protocol.md, in bytes.
 
 What the firmware does, in its own units: the link's clock in microseconds since its start, the
 servo drive's counts, the torque converter's counts.

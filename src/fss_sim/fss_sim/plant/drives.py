@@ -26,7 +26,7 @@ from fss_arm_model.integration import STEP
 from fss_arm_model.kernels import helper
 from fss_sim.plant.surroundings import Forces, _act_called
 
-#: What a drive controls, by the numbers of docs/protocol.md.
+#: What a drive controls, by the numbers of docs/reference/protocol.md.
 OFF, CURRENT, VELOCITY, POSITION = 0.0, 1.0, 11.0, 21.0
 
 # For loads as the generalized inertia of four links, 0.01 to 2 kg m^2 by posture: all motion
