@@ -9,7 +9,7 @@ from calib_float import COUNT
 from fss_arm_calib.dynamic.parameters import to_vector, values
 from fss_arm_calib.dynamic.problem import solve
 from fss_arm_calib.dynamic.settings import DynamicSettings
-from fss_arm_calib.experiment.design import Conditions, design, marks, problem
+from fss_arm_calib.experiment.design import Conditions, design, problem, windowed
 from fss_arm_model.base_motion import base_poses, path, sampled, stack
 from fss_arm_model.description import paper_arm
 
@@ -40,7 +40,7 @@ def as_read(one, rng):
 
 def looks(one):
     """Times of the marks [s]."""
-    t = marks(one, SETTINGS, REST)[0].marks[:, -1]
+    t = windowed(one, SETTINGS, REST)[0].marks[:, -1]
     return t - 0.5 * (t[0] + t[-1] - one.length - SETTINGS.settle_time)
 
 

@@ -68,7 +68,7 @@ def streams(bags: Bags) -> dict[str, Stream]:
     stamps: dict[str, list[int]] = {topic: [] for topic in bags.topics}
     for topic, msgtype, receipt, data in bags.raw():
         receipts[topic].append(receipt)
-        if bags.unchecked:
+        if bags.unchecked and not bags.topics[topic].mixed:
             bags.deserialize(data, msgtype)  # which tells at least what is none of its type
         if msgtype in MEASUREMENTS:
             try:
