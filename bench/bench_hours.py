@@ -27,7 +27,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from fss_arm_bags.doctor.health import findings, streams
 from fss_arm_bags.reader import find, open_bags
-from fss_arm_bags.recovery import is_sound
+from fss_arm_bags.inspection import is_sound
 from fss_arm_msgs.action import MoveArm
 
 MODULES |= {
