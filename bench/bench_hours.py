@@ -26,8 +26,8 @@ from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
 
 from fss_arm_bags.doctor.health import findings, streams
-from fss_arm_bags.reader import find, open_bags
 from fss_arm_bags.inspection import is_sound
+from fss_arm_bags.reader import find, open_bags
 from fss_arm_msgs.action import MoveArm
 
 MODULES |= {
