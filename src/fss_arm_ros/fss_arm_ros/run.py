@@ -1,5 +1,6 @@
 """What every node's `main` does: --help, start, spin, and an end that says what went wrong."""
 
+import signal
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import fields
@@ -63,6 +64,7 @@ def run(
     nodes: Sequence[Node] = ()
     begun = False
     try:
+        signal.signal(signal.SIGINT, _interrupt_next)
         rclpy.init(args=argv)
         begun = True
         with alone.looking():
@@ -94,8 +96,18 @@ def run(
             getattr(node, "close", lambda: None)()
             node.destroy_node()
         rclpy.try_shutdown()
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     left = [words for node in nodes if (words := getattr(node, "unfinished", str)())]
     return _failed(name, f"interrupted {'; '.join(left)}", 130) if left else 0
+
+
+def _interrupt_next(*_: object) -> None:
+    """Leave the first SIGINT to rclpy, which ends the context by it; the next one interrupts.
+
+    A KeyboardInterrupt may come up while rclpy's extension converts what it took, which makes a
+    TypeError of it.
+    """
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def usage(name: str, make_node: Callable[..., Any], settings: type | None, takes: str) -> str:

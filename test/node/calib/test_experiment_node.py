@@ -182,7 +182,7 @@ def test_an_experiment_that_is_interrupted_says_how_far_it_is(spin, start, tmp_p
         "-p", "silence:=60.0", "-p", f"state_file:={state}",
     )  # fmt: skip
     spin([arm], lambda: len(arm.goals) == 3, 30.0)
-    assert experiment.stop(how) == 130
+    assert experiment.stop(how) == 130, experiment.output
     said = f"interrupted after 2 of 13 postures; the next run goes on from {state}\n"
     assert experiment.output.endswith(f"-c: {said}")
 
