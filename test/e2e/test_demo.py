@@ -206,7 +206,7 @@ def test_the_demo_keeps_away_from_links_in_the_exported_domain(ros, spin, demo, 
     pids = [pid for pid in map(run.pid, NODES.values()) if pid]
     assert len(pids) == len(NODES)
     run.process.terminate()
-    assert run.wait(60) == 128 + signal.SIGTERM
+    assert run.wait(60) == 128 + signal.SIGTERM, run.text
     assert run.text.endswith("demo: interrupted\n")
     assert not any(Path(f"/proc/{pid}").exists() for pid in pids)
     assert not asked

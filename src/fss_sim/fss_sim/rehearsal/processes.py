@@ -11,9 +11,7 @@ from typing import Self
 
 import rclpy
 from ament_index_python.packages import get_package_prefix
-from rclpy.executors import ExternalShutdownException
 
-from fss_arm_ros.run import RCLError
 from fss_sim.rehearsal.domain import CONFIG, Domain
 
 STARTS_AT_MOST = 5  # of one node; a node that dies more often has a fault of its own
@@ -153,13 +151,13 @@ def rehearse(name: str, body: Callable[[], int]) -> int:
         signal.signal(number, interrupt)
     try:
         return body()
-    except (RehearsalError, ValueError, OSError) as error:
+    except (KeyboardInterrupt, Exception) as error:
+        if caught:  # rclpy may have made anything of the interrupt, even a TypeError
+            print(f"{name}: interrupted", file=sys.stderr)
+            return 128 + caught[0]
+        if not isinstance(error, (RehearsalError, ValueError, OSError)):
+            raise
         print(f"{name}: {error}", file=sys.stderr)
         return 1
-    except (KeyboardInterrupt, ExternalShutdownException, RCLError):
-        if not caught:
-            raise
-        print(f"{name}: interrupted", file=sys.stderr)
-        return 128 + caught[0]
     finally:
         rclpy.try_shutdown()
