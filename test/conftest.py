@@ -93,3 +93,4 @@ def start(tmp_path: Path) -> Iterator[Callable[..., Program]]:
         if program.process.poll() is None:
             program.process.kill()
             program.process.wait()
+        print(f"--- {program.log.name}\n{program.output}")  # shown if the test failed

@@ -29,7 +29,8 @@ ALLOWED = {
     | {"fss_arm_model.files", "fss_arm_model.settings", "fss_arm_ros"}
     | {"numpy", "rosbags", "mcap", "rich"},
     "fss_arm_driver": ROS
-    | {"fss_arm_model.description", "fss_arm_model.settings", "fss_arm_ros", "serial"},
+    | {"fss_arm_model.description", "fss_arm_model.settings", "fss_arm_motion.guard"}
+    | {"fss_arm_ros", "serial"},
     "fss_sim": ROS | {"fss_arm_model", "fss_arm_ros", "fss_arm_driver.protocol", "numpy"},
     "fss_sim.rehearsal": ROS
     | {
@@ -43,10 +44,11 @@ ALLOWED = {
         "matplotlib",
     },
     "fss_arm_calib": ROS
-    | {"fss_arm_model", "fss_arm_ros", "fss_arm_bags"}
+    | {"fss_arm_model", "fss_arm_motion.guard", "fss_arm_ros", "fss_arm_bags"}
     | {"numpy", "scipy", "yaml", "rich", "matplotlib"},
     "fss_arm_workspace": ROS
     | {"fss_arm_model", "fss_arm_ros", "fss_arm_bags", "numpy", "scipy", "rich", "matplotlib"},
+    "fss_arm_motion": ROS | {"fss_arm_model", "fss_arm_ros", "numpy", "scipy", "rich", "matplotlib"},
     "fss_gnc": ROS | {"fss_arm_model", "fss_arm_ros", "numpy"},
     "fss_arm_view": ROS
     | {"fss_arm_model", "fss_arm_ros", "fss_gnc.navigation", "fss_gnc.navigation.messages"}
