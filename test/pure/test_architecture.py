@@ -48,7 +48,10 @@ ALLOWED = {
     | {"numpy", "scipy", "yaml", "rich", "matplotlib"},
     "fss_arm_workspace": ROS
     | {"fss_arm_model", "fss_arm_ros", "fss_arm_bags", "numpy", "scipy", "rich", "matplotlib"},
-    "fss_arm_motion": ROS | {"fss_arm_model", "fss_arm_ros", "numpy", "scipy", "rich", "matplotlib"},
+    "fss_arm_motion": ROS
+    | {"fss_arm_model", "fss_arm_ros", "numpy", "scipy", "rich", "matplotlib"},
+    "fss_base_driver": ROS
+    | {"fss_arm_model.settings", "fss_arm_ros", "numpy", "rich", "motioncapture"},
     "fss_gnc": ROS | {"fss_arm_model", "fss_arm_ros", "numpy"},
     "fss_arm_view": ROS
     | {"fss_arm_model", "fss_arm_ros", "fss_gnc.navigation", "fss_gnc.navigation.messages"}
@@ -98,6 +101,7 @@ PACKAGES = sorted(row for row in ALLOWED if "." not in row)
 ROSDEP = {
     "matplotlib": "python3-matplotlib",
     "mcap": "",
+    "motioncapture": "",
     "numba": "python3-numba",
     "numpy": "python3-numpy",
     "rerun": "",
@@ -108,7 +112,12 @@ ROSDEP = {
     "serial": "python3-serial",
     "yaml": "python3-yaml",
 }
-PINNED = {"mcap": "mcap", "rerun": "rerun-sdk", "rerun_cli": "rerun-sdk"}  # as pip calls them
+PINNED = {
+    "mcap": "mcap",
+    "motioncapture": "motioncapture",
+    "rerun": "rerun-sdk",
+    "rerun_cli": "rerun-sdk",
+}  # as pip calls them
 
 
 #: Of setup.py, with the tag of package.xml that says the same.

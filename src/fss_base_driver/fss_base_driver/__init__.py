@@ -1,0 +1,1 @@
+"""The base's hardware: motion capture to poses."""

@@ -1,0 +1,111 @@
+"""Frames of a motion-capture system, taken by a process of their own.
+
+The library motioncapture waits for a system that does not answer with Python's lock held, writes to
+the standard output, and reads datagrams of anybody on the network without looking at their sizes.
+So a process of its own runs it (`main` here), and is run again when it ends. It writes one line of
+JSON a frame: [time of arrival in ns, {name: pose}].
+"""
+
+import ctypes
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from threading import Event, Thread
+
+from fss_base_driver.mocap.subjects import Pose
+
+PR_SET_PDEATHSIG = 1  # of prctl(2)
+PAUSE = 1.0  # before it is run again [s]
+END = "the receiver ended"
+PROGRAM = f"import sys; from {__name__} import main; sys.exit(main())"
+
+
+class Receiver(Thread):
+    """Runs the receiving process, and calls `take(arrival, poses)` for each frame as it comes.
+
+    Args:
+        system: of the library, or its `mock`.
+        options: of the system, as OPTION=VALUE.
+        take: in this thread; `arrival` is the time of day [ns].
+        ended: told in words why the process ended, if it was not asked to.
+    """
+
+    def __init__(
+        self,
+        system: str,
+        options: Sequence[str],
+        take: Callable[[int, dict[str, Pose]], None],
+        ended: Callable[[str], None],
+    ) -> None:
+        super().__init__(daemon=True)
+        self.command = [sys.executable, "-c", PROGRAM, system, *options]
+        self.take, self.ended = take, ended
+        self.process: subprocess.Popen[str] | None = None
+        self._closing = Event()
+        self.start()
+
+    def run(self) -> None:
+        """Receive until closed."""
+        while not self._closing.is_set():
+            with subprocess.Popen(self.command, stdout=subprocess.PIPE, text=True) as process:
+                self.process = process
+                try:
+                    why = self._read(process)
+                except Exception as error:  # of whoever takes the frames, too
+                    process.kill()
+                    why = f"{END}: {error}"
+            if not self._closing.is_set():
+                self.ended(why or f"{END} with {_in_words(process.returncode)}")
+            self._closing.wait(PAUSE)
+
+    def _read(self, process: "subprocess.Popen[str]") -> str:
+        """Take frames; return the reason that the process gives for its end, if it does."""
+        why = ""
+        for line in process.stdout or ():
+            said = json.loads(line)
+            if isinstance(said, str):
+                why = f"{END}: {said}"
+            else:
+                arrival, poses = said
+                self.take(arrival, {name: tuple(pose) for name, pose in poses.items()})
+        return why
+
+    def close(self) -> None:
+        """End the process and this thread."""
+        self._closing.set()
+        if self.process:
+            self.process.kill()
+        self.join()
+
+
+def _in_words(code: int) -> str:
+    return signal.Signals(-code).name if code < 0 else f"exit code {code}"
+
+
+def main() -> int:
+    """Receive until nobody listens."""
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)  # also if its owner is killed
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the owner's to decide
+    output = os.fdopen(os.dup(1), "w", buffering=1)
+    os.dup2(2, 1)
+    try:
+        import motioncapture  # takes a while, and memory, that only this process needs
+
+        system, *options = sys.argv[1:]
+        capture = motioncapture.connect(system, dict(option.split("=", 1) for option in options))
+        while True:
+            capture.waitForNextFrame()
+            arrival, poses = time.time_ns(), {}
+            for name, body in capture.rigidBodies.items():
+                r = body.rotation
+                poses[name] = (*map(float, body.position), r.x, r.y, r.z, r.w)
+            output.write(json.dumps([arrival, poses]) + "\n")
+    except BrokenPipeError:
+        return 0
+    except Exception as error:  # the library's have no class of their own
+        output.write(json.dumps(str(error)) + "\n")
+        return 1

@@ -1,0 +1,129 @@
+"""The command `subjects`: which subjects are seen, how often, how late and how steadily."""
+
+import argparse
+import sys
+import time
+from dataclasses import dataclass, field
+from math import degrees, pi
+from typing import Any
+
+import numpy as np
+import rclpy
+from geometry_msgs.msg import PoseStamped
+from rclpy.node import Node
+from rich.console import Console
+from rich.table import Table
+
+from fss_arm_model.settings import POSITIVE
+from fss_arm_ros.command_line import Parser
+from fss_arm_ros.convert import SECOND, PoseError, planar_pose, stamp_ns
+from fss_arm_ros.qos import subscribe_sensor
+
+COLUMNS = ("rate", "jitter", "latency", "longest gap", "x", "y", "heading", "unusable")
+UNITS = ("[1/s]", "[ms]", "p50, p99 [ms]", "[ms]", "[m]", "[m]", "[deg]", "")
+
+
+@dataclass
+class Heard:
+    """What was heard of one subject."""
+
+    stamps: list[int] = field(default_factory=list)  # [ns]
+    arrivals: list[int] = field(default_factory=list)  # [ns]
+    poses: list[tuple[float, float, float]] = field(default_factory=list)
+    unusable: int = 0  # occluded or not finite
+
+    def take(self, message: Any) -> None:
+        """Count a message."""
+        self.arrivals.append(time.time_ns())
+        self.stamps.append(stamp_ns(message.header.stamp))
+        try:
+            self.poses.append(planar_pose(message.pose))
+        except PoseError:
+            self.unusable += 1
+
+    def row(self) -> list[str]:
+        """The cells of COLUMNS."""
+        stamps, arrivals = np.array(self.stamps, float), np.array(self.arrivals, float)
+        late = np.percentile((arrivals - stamps) / SECOND * 1e3, (50, 99))
+        between = np.diff(stamps) / SECOND
+        cells = ["-", "-", f"{late[0]:.1f}, {late[1]:.1f}", "-"]
+        if between.size > 1 and between.mean() > 0.0:
+            typical = np.median(between)
+            cells[0], cells[1] = f"{1.0 / between.mean():.1f}", f"{between.std() * 1e3:.2f}"
+            cells[3] = f"{between.max() * 1e3:.1f}"
+            if between.max() > 1.5 * typical:
+                cells[3] += f" ({(between > 1.5 * typical).sum()} over {1.5e3 * typical:.1f})"
+        if not self.poses:
+            return [*cells, "-", "-", "-", str(self.unusable)]
+        xy = np.mean([pose[:2] for pose in self.poses], axis=0)
+        heading = np.angle(np.mean(np.exp(1j * np.array([pose[2] for pose in self.poses]))))
+        turned = degrees((heading + pi) % (2.0 * pi) - pi)
+        return [*cells, f"{xy[0]:.4f}", f"{xy[1]:.4f}", f"{turned:.2f}", str(self.unusable)]
+
+
+class Listener(Node):
+    """Listens to every topic of poses under a prefix."""
+
+    def __init__(self, prefix: str) -> None:
+        super().__init__("subjects", enable_rosout=False, start_parameter_services=False)
+        self.prefix = self.resolve_topic_name(prefix) + "/"
+        self.heard: dict[str, Heard] = {}
+        self.create_timer(0.2, self.look)
+
+    def look(self) -> None:
+        """Listen to topics that have turned up."""
+        for topic, kinds in self.get_topic_names_and_types():
+            pose = "geometry_msgs/msg/PoseStamped" in kinds and topic.startswith(self.prefix)
+            if pose and topic not in self.heard:
+                self.heard[topic] = Heard()
+                subscribe_sensor(self, PoseStamped, topic, self.heard[topic].take)
+
+
+def table(heard: dict[str, Heard]) -> Table:
+    """What was heard, to print."""
+    shown = Table("topic", *map("\n".join, zip(COLUMNS, UNITS, strict=True)), box=None)
+    for topic, subject in sorted(heard.items()):
+        shown.add_row(topic, *(subject.row() if subject.stamps else ["silent"]))
+    return shown
+
+
+def main() -> int:
+    """Run as `ros2 run fss_base_driver subjects`."""
+    command = Parser(
+        prog="subjects",
+        description="Which subjects motion capture sees: rate, jitter of the stamps, latency from "
+        "stamp to arrival here (right if both computers' clocks agree), longest gap, mean pose.",
+        epilog="Exit codes: 0 poses were heard, 1 none.",
+    )
+    command.add_argument(
+        "--seconds", type=float, default=5.0, help="how long to listen (default 5)"
+    )
+    command.add_argument("--prefix", default="vicon", help="of the topics (default vicon)")
+    given = command.parse_args()
+    if not POSITIVE.holds(given.seconds):
+        command.error(f"--seconds is {given.seconds}, expected {POSITIVE.expected}")
+    return listen(given)
+
+
+def listen(given: argparse.Namespace) -> int:
+    """Listen, and print what was heard."""
+    rclpy.init(args=[])
+    try:
+        node = Listener(given.prefix)
+        until = time.monotonic() + given.seconds
+        while (left := until - time.monotonic()) > 0.0:
+            rclpy.spin_once(node, timeout_sec=left)
+        domain, prefix, heard = node.context.get_domain_id(), node.prefix, node.heard
+    except KeyboardInterrupt:
+        return 130
+    finally:
+        rclpy.try_shutdown()
+    if not any(subject.stamps for subject in heard.values()):
+        print(f"subjects: no pose on {prefix}... in ROS domain {domain}", file=sys.stderr)
+        return 1
+    Console().print(table(heard))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,198 @@
+"""The mocap node: against a server of a real protocol, the library's mock, and other receivers."""
+
+import struct
+import time
+from math import cos, sin
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import PoseStamped, TransformStamped
+from natnet import NatNetServer
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from std_srvs.srv import Trigger
+
+from fss_arm_ros.convert import SECOND, stamp_ns, to_time
+from fss_arm_ros.qos import SENSOR, subscribe_sensor
+from fss_base_driver.mocap_node import MocapNode
+
+NAMES = ["fss", "end_effector"]
+
+
+def parameters(**values):
+    return [Parameter(name, value=value) for name, value in values.items()]
+
+
+def pose(k, x=0.0):
+    """Slowly along y; single precision, as the protocol has it."""
+    heading = 2e-3 * k
+    values = x, 1e-3 * k, 0.05, 0.0, 0.0, sin(0.5 * heading), cos(0.5 * heading)
+    return tuple(map(float, np.array(values, np.float32)))
+
+
+def numbers(message):
+    at, turn = message.pose.position, message.pose.orientation
+    return at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w
+
+
+class User(Node):
+    def __init__(self):
+        super().__init__("user")
+        self.heard = {name: [] for name in NAMES}
+        for name in NAMES:
+            subscribe_sensor(self, PoseStamped, f"vicon/{name}/{name}", self.heard[name].append)
+
+
+@pytest.fixture
+def served(spin):
+    """A server, the node that receives from it, and a user of both subjects."""
+    server, user = NatNetServer(NAMES), User()
+    node = MocapNode(
+        parameter_overrides=parameters(
+            system="optitrack", host="127.0.0.1", options=server.options, timeout=0.5
+        )
+    )
+    nodes = node, user
+    spin(nodes, lambda: server.clients, 30.0)
+
+    def begin():  # until the first poses come through
+        server.send({name: pose(-1, x) for x, name in enumerate(NAMES)})
+        return all(user.heard.values())
+
+    spin(nodes, begin, 20.0)
+    for heard in user.heard.values():
+        heard.clear()
+    yield server, node, user, nodes
+    server.close()
+
+
+def test_poses_are_those_that_the_server_sent(spin, served):
+    server, _, user, nodes = served
+    for k in range(20):
+        sent, before = {"fss": pose(k), "end_effector": pose(k, 1.0)}, time.time_ns()
+        server.send(sent)
+        spin(nodes, lambda k=k: all(len(heard) == k + 1 for heard in user.heard.values()))
+        for name, heard in user.heard.items():
+            assert numbers(heard[k]) == sent[name]
+            assert heard[k].header.frame_id == "world"
+            assert before <= stamp_ns(heard[k].header.stamp) <= time.time_ns()
+
+
+def test_occluded_and_swapped_subjects_are_not_published_and_named(spin, served):
+    server, node, user, nodes = served
+    server.send({"end_effector": pose(0, 1.0)})
+    spin(nodes, lambda: user.heard["end_effector"])
+    for k in range(1, 4):
+        server.send({"fss": pose(k, 1.0), "end_effector": pose(k)})
+    spin(nodes, lambda: "swapped" in node.health().message)
+    assert not user.heard["fss"]
+    assert len(user.heard["end_effector"]) == 1
+
+    accept = user.create_client(Trigger, "mocap/accept")
+    spin(nodes, accept.service_is_ready)
+    answer = accept.call_async(Trigger.Request())
+    spin(nodes, answer.done)
+    assert answer.result().message == "believed again: end_effector, fss"
+    server.send({"fss": pose(5, 1.0)})
+    spin(nodes, lambda: user.heard["fss"])
+
+
+def test_a_datagram_that_kills_the_library_kills_not_the_node(spin, served):
+    server, node, user, nodes = served
+    first = node.receiver.process
+    # 2 billion marker sets: the library believes it, and reads beyond what it has.
+    server.send_raw(struct.pack("<HHii", 7, 0xFFFF, 1, 0x7FFFFFF0))
+    spin(nodes, lambda: first.poll() is not None and "SIGSEGV" in node.health().message)
+    spin(nodes, lambda: server.clients == 2, 30.0)
+
+    def again():
+        server.send({"fss": pose(time.monotonic_ns() % 100)})
+        return user.heard["fss"]
+
+    spin(nodes, again, 20.0)
+    spin(nodes, lambda: "SIGSEGV" not in node.health().message)
+
+
+def test_a_server_that_falls_silent_is_reported(spin, served):
+    _, node, _, nodes = served
+    spin(nodes, lambda: node.health().message.startswith("no frame for "))
+
+
+def test_the_librarys_mock_and_only_the_subjects_asked_for(spin):
+    user = User()
+    bodies = "rigid_bodies=fss(1,2,0,1,0,0,0);other(0,0,0,1,0,0,0)"
+    node = MocapNode(
+        parameter_overrides=parameters(
+            system="mock", options=[bodies], subjects=["fss"], latency=0.005
+        )
+    )
+    spin([node, user], lambda: user.heard["fss"], 30.0)
+    assert numbers(user.heard["fss"][0]) == (1.0, 2.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+    frames = node.frames
+    spin([node, user], lambda: node.frames > frames + 20)
+    assert len(user.heard["fss"]) == 1  # it never moves, as if occluded
+    assert node.poses.keys() == {"fss"}
+
+
+def test_other_receivers_are_relayed_with_their_stamps(spin):
+    user = User()
+    node = MocapNode(
+        parameter_overrides=parameters(
+            relays=["fss=/vrpn_mocap/fss/pose", "end_effector=/tip"], relay_scale=0.001
+        )
+    )
+    poses = user.create_publisher(PoseStamped, "/vrpn_mocap/fss/pose", SENSOR)
+    tips = user.create_publisher(TransformStamped, "/tip", SENSOR)
+    spin([node, user], lambda: poses.get_subscription_count() and tips.get_subscription_count())
+    stamp = to_time(1_700_000_000 * SECOND + 5)
+    message, tip = PoseStamped(), TransformStamped()
+    message.header.stamp = tip.header.stamp = stamp
+    message.pose.position.x, message.pose.orientation.w = 1500.0, 1.0
+    tip.transform.translation.y, tip.transform.rotation.w = -250.0, 1.0
+    poses.publish(message)
+    tips.publish(tip)
+    spin([node, user], lambda: all(user.heard.values()))
+    assert numbers(user.heard["fss"][0]) == (1.5, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+    assert numbers(user.heard["end_effector"][0])[1] == -0.25
+    assert user.heard["fss"][0].header.stamp == stamp
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ({}, "system is '' and relays is empty"),
+        ({"system": "viconn"}, "system is 'viconn', expected one of"),
+        ({"system": "vicon"}, "host is '', expected the address of the vicon computer"),
+        ({"system": "mock", "options": ["x"]}, "options holds 'x', expected OPTION=VALUE"),
+    ],
+)
+def test_wrong_settings_are_named(ros, given, expected):
+    with pytest.raises(ValueError, match=expected):
+        MocapNode(parameter_overrides=parameters(**given))
+
+
+def test_the_command_shows_what_is_seen(ros, spin, start):
+    user, k = Node("user"), 0
+    poses = user.create_publisher(PoseStamped, "vicon/fss/fss", SENSOR)
+    command = start("fss_base_driver.subjects_node:main", "--seconds", "3", COLUMNS="120")
+
+    def publish():
+        nonlocal k
+        k += 1
+        message = PoseStamped()
+        message.header.stamp = user.get_clock().now().to_msg()
+        message.pose.position.x, message.pose.orientation.w = 0.5, float(k % 4 > 0)
+        poses.publish(message)
+        return command.process.poll() is not None
+
+    spin(user, publish, 30.0)
+    row = next(line for line in command.output.splitlines() if "vicon/fss/fss" in line)
+    assert command.wait() == 0
+    assert " 0.5000 " in row
+    assert int(row.split()[-1]) > 10  # of the zero quaternions
+
+
+def test_the_command_says_that_nothing_is_seen(domain, start):
+    command = start("fss_base_driver.subjects_node:main", "--seconds", "0.5")
+    assert command.wait() == 1
+    assert command.output == f"subjects: no pose on /vicon/... in ROS domain {domain}\n"
