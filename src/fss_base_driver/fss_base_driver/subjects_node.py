@@ -87,8 +87,8 @@ def table(heard: dict[str, Heard]) -> Table:
     return shown
 
 
-def main() -> int:
-    """Run as `ros2 run fss_base_driver subjects`."""
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
     command = Parser(
         prog="subjects",
         description="Which subjects motion capture sees: rate, jitter of the stamps, latency from "
@@ -99,6 +99,12 @@ def main() -> int:
         "--seconds", type=float, default=5.0, help="how long to listen (default 5)"
     )
     command.add_argument("--prefix", default="vicon", help="of the topics (default vicon)")
+    return command
+
+
+def main() -> int:
+    """Run as `ros2 run fss_base_driver subjects`."""
+    command = parser()
     given = command.parse_args()
     if not POSITIVE.holds(given.seconds):
         command.error(f"--seconds is {given.seconds}, expected {POSITIVE.expected}")
