@@ -9,7 +9,7 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/fss_gnc"]),
         ("share/fss_gnc", ["package.xml"]),
     ],
-    description="Navigation of the floating base: pose and twist from motion capture and gyro.",
+    description="Navigation and control of the floating base: pose and twist, wrenches by valves.",
     url="https://fss-arm.example.org",
     maintainer="FSS Arm maintainers",
     maintainer_email="fss-arm@example.org",

@@ -1,1 +1,1 @@
-"""Guidance, navigation and control of the floating base; so far navigation."""
+"""Navigation and control of the floating base: pose and twist, wrenches by valves."""

@@ -8,6 +8,7 @@ Applications to Tracking and Navigation, 2001, section 6.2.2).
 
 from bisect import insort
 from collections import Counter
+from collections.abc import Callable
 from math import isfinite, pi, sqrt
 from typing import NamedTuple
 
@@ -44,8 +45,8 @@ class _Kalman:
         self.x, self.P = x, np.diag(variances)
         self.densities = densities  # of the noise driving rate, and what follows it
 
-    def predict(self, dt: float) -> None:
-        """The first state moves with the second, which is driven by noise."""
+    def predict(self, dt: float, acceleration: Floats | float = 0.0) -> None:
+        """The first state moves with the second, which is driven by noise beside what is known."""
         F = np.eye(len(self.P))
         F[0, 1] = dt
         Q = np.zeros_like(self.P)
@@ -53,6 +54,8 @@ class _Kalman:
         for i, density in enumerate(self.densities[1:], 2):
             Q[i, i] = density * dt
         self.x = F @ self.x
+        self.x[0] += 0.5 * dt**2 * acceleration
+        self.x[1] += dt * acceleration
         self.P = F @ self.P @ F.T + Q
 
     def distance(self, h: Floats, innovation: Floats | float, variance: float) -> float:
@@ -77,10 +80,20 @@ class BaseFilter:
 
     A measurement further than GATE deviations off, or older than what was merged already, is
     rejected and counted; after MAX_REJECTED poses in a row the base is believed to be there.
+
+    Args:
+        errors: of the sensors, and what accelerates the base beside what is known.
+        acceleration: the mean acceleration in the world, (3,), that is known to act from one time
+            [ns] to another, as by thrusters; none by default.
     """
 
-    def __init__(self, errors: SensorErrors | None = None) -> None:
+    def __init__(
+        self,
+        errors: SensorErrors | None = None,
+        acceleration: Callable[[int, int], Floats] | None = None,
+    ) -> None:
         self.errors = errors or SensorErrors()
+        self.acceleration = acceleration or (lambda begin, end: np.zeros(3))
         self.rejected: Counter[str] = Counter()
         self.buffer: list[tuple[int, int, tuple[float, ...]]] = []
         self.t = -1
@@ -120,8 +133,9 @@ class BaseFilter:
     def _move(self, t: int) -> None:
         assert self.position is not None
         assert self.heading is not None
-        self.position.predict((t - self.t) * 1e-9)
-        self.heading.predict((t - self.t) * 1e-9)
+        dt, a = (t - self.t) * 1e-9, self.acceleration(self.t, t)
+        self.position.predict(dt, a[:2])
+        self.heading.predict(dt, float(a[2]))
         self.t = t
 
     def _merge_rate(self, t: int, omega: float) -> None:

@@ -1,0 +1,85 @@
+"""A wrench by on/off valves: which to open in a period, and for how long.
+
+Valve i, open for the share u_i of a period, gives u_i B_i as a mean over it. Wanted is the mean w:
+
+    min |S (B u - w)|^2 + (kappa sum u)^2,   0 <= u <= 1
+
+by least squares with bounds (Stark and Parker 1995, as in scipy); kappa, small, tells apart what
+gives the same wrench by the propellant that it takes. S weighs a newton metre in newtons. A share
+becomes a pulse, none or the shortest if it is below that, and what the pulses give
+too much or too little is owed to the next period, so that small wrenches come true on average.
+"""
+
+from collections.abc import Collection
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import lsq_linear
+
+Floats = npt.NDArray[np.float64]
+
+THRIFT = 1e-3  # kappa, of the strongest valve's force
+
+
+class Allocation:
+    """Shares wrenches out to valves, period after period.
+
+    Args:
+        valves: (k, 3) force in the base's axes [N] and torque about its origin [N m] of each.
+        period: [s].
+        minimum_on_time: of a valve [s].
+        stuck_open: numbers of valves that cannot close, from 0.
+        stuck_closed: numbers of valves that cannot open.
+
+    Raises:
+        ValueError: a valve that does not exist is stuck, or the shortest pulse exceeds the period.
+    """
+
+    def __init__(
+        self,
+        valves: npt.ArrayLike,
+        period: float,
+        minimum_on_time: float,
+        stuck_open: Collection[int] = (),
+        stuck_closed: Collection[int] = (),
+    ) -> None:
+        self.valves = np.asarray(valves, dtype=float)
+        count = len(self.valves)
+        stuck = {*stuck_open, *stuck_closed}
+        if not stuck <= set(range(count)):
+            raise ValueError(f"stuck are {sorted(stuck)}, expected numbers from 0 to {count - 1}")
+        if not 0.0 <= minimum_on_time < period:
+            raise ValueError(
+                f"minimum_on_time is {minimum_on_time} s, expected from 0 to below {period} s"
+            )
+        self.period, self.minimum_on_time = period, minimum_on_time
+        self._works = np.array([i for i in range(count) if i not in stuck], dtype=int)
+        self._leaks = self.valves[list(stuck_open)].sum(axis=0)
+        strongest = np.abs(self.valves).max(axis=0)
+        force = float(strongest[:2].max())
+        self._scale = np.array([1.0, 1.0, force / strongest[2] if strongest[2] else 1.0])
+        effect = (self.valves[self._works] * self._scale).T
+        self._matrix = np.vstack([effect, np.full(len(self._works), THRIFT * force)])
+        self._most_owed = 2.0 * strongest * max(minimum_on_time, 1e-3)  # [N s], [N m s]
+        self._owed = np.zeros(3)
+
+    def on_times(self, wrench: npt.ArrayLike) -> Floats:
+        """How long to open each valve in the next period, (k,) [s].
+
+        Args:
+            wrench: (3,) wanted as a mean: force in the base's axes [N], torque about its
+                origin [N m].
+        """
+        wanted = np.asarray(wrench, dtype=float) + self._owed / self.period
+        aim = np.append(self._scale * (wanted - self._leaks), 0.0)
+        shares = lsq_linear(self._matrix, aim, (0.0, 1.0), method="bvls").x
+        times = np.zeros(len(self.valves))
+        times[self._works] = self._pulses(self.period * shares)
+        given = times @ self.valves + self.period * self._leaks
+        owed = self.period * wanted - given
+        self._owed = np.clip(owed, -self._most_owed, self._most_owed)
+        return times
+
+    def _pulses(self, times: Floats) -> Floats:
+        least = self.minimum_on_time
+        return np.where(times < 0.5 * least, 0.0, np.clip(times, least, self.period))

@@ -1,0 +1,82 @@
+"""Wrenches by valves: as near as can be, in pulses that valves can make, and right on average."""
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+from fss_gnc.control import Allocation
+from fss_sim.plant.thrusters import layout
+
+VALVES = layout(0.16, 0.11)
+PERIOD, LEAST = 0.1, 0.01
+SCALE = np.array([1.0, 1.0, 0.16 / 0.0176])
+
+
+def mean(allocation, wrench, periods=80, leak=()):
+    """The wrench that is given over many periods, and the time for which valves are open."""
+    times = np.array([allocation.on_times(wrench) for _ in range(periods)])
+    times[:, list(leak)] = PERIOD
+    return (times @ VALVES).mean(axis=0) / PERIOD, times
+
+
+@pytest.mark.parametrize("size", [0.003, 0.05, 1.0])
+def test_feasible_wrenches_come_true_on_average(size):
+    rng = np.random.default_rng(1)
+    for _ in range(8):
+        wanted = size * rng.uniform(-1.0, 1.0, 3) * (0.1, 0.1, 0.02)
+        given, times = mean(Allocation(VALVES, PERIOD, LEAST), wanted)
+        # What may be owed, two shortest pulses, over 8 s.
+        np.testing.assert_allclose(given, wanted, atol=2.0 * 0.16 * LEAST / 8.0)
+        assert ((times == 0.0) | ((times >= LEAST) & (times <= PERIOD))).all()
+
+
+def test_shares_are_optimal():
+    rng = np.random.default_rng(2)
+    for _ in range(30):
+        wanted = rng.uniform(-1.0, 1.0, 3) * (0.6, 0.6, 0.15)  # also beyond what is possible
+        times = Allocation(VALVES, PERIOD, 0.0).on_times(wanted)
+
+        def cost(u, wanted=wanted):
+            off = SCALE * (u @ VALVES - wanted)
+            return off @ off + (1e-3 * 0.16 * u.sum()) ** 2
+
+        best = minimize(cost, np.full(8, 0.5), bounds=[(0.0, 1.0)] * 8, tol=1e-14)
+        assert cost(times / PERIOD) <= best.fun + 1e-9
+
+
+def test_no_two_valves_work_against_each_other():
+    for wanted in np.eye(3) * (0.1, 0.1, 0.02):
+        times = Allocation(VALVES, PERIOD, 0.0).on_times(wanted)
+        needed = np.abs(wanted / np.abs(VALVES).max(axis=0)).sum() * PERIOD
+        assert times.sum() == pytest.approx(needed, rel=1e-4)
+
+
+@pytest.mark.parametrize("stuck", range(8))
+@pytest.mark.parametrize("how", ["stuck_open", "stuck_closed"])
+def test_a_stuck_valve_is_done_without(stuck, how):
+    leak = (stuck,) if how == "stuck_open" else ()
+    for wanted in (*np.eye(3), *-np.eye(3)):
+        wrench = wanted * (0.05, 0.05, 0.01)
+        given, times = mean(Allocation(VALVES, PERIOD, LEAST, **{how: (stuck,)}), wrench, leak=leak)
+        np.testing.assert_allclose(given, wrench, atol=2.0 * 0.16 * LEAST / 8.0)
+        assert leak or not times[:, stuck].any()
+
+
+def test_what_cannot_be_given_is_not_owed_for_ever():
+    allocation = Allocation(VALVES, PERIOD, LEAST)
+    for _ in range(100):
+        allocation.on_times([5.0, 0.0, 0.0])
+    assert allocation.on_times([0.0, 0.0, 0.0]).sum() <= 6.0 * LEAST
+    assert not allocation.on_times([0.0, 0.0, 0.0])[VALVES[:, 0] > 0.0].any()
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        ({"stuck_open": [8]}, r"stuck are \[8\], expected numbers from 0 to 7"),
+        ({"minimum_on_time": 0.2}, r"minimum_on_time is 0.2 s, expected from 0 to below 0.1 s"),
+    ],
+)
+def test_wrong_settings_are_named(options, expected):
+    with pytest.raises(ValueError, match=expected):
+        Allocation(VALVES, PERIOD, **{"minimum_on_time": LEAST} | options)

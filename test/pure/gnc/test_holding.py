@@ -1,0 +1,75 @@
+"""The base held by thrusters against the reaction of the arm."""
+
+import numpy as np
+import pytest
+from holding import Motion, hold
+
+from fss_arm_calib.experiment.postures import default
+from fss_arm_model.description import paper_arm
+from fss_arm_model.dynamics import forward_dynamics, inverse_dynamics
+from fss_gnc.control import PoseControl, Reference
+from fss_gnc.navigation import KnownInputs
+from fss_sim.plant.drives import POSITION
+from fss_sim.plant.plant import Demand, Plant
+
+POSTURES = np.vstack([np.zeros(4), default(paper_arm())])
+
+
+def test_the_base_stays_within_a_centimetre_and_a_degree():
+    motion = Motion(POSTURES[1:3], duration=40.0)
+    led, felt = hold(motion, True), hold(motion, False)
+    assert led.farthest < 0.002
+    assert led.most_turned < 0.2
+    assert felt.farthest > 3.0 * led.farthest  # the arm's reaction, when it is left to be felt
+    assert felt.most_turned > 3.0 * led.most_turned
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(3))
+def test_through_the_experiments_postures(seed):
+    held = hold(Motion(POSTURES, duration=120.0), True, seed)
+    print(
+        f"{1e3 * held.farthest:.2f} mm, {held.most_turned:.3f} deg, {1e3 * held.propellant:.1f} g"
+    )
+    assert held.farthest < 0.01
+    assert held.most_turned < 1.0
+
+
+def test_known_inputs_are_what_the_base_does():
+    arm, rng = paper_arm(), np.random.default_rng(3)
+    q = np.concatenate([[0.1, -0.2, 0.7], rng.uniform(-1.0, 1.0, 4)])
+    plant = Plant(arm, q)
+    delay = plant.world.propulsion.valve_delay
+    inputs = KnownInputs(arm.vector(), plant.thrusters.layout, delay)
+    for i in range(4):  # drives hold the joints
+        plant.command(i, Demand(POSITION, float(q[3 + i]), 0.5, 1.0))
+    gained = np.zeros(3)
+    for k in range(20):
+        on_times = rng.uniform(0.0, 0.2, 8)  # some are replaced while they are open
+        on_times[on_times < 0.02] = on_times[4:] = 0.0
+        now = k * 100_000_000
+        plant.thrust(on_times)
+        inputs.command(now, on_times, plant.q, plant.qd, np.zeros(4))
+        for _ in range(10):
+            plant.advance(0.01)
+        gained += 0.1 * inputs.acceleration(now, now + 100_000_000)
+        # Joints give by a milliradian under a thrust, and swing.
+        np.testing.assert_allclose(gained, plant.qd[:3], atol=5e-4)
+    assert np.abs(gained).max() > 5e-3
+    parts = [inputs.acceleration(t, t + 7_000_000) for t in range(0, 1_999_000_000, 7_000_000)]
+    whole = inputs.acceleration(0, len(parts) * 7_000_000)
+    np.testing.assert_allclose(np.mean(parts, axis=0), whole, rtol=1e-9, atol=1e-12)
+
+
+def test_the_wrench_of_a_planned_arm_leaves_the_base_at_rest():
+    arm, rng = paper_arm(), np.random.default_rng(4)
+    p = arm.vector()
+    for _ in range(20):
+        q = rng.uniform(-1.0, 1.0, 7)
+        qd = np.concatenate([np.zeros(3), rng.uniform(-0.2, 0.2, 4)])
+        qdd_m = rng.uniform(-0.1, 0.1, 4)
+        w = PoseControl(arm).wrench(q, qd, Reference.at_rest(q[:3]), 0.1, qdd_m)
+        tau = inverse_dynamics(p, q, qd, np.concatenate([np.zeros(3), qdd_m]))
+        force = complex(w[0], w[1]) * np.exp(1j * q[2])
+        tau[:3] = force.real, force.imag, w[2]
+        np.testing.assert_allclose(forward_dynamics(p, q, qd, tau)[:3], 0.0, atol=1e-12)

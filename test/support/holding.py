@@ -1,0 +1,95 @@
+"""The base held by thrusters while the arm goes through postures, with errors of the sensors."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fss_arm_model.description import paper_arm
+from fss_gnc.control import Allocation, PoseControl, PoseGains, Reference
+from fss_gnc.navigation import BaseFilter, KnownInputs, SensorErrors
+from fss_sim.noise import PRESETS
+from fss_sim.plant.drives import VELOCITY
+from fss_sim.plant.plant import Demand, Plant
+from fss_sim.sensors import RATE, Sensors
+
+PERIOD = 0.1  # of the control [s]
+SECOND = 1_000_000_000
+#: Of the preset, and of what thrusters and arm do beside what is known.
+ERRORS = SensorErrors(
+    position_error=0.0003, heading_error=8.7e-4, rate_error=1.75e-4, acceleration=0.001,
+    angular_acceleration=0.003,
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Through postures (k, n), each within `duration`, at rest for `rest` after it [s]."""
+
+    postures: np.ndarray
+    duration: float
+    rest: float = 6.0
+
+    @property
+    def end(self):
+        return (len(self.postures) - 1) * (self.duration + self.rest)
+
+    def at(self, t):
+        """Angles, rates and accelerations of the joints."""
+        k = min(int(t / (self.duration + self.rest)), len(self.postures) - 2)
+        r = min((t - k * (self.duration + self.rest)) / self.duration, 1.0)
+        way, T = self.postures[k + 1] - self.postures[k], self.duration
+        shape = 10 * r**3 - 15 * r**4 + 6 * r**5, 30 * r**2 - 60 * r**3 + 30 * r**4
+        bend = 60 * r - 180 * r**2 + 120 * r**3
+        return self.postures[k] + way * shape[0], way / T * shape[1], way / T**2 * bend
+
+
+@dataclass(frozen=True)
+class Held:
+    """How well it was."""
+
+    offset: np.ndarray  # (m, 3) of the base from its pose [m, m, rad]
+    propellant: float  # [kg]
+
+    @property
+    def farthest(self):
+        """[m]."""
+        return float(np.hypot(*self.offset[:, :2].T).max())
+
+    @property
+    def most_turned(self):
+        """[deg]."""
+        return float(np.degrees(np.abs(self.offset[:, 2]).max()))
+
+
+def hold(motion, feed_forward, seed=0, gains=None):
+    """Run it."""
+    arm = paper_arm()
+    begin = np.zeros(3)
+    plant = Plant(arm, np.concatenate([begin, motion.postures[0]]))
+    propulsion, valves = plant.world.propulsion, plant.thrusters.layout
+    allocation = Allocation(valves, PERIOD, propulsion.minimum_on_time)
+    inputs = KnownInputs(arm.vector(), valves, propulsion.valve_delay)
+    control = PoseControl(arm, gains or PoseGains())
+    navigation = BaseFilter(ERRORS, inputs.acceleration)
+    sensors, state, off = Sensors(PRESETS["default"], seed), None, []
+    for frame in range(round(motion.end * RATE)):
+        now, t = round(frame / RATE * SECOND), frame / RATE
+        q_m, qd_m, _ = motion.at(t)
+        for i, rate in enumerate(qd_m + 2.0 * (q_m - plant.q[3:])):
+            plant.command(i, Demand(VELOCITY, float(rate), abs(float(rate)), 2.0))
+        seen = sensors.observe(frame, plant.base, plant.tip, float(plant.qd[2]), plant.qd[3:])
+        found = navigation.rate(now, seen.rate) + navigation.pose(now, *seen.base.pose)
+        state = found[-1] if found else state
+        if state and frame % round(PERIOD * RATE) == 0:
+            base = state.at(now)
+            q = np.concatenate([base.pose, plant.q[3:]])
+            qd = np.concatenate([base.twist, plant.qd[3:]])
+            qdd_m = motion.at(t + 0.5 * PERIOD)[2]
+            known = qdd_m if feed_forward else None
+            wrench = control.wrench(q, qd, Reference.at_rest(begin), PERIOD, known)
+            on_times = allocation.on_times(wrench)
+            plant.thrust(on_times)
+            inputs.command(now, on_times, q, qd, qdd_m)
+        plant.advance(1.0 / RATE)
+        off.append(plant.q[:3].copy())
+    return Held(np.array(off), plant.thrusters.used)
