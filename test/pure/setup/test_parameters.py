@@ -20,7 +20,7 @@ DIMENSIONLESS = {
     *("battery", "corruption", "dead", "dropout", "duplication", "frozen", "loss", "occlusion"),
     *("reordering", "swap"),
     *("max_condition", "max_relative", "min_probability", "min_redundancy", "outlier"),
-    *("DriftSettings.mass_deviation", "Event.value"),
+    *("DriftSettings.mass_deviation", "Event.value", "PoseGains.damping", "PoseGains.integral"),
 }
 
 # A description that begins with one of these leans on the parameter's name or on the one before it.
