@@ -251,7 +251,8 @@ colcon_build() (
   # Else colcon has make start nothing more while the load is high, as it is by the kernels.
   MAKEFLAGS=-j$(nproc)
   export MAKEFLAGS
-  colcon build --symlink-install --base-paths src >"$log" 2>&1 ||
+  colcon build --symlink-install --base-paths src \
+    --cmake-args "-DCPP_TYPE_SUPPORT=$([[ $ros == wheels ]] && echo OFF || echo ON)" >"$log" 2>&1 ||
     { tail -n 25 "$log" >&2; die "the build failed; its log is in $root/log"; }
 )
 
