@@ -63,7 +63,7 @@ class HeldPath:
                 return Refused.CONTRADICTION
             if early.index + 1 == late.index and _told(early)[4:] != _told(late)[1:4]:
                 return Refused.CONTRADICTION
-        self._held[new.index] = new
+        self._held.setdefault(new.index, new)
         return None
 
     def begun(self, clock: int) -> bool:
