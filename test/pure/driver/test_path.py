@@ -369,7 +369,7 @@ def test_without_buffered_segments_the_path_breaks_off_and_says_so():
     words = "path 3 of link 1 broke off: no segment after"
     assert words in bed.sessions[0].breakage
     assert bed.sessions[0].progress.status is Status.ABORTED
-    with pytest.raises(CommandError, match="path 3 is over, as is any before path 3"):
+    with pytest.raises(CommandError, match="path 3 is over: expected one newer than 3"):
         bed.order_path(0, 3)
     assert bed.flags() & State.BROKEN
     bed.run(1.0)

@@ -110,7 +110,7 @@ class Paths:
     def check(self, number: int) -> None:
         """Raise CommandError if the path of that number is over."""
         if self._last and not self.find(number) and not newer_path(number, self._last):
-            raise CommandError(f"path {number} is over, as is any before path {self._last}")
+            raise CommandError(f"path {number} is over: expected one newer than {self._last}")
 
     def give(self, path: SentPath) -> None:
         """Take a path; it takes the place of the next one.
