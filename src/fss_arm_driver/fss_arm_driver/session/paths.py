@@ -13,6 +13,7 @@ from fss_arm_driver.scale import CommandError
 
 HORIZON = 4_000_000  # segments that begin later are not sent yet [us]
 MOST = 12  # segments sent at once
+SAME = 10_000  # by less, the beginnings of a path given twice may differ [us]
 MARGIN = 2  # segments that the link may be behind by
 
 
@@ -124,8 +125,8 @@ class Paths:
             raise CommandError(f"path {path.number} is older than path {self.next.number}")
         if known is None:
             self.next = path
-        elif known.knots != path.knots:
-            raise CommandError(f"path {path.number} was given before, with other knots")
+        elif known.knots != path.knots or abs(known.begin - path.begin) > SAME:
+            raise CommandError(f"path {path.number} was given before, otherwise")
 
     def tick(self, ordered: int, clock: int) -> None:
         """Let time pass, the link being ordered to follow the path `ordered`; 0: none."""
