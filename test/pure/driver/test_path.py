@@ -248,6 +248,18 @@ def test_the_next_path_takes_over_when_it_begins():
     assert joint.position == pytest.approx(8000.0, abs=1.0)
 
 
+def test_until_the_next_path_has_come_the_joint_goes_on():
+    joint, order = following(), replace(ORDER, set_point=6)
+    joint.until(NOW + 1_800_000, order)
+    assert joint.follower.followed == 5
+    for segment in path(6, NOW + 2_000_000, [(0, 5000, 60_000), (1_000_000, 8000, 0)]):
+        assert joint.follower.take(segment, joint.clock) is None
+    joint.until(NOW + 2_500_000, order)
+    assert joint.follower.followed == 6
+    joint.until(joint.clock + 100_000, replace(ORDER, set_point=4))  # long over
+    assert (joint.told, joint.follower.report) == (None, 0)
+
+
 def test_another_order_ends_the_followed_path_and_keeps_the_next():
     joint = following()
     for segment in path(6, NOW + 9_000_000):

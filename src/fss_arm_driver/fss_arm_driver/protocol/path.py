@@ -167,7 +167,7 @@ class PathFollower:
             if self._next.begun(clock):
                 self._followed, self._next, self._last = self._next, None, number
                 self.following, self.broken = True, False
-        elif not (self._followed and number == self._followed.number):
+        elif number != self._last and self._last and not newer_path(number, self._last):
             self.leave()
         if self._followed is None:
             return None

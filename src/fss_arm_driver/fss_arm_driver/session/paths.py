@@ -130,7 +130,7 @@ class Paths:
 
     def tick(self, ordered: int, clock: int) -> None:
         """Let time pass, the link being ordered to follow the path `ordered`; 0: none."""
-        if self.followed and ordered not in (self.followed.number, self.next and self.next.number):
+        if ordered != self._last and not (ordered and newer_path(ordered, self._last)):
             self.followed = None
         if self.next and ordered == self.next.number and clock >= self.next.begin:
             self.followed, self.next, self._last = self.next, None, ordered
