@@ -272,6 +272,7 @@ def test_a_path_that_breaks_off_and_one_that_is_refused_are_said_once(bench, mon
         ask()
         until(lambda reason=reason: any(s.reason.startswith(reason) for s in user.status))
         assert {status.status for status in user.status} == {CommandStatus.REFUSED}
+    until(lambda: user.telemetry[-1].path == 3 << 16)  # so that the next can be newer
     assert [text[: len(words)] for text in said if "broke" in text] == [words]
     assert any("path refused: position is 2 rad" in text for text in said)
 
