@@ -2,7 +2,7 @@
 //
 //   blake2s KEY DATA SIZE       the digest
 //   encode KEY FIELD...         the frame of telemetry with these fields, in their order
-//   decode KEY DATA             `command FIELD...`, or why it is none
+//   decode KEY DATA             `command FIELD...` or `segment FIELD...`, or why it is neither
 //   stream FRAME                the bytes that carry a frame on a serial line
 //   unstream DATA               the frames in these bytes
 //
@@ -90,9 +90,18 @@ std::string decoded(Words& words) {
                                          "crc", "signature", "field"};
   const Key key = key_of(bytes(words));
   const Bytes data = bytes(words);
-  Command command;
-  const Refusal refusal = decode(data.data(), data.size(), key, command);
+  Frame frame;
+  const Refusal refusal = decode(data.data(), data.size(), key, frame);
   if (refusal != Refusal::None) return refusals[static_cast<int>(refusal)];
+  if (frame.kind == Kind::Segment) {
+    const Segment& segment = frame.segment;
+    const Knot &begin = segment.begin, &end = segment.end;
+    return "segment " + joined(segment.link, segment.flags, segment.boot, segment.sequence,
+                               segment.clock, segment.path, segment.index, begin.time,
+                               end.time - begin.time, begin.position, begin.velocity,
+                               end.position, end.velocity);
+  }
+  const Command& command = frame.command;
   return "command " + joined(command.link, command.flags, command.boot, command.sequence,
                              command.clock, command.expiry, static_cast<int>(command.mode),
                              command.watchdog, command.set_point, command.velocity,
@@ -162,10 +171,11 @@ std::string start(Words& words) {
 }
 
 std::string send(Words& words) {
-  const uint32_t taken = world->link->gate().taken();
-  world->board.inbox.push_back(bytes(words));
+  const uint32_t refused = world->link->gate().refused();
+  const Bytes data = bytes(words);
+  world->board.inbox.push_back(data);
   world->poll();
-  return world->link->gate().taken() > taken ? "taken" : "refused";
+  return !data.empty() && world->link->gate().refused() == refused ? "taken" : "refused";
 }
 
 std::string run(Words& words) {
