@@ -101,16 +101,23 @@ bool parse(const char* text, int32_t& number) {
 
 }  // namespace
 
-void Drive::poll(uint64_t now) {
+void Drive::listen(uint64_t now) {
   receive(now);
   if (waiting_ != Waiting::Nothing && now - asked_at_ > kReplyTime) fail(now);
   if (phase_ == Phase::Running && now - alive_ > kGone) phase_ = Phase::Begin;
+}
+
+bool Drive::is_open(uint64_t now) const {
+  return waiting_ == Waiting::Nothing && now >= quiet_until_ && now - ordered_at_ >= kBetween;
+}
+
+void Drive::talk(uint64_t now) {
   if (waiting_ != Waiting::Nothing || now < quiet_until_) return;
   if (phase_ != Phase::Running) {
     connect(now);
     return;
   }
-  if (pending_ && done_ && now - ordered_at_ >= kBetween) begin(asked_);
+  if (pending_ && done_ && is_open(now)) begin(asked_);
   if (!order_next(now)) {
     read_next(now);
   }

@@ -41,7 +41,7 @@ struct Measurement {
   int32_t position = 0, velocity = 0, current = 0;
   uint32_t status = 0;
 
-  bool at_rest() const { return velocity >= -kStill && velocity <= kStill; }
+  bool at_rest() const { return velocity > -kStill && velocity < kStill; }
   static constexpr int32_t kStill = 1000;  // slower is at rest [0.1 counts/s]; 2.6 mrad/s
 };
 
@@ -49,7 +49,14 @@ class Drive {
  public:
   explicit Drive(Board& board) : board_(board) {}
 
-  void poll(uint64_t now);
+  // What has come from the drive, and then what is sent to it.
+  void listen(uint64_t now);
+  void talk(uint64_t now);
+
+  // Whether a new set-point for the same goal would be given to the drive now, and the time from
+  // then until half of its effect [us].
+  bool is_open(uint64_t now) const;
+  static constexpr uint32_t kLag = 8000;
 
   // From now on. The same demand again changes nothing, unless the drive refused it.
   void demand(const Demand& demand);

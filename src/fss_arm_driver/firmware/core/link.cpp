@@ -29,11 +29,16 @@ Demand demand_of(const Command& command) {
       demand.goal = Demand::Position;
       demand.velocity = command.velocity;
       break;
-    case Mode::Path:  // is asked of the path, again and again
+    case Mode::Path:  // the path says, again and again
       return Demand{};
   }
   demand.acceleration = command.acceleration;
   return demand;
+}
+
+// Whether a command that arms orders a path to be followed.
+bool is_path(const Command& command) {
+  return command.mode == Mode::Path && !(command.flags & (kHold | kHome));
 }
 
 }  // namespace
@@ -49,9 +54,10 @@ void Link::poll(uint64_t now) {
       obey(gate_.command());
     }
   }
+  drive_.listen(now);
   watch(now);
   follow(now);
-  drive_.poll(now);
+  drive_.talk(now);
   if (drive_.position_clock() != read_at_) {
     const uint64_t since = now - gate_.arrival();
     read_at_ = drive_.position_clock();
@@ -81,11 +87,7 @@ void Link::obey(const Command& command) {
     drive_.demand(Demand{});
   } else if (!stopped_ && !watchdog_ && !dropped_) {
     armed_ = on_ = true;
-    const bool path = command.mode == Mode::Path && !(command.flags & (kHold | kHome));
-    if (path) {
-      paths_.order(static_cast<uint16_t>(command.set_point));
-      return;
-    }
+    if (is_path(command)) return;
     paths_.leave();
     if (command.flags & kHold) {
       hold();
@@ -120,9 +122,10 @@ void Link::watch(uint64_t now) {
 }
 
 void Link::follow(uint64_t now) {
-  if (!paths_.ordered()) return;
+  const Command& command = gate_.command();
+  if (!armed_ || !is_path(command) || command.expiry < now || !drive_.is_open(now)) return;
   if (drive_.refuses()) paths_.fail();
-  drive_.demand(paths_.demand(now, gate_.command(), drive_.measured()));
+  drive_.demand(paths_.demand(now, Drive::kLag, command, drive_.measured()));
 }
 
 void Link::disarm() {

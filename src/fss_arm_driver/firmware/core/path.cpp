@@ -6,7 +6,6 @@ namespace fss {
 namespace {
 
 constexpr uint64_t kHorizon = 120000000;  // within which a segment begins [us]
-constexpr uint64_t kLead = 8000;          // from a reckoning to the middle of its effect [us]
 constexpr double kGain = 4.0;             // of the correction [1/s]
 constexpr double kReach = 0.25;           // what the joint covers in it is not too far off [s]
 constexpr double kUnit = 0.1;             // of velocities on the wire [counts/s]
@@ -28,24 +27,20 @@ Aim between(const Knot& begin, const Knot& end, uint64_t at) {
 }
 
 int32_t within(double value, int32_t most) {
-  return value >= most ? most : value <= -most ? -most : static_cast<int32_t>(lround(value));
+  return value >= most ? most : value <= -most ? -most : static_cast<int32_t>(lrint(value));
 }
 
 }  // namespace
 
 // --- one path -----------------------------------------------------------------------------------
 
-uint32_t Path::first() const {
+bool Path::has_begun(uint64_t now) const {
   uint32_t index = present_;
   while (!piece(index).held) ++index;
-  return index;
+  return now >= piece(index).begin.time;
 }
 
-bool Path::has_begun(uint64_t now) const {
-  return number_ != 0 && now >= piece(first()).begin.time;
-}
-
-uint16_t Path::complete() const {
+uint16_t Path::missing() const {
   uint32_t index = present_;
   while (index < limit() && piece(index).held) ++index;
   return static_cast<uint16_t>(index);
@@ -77,22 +72,15 @@ void Path::put(const Segment& segment) {
                                         true};
 }
 
-bool Path::enter(uint64_t now) {
-  for (uint32_t index = present_; index < kSegments; ++index) {
-    const Piece& held = piece(index);
-    if (!held.held || (held.end.time <= now && !held.last)) continue;
-    while (present_ < index) pieces_[present_++ % kSegments].held = false;
-    return held.begin.time <= now;
+bool Path::advance(uint64_t now) {
+  for (uint32_t index = present_, end = limit(); index < end; ++index) {
+    Piece& held = pieces_[index % kSegments];
+    if (!held.held) continue;
+    present_ = index;
+    if (now < held.end.time || held.last) return now >= held.begin.time;
+    held.held = false;
   }
   return false;
-}
-
-bool Path::advance(uint64_t now) {
-  while (now >= piece(present_).end.time && !piece(present_).last) {
-    pieces_[present_++ % kSegments].held = false;
-    if (!piece(present_).held) return false;
-  }
-  return true;
 }
 
 Aim Path::aim(uint64_t at) const {
@@ -118,18 +106,10 @@ bool Follower::take(const Segment& segment, uint64_t now) {
   return true;
 }
 
-void Follower::order(uint16_t number) {
-  if (number != followed().number() && number != next().number()) leave();
-  ordered_ = number;
-}
-
-void Follower::leave() {
-  followed().clear();
-  ordered_ = 0;
-}
+void Follower::leave() { followed().clear(); }
 
 void Follower::clear() {
-  leave();
+  followed().clear();
   next().clear();
   latest_ = 0;
   broken_ = false;
@@ -143,38 +123,41 @@ void Follower::fail() {
 int32_t Follower::report() const {
   const Path& newest = next().number() ? next() : followed();
   if (!newest.number()) return 0;
-  return static_cast<int32_t>(uint32_t{newest.number()} << 16 | newest.complete());
+  return static_cast<int32_t>(uint32_t{newest.number()} << 16 | newest.missing());
 }
 
-Demand Follower::demand(uint64_t now, const Command& command, const Measurement& measured) {
+Demand Follower::demand(uint64_t now, uint32_t lag, const Command& command,
+                        const Measurement& measured) {
+  choose(static_cast<uint16_t>(command.set_point), now);
   Demand demand;
   demand.goal = Demand::Hold;
-  if (!goes_on(now)) return demand;
-  const Path& path = followed();
-  const double error = path.aim(measured.clock).position - measured.position;
-  if (!rests_ && fabs(error) > kReach * kUnit * command.velocity) {
+  if (!followed().number()) return demand;
+  Path& path = followed();
+  const bool known = path.advance(now);
+  const double error = known ? path.aim(measured.clock).position - measured.position : 0.0;
+  if (!known || fabs(error) > kReach * kUnit * command.velocity) {
     fail();
     return demand;
   }
   rests_ = rests_ || (path.is_over(measured.clock) && measured.at_rest());
-  demand.acceleration = command.acceleration;
+  const double velocity = path.aim(now + lag).velocity + kGain * error;
   demand.goal = Demand::Velocity;
-  demand.set_point = within((path.aim(now + kLead).velocity + kGain * error) / kUnit, command.velocity);
+  demand.set_point = within(velocity / kUnit, command.velocity);
+  demand.acceleration = command.acceleration;
   return demand;
 }
 
-// Whether a path is followed at `now`: the one that was, or the next, once it begins.
-bool Follower::goes_on(uint64_t now) {
-  bool goes = followed().number() && followed().advance(now);
-  if (next().number() == ordered_ && next().has_begun(now)) {
+// The next path is followed once it has begun; until then the one before.
+void Follower::choose(uint16_t number, uint64_t now) {
+  if (number == next().number()) {
+    if (!next().has_begun(now)) return;
     followed().clear();
     turn_ = 1 - turn_;
-    latest_ = ordered_;
+    latest_ = number;
     broken_ = rests_ = false;
-    goes = followed().enter(now);
+  } else if (number != followed().number()) {
+    leave();
   }
-  if (!goes) fail();
-  return goes;
 }
 
 }  // namespace fss

@@ -22,16 +22,14 @@ struct Aim {
 class Path {
  public:
   uint16_t number() const { return number_; }  // 0: none is held
-  uint16_t complete() const;                   // segments without a gap, those that are over too
-  bool has_begun(uint64_t now) const;          // of those held, the first
+  uint16_t missing() const;                    // index of the first that is still to come
+  bool has_begun(uint64_t now) const;          // the first segment held, if one is
 
   bool fits(const Segment& segment) const;  // by the rules 4 and 5
   void put(const Segment& segment);         // of another path: that one is gone
   void clear() { number_ = 0; }
 
-  // Makes the segment that `now` needs the present one, at first and later on; false: it has not
-  // come.
-  bool enter(uint64_t now);
+  // Makes the segment at `now` the present one; false: it has not come.
   bool advance(uint64_t now);
 
   // Of the present segment, or straight on before it.
@@ -48,7 +46,6 @@ class Path {
 
   const Piece& piece(uint32_t index) const { return pieces_[index % kSegments]; }
   uint32_t limit() const { return uint32_t{present_} + kSegments; }  // above all that are held
-  uint32_t first() const;
 
   uint16_t number_ = 0;
   uint32_t present_ = 0;          // index of the segment followed
@@ -60,22 +57,21 @@ class Follower {
  public:
   bool take(const Segment& segment, uint64_t now);  // by the rules 2 to 5
 
-  void order(uint16_t number);  // a command of mode 31 was taken
-  void leave();                 // another that arms was, or its time is over
-  void clear();                 // the link is disarmed
-  void fail();                  // the path cannot be followed, if one is
+  void leave();  // the link is to do something else
+  void clear();  // it is disarmed
+  void fail();   // the drive cannot follow, if it is following
 
-  bool ordered() const { return ordered_ != 0; }
   bool following() const { return followed().number() && !rests_; }
   bool broken() const { return broken_; }
   int32_t report() const;  // the slow field of telemetry
   bool holds_none() const { return !followed().number() && !next().number(); }
 
-  // What the drive is to do at `now`, by the last command, which is of mode 31.
-  Demand demand(uint64_t now, const Command& command, const Measurement& measured);
+  // What the drive is to do from `now` on, by the command in force, which is of mode 31; `lag` is
+  // the time until half of what that sets is done [us].
+  Demand demand(uint64_t now, uint32_t lag, const Command& command, const Measurement& measured);
 
  private:
-  bool goes_on(uint64_t now);
+  void choose(uint16_t number, uint64_t now);
 
   Path& followed() { return paths_[turn_]; }
   Path& next() { return paths_[1 - turn_]; }
@@ -83,11 +79,10 @@ class Follower {
   const Path& next() const { return paths_[1 - turn_]; }
 
   Path paths_[2];
-  uint8_t turn_ = 0;      // which of them is followed
-  uint16_t ordered_ = 0;  // number of a path, held or not; 0: none
-  uint16_t latest_ = 0;   // of the path followed last, since the link was armed
-  bool broken_ = false;   // the one that was followed last could not be
-  bool rests_ = false;    // at the end of the path
+  uint8_t turn_ = 0;     // which of them is followed
+  uint16_t latest_ = 0;  // number of the path followed last, though it be gone; 0: none
+  bool broken_ = false;
+  bool rests_ = false;   // at the end of the path
 };
 
 }  // namespace fss

@@ -6,6 +6,13 @@
 //   stream FRAME                the bytes that carry a frame on a serial line
 //   unstream DATA               the frames in these bytes
 //
+//   paths                       none are held
+//   keep SEGMENT TIME           a segment comes: `taken` or `refused`
+//   follow NUMBER MOST TIME POSITION VELOCITY
+//                               what the drive shall have: `hold` or its velocity; following,
+//                               broken, and the slow field
+//   leave                       the path followed
+//
 //   start LINK BOOT KEY         a link's electronics with a drive behind them; time begins
 //   restart LINK BOOT KEY       the electronics alone
 //   send DATA                   a datagram arrives: `taken` or `refused`
@@ -29,6 +36,7 @@
 #include "bench_board.hpp"
 #include "frame.hpp"
 #include "link.hpp"
+#include "path.hpp"
 #include "stream.hpp"
 #include "text.hpp"
 
@@ -127,6 +135,36 @@ std::string found(Words& words) {
   return frames.empty() ? "-" : frames;
 }
 
+// --- paths --------------------------------------------------------------------------------------
+
+Follower paths;
+
+std::string keep(Words& words) {
+  Frame frame;
+  const Bytes data = bytes(words);
+  const auto time = number<uint64_t>(words);
+  if (decode(data.data(), data.size(), Key{}, frame) != Refusal::None) return "no frame";
+  return frame.kind == Kind::Segment && paths.take(frame.segment, time) ? "taken" : "refused";
+}
+
+std::string follow(Words& words) {
+  Command command = {};
+  Measurement measured;
+  command.set_point = number<int32_t>(words);
+  command.velocity = number<int32_t>(words);
+  measured.clock = number<uint64_t>(words);
+  measured.position = number<int32_t>(words);
+  measured.velocity = number<int32_t>(words);
+  const Demand demand = paths.demand(measured.clock, 0, command, measured);
+  return (demand.goal == Demand::Hold ? "hold" : joined(demand.set_point)) + " " +
+         joined(paths.following(), paths.broken(), paths.report());
+}
+
+std::string leave() {
+  paths.leave();
+  return "done";
+}
+
 // --- a link in simulated time -------------------------------------------------------------------
 
 constexpr uint64_t kStep = 100;  // between two polls [us]
@@ -216,6 +254,10 @@ std::string answer(const char* line) {
   if (request == "decode") return decoded(words);
   if (request == "stream") return streamed(words);
   if (request == "unstream") return found(words);
+  if (request == "paths") paths.clear();
+  if (request == "paths" || request == "leave") return leave();
+  if (request == "keep") return keep(words);
+  if (request == "follow") return follow(words);
   if (request == "start") world.emplace();
   if (request == "start" || (request == "restart" && world)) return start(words);
   if (!world) return "nothing was started";
