@@ -36,6 +36,7 @@ class DriveModel {
   double position() const { return position_; }  // [counts]
   double velocity() const { return velocity_; }  // [counts/s]
   int mode() const { return registers_[0x24]; }
+  int32_t set_velocity() const { return mode() == 11 ? registers_[0x2f] : 0; }  // [0.1 counts/s]
   uint32_t baud() const { return baud_; }
   std::string take_orders();  // what came since the last call but for readings, or "-"
 
