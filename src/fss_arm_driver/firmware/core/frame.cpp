@@ -61,7 +61,8 @@ bool has_meaning(const uint8_t* data, const Command& command) {
   if (command.link == 0 || flags & ~(kArm | kStop | kHold | kClearFaults | kHome)) return false;
   if (!is_mode(data[28]) || data[29] != 0 || command.watchdog == 0) return false;
   if (command.velocity < 0 || command.acceleration < 0) return false;
-  if (command.mode == Mode::Path && (command.set_point < 1 || command.set_point > 0xFFFF)) return false;
+  const bool numbers = command.set_point >= 1 && command.set_point <= 0xFFFF;
+  if (command.mode == Mode::Path && !numbers) return false;
   if (load<uint64_t>(data + 44) != 0) return false;
   if (!(flags & kArm)) return !(flags & kHome);
   return !(flags & kStop) && command.boot != 0 && command.expiry != 0;

@@ -29,7 +29,7 @@ namespace {
 
 constexpr uint64_t kPatience = 5'000'000;  // for a disarmed link to come to rest [us]
 constexpr uint64_t kOutdated = 30'000;     // no set-point goes on for longer [us],
-constexpr uint64_t kLost = 600'000;        // after noise on the drive's line none for longer than this
+constexpr uint64_t kLost = 600'000;        // or than this, after noise on the drive's line
 constexpr size_t kGrowth = 20'000;         // of what the simulated drive keeps at times [bytes]
 
 using Data = uint8_t[kFrameSize];
@@ -89,8 +89,8 @@ class Fuzzer {
     restart();
     printf("  taken %llu commands and %llu segments, refused %llu, telemetry %llu, starts %u\n"
            "  paths followed for %.0f s, broken %llu times, turns of the joint %.0f\n",
-           taken_, kept_, refused_, board_.sent[1], boot_ - 1, 1e-6 * static_cast<double>(followed_),
-           broken_, way_ / 240'000);
+           taken_, kept_, refused_, board_.sent[1], boot_ - 1,
+           1e-6 * static_cast<double>(followed_), broken_, way_ / 240'000);
     const size_t heap = __sanitizer_get_current_allocated_bytes();
     check(heap < heap_ + kGrowth, "the heap grows");
     check(board_.sent[1] > count / 4000 && board_.sent[0] == 0, "telemetry does not flow");
@@ -126,7 +126,7 @@ class Fuzzer {
   void check_path(uint8_t before) {
     const uint8_t flags = link_->flags();
     check(flags & kArmed || link_->paths().holds_none(), "a path outlives its link's being armed");
-    check(flags & kArmed || !(flags & (kFollowing | kBroken)), "a path of a link that is not armed");
+    check(flags & kArmed || !(flags & (kFollowing | kBroken)), "who is not armed follows");
     broken_ += (flags & ~before & kBroken) != 0;
     if (!(flags & kFollowing)) followed_since_ = now_;
     followed_ += flags & kFollowing ? 500 : 0;
@@ -215,7 +215,8 @@ class Fuzzer {
     store(frame + 32, duration_);
     for (uint32_t i = 0; i < 2; ++i) {
       const bool at_end = index + i == 0 || index + i == segments_;
-      store(frame + 36 + 8 * i, static_cast<int32_t>(from_ + step_ * static_cast<int64_t>(index + i)));
+      const int64_t position = from_ + step_ * static_cast<int64_t>(index + i);
+      store(frame + 36 + 8 * i, static_cast<int32_t>(position));
       store(frame + 40 + 8 * i, at_end ? 0 : velocity_);
     }
     finish(frame);
@@ -279,7 +280,8 @@ class Fuzzer {
     }
     check(sealed, "what was not sealed was taken");
     if (link_->gate().taken() == taken) {
-      check(data[3] == 3 && flags & kArmed, "what is not a segment was kept, or by whom it may not");
+      check(data[3] == 3, "what is no segment was kept");
+      check(flags & kArmed, "who is not armed keeps a path");
       check(link_->flags() == flags, "a segment changed more than a path");
       ++kept_;
       return;
