@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
+from math import pi
 from pathlib import Path
 
 import pytest
@@ -29,6 +30,7 @@ from fss_arm_driver.protocol import (
     encode,
 )
 from fss_arm_driver.protocol.path import PathFollower
+from fss_arm_driver.session import LinkSession, Status
 from fss_arm_model.description import paper_arm
 from fss_sim.link.electronics import LinkElectronics
 from fss_sim.plant.plant import Motion
@@ -65,6 +67,7 @@ def test_the_firmware_agrees_with_the_python_codec_on_random_frames(core):
 # --- the link ------------------------------------------------------------------------------------
 
 BOOT, SECOND = 7, 1_000_000
+MILLISECOND = 1_000_000  # in nanoseconds
 KEY = bytes(range(16))
 QUIET = Command(
     link=2, flags=0, boot=BOOT, sequence=1, clock=5, expiry=0, mode=Mode.OFF, watchdog=2000,
@@ -942,6 +945,50 @@ def test_its_own_restart_ends_a_path(link):
     frame = link.run(2.0)[-1]
     assert not frame.flags & (PATHS | LATCHES)
     assert link.joint()[1:3] == (0, Mode.OFF)
+
+
+@pytest.mark.parametrize(("loss", "delay"), [(0.0, 0), (0.2, 60_000)])
+def test_a_driver_has_it_follow_a_path_over_its_network(core, loss, delay):
+    link, session = FirmwareLink(core), LinkSession(2, paper_arm().links[1])
+    rng, under_way, segments, outage = random.Random(1), [], {}, range(0)
+
+    def now():
+        return 1000 * link.clock
+
+    def post(take, data):
+        if rng.random() >= loss and link.clock not in outage:
+            under_way.append((link.clock + rng.randint(0, delay), take, data))
+
+    def run(seconds):
+        for _ in range(round(100 * seconds)):
+            for frame in link.run(0.01):
+                post(lambda data: session.feed(data, now()), encode(frame))
+            if link.clock % 100_000 == 0:
+                post(link.send, session.command(now()))
+                for data in session.segments(now()):
+                    segments[decode(data).index] = decode(data)
+                    post(link.send, data)
+            come = [letter for letter in under_way if letter[0] <= link.clock]
+            for letter in sorted(come, key=lambda letter: letter[0]):
+                under_way.remove(letter)
+                letter[1](letter[2])
+            yield
+
+    assert any(not session.obstacle(now()) for _ in run(5.0))
+    session.arm(now())
+    assert any(session.armed for _ in run(2.0))
+    times, q, qd = zip(*((t, pi / 180 * p, pi / 180 * v) for t, p, v in KNOTS), strict=True)
+    session.give_path(1, now() + 2500 * MILLISECOND, times, q, qd, now())
+    session.set(Mode.PATH, 1, 0.0, 0.0, now() + 14_000 * MILLISECOND, now())
+    outage = range(link.clock + 6 * SECOND, link.clock + 7 * SECOND) if loss else range(0)
+    errors = [
+        abs(link.joint().position - angle(list(segments.values()), link.clock)) / DEGREE
+        for _ in run(13.0)
+        if segments
+    ]
+    print(f"p50 {sorted(errors)[len(errors) // 2]:.4f}, largest {max(errors):.4f} deg")
+    assert session.progress.status == Status.REACHED
+    assert max(errors) < 0.05
 
 
 def random_path(rng, begin, number):
