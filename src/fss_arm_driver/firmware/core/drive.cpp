@@ -119,9 +119,7 @@ void Drive::talk(uint64_t now) {
     return;
   }
   if (pending_ && done_ && is_open(now)) begin(asked_);
-  if (!order_next(now)) {
-    read_next(now);
-  }
+  if (!order_next(now)) read_next(now);
 }
 
 void Drive::demand(const Demand& demand) {
@@ -213,6 +211,7 @@ void Drive::connect(uint64_t now) {
       refused_ = true;  // whatever was asked must be asked again
       begin(Demand{});
       referenced_ = paused_ = false;
+      acceleration_ = deceleration_ = 0;
       board_.set_baud(baud_);
       send("\r", 1, now);
       quiet_until_ = now + kClearTime;

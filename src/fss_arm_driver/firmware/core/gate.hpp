@@ -23,7 +23,7 @@ class Gate {
   const Command& command() const { return command_; }  // the last one taken
   uint64_t arrival() const { return arrival_; }        // of it [us]
   bool silent(uint64_t now) const;                     // none was taken for the watchdog time
-  uint32_t taken() const { return taken_; }  // commands
+  uint32_t taken() const { return taken_; }            // commands
   uint32_t refused() const { return refused_; }
 
  private:
