@@ -779,6 +779,14 @@ def test_a_path_is_followed_in_time(link):
     assert {f[1:] for f in seen if f[0] > end + 300_000} == {(0, Mode.VELOCITY)}
 
 
+@pytest.mark.parametrize("latency", [0.004, 0.008, 0.015])
+def test_a_slow_drive_is_given_set_points_and_read_in_turns(link, latency):
+    link.tell(f"delay {round(1e6 * latency)}")
+    _, rate, _, frames = track(link)
+    assert rate > (50 if latency < 0.01 else 25)
+    assert len(frames) > 40  # in 11.5 s
+
+
 def test_a_path_begins_within_two_exchanges_with_the_drive(link):
     segments = following(link, seconds=0.0)
     link.orders()

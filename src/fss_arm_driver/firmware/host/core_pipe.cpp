@@ -20,7 +20,8 @@
 //   orders                      what the drive was told since the last call, but for readings
 //   joint                       position [counts], velocity [counts/s], mode and baud of the drive
 //   torque COUNTS | push VELOCITY | reference 0 or 1 | plug 0 or 1 | power | off |
-//   noise DATA | status BITS | faults BITS | lack VARIABLE | shake 0 or 1 | fail CODE
+//   noise DATA | status BITS | faults BITS | lack VARIABLE | shake 0 or 1 |
+//   delay TIME | fail CODE
 //                               what may happen to the drive; the last: its next order fails
 //
 // Bytes are hexadecimal, `-` for none. Time is simulated: nothing here depends on the machine's.
@@ -241,6 +242,7 @@ std::string happen(const std::string& what, Words& words) {
   else if (what == "faults") drive.latch_faults(number<uint32_t>(words));
   else if (what == "lack") drive.lack(number<uint8_t>(words));
   else if (what == "shake") drive.shake(number<int32_t>(words));
+  else if (what == "delay") drive.delay(number<uint64_t>(words));
   else if (what == "fail") drive.fail_next(number<int32_t>(words));
   else return "unknown request";
   return "done";
