@@ -108,8 +108,7 @@ void Drive::listen(uint64_t now) {
 }
 
 bool Drive::is_open(uint64_t now) const {
-  const bool free = waiting_ == Waiting::Nothing && now >= quiet_until_;
-  return free && read_since_ && now - ordered_at_ >= kBetween;
+  return waiting_ == Waiting::Nothing && now >= quiet_until_ && now - ordered_at_ >= kBetween;
 }
 
 void Drive::talk(uint64_t now) {
@@ -243,7 +242,6 @@ void Drive::read_next(uint64_t now) {
 }
 
 void Drive::take_value(int32_t value, uint64_t now) {
-  read_since_ = true;
   if (phase_ == Phase::Probe) {
     phase_ = baud_ == kBaud ? Phase::Running : Phase::Rate;
     alive_ = now;
@@ -435,7 +433,6 @@ void Drive::order(Write write, uint64_t now) {
   line.add("\r");
   write_ = write;
   ordered_at_ = now;
-  read_since_ = false;
   outdated_ = false;
   if (write.variable == kAccelerationLimit) acceleration_ = 0;
   if (write.variable == kDecelerationLimit) deceleration_ = 0;

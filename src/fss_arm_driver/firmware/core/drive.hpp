@@ -143,7 +143,6 @@ class Drive {
   bool done_ = false;        // all orders are given
   uint64_t braked_at_ = 0;
   uint64_t ordered_at_ = 0;  // the last order
-  bool read_since_ = false;  // any variable
   uint8_t step_ = 0;         // of the plan that is followed
   Mode mode_ = Mode::Off;    // as acknowledged or read
   int32_t acceleration_ = 0, deceleration_ = 0;  // limits as acknowledged; 0: not known
