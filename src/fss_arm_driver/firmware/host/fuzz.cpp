@@ -28,7 +28,7 @@ namespace fss {
 namespace {
 
 constexpr uint64_t kPatience = 5'000'000;  // for a disarmed link to come to rest [us]
-constexpr uint64_t kOutdated = 30'000;     // no set-point goes on for longer [us],
+constexpr uint64_t kOutdated = 50'000;     // no set-point goes on for longer [us],
 constexpr uint64_t kLost = 600'000;        // or than this, after noise on the drive's line
 constexpr size_t kGrowth = 20'000;         // of what the simulated drive keeps at times [bytes]
 
