@@ -873,8 +873,9 @@ def test_the_next_path_takes_over_in_motion(link):
     first = following(link, SLOW_KNOTS)
     begin = first[9].end
     second = path(begin, [(0, 20, 10), (1, 10, 0)], number=2)
-    assert all(link.send(segment) for segment in second)
     assert link.send(replace(FOLLOW, sequence=3, set_point=2))
+    link.run(0.1)  # it has not come: the first goes on
+    assert all(link.send(segment) for segment in second)
     while link.clock < second[0].end + 300_000:
         link.run(0.02)
         segments = first if link.clock < begin else second
@@ -888,7 +889,7 @@ ENDINGS = {
     "stopped": replace(QUIET, sequence=3, flags=Order.STOP),
     "held": replace(FOLLOW, sequence=3, flags=Order.ARM | Order.HOLD),
     "turned": replace(TURN, sequence=3, set_point=10),
-    "another that is not held": replace(FOLLOW, sequence=3, set_point=7),
+    "sent on an older path": replace(FOLLOW, sequence=3, set_point=0xFFFF),
 }
 
 

@@ -147,7 +147,7 @@ Demand Follower::demand(uint64_t now, uint32_t lag, const Command& command,
   return demand;
 }
 
-// The next path is followed once it has begun; until then the one before.
+// The next path is followed once it has come and begun; until then the one before.
 void Follower::choose(uint16_t number, uint64_t now) {
   if (number == next().number()) {
     if (!next().has_begun(now)) return;
@@ -155,7 +155,7 @@ void Follower::choose(uint16_t number, uint64_t now) {
     turn_ = 1 - turn_;
     latest_ = number;
     broken_ = rests_ = false;
-  } else if (number != followed().number()) {
+  } else if (latest_ && number != latest_ && !newer(number, latest_)) {
     leave();
   }
 }
