@@ -1051,10 +1051,11 @@ def test_paths_are_kept_and_followed_as_the_simulated_link_does(core, seed):
             velocity = rng.choice([0, 999, -1000])
             most = rng.choice([20_000, 100_000, 100_000, 300_000])
             order = replace(FOLLOW, set_point=number, velocity=most)
-            wanted = paths.follow(order, clock, position, VELOCITY_UNIT * velocity)
+            lead = rng.choice([0, 8000])
+            wanted = paths.follow(order, clock, position, VELOCITY_UNIT * velocity, lead)
             told = "hold" if wanted is None else str(round(wanted / VELOCITY_UNIT))
             flags = f"{paths.following:d} {paths.broken:d}"
-            answer = core.ask(f"follow {number} {most} {clock} {position} {velocity}")
+            answer = core.ask(f"follow {number} {most} {clock} {lead} {position} {velocity}")
             assert answer == f"{told} {flags} {paths.report}"
             answers[flags] += 1
         else:

@@ -56,7 +56,7 @@ class Drive {
   // Whether a new set-point for the same goal would be given to the drive now, and the time from
   // then until half of its effect [us].
   bool is_open(uint64_t now) const;
-  static constexpr uint32_t kLag = 8000;
+  static constexpr uint32_t kLead = 8000;
 
   // From now on. The same demand again changes nothing, unless the drive refused it.
   void demand(const Demand& demand);

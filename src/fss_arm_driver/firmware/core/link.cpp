@@ -125,7 +125,7 @@ void Link::follow(uint64_t now) {
   const Command& command = gate_.command();
   if (!armed_ || !is_path(command) || command.expiry < now || !drive_.is_open(now)) return;
   if (drive_.refuses()) paths_.fail();
-  drive_.demand(paths_.demand(now, Drive::kLag, command, drive_.measured()));
+  drive_.demand(paths_.demand(now, Drive::kLead, command, drive_.measured()));
 }
 
 void Link::disarm() {

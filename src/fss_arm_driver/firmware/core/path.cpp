@@ -126,7 +126,7 @@ int32_t Follower::report() const {
   return static_cast<int32_t>(uint32_t{newest.number()} << 16 | newest.missing());
 }
 
-Demand Follower::demand(uint64_t now, uint32_t lag, const Command& command,
+Demand Follower::demand(uint64_t now, uint32_t lead, const Command& command,
                         const Measurement& measured) {
   choose(static_cast<uint16_t>(command.set_point), now);
   Demand demand;
@@ -140,7 +140,7 @@ Demand Follower::demand(uint64_t now, uint32_t lag, const Command& command,
     return demand;
   }
   rests_ = rests_ || (path.is_over(measured.clock) && measured.at_rest());
-  const double velocity = path.aim(now + lag).velocity + kGain * error;
+  const double velocity = path.aim(now + lead).velocity + kGain * error;
   demand.goal = Demand::Velocity;
   demand.set_point = within(velocity / kUnit, command.velocity);
   demand.acceleration = command.acceleration;

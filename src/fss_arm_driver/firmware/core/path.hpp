@@ -66,9 +66,9 @@ class Follower {
   int32_t report() const;  // the slow field of telemetry
   bool holds_none() const { return !followed().number() && !next().number(); }
 
-  // What the drive is to do from `now` on, by the command in force, which is of mode 31; `lag` is
+  // What the drive is to do from `now` on, by the command in force, which is of mode 31; `lead` is
   // the time until half of what that sets is done [us].
-  Demand demand(uint64_t now, uint32_t lag, const Command& command, const Measurement& measured);
+  Demand demand(uint64_t now, uint32_t lead, const Command& command, const Measurement& measured);
 
  private:
   void choose(uint16_t number, uint64_t now);

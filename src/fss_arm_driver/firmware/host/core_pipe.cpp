@@ -8,7 +8,7 @@
 //
 //   paths                       none are held
 //   keep SEGMENT TIME           a segment comes: `taken` or `refused`
-//   follow NUMBER MOST TIME POSITION VELOCITY
+//   follow NUMBER MOST TIME LEAD POSITION VELOCITY
 //                               what the drive shall have: `hold` or its velocity; following,
 //                               broken, and the slow field
 //   leave                       the path followed
@@ -154,9 +154,10 @@ std::string follow(Words& words) {
   command.set_point = number<int32_t>(words);
   command.velocity = number<int32_t>(words);
   measured.clock = number<uint64_t>(words);
+  const auto lead = number<uint32_t>(words);
   measured.position = number<int32_t>(words);
   measured.velocity = number<int32_t>(words);
-  const Demand demand = paths.demand(measured.clock, 0, command, measured);
+  const Demand demand = paths.demand(measured.clock, lead, command, measured);
   return (demand.goal == Demand::Hold ? "hold" : joined(demand.set_point)) + " " +
          joined(paths.following(), paths.broken(), paths.report());
 }
