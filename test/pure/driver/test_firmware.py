@@ -400,6 +400,16 @@ def clumsy_command(rng, clock, sequence):
     )
 
 
+def clumsy_segment(rng, clock):
+    """A segment as the same computer may send it, of a path that nobody orders."""
+    knots = [(0, 0, 0), (1, 5, 0)]
+    (segment,) = path(
+        max(0, clock + rng.randint(-2 * SECOND, 2 * SECOND)), knots, rng.choice([1, 2, 3])
+    )
+    stamp = clock + rng.randint(-200_000, 0)
+    return replace(segment, boot=rng.choice([BOOT] * 9 + [BOOT + 1]), clock=stamp)
+
+
 @pytest.mark.parametrize("key", [None, KEY])
 @pytest.mark.parametrize("seed", range(4))
 def test_it_takes_arms_and_trips_as_the_simulated_link_does(core, seed, key):
@@ -413,6 +423,11 @@ def test_it_takes_arms_and_trips_as_the_simulated_link_does(core, seed, key):
         taken = link.send(command)
         assert simulated.receive(encode(command, key), link.clock) == taken
         sequence = command.sequence if taken else sequence
+        segment, refused = clumsy_segment(rng, link.clock), simulated.gate.refused.total()
+        assert not simulated.receive(encode(segment, key), link.clock)
+        kept = simulated.gate.refused.total() == refused
+        assert link.send(segment) == kept
+        seen.add(("kept", kept))
         for frame in link.run(rng.choice([0.05, 0.2, 0.2, 0.2, 0.4, 2.5])):
             simulated.demand(frame.clock, rest)
             expected = decode(simulated.telemetry(frame.clock, rest), key)
@@ -420,7 +435,7 @@ def test_it_takes_arms_and_trips_as_the_simulated_link_does(core, seed, key):
             assert (frame.echo, frame.turnaround) == (expected.echo, expected.turnaround)
             seen.add(frame.flags & LATCHES)
         simulated.demand(link.clock, rest)
-    assert seen >= {0, State.ARMED, State.STOPPED, State.WATCHDOG}
+    assert seen >= {0, State.ARMED, State.STOPPED, State.WATCHDOG, ("kept", True), ("kept", False)}
 
 
 @pytest.mark.parametrize("inputs", [20_000, pytest.param(10_000_000, marks=pytest.mark.slow)])
