@@ -6,7 +6,7 @@ import subprocess
 from pathlib import Path
 from typing import NamedTuple
 
-from fss_arm_driver.protocol import Command, Telemetry, decode, encode
+from fss_arm_driver.protocol import Command, Segment, Telemetry, decode, encode
 
 # The search for leaks traces the process, which a container may forbid; the core has no heap.
 os.environ.setdefault("ASAN_OPTIONS", "detect_leaks=0")
@@ -89,9 +89,9 @@ class FirmwareLink:
         """Let something happen to it."""
         assert self.core.ask(request) == "done"
 
-    def send(self, command: Command | bytes) -> bool:
-        """Deliver a datagram; whether it was taken as a command."""
-        data = command if isinstance(command, bytes) else encode(command, self.key)
+    def send(self, frame: Command | Segment | bytes) -> bool:
+        """Deliver a datagram; whether it was taken."""
+        data = frame if isinstance(frame, bytes) else encode(frame, self.key)
         answer = self.core.ask(f"send {data.hex() or '-'}")
         assert answer in ("taken", "refused")
         return answer == "taken"

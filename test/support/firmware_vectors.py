@@ -15,10 +15,12 @@ from itertools import islice
 from zlib import crc32
 
 from fss_arm_driver.protocol import (
+    LAST,
     Command,
     FrameError,
     Mode,
     Order,
+    Segment,
     Slow,
     StreamDecoder,
     Telemetry,
@@ -27,6 +29,7 @@ from fss_arm_driver.protocol import (
     pack,
 )
 
+MODES = [mode for mode in Mode if mode is not Mode.PATH]
 KEYS = [None, bytes(range(16)), bytes(range(100, 132))]
 
 
@@ -42,14 +45,15 @@ def sealed(data: bytes, key: bytes | None) -> bytes:
 
 
 def verdict(data: bytes, key: bytes | None) -> str:
-    """The answer to `decode`: of a frame as a link reads it, which only takes commands."""
-    if len(data) == 72 and data[:4] == b"\x53\x46\x01\x01":
+    """The answer to `decode`: of a frame as a link reads it, which takes no telemetry."""
+    if len(data) == 72 and data[:4] == b"\x53\x46\x02\x01":
         return "kind"
     try:
         frame = decode(data, key)
     except FrameError as error:
         return error.reason.value
-    return " ".join(["command", *(str(int(value)) for value in astuple(frame))])
+    kind = type(frame).__name__.lower()
+    return " ".join([kind, *(str(int(value)) for value in astuple(frame))])
 
 
 def telemetries(rng: random.Random) -> Iterator[Telemetry]:
@@ -61,10 +65,10 @@ def telemetries(rng: random.Random) -> Iterator[Telemetry]:
 
     while True:
         yield Telemetry(
-            link=rng.randint(1, 255), flags=rng.randint(0, 15), boot=pick(16) or 1,
+            link=rng.randint(1, 255), flags=rng.randint(0, 63), boot=pick(16) or 1,
             sequence=pick(32), clock=pick(64), echo=pick(32), turnaround=pick(32),
             position=pick(32, True), velocity=pick(32, True), current=pick(16, True),
-            mode=rng.choice(list(Mode)), slow_id=rng.choice(list(Slow)), status=pick(32),
+            mode=rng.choice(MODES), slow_id=rng.choice(list(Slow)), status=pick(32),
             torque=pick(24, True), torque_age=pick(8), slow_value=pick(32, True),
         )  # fmt: skip
 
@@ -74,13 +78,35 @@ def commands(rng: random.Random) -> Iterator[Command]:
     flags = [0, Order.ARM, Order.STOP, Order.ARM | Order.HOLD, Order.STOP | Order.CLEAR_FAULTS]
     flags.append(Order.ARM | Order.HOME)
     while True:
+        mode = rng.choice(list(Mode))
+        set_point = rng.choice([-(1 << 31), (1 << 31) - 1, rng.getrandbits(16)])
         yield Command(
             link=rng.randint(1, 255), flags=rng.choice(flags), boot=rng.choice([1, 7, 0xFFFF]),
             sequence=rng.getrandbits(32), clock=rng.choice([0, 1 << 63, rng.getrandbits(64)]),
             expiry=rng.choice([1, (1 << 64) - 1, rng.getrandbits(50) + 1]),
-            mode=rng.choice(list(Mode)), watchdog=rng.choice([1, 2000, 0xFFFF]),
-            set_point=rng.choice([-(1 << 31), (1 << 31) - 1, rng.getrandbits(16)]),
+            mode=mode, watchdog=rng.choice([1, 2000, 0xFFFF]),
+            set_point=rng.choice([1, 0xFFFF]) if mode == Mode.PATH else set_point,
             velocity=rng.getrandbits(31), acceleration=rng.getrandbits(31),
+        )  # fmt: skip
+
+
+def segments(rng: random.Random) -> Iterator[Segment]:
+    """Random ones, with extreme values among them."""
+
+    def signed() -> int:
+        return rng.choice([-(1 << 31), (1 << 31) - 1, 0, rng.randint(-(1 << 31), (1 << 31) - 1)])
+
+    while True:
+        flags = rng.choice([0, 0, LAST])
+        duration = rng.choice([1000, 60_000_000, rng.randint(1000, 60_000_000)])
+        yield Segment(
+            link=rng.randint(1, 255), flags=flags, boot=rng.choice([1, 7, 0xFFFF]),
+            sequence=rng.getrandbits(32), clock=rng.choice([0, 1 << 63, rng.getrandbits(64)]),
+            path=rng.choice([1, 0xFFFF, rng.randint(1, 0xFFFF)]),
+            index=rng.choice([0, 0xFFFE, rng.randint(0, 0xFFFE)]),
+            begin=rng.choice([0, (1 << 64) - 1 - duration, rng.getrandbits(50)]),
+            duration=duration, position=signed(), velocity=signed(), end_position=signed(),
+            end_velocity=0 if flags else signed(),
         )  # fmt: skip
 
 
@@ -112,9 +138,10 @@ def cases(seed: int, count: int) -> Iterator[tuple[str, str]]:
         frames.append(encode(telemetry, key))
         values = " ".join(str(int(value)) for value in astuple(telemetry))
         yield f"encode {hexed(key)} {values}", frames[-1].hex()
-    for command in islice(commands(rng), count):
+    orders = [*islice(commands(rng), count), *islice(segments(rng), count)]
+    for order in orders:
         key = rng.choice(KEYS)
-        frames.append(encode(command, key))
+        frames.append(encode(order, key))
         yield f"decode {hexed(key)} {frames[-1].hex()}", verdict(frames[-1], key)
     for _ in range(3 * count):
         key = rng.choice(KEYS)

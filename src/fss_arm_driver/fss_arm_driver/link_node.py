@@ -30,7 +30,7 @@ from fss_arm_driver.scale import CommandError
 from fss_arm_driver.session import Arming, LinkSession, Progress
 from fss_arm_driver.settings import LinkSettings
 from fss_arm_driver.transport import Transport, open_transport
-from fss_arm_msgs.msg import CommandStatus, LinkCommand, LinkTelemetry
+from fss_arm_msgs.msg import CommandStatus, LinkCommand, LinkPath, LinkTelemetry
 from fss_arm_ros.convert import SECOND, stamp_ns
 from fss_arm_ros.diagnostics import Diagnostics, Health
 from fss_arm_ros.pace import pace
@@ -38,6 +38,7 @@ from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import COMMAND, SENSOR
 from fss_arm_ros.run import RCLError, run
 
+PATH_RATE = 10.0  # of commands, below which they are doubled while a path is followed [1/s]
 SIMULATED_STEP = 0.01  # of /clock [s]
 
 
@@ -85,6 +86,7 @@ class LinkNode(Node):
         self.reported: tuple[Any, ...] = ()  # of the last command
         self.given = 0, 0  # when that was given: by the session, and by the time of day then
         self.waiting: list[Future] = []
+        self.beats, self.usual = 0, 2 if settings.rate < PATH_RATE else 1  # beats to a command
         if settings.is_exposed():
             self.get_logger().warning(
                 f"{settings.url}: frames are not signed, so anybody on this network can move the "
@@ -95,11 +97,13 @@ class LinkNode(Node):
         self.telemetry = self.create_publisher(LinkTelemetry, f"{self.name}/telemetry", SENSOR)
         self.status = self.create_publisher(CommandStatus, f"{self.name}/command_status", SENSOR)
         self.create_subscription(LinkCommand, f"{self.name}/command", self.on_command, COMMAND)
+        self.create_subscription(LinkPath, f"{self.name}/path", self.on_path, 10)
         self.create_subscription(Empty, "arm/stop", self.on_stop, 10)
         group = ReentrantCallbackGroup()  # the answer waits for the link's; all else goes on
         self.create_service(SetBool, f"{self.name}/arm", self.on_arm, callback_group=group)
         self.create_service(Trigger, f"{self.name}/clear_faults", self.on_clear_faults)
-        self.create_timer(1.0 / settings.rate, self.send, clock=pace(self))
+        period = 1.0 / settings.rate / self.usual
+        self.create_timer(period, self.beat, clock=pace(self))
         self.messages = SampleMessages(self.session)
         self.link_health = LinkHealth(self.session, self.transport, bool(settings.keys))
         self.diagnostics = Diagnostics(self, self.health, settings.url)
@@ -136,17 +140,30 @@ class LinkNode(Node):
         self.session.follow(sample)
         self.telemetry.publish(self.messages.telemetry(sample, now))
 
+    def beat(self) -> None:
+        """Send at the steady rate; twice as often while a path is followed, if that is seldom."""
+        self.beats += 1
+        if self.beats % self.usual == 0 or self.session.follows:
+            self.send()
+
     def send(self) -> None:
         """Send the command of the moment."""
         with self.lock:
-            self.transport.send(self.session.command(self.now()))
+            self.transport.send(self.session.command(now := self.now()))
+            self.send_path(now)
         self.answer()
         session, trouble = self.session, self.transport.trouble
         self.warn("trouble", trouble and f"{self.settings.url}: {trouble}")
         self.warn("rival", session.rival)
+        self.warn("path", session.breakage)
         if bool(session.strain) != bool(self.warned["strain"]):  # its figures change all the time
             self.warn("strain", session.strain)
         self.warn("standstill", session.standstill and f"{session.standstill}: disarmed")
+
+    def send_path(self, now: int) -> None:
+        """Send what the link lacks of its paths."""
+        for data in self.session.segments(now):
+            self.transport.send(data)
 
     def on_command(self, message: LinkCommand) -> None:
         """Take a command, from the time that its stamp says it was given."""
@@ -157,20 +174,37 @@ class LinkNode(Node):
             try:
                 if not 0.0 < (lives := message.time_to_live) <= 3600.0:
                     raise CommandError(f"time_to_live is {lives} s, expected above 0")
+                follows = message.mode == LinkCommand.PATH
                 self.session.set(
                     message.mode,
-                    message.set_point,
+                    message.path if follows else message.set_point,
                     message.max_velocity,
                     message.max_acceleration,
                     given + round(lives * SECOND),
                     now,
                 )
             except CommandError as error:
-                self.status.publish(command_refused(str(error), given + ahead, now + ahead))
-                self.warn("refused", f"command refused: {error}")
+                self.refuse("command", error, given)
             if before and before is not self.session.progress:
                 self.report(before)  # another command took its place
         self.answer()
+
+    def on_path(self, message: LinkPath) -> None:
+        """Take a path, and send its beginning to the link."""
+        with self.lock:
+            now, begin = self.now(), stamp_ns(message.header.stamp) - self.clock.ahead
+            knots = message.time, message.position, message.velocity
+            try:
+                self.session.give_path(message.path, begin, *knots, now)
+            except CommandError as error:
+                self.refuse("path", error, now)
+            self.send_path(now)
+
+    def refuse(self, what: str, error: CommandError, given: int) -> None:
+        """Say that a command or a path is not taken."""
+        ahead = self.clock.ahead
+        self.status.publish(command_refused(str(error), given + ahead, self.now() + ahead))
+        self.warn("refused", f"{what} refused: {error}")
 
     def on_stop(self, _: Empty) -> None:
         """Stop at once."""

@@ -17,7 +17,10 @@ class LinkSettings(Settings):
     urls: tuple[str, ...] = setting(
         (), "instead of url: where links 1, 2, ... are, to host all in one process"
     )
-    rate: float = setting(5.0, "rate of the commands", unit="1/s", check=between(0.1, 1000.0))
+    rate: float = setting(
+        5.0, "rate of the commands; below 10, twice that while a path is followed", unit="1/s",
+        check=between(0.1, 1000.0),
+    )  # fmt: skip
     timeout: float = setting(
         1.0,
         "silence after which the link is lost, and longest round trip to arm at",

@@ -29,7 +29,6 @@ constexpr uint32_t kReset = 1u << 20;  // of the status: since some time, but ju
 
 constexpr int32_t kReferencedBit = 1 << 12, kHomingBit = 1 << 13;  // of the trajectory status
 
-constexpr int32_t kStill = 1000;  // slower is at rest [0.1 counts/s]; 2.6 mrad/s
 constexpr uint64_t kPatience = 3000000;  // with a joint that does not come to rest [us]
 constexpr int32_t kAbort = 0, kStart = 1, kFindHome = 2;
 
@@ -40,6 +39,7 @@ constexpr uint64_t kClearTime = 50000;   // for the answer to what was left in t
 constexpr uint64_t kRateTime = 30000;    // for `s r0x90 115200` to be sent at 9600 baud
 constexpr uint64_t kSwitchTime = 100000; // the drive's own, to change its rate
 constexpr uint64_t kGone = 500000;       // without a measurement: it does not answer
+constexpr uint64_t kBetween = 10000;     // the last order and a new set-point for the same goal
 
 Mode mode_of(Demand::Goal goal) {
   switch (goal) {
@@ -101,16 +101,24 @@ bool parse(const char* text, int32_t& number) {
 
 }  // namespace
 
-void Drive::poll(uint64_t now) {
+void Drive::listen(uint64_t now) {
   receive(now);
   if (waiting_ != Waiting::Nothing && now - asked_at_ > kReplyTime) fail(now);
   if (phase_ == Phase::Running && now - alive_ > kGone) phase_ = Phase::Begin;
+}
+
+bool Drive::is_open(uint64_t now) const {
+  return waiting_ == Waiting::Nothing && now >= quiet_until_ && now - ordered_at_ >= kBetween;
+}
+
+void Drive::talk(uint64_t now) {
   if (waiting_ != Waiting::Nothing || now < quiet_until_) return;
   if (phase_ != Phase::Running) {
     connect(now);
-  } else if (!order_next(now)) {
-    read_next(now);
+    return;
   }
+  if (pending_ && done_ && is_open(now)) begin(asked_);
+  if (!order_next(now)) read_next(now);
 }
 
 void Drive::demand(const Demand& demand) {
@@ -125,17 +133,18 @@ void Drive::demand(const Demand& demand) {
 }
 
 void Drive::begin(const Demand& demand) {
+  const bool holds = demand_.goal == Demand::Hold && done_;
+  braked_ = holds && demand.goal == Demand::Velocity;
   demand_ = demand;
   outdated_ = true;
-  pending_ = braked_ = done_ = false;
+  pending_ = done_ = false;
   step_ = 0;
 }
 
 bool Drive::blocked() const { return measured_.status & kBlocking; }
 
 bool Drive::at_rest() const {
-  return measured_.clock > braked_at_ && measured_.velocity >= -kStill &&
-         measured_.velocity <= kStill;
+  return measured_.clock > braked_at_ && measured_.at_rest();
 }
 
 // --- replies ------------------------------------------------------------------------------------
@@ -182,6 +191,7 @@ void Drive::fail(uint64_t now) {
   waiting_ = Waiting::Nothing;
   quiet_until_ = now + kResyncTime;
   turn_ = 0;
+  acceleration_ = deceleration_ = 0;
   if (phase_ == Phase::Running) return;
   baud_ = baud_ == kBaud ? kFirstBaud : kBaud;
   phase_ = Phase::Begin;
@@ -200,6 +210,7 @@ void Drive::connect(uint64_t now) {
       refused_ = true;  // whatever was asked must be asked again
       begin(Demand{});
       referenced_ = paused_ = false;
+      acceleration_ = deceleration_ = 0;
       board_.set_baud(baud_);
       send("\r", 1, now);
       quiet_until_ = now + kClearTime;
@@ -264,7 +275,6 @@ void Drive::end_round(uint64_t now) {
   }
   alive_ = now;
   paused_ = false;
-  if (pending_ && done_) begin(asked_);
 }
 
 // The drive may be in another mode than was acknowledged, as acknowledgements get lost. One that
@@ -307,11 +317,21 @@ bool Drive::order_next(uint64_t now) {
 bool Drive::follow(const Plan& plan, uint64_t now) {
   for (; step_ < plan.size; ++step_) {
     const Write& write = plan.writes[step_];
-    if (write.variable == kDesiredState && write.value == static_cast<int32_t>(mode_)) continue;
+    if (is_so(write)) continue;
     order(write, now);
     return true;
   }
   return false;
+}
+
+// Whether the drive has acknowledged this, and nothing else since.
+bool Drive::is_so(const Write& write) const {
+  switch (write.variable) {
+    case kDesiredState: return write.value == static_cast<int32_t>(mode_);
+    case kAccelerationLimit: return write.value == acceleration_;
+    case kDecelerationLimit: return write.value == deceleration_;
+    default: return false;
+  }
 }
 
 // In every mode with the drive's own abort deceleration.
@@ -373,6 +393,8 @@ void Drive::take_ok() {
     return;
   }
   if (write_.variable == kDesiredState) mode_ = static_cast<Mode>(write_.value);
+  if (write_.variable == kAccelerationLimit) acceleration_ = write_.value;
+  if (write_.variable == kDecelerationLimit) deceleration_ = write_.value;
   if (write_.variable == kTrajectory && write_.value == kFindHome) referenced_ = false;
   if (!outdated_) ++step_;
 }
@@ -410,7 +432,10 @@ void Drive::order(Write write, uint64_t now) {
   line.add(write.value);
   line.add("\r");
   write_ = write;
+  ordered_at_ = now;
   outdated_ = false;
+  if (write.variable == kAccelerationLimit) acceleration_ = 0;
+  if (write.variable == kDecelerationLimit) deceleration_ = 0;
   const bool homes = write.variable == kTrajectory && write.value == kFindHome;
   if (homes || write.variable == kDesiredState) turn_ = 0;  // what was read is out of date
   variable_ = 0;

@@ -40,13 +40,23 @@ struct Measurement {
   uint64_t clock = 0;  // when the position was read [us]
   int32_t position = 0, velocity = 0, current = 0;
   uint32_t status = 0;
+
+  bool at_rest() const { return velocity > -kStill && velocity < kStill; }
+  static constexpr int32_t kStill = 1000;  // slower is at rest [0.1 counts/s]; 2.6 mrad/s
 };
 
 class Drive {
  public:
   explicit Drive(Board& board) : board_(board) {}
 
-  void poll(uint64_t now);
+  // What has come from the drive, and then what is sent to it.
+  void listen(uint64_t now);
+  void talk(uint64_t now);
+
+  // Whether a new set-point for the same goal would be given to the drive now, and the time from
+  // then until half of its effect [us].
+  bool is_open(uint64_t now) const;
+  static constexpr uint32_t kLead = 8000;
 
   // From now on. The same demand again changes nothing, unless the drive refused it.
   void demand(const Demand& demand);
@@ -57,6 +67,7 @@ class Drive {
   // Whether the drive answers, and has been measured since it does.
   bool answers() const { return phase_ == Phase::Running && measured_.clock != 0; }
   bool blocked() const;  // by a fault
+  bool refuses() const { return refused_; }                    // what was demanded
   bool let_go() const { return demand_.goal == Demand::Off; }  // it refused even to hold
 
   Mode mode() const { return mode_; }
@@ -99,6 +110,7 @@ class Drive {
   void read_next(uint64_t now);
   bool order_next(uint64_t now);
   bool follow(const Plan& plan, uint64_t now);
+  bool is_so(const Write& write) const;
   Plan brake() const;
   Plan program() const;
   bool at_rest() const;
@@ -130,8 +142,10 @@ class Drive {
   bool braked_ = false;      // the orders to brake are given
   bool done_ = false;        // all orders are given
   uint64_t braked_at_ = 0;
+  uint64_t ordered_at_ = 0;  // the last order
   uint8_t step_ = 0;         // of the plan that is followed
   Mode mode_ = Mode::Off;    // as acknowledged or read
+  int32_t acceleration_ = 0, deceleration_ = 0;  // limits as acknowledged; 0: not known
 
   // What it reports.
   uint8_t turn_ = 0, slow_turn_ = 0;

@@ -8,8 +8,9 @@ namespace fss {
 namespace {
 
 constexpr uint16_t kMagic = 0x4653;
-constexpr uint8_t kVersion = 1, kTelemetry = 1, kCommand = 2;
+constexpr uint8_t kVersion = 2;
 constexpr size_t kCrcAt = 52, kSignatureAt = 56, kSignatureSize = 16;
+constexpr uint32_t kShortest = 1000, kLongest = 60000000;  // segments [us]
 
 // CRC-32 as zlib's, four bits at a time.
 uint32_t crc32(const uint8_t* data, size_t size) {
@@ -44,20 +45,69 @@ bool signature_fits(const uint8_t* data, const Key& key) {
 }
 
 bool is_mode(uint8_t number) {
-  return number == static_cast<uint8_t>(Mode::Off) ||
-         number == static_cast<uint8_t>(Mode::Current) ||
-         number == static_cast<uint8_t>(Mode::Velocity) ||
-         number == static_cast<uint8_t>(Mode::Position);
+  switch (static_cast<Mode>(number)) {
+    case Mode::Off:
+    case Mode::Current:
+    case Mode::Velocity:
+    case Mode::Position:
+    case Mode::Path:
+      return true;
+  }
+  return false;
 }
 
-bool has_meaning(const uint8_t* data) {
-  const uint8_t flags = data[5];
-  if (data[4] == 0 || flags & ~(kArm | kStop | kHold | kClearFaults | kHome)) return false;
-  if (!is_mode(data[28]) || data[29] != 0 || load<uint16_t>(data + 30) == 0) return false;
-  if (load<int32_t>(data + 36) < 0 || load<int32_t>(data + 40) < 0) return false;
+bool has_meaning(const uint8_t* data, const Command& command) {
+  const uint8_t flags = command.flags;
+  if (command.link == 0 || flags & ~(kArm | kStop | kHold | kClearFaults | kHome)) return false;
+  if (!is_mode(data[28]) || data[29] != 0 || command.watchdog == 0) return false;
+  if (command.velocity < 0 || command.acceleration < 0) return false;
+  const bool numbers = command.set_point >= 1 && command.set_point <= 0xFFFF;
+  if (command.mode == Mode::Path && !numbers) return false;
   if (load<uint64_t>(data + 44) != 0) return false;
   if (!(flags & kArm)) return !(flags & kHome);
-  return !(flags & kStop) && load<uint16_t>(data + 6) != 0 && load<uint64_t>(data + 20) != 0;
+  return !(flags & kStop) && command.boot != 0 && command.expiry != 0;
+}
+
+bool has_meaning(const Segment& segment) {
+  if (segment.link == 0 || segment.flags & ~kLast || segment.boot == 0) return false;
+  if (segment.path == 0 || segment.index == 0xFFFF) return false;
+  if (segment.flags & kLast && segment.end.velocity != 0) return false;
+  const uint64_t duration = segment.end.time - segment.begin.time;
+  return duration >= kShortest && duration <= kLongest && segment.end.time > segment.begin.time;
+}
+
+Command read_command(const uint8_t* data) {
+  Command command;
+  command.link = data[4];
+  command.flags = data[5];
+  command.boot = load<uint16_t>(data + 6);
+  command.sequence = load<uint32_t>(data + 8);
+  command.clock = load<uint64_t>(data + 12);
+  command.expiry = load<uint64_t>(data + 20);
+  command.mode = static_cast<Mode>(data[28]);
+  command.watchdog = load<uint16_t>(data + 30);
+  command.set_point = load<int32_t>(data + 32);
+  command.velocity = load<int32_t>(data + 36);
+  command.acceleration = load<int32_t>(data + 40);
+  return command;
+}
+
+Segment read_segment(const uint8_t* data) {
+  Segment segment;
+  segment.link = data[4];
+  segment.flags = data[5];
+  segment.boot = load<uint16_t>(data + 6);
+  segment.sequence = load<uint32_t>(data + 8);
+  segment.clock = load<uint64_t>(data + 12);
+  segment.path = load<uint16_t>(data + 20);
+  segment.index = load<uint16_t>(data + 22);
+  segment.begin.time = load<uint64_t>(data + 24);
+  segment.end.time = segment.begin.time + load<uint32_t>(data + 32);
+  segment.begin.position = load<int32_t>(data + 36);
+  segment.begin.velocity = load<int32_t>(data + 40);
+  segment.end.position = load<int32_t>(data + 44);
+  segment.end.velocity = load<int32_t>(data + 48);
+  return segment;
 }
 
 }  // namespace
@@ -65,7 +115,7 @@ bool has_meaning(const uint8_t* data) {
 void encode(const Telemetry& frame, const Key& key, uint8_t* data) {
   store(data, kMagic);
   data[2] = kVersion;
-  data[3] = kTelemetry;
+  data[3] = static_cast<uint8_t>(Kind::Telemetry);
   data[4] = frame.link;
   data[5] = frame.flags;
   store(data + 6, frame.boot);
@@ -86,25 +136,24 @@ void encode(const Telemetry& frame, const Key& key, uint8_t* data) {
   sign(data, key, data + kSignatureAt);
 }
 
-Refusal decode(const uint8_t* data, size_t size, const Key& key, Command& command) {
+Refusal decode(const uint8_t* data, size_t size, const Key& key, Frame& frame) {
   if (size != kFrameSize) return Refusal::Length;
   if (load<uint16_t>(data) != kMagic) return Refusal::Magic;
   if (data[2] != kVersion) return Refusal::Version;
-  if (data[3] != kCommand) return Refusal::Kind;
+  const auto kind = static_cast<Kind>(data[3]);
+  if (kind != Kind::Command && kind != Kind::Segment) return Refusal::Kind;
   if (load<uint32_t>(data + kCrcAt) != crc32(data, kCrcAt)) return Refusal::Crc;
   if (!signature_fits(data, key)) return Refusal::Signature;
-  if (!has_meaning(data)) return Refusal::Field;
-  command.link = data[4];
-  command.flags = data[5];
-  command.boot = load<uint16_t>(data + 6);
-  command.sequence = load<uint32_t>(data + 8);
-  command.clock = load<uint64_t>(data + 12);
-  command.expiry = load<uint64_t>(data + 20);
-  command.mode = static_cast<Mode>(data[28]);
-  command.watchdog = load<uint16_t>(data + 30);
-  command.set_point = load<int32_t>(data + 32);
-  command.velocity = load<int32_t>(data + 36);
-  command.acceleration = load<int32_t>(data + 40);
+  if (kind == Kind::Command) {
+    const Command command = read_command(data);
+    if (!has_meaning(data, command)) return Refusal::Field;
+    frame.command = command;
+  } else {
+    const Segment segment = read_segment(data);
+    if (!has_meaning(segment)) return Refusal::Field;
+    frame.segment = segment;
+  }
+  frame.kind = kind;
   return Refusal::None;
 }
 

@@ -6,18 +6,30 @@ bool Gate::silent(uint64_t now) const {
   return taken_ == 0 || now - arrival_ > 1000u * uint64_t{command_.watchdog};
 }
 
-bool Gate::take(const uint8_t* data, size_t size, uint64_t now) {
-  Command command;
-  if (decode(data, size, key_, command) != Refusal::None || !admits(command, now)) {
-    ++refused_;
-    return false;
+Taken Gate::take(const uint8_t* data, size_t size, uint64_t now, Follower* paths) {
+  Frame frame;
+  const bool whole = decode(data, size, key_, frame) == Refusal::None;
+  const Taken taken = whole ? take(frame, now, paths) : Taken::Nothing;
+  refused_ += taken == Taken::Nothing;
+  return taken;
+}
+
+Taken Gate::take(const Frame& frame, uint64_t now, Follower* paths) {
+  if (frame.kind == Kind::Segment) {
+    const Segment& segment = frame.segment;
+    const bool replayed = key_.size && segment.clock <= unarmed_;
+    const bool ours = paths && segment.link == link_ && segment.boot == boot_ && !replayed;
+    return ours && paths->take(segment, now) ? Taken::Segment : Taken::Nothing;
   }
+  const Command& command = frame.command;
+  if (!admits(command, now)) return Taken::Nothing;
   if (follows(command, now)) newest_ = command.sequence;
   if (command.clock > latest_) latest_ = command.clock;
+  if (!(command.flags & kArm)) unarmed_ = command.clock;
   command_ = command;
   arrival_ = now;
   ++taken_;
-  return true;
+  return Taken::Command;
 }
 
 bool Gate::admits(const Command& command, uint64_t now) const {

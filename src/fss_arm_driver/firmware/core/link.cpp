@@ -29,9 +29,16 @@ Demand demand_of(const Command& command) {
       demand.goal = Demand::Position;
       demand.velocity = command.velocity;
       break;
+    case Mode::Path:  // the path says, again and again
+      return Demand{};
   }
   demand.acceleration = command.acceleration;
   return demand;
+}
+
+// Whether a command that arms orders a path to be followed.
+bool is_path(const Command& command) {
+  return command.mode == Mode::Path && !(command.flags & (kHold | kHome));
 }
 
 }  // namespace
@@ -42,13 +49,15 @@ void Link::poll(uint64_t now) {
   for (int i = 0; i < kBatch; ++i) {
     const size_t size = board_.receive(datagram, sizeof datagram);
     if (size == 0) break;
-    if (gate_.take(datagram, size, now)) {
+    if (gate_.take(datagram, size, now, armed_ ? &paths_ : nullptr) == Taken::Command) {
       board_.answer();
       obey(gate_.command());
     }
   }
+  drive_.listen(now);
   watch(now);
-  drive_.poll(now);
+  follow(now);
+  drive_.talk(now);
   if (drive_.position_clock() != read_at_) {
     const uint64_t since = now - gate_.arrival();
     read_at_ = drive_.position_clock();
@@ -61,20 +70,25 @@ void Link::poll(uint64_t now) {
 uint8_t Link::flags() const {
   return static_cast<uint8_t>((armed_ ? kArmed : 0) | (stopped_ ? kStopped : 0) |
                               (watchdog_ ? kWatchdog : 0) |
-                              (drive_.referenced() ? kReferenced : 0));
+                              (drive_.referenced() ? kReferenced : 0) |
+                              (paths_.following() ? kFollowing : 0) |
+                              (paths_.broken() ? kBroken : 0));
 }
 
 void Link::obey(const Command& command) {
   if (command.flags & kClearFaults) drive_.clear_faults();
   if (command.flags & kStop) {
-    armed_ = false;
+    disarm();
     stopped_ = true;
     if (on_) hold();
   } else if (!(command.flags & kArm)) {
-    armed_ = stopped_ = watchdog_ = dropped_ = on_ = false;
+    disarm();
+    stopped_ = watchdog_ = dropped_ = on_ = false;
     drive_.demand(Demand{});
   } else if (!stopped_ && !watchdog_ && !dropped_) {
     armed_ = on_ = true;
+    if (is_path(command)) return;
+    paths_.leave();
     if (command.flags & kHold) {
       hold();
     } else {
@@ -86,22 +100,37 @@ void Link::obey(const Command& command) {
 // What happens without a command: faults, silence, the end of a set-point's time.
 void Link::watch(uint64_t now) {
   if (on_ && drive_.let_go()) {
-    armed_ = on_ = false;
+    disarm();
+    on_ = false;
     dropped_ = true;
   }
   if (on_ && (!drive_.answers() || drive_.blocked())) {  // one that only holds as well
-    armed_ = on_ = false;
+    disarm();
+    on_ = false;
     dropped_ = true;
     drive_.demand(Demand{});
   }
   if (!armed_) return;
   if (gate_.silent(now)) {
-    armed_ = false;
+    disarm();
     watchdog_ = true;
     hold();
   } else if (gate_.command().expiry < now) {
+    paths_.leave();
     hold();
   }
+}
+
+void Link::follow(uint64_t now) {
+  const Command& command = gate_.command();
+  if (!armed_ || !is_path(command) || command.expiry < now || !drive_.is_open(now)) return;
+  if (drive_.refuses()) paths_.fail();
+  drive_.demand(paths_.demand(now, Drive::kLead, command, drive_.measured()));
+}
+
+void Link::disarm() {
+  armed_ = false;
+  paths_.clear();
 }
 
 void Link::hold() {
@@ -128,7 +157,7 @@ void Link::report() {
   frame.velocity = measured.velocity;
   frame.current = to_16_bits(measured.current);
   frame.mode = drive_.mode();
-  frame.slow_id = static_cast<Slow>(1 + sequence_ % kSlowFields);
+  frame.slow_id = next_slow();
   frame.status = measured.status;
   frame.torque = torque_.counts;
   frame.torque_age = torque_.age(measured.clock);
@@ -137,6 +166,12 @@ void Link::report() {
   uint8_t data[kFrameSize];
   encode(frame, key_, data);
   board_.send(data);
+}
+
+// By turns; while a path is held, it every other time.
+Slow Link::next_slow() {
+  if (!paths_.holds_none() && sequence_ % 2) return Slow::Path;
+  return static_cast<Slow>(1 + slow_turn_++ % kSlowFields);
 }
 
 int32_t Link::slow_value(Slow slow) const {
@@ -148,6 +183,7 @@ int32_t Link::slow_value(Slow slow) const {
     case Slow::Firmware: return kFirmware;
     case Slow::Homings: return drive_.homings();
     case Slow::Refused: return static_cast<int32_t>(gate_.refused());
+    case Slow::Path: return paths_.report();
   }
   return 0;
 }

@@ -1,4 +1,4 @@
-// One link's electronics: commands in, telemetry and the drive's orders out.
+// One link's electronics: commands and paths in, telemetry and the drive's orders out.
 // See docs/reference/protocol.md, The link.
 #pragma once
 
@@ -7,12 +7,13 @@
 #include "board.hpp"
 #include "drive.hpp"
 #include "gate.hpp"
+#include "path.hpp"
 #include "torque.hpp"
 
 namespace fss {
 
-constexpr int32_t kFirmware = 0x010000;   // 1.0.0
-constexpr uint32_t kPeriod = 200000;     // of telemetry [us]
+constexpr int32_t kFirmware = 0x020000;  // 2.0.0
+constexpr uint32_t kPeriod = 200000;    // of telemetry [us]
 
 class Link {
  public:
@@ -27,12 +28,16 @@ class Link {
   uint8_t flags() const;
   const Gate& gate() const { return gate_; }
   const Drive& drive() const { return drive_; }
+  const Follower& paths() const { return paths_; }
 
  private:
   void obey(const Command& command);
   void watch(uint64_t now);
+  void follow(uint64_t now);
+  void disarm();
   void hold();
   void report();
+  Slow next_slow();
   int32_t slow_value(Slow slow) const;
 
   const uint8_t number_;
@@ -42,6 +47,7 @@ class Link {
   Board& board_;
   Drive drive_;
   Gate gate_;
+  Follower paths_;
   Torque torque_;
   bool armed_ = false;
   bool stopped_ = false, watchdog_ = false, dropped_ = false;  // why not, until told to disarm
@@ -53,6 +59,7 @@ class Link {
 
   uint64_t due_ = 0;       // the next frame
   uint32_t sequence_ = 0;  // of it
+  uint8_t slow_turn_ = 0;
 };
 
 }  // namespace fss

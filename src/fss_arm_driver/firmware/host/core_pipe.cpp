@@ -2,9 +2,16 @@
 //
 //   blake2s KEY DATA SIZE       the digest
 //   encode KEY FIELD...         the frame of telemetry with these fields, in their order
-//   decode KEY DATA             `command FIELD...`, or why it is none
+//   decode KEY DATA             `command FIELD...` or `segment FIELD...`, or why it is neither
 //   stream FRAME                the bytes that carry a frame on a serial line
 //   unstream DATA               the frames in these bytes
+//
+//   paths                       none are held
+//   keep SEGMENT TIME           a segment comes: `taken` or `refused`
+//   follow NUMBER MOST TIME LEAD POSITION VELOCITY
+//                               what the drive shall have: `hold` or its velocity; following,
+//                               broken, and the slow field
+//   leave                       the path followed
 //
 //   start LINK BOOT KEY         a link's electronics with a drive behind them; time begins
 //   restart LINK BOOT KEY       the electronics alone
@@ -13,7 +20,8 @@
 //   orders                      what the drive was told since the last call, but for readings
 //   joint                       position [counts], velocity [counts/s], mode and baud of the drive
 //   torque COUNTS | push VELOCITY | reference 0 or 1 | plug 0 or 1 | power | off |
-//   noise DATA | status BITS | faults BITS | lack VARIABLE | shake 0 or 1 | fail CODE
+//   noise DATA | status BITS | faults BITS | lack VARIABLE | shake 0 or 1 |
+//   delay TIME | fail CODE
 //                               what may happen to the drive; the last: its next order fails
 //
 // Bytes are hexadecimal, `-` for none. Time is simulated: nothing here depends on the machine's.
@@ -29,6 +37,7 @@
 #include "bench_board.hpp"
 #include "frame.hpp"
 #include "link.hpp"
+#include "path.hpp"
 #include "stream.hpp"
 #include "text.hpp"
 
@@ -90,9 +99,18 @@ std::string decoded(Words& words) {
                                          "crc", "signature", "field"};
   const Key key = key_of(bytes(words));
   const Bytes data = bytes(words);
-  Command command;
-  const Refusal refusal = decode(data.data(), data.size(), key, command);
+  Frame frame;
+  const Refusal refusal = decode(data.data(), data.size(), key, frame);
   if (refusal != Refusal::None) return refusals[static_cast<int>(refusal)];
+  if (frame.kind == Kind::Segment) {
+    const Segment& segment = frame.segment;
+    const Knot &begin = segment.begin, &end = segment.end;
+    return "segment " + joined(segment.link, segment.flags, segment.boot, segment.sequence,
+                               segment.clock, segment.path, segment.index, begin.time,
+                               end.time - begin.time, begin.position, begin.velocity,
+                               end.position, end.velocity);
+  }
+  const Command& command = frame.command;
   return "command " + joined(command.link, command.flags, command.boot, command.sequence,
                              command.clock, command.expiry, static_cast<int>(command.mode),
                              command.watchdog, command.set_point, command.velocity,
@@ -116,6 +134,37 @@ std::string found(Words& words) {
     }
   }
   return frames.empty() ? "-" : frames;
+}
+
+// --- paths --------------------------------------------------------------------------------------
+
+Follower paths;
+
+std::string keep(Words& words) {
+  Frame frame;
+  const Bytes data = bytes(words);
+  const auto time = number<uint64_t>(words);
+  if (decode(data.data(), data.size(), Key{}, frame) != Refusal::None) return "no frame";
+  return frame.kind == Kind::Segment && paths.take(frame.segment, time) ? "taken" : "refused";
+}
+
+std::string follow(Words& words) {
+  Command command = {};
+  Measurement measured;
+  command.set_point = number<int32_t>(words);
+  command.velocity = number<int32_t>(words);
+  measured.clock = number<uint64_t>(words);
+  const auto lead = number<uint32_t>(words);
+  measured.position = number<int32_t>(words);
+  measured.velocity = number<int32_t>(words);
+  const Demand demand = paths.demand(measured.clock, lead, command, measured);
+  return (demand.goal == Demand::Hold ? "hold" : joined(demand.set_point)) + " " +
+         joined(paths.following(), paths.broken(), paths.report());
+}
+
+std::string leave() {
+  paths.leave();
+  return "done";
 }
 
 // --- a link in simulated time -------------------------------------------------------------------
@@ -162,10 +211,11 @@ std::string start(Words& words) {
 }
 
 std::string send(Words& words) {
-  const uint32_t taken = world->link->gate().taken();
-  world->board.inbox.push_back(bytes(words));
+  const uint32_t refused = world->link->gate().refused();
+  const Bytes data = bytes(words);
+  world->board.inbox.push_back(data);
   world->poll();
-  return world->link->gate().taken() > taken ? "taken" : "refused";
+  return !data.empty() && world->link->gate().refused() == refused ? "taken" : "refused";
 }
 
 std::string run(Words& words) {
@@ -193,6 +243,7 @@ std::string happen(const std::string& what, Words& words) {
   else if (what == "faults") drive.latch_faults(number<uint32_t>(words));
   else if (what == "lack") drive.lack(number<uint8_t>(words));
   else if (what == "shake") drive.shake(number<int32_t>(words));
+  else if (what == "delay") drive.delay(number<uint64_t>(words));
   else if (what == "fail") drive.fail_next(number<int32_t>(words));
   else return "unknown request";
   return "done";
@@ -206,6 +257,10 @@ std::string answer(const char* line) {
   if (request == "decode") return decoded(words);
   if (request == "stream") return streamed(words);
   if (request == "unstream") return found(words);
+  if (request == "paths") paths.clear();
+  if (request == "paths" || request == "leave") return leave();
+  if (request == "keep") return keep(words);
+  if (request == "follow") return follow(words);
   if (request == "start") world.emplace();
   if (request == "start" || (request == "restart" && world)) return start(words);
   if (!world) return "nothing was started";

@@ -10,7 +10,6 @@
 namespace fss {
 namespace {
 
-constexpr uint64_t kLatency = 500;         // from a line's end to its reply [us]
 constexpr uint64_t kStep = 1000;           // of the motion [us]
 constexpr uint64_t kHoming = 300'000;      // a homing takes [us]
 constexpr double kDt = 1e-6 * kStep;
@@ -128,7 +127,7 @@ void DriveModel::execute(const std::string& line, uint64_t now) {
     orders_ += (orders_.empty() ? "" : "; ") + line;
   }
   const std::string reply = answer(line) + "\r";
-  answered_ = std::max(answered_, now + kLatency);
+  answered_ = std::max(answered_, now + latency_);
   for (const char character : reply) {
     answered_ += 10'000'000 / baud_;
     to_computer_.push_back({answered_, baud_, static_cast<uint8_t>(character)});

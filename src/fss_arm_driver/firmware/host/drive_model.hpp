@@ -30,12 +30,14 @@ class DriveModel {
   void push(double velocity) { velocity_ = velocity; }          // by hand [counts/s]
   void reference(bool is) { referenced_ = is; }
   void lack(uint8_t variable) { lacks_ = variable; }            // has none such
+  void delay(uint64_t latency) { latency_ = latency; }          // from a line to its reply [us]
   void shake(bool on) { shakes_ = on; }                         // never measured at rest
   void report(uint32_t status) { reported_ = status; }          // these status bits, too
 
   double position() const { return position_; }  // [counts]
   double velocity() const { return velocity_; }  // [counts/s]
   int mode() const { return registers_[0x24]; }
+  int32_t set_velocity() const { return mode() == 11 ? registers_[0x2f] : 0; }  // [0.1 counts/s]
   uint32_t baud() const { return baud_; }
   std::string take_orders();  // what came since the last call but for readings, or "-"
 
@@ -67,6 +69,7 @@ class DriveModel {
   uint64_t now_ = 0;                  // of the motion
   uint64_t homed_ = 0;                // when the homing under way will have ended
   uint32_t reported_ = 0;
+  uint64_t latency_ = 500;
   uint8_t lacks_ = 0;
   bool plugged_ = true, referenced_ = true, was_reset_ = false, moving_ = false, aborting_ = false,
        shakes_ = false;

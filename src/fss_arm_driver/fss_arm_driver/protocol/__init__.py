@@ -1,24 +1,32 @@
-"""The links' wire protocol, version 1 (docs/reference/protocol.md): bytes in, bytes out."""
+"""The links' wire protocol, version 2 (docs/reference/protocol.md): bytes in, bytes out."""
 
 from fss_arm_driver.protocol.frames import (
     ACCELERATION_UNIT,
     CURRENT_UNIT,
     FRAME_SIZE,
+    LAST,
+    MAX_INDEX,
+    MAX_PATH,
     NO_TORQUE,
     VELOCITY_UNIT,
+    VERSION,
     Command,
+    Frame,
     FrameError,
     Mode,
     Order,
     Refusal,
+    Segment,
     Slow,
     State,
     Telemetry,
     decode,
     encode,
     newer,
+    spoken,
 )
 from fss_arm_driver.protocol.gate import Gate, Refused
+from fss_arm_driver.protocol.path import KEPT, REACH, PathFollower, at, hermite, newer_path
 from fss_arm_driver.protocol.signature import KeyFileError, load_keys, parse_keys
 from fss_arm_driver.protocol.state import Goal, LinkState
 from fss_arm_driver.protocol.stream import StreamDecoder, pack
@@ -27,9 +35,16 @@ __all__ = [
     "ACCELERATION_UNIT",
     "CURRENT_UNIT",
     "FRAME_SIZE",
+    "KEPT",
+    "LAST",
+    "MAX_INDEX",
+    "MAX_PATH",
     "NO_TORQUE",
+    "REACH",
     "VELOCITY_UNIT",
+    "VERSION",
     "Command",
+    "Frame",
     "FrameError",
     "Gate",
     "Goal",
@@ -37,16 +52,22 @@ __all__ = [
     "LinkState",
     "Mode",
     "Order",
+    "PathFollower",
     "Refusal",
     "Refused",
+    "Segment",
     "Slow",
     "State",
     "StreamDecoder",
     "Telemetry",
+    "at",
     "decode",
     "encode",
+    "hermite",
     "load_keys",
     "newer",
+    "newer_path",
     "pack",
     "parse_keys",
+    "spoken",
 ]
