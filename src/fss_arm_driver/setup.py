@@ -20,6 +20,7 @@ setup(
             "link = fss_arm_driver.link_node:main",
             "arm = fss_arm_driver.arm_node:main",
             "check = fss_arm_driver.check:main",
+            "urdf = fss_arm_driver.urdf_command:main",
         ],
     },
 )
