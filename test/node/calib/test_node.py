@@ -18,6 +18,8 @@ from fss_arm_calib.messages import common
 from fss_arm_calib.recompute import again, recompute
 from fss_arm_calib.recompute import main as recompute_command
 from fss_arm_calib.state import StateError
+from fss_arm_model.description import load
+from fss_arm_model.urdf import urdf
 from fss_arm_ros.convert import SECOND
 from fss_arm_ros.diagnostics import ERROR, OK, WARN
 from fss_arm_ros.qos import LATCHED
