@@ -13,7 +13,7 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.task import Future
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import BatteryState, JointState
 from std_msgs.msg import Empty
 from std_srvs.srv import SetBool, Trigger
 
@@ -25,6 +25,8 @@ from fss_arm_driver.messages import (
     command_status,
     state_words,
 )
+from fss_arm_driver.pacer import Pacer
+from fss_arm_driver.protocol import Slow
 from fss_arm_driver.receiver import Receiver
 from fss_arm_driver.scale import CommandError
 from fss_arm_driver.session import Arming, LinkSession, Progress
@@ -93,13 +95,16 @@ class LinkNode(Node):
 
         self.joint_states = self.create_publisher(JointState, "joint_states", SENSOR)
         self.telemetry = self.create_publisher(LinkTelemetry, f"{self.name}/telemetry", SENSOR)
+        self.battery = self.create_publisher(BatteryState, f"{self.name}/battery", SENSOR)
         self.status = self.create_publisher(CommandStatus, f"{self.name}/command_status", SENSOR)
         self.create_subscription(LinkCommand, f"{self.name}/command", self.on_command, COMMAND)
         self.create_subscription(Empty, "arm/stop", self.on_stop, 10)
         group = ReentrantCallbackGroup()  # the answer waits for the link's; all else goes on
         self.create_service(SetBool, f"{self.name}/arm", self.on_arm, callback_group=group)
         self.create_service(Trigger, f"{self.name}/clear_faults", self.on_clear_faults)
-        self.create_timer(1.0 / settings.rate, self.send, clock=pace(self))
+        self.pacer, clock = Pacer(settings.max_rate), pace(self)
+        self.steady = self.create_timer(1.0 / settings.rate, self.send, clock=clock)
+        self.late = self.create_timer(1.0 / settings.rate, self.send, clock=clock, autostart=False)
         self.messages = SampleMessages(self.session)
         self.link_health = LinkHealth(self.session, self.transport, bool(settings.keys))
         self.diagnostics = Diagnostics(self, self.health, settings.url)
@@ -135,11 +140,17 @@ class LinkNode(Node):
             os.sched_yield()  # on a busy processor, to who waits for it: the rest is not urgent
         self.session.follow(sample)
         self.telemetry.publish(self.messages.telemetry(sample, now))
+        if sample.frame.slow_id == Slow.BATTERY:
+            self.battery.publish(self.messages.battery(sample))
 
     def send(self) -> None:
         """Send the command of the moment."""
         with self.lock:
-            self.transport.send(self.session.command(self.now()))
+            now = self.now()
+            self.transport.send(self.session.command(now))
+            self.pacer.sent(now)
+        self.steady.reset()
+        self.late.cancel()
         self.answer()
         session, trouble = self.session, self.transport.trouble
         self.warn("trouble", trouble and f"{self.settings.url}: {trouble}")
@@ -149,28 +160,41 @@ class LinkNode(Node):
         self.warn("standstill", session.standstill and f"{session.standstill}: disarmed")
 
     def on_command(self, message: LinkCommand) -> None:
-        """Take a command, from the time that its stamp says it was given."""
+        """Take a command, from the time that its stamp says it was given, and pass it on."""
         with self.lock:
             now, before, ahead = self.now(), self.session.progress, self.clock.ahead
             given = stamp_ns(message.header.stamp)
             given = min(given - ahead, now) if given else now
             try:
-                if not 0.0 < (lives := message.time_to_live) <= 3600.0:
-                    raise CommandError(f"time_to_live is {lives} s, expected above 0")
-                self.session.set(
-                    message.mode,
-                    message.set_point,
-                    message.max_velocity,
-                    message.max_acceleration,
-                    given + round(lives * SECOND),
-                    now,
-                )
+                self.take(message, given, now)
+                self.pass_on(now)
             except CommandError as error:
                 self.status.publish(command_refused(str(error), given + ahead, now + ahead))
                 self.warn("refused", f"command refused: {error}")
             if before and before is not self.session.progress:
                 self.report(before)  # another command took its place
         self.answer()
+
+    def take(self, message: LinkCommand, given: int, now: int) -> None:
+        """Have the session take a command given then, or raise CommandError."""
+        if not 0.0 < (lives := message.time_to_live) <= 3600.0:
+            raise CommandError(f"time_to_live is {lives} s, expected above 0")
+        self.session.set(
+            message.mode,
+            message.set_point,
+            message.max_velocity,
+            message.max_acceleration,
+            given + round(lives * SECOND),
+            now,
+        )
+
+    def pass_on(self, now: int) -> None:
+        """Send what was taken: at once, or as soon as the highest rate allows."""
+        if wait := self.pacer.wait(now):
+            self.late.timer_period_ns = wait
+            self.late.reset()
+        else:
+            self.send()
 
     def on_stop(self, _: Empty) -> None:
         """Stop at once."""

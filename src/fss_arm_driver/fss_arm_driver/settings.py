@@ -17,7 +17,14 @@ class LinkSettings(Settings):
     urls: tuple[str, ...] = setting(
         (), "instead of url: where links 1, 2, ... are, to host all in one process"
     )
-    rate: float = setting(5.0, "rate of the commands", unit="1/s", check=between(0.1, 1000.0))
+    rate: float = setting(
+        5.0, "rate of the commands while there are no new ones", unit="1/s",
+        check=between(0.1, 1000.0),
+    )  # fmt: skip
+    max_rate: float = setting(
+        50.0, "most commands a second to the link, as users' commands are passed on at once",
+        unit="1/s", check=between(0.1, 1000.0),
+    )  # fmt: skip
     timeout: float = setting(
         1.0,
         "silence after which the link is lost, and longest round trip to arm at",
