@@ -21,8 +21,8 @@ from fss_arm_driver.move import MAX_DURATION, Move, MoveError, Profile, plan
 from fss_arm_driver.protocol import State
 from fss_arm_driver.scale import Scale
 from fss_arm_driver.settings import ArmSettings
-from fss_arm_model.urdf import urdf
 from fss_arm_driver.watch import Asker, Stall
+from fss_arm_model.urdf import urdf
 from fss_arm_msgs.action import MoveArm
 from fss_arm_msgs.msg import LinkCommand, LinkTelemetry
 from fss_arm_ros.convert import SECOND

@@ -9,10 +9,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from fss_arm_model.urdf import urdf
 from fss_arm_model.description import load, paper_arm
 from fss_arm_model.dynamics import inertia_matrix
 from fss_arm_model.kinematics import tip_pose
+from fss_arm_model.urdf import urdf
 
 TRUTH = load(Path(__file__).parents[3] / "config/truth.yaml")
 BENT = replace(
