@@ -13,11 +13,13 @@ import pytest
 
 from fss_arm_driver.protocol import (
     FRAME_SIZE,
+    LAST,
     Command,
     FrameError,
     Mode,
     Order,
     Refusal,
+    Segment,
     Slow,
     State,
     StreamDecoder,
@@ -38,6 +40,11 @@ ORDER = Command(
     link=2, flags=Order.ARM, boot=3, sequence=77, clock=1_700_000_000_000_000,
     expiry=201_000_000, mode=Mode.POSITION, watchdog=2000, set_point=40000, velocity=381972,
     acceleration=7639,
+)  # fmt: skip
+PIECE = Segment(
+    link=2, flags=LAST, boot=3, sequence=78, clock=1_700_000_000_000_001, path=7, index=4,
+    begin=202_000_000, duration=2_500_000, position=40000, velocity=38197, end_position=-12000,
+    end_velocity=0,
 )  # fmt: skip
 KINDS = 8
 POOL = 1 << 16
@@ -82,11 +89,11 @@ def memory():
 def test_whatever_comes_is_a_frame_that_encodes_to_itself_or_is_refused(inputs, capsys):
     rng, reasons, frames = random.Random(6), Counter(), 0
     noise, stream, found = rng.randbytes(POOL), StreamDecoder(), 0
-    originals = [(encode(f, key), key) for f in (SAMPLE, ORDER) for key in (None, KEY)]
+    originals = [(encode(f, key), key) for f in (SAMPLE, ORDER, PIECE) for key in (None, KEY)]
     before, begun = 0, time.perf_counter()
     for k in range(inputs):
-        frame, key = originals[k % 4]
-        data = damaged(rng, frame, noise, (k >> 2) % KINDS, key)
+        frame, key = originals[k % len(originals)]
+        data = damaged(rng, frame, noise, k // len(originals) % KINDS, key)
         try:
             got = decode(data, key)
         except FrameError as error:

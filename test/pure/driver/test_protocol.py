@@ -12,12 +12,14 @@ from hypothesis import strategies as st
 
 from fss_arm_driver.protocol import (
     FRAME_SIZE,
+    LAST,
     Command,
     FrameError,
     KeyFileError,
     Mode,
     Order,
     Refusal,
+    Segment,
     Slow,
     State,
     Telemetry,
@@ -40,10 +42,25 @@ ORDER = Command(
     expiry=201_000_000, mode=Mode.POSITION, watchdog=2000, set_point=40000, velocity=381972,
     acceleration=7639,
 )  # fmt: skip
+PIECE = Segment(
+    link=2, flags=LAST, boot=3, sequence=78, clock=1_700_000_000_000_001, path=7, index=4,
+    begin=202_000_000, duration=2_500_000, position=40000, velocity=38197, end_position=-12000,
+    end_velocity=0,
+)  # fmt: skip
+FAR = Segment(
+    link=255, flags=0, boot=0xFFFF, sequence=0xFFFFFFFF, clock=(1 << 64) - 1, path=0xFFFF,
+    index=0xFFFE, begin=(1 << 64) - 60_000_001, duration=60_000_000, position=-(1 << 31),
+    velocity=(1 << 31) - 1, end_position=(1 << 31) - 1, end_velocity=-(1 << 31),
+)  # fmt: skip
+FOLLOW = Command(
+    link=2, flags=Order.ARM, boot=3, sequence=79, clock=1_700_000_000_000_002,
+    expiry=201_000_000, mode=Mode.PATH, watchdog=2000, set_point=0xFFFF, velocity=381972,
+    acceleration=7639,
+)  # fmt: skip
 LIMITS = Telemetry(
-    link=255, flags=0, boot=0xFFFF, sequence=0xFFFFFFFF, clock=(1 << 64) - 1, echo=0xFFFFFFFF,
+    link=255, flags=63, boot=0xFFFF, sequence=0xFFFFFFFF, clock=(1 << 64) - 1, echo=0xFFFFFFFF,
     turnaround=0xFFFFFFFF, position=-(1 << 31), velocity=(1 << 31) - 1, current=-(1 << 15),
-    mode=Mode.OFF, slow_id=Slow.REFUSED, status=0xFFFFFFFF, torque=-(1 << 23), torque_age=255,
+    mode=Mode.OFF, slow_id=Slow.PATH, status=0xFFFFFFFF, torque=-(1 << 23), torque_age=255,
     slow_value=-1,
 )  # fmt: skip
 QUIET = Command(
@@ -51,14 +68,20 @@ QUIET = Command(
     set_point=0, velocity=0, acceleration=0,
 )  # fmt: skip
 CASES = [
-    (SAMPLE, "5346 01 01 02 09 0300 e8030000 00c2eb0b00000000 efcdab89 dc050000 c063ffff c7cfffff "
-     "b5ff 15 02 00000008 feffff 0c f0000000 94e4e9a8"),
-    (ORDER, "5346 01 02 02 01 0300 4d000000 00401e18240a0600 4004fb0b00000000 15 00 d007 409c0000 "
-     "14d40500 d71d0000 0000000000000000 6cb0e001"),
-    (LIMITS, "5346 01 01 ff 00 ffff ffffffff ffffffffffffffff ffffffff ffffffff 00000080 ffffff7f "
-     "0080 00 07 ffffffff 000080 ff ffffffff c7befbdb"),
-    (QUIET, "5346 01 02 01 00 0000 00000000 0100000000000000 0000000000000000 00 00 d007 00000000 "
-     "00000000 00000000 0000000000000000 3f1f9ce5"),
+    (SAMPLE, "5346 02 01 02 09 0300 e8030000 00c2eb0b00000000 efcdab89 dc050000 c063ffff "
+     "c7cfffff b5ff 15 02 00000008 feffff 0c f0000000 c6c8cbff"),
+    (ORDER, "5346 02 02 02 01 0300 4d000000 00401e18240a0600 4004fb0b00000000 15 00 d007 "
+     "409c0000 14d40500 d71d0000 0000000000000000 3e9cc256"),
+    (FOLLOW, "5346 02 02 02 01 0300 4f000000 02401e18240a0600 4004fb0b00000000 1f 00 d007 "
+     "ffff0000 14d40500 d71d0000 0000000000000000 32e9d2a9"),
+    (PIECE, "5346 02 03 02 01 0300 4e000000 01401e18240a0600 0700 0400 80460a0c00000000 "
+     "a0252600 409c0000 35950000 20d1ffff 00000000 23671909"),
+    (FAR, "5346 02 03 ff 00 ffff ffffffff ffffffffffffffff ffff feff ff786cfcffffffff 00879303 "
+     "00000080 ffffff7f ffffff7f 00000080 69ac41f2"),
+    (LIMITS, "5346 02 01 ff 3f ffff ffffffff ffffffffffffffff ffffffff ffffffff 00000080 "
+     "ffffff7f 0080 00 08 ffffffff 000080 ff ffffffff 4fddf3f0"),
+    (QUIET, "5346 02 02 01 00 0000 00000000 0100000000000000 0000000000000000 00 00 d007 "
+     "00000000 00000000 00000000 0000000000000000 6d33beb2"),
 ]  # fmt: skip
 NO_SIGNATURE = bytes(16)
 KEY = bytes(range(16))
@@ -73,19 +96,33 @@ def signed(bits):
 
 
 TELEMETRY = st.builds(
-    Telemetry, link=st.integers(1, 255), flags=st.integers(0, 15), boot=st.integers(1, 0xFFFF),
+    Telemetry, link=st.integers(1, 255), flags=st.integers(0, 63), boot=st.integers(1, 0xFFFF),
     sequence=unsigned(32), clock=unsigned(64), echo=unsigned(32), turnaround=unsigned(32),
-    position=signed(32), velocity=signed(32), current=signed(16), mode=st.sampled_from(Mode),
+    position=signed(32), velocity=signed(32), current=signed(16),
+    mode=st.sampled_from([0, 1, 11, 21]),
     slow_id=st.sampled_from(Slow), status=unsigned(32), torque=signed(24), torque_age=unsigned(8),
     slow_value=signed(32),
 )  # fmt: skip
 COMMANDS = st.builds(
     Command, link=st.integers(1, 255), flags=st.sampled_from([0, 1, 2, 5, 8, 9, 10, 13, 17]),
     boot=st.integers(1, 0xFFFF), sequence=unsigned(32), clock=unsigned(64),
-    expiry=st.integers(1, (1 << 64) - 1), mode=st.sampled_from(Mode),
+    expiry=st.integers(1, (1 << 64) - 1), mode=st.sampled_from([0, 1, 11, 21]),
     watchdog=st.integers(1, 0xFFFF), set_point=signed(32), velocity=st.integers(0, (1 << 31) - 1),
     acceleration=st.integers(0, (1 << 31) - 1),
 )  # fmt: skip
+FOLLOWS = st.builds(
+    lambda command, path: replace(command, mode=Mode.PATH, set_point=path),
+    COMMANDS, st.integers(1, 0xFFFF),
+)  # fmt: skip
+SEGMENTS = st.builds(
+    Segment, link=st.integers(1, 255), flags=st.just(0), boot=st.integers(1, 0xFFFF),
+    sequence=unsigned(32), clock=unsigned(64), path=st.integers(1, 0xFFFF),
+    index=st.integers(0, 0xFFFE), begin=st.integers(0, (1 << 64) - 60_000_001),
+    duration=st.integers(1000, 60_000_000), position=signed(32), velocity=signed(32),
+    end_position=signed(32), end_velocity=signed(32),
+)  # fmt: skip
+LASTS = st.builds(lambda segment: replace(segment, flags=LAST, end_velocity=0), SEGMENTS)
+FRAMES = TELEMETRY | COMMANDS | FOLLOWS | SEGMENTS | LASTS
 
 
 def sealed(data):
@@ -113,12 +150,12 @@ def test_the_table_holds_in_both_directions(frame, text):
     assert len(data) == FRAME_SIZE
 
 
-@given(TELEMETRY | COMMANDS)
+@given(FRAMES)
 def test_every_frame_comes_back(frame):
     assert decode(encode(frame)) == frame
 
 
-@pytest.mark.parametrize("frame", [SAMPLE, ORDER])
+@pytest.mark.parametrize("frame", [SAMPLE, ORDER, PIECE])
 def test_any_flipped_bit_is_refused(frame):
     data = encode(frame)
     for bit in range(8 * FRAME_SIZE):
@@ -132,9 +169,9 @@ def test_noise_is_refused_and_nothing_else_is_raised(data):
     refusal(data)
 
 
-@given(st.binary(min_size=48, max_size=48), st.sampled_from([1, 2]))
+@given(st.binary(min_size=48, max_size=48), st.sampled_from([1, 2, 3]))
 def test_noise_with_a_good_head_and_crc_is_refused_or_encodes_to_itself(noise, kind):
-    data = sealed(struct.pack("<HBB", 0x4653, 1, kind) + noise + bytes(20))
+    data = sealed(struct.pack("<HBB", 0x4653, 2, kind) + noise + bytes(20))
     try:
         frame = decode(data)
     except FrameError:
@@ -150,15 +187,16 @@ def test_noise_with_a_good_head_and_crc_is_refused_or_encodes_to_itself(noise, k
         (encode(SAMPLE)[:-1], Refusal.LENGTH),
         (encode(SAMPLE) + b"\0", Refusal.LENGTH),
         (patched(SAMPLE, 0, b"FS"), Refusal.MAGIC),
-        (patched(SAMPLE, 2, b"\2"), Refusal.VERSION),
-        (patched(SAMPLE, 3, b"\3"), Refusal.KIND),
+        (patched(SAMPLE, 2, b"\1"), Refusal.VERSION),
+        (patched(SAMPLE, 3, b"\4"), Refusal.KIND),
         (encode(SAMPLE)[:52] + bytes(20), Refusal.CRC),
         (encode(SAMPLE)[:-1] + b"\1", Refusal.SIGNATURE),
         (patched(SAMPLE, 4, b"\0"), Refusal.FIELD),  # link
-        (patched(SAMPLE, 5, b"\x10"), Refusal.FIELD),  # flags
+        (patched(SAMPLE, 5, b"\x40"), Refusal.FIELD),  # flags
         (patched(SAMPLE, 6, b"\0\0"), Refusal.FIELD),  # boot
         (patched(SAMPLE, 38, b"\2"), Refusal.FIELD),  # mode
-        (patched(SAMPLE, 39, b"\x08"), Refusal.FIELD),  # slow id
+        (patched(SAMPLE, 38, b"\x1f"), Refusal.FIELD),  # a path is for commands
+        (patched(SAMPLE, 39, b"\x09"), Refusal.FIELD),  # slow id
         (patched(ORDER, 5, b"\3"), Refusal.FIELD),  # arm and stop
         (patched(QUIET, 5, b"\x10"), Refusal.FIELD),  # home without arm
         (patched(ORDER, 5, b"\x21"), Refusal.FIELD),  # no such flag
@@ -168,6 +206,16 @@ def test_noise_with_a_good_head_and_crc_is_refused_or_encodes_to_itself(noise, k
         (patched(ORDER, 30, b"\0\0"), Refusal.FIELD),  # watchdog
         (patched(ORDER, 39, b"\x80"), Refusal.FIELD),  # profile velocity
         (patched(ORDER, 51, b"\1"), Refusal.FIELD),  # reserved
+        (patched(FOLLOW, 32, bytes(4)), Refusal.FIELD),  # no path
+        (patched(FOLLOW, 32, b"\0\0\1\0"), Refusal.FIELD),  # path 65536
+        (patched(PIECE, 5, b"\2"), Refusal.FIELD),  # flags
+        (patched(PIECE, 6, b"\0\0"), Refusal.FIELD),  # boot
+        (patched(PIECE, 20, b"\0\0"), Refusal.FIELD),  # path
+        (patched(PIECE, 22, b"\xff\xff"), Refusal.FIELD),  # index
+        (patched(PIECE, 32, b"\xe7\3\0\0"), Refusal.FIELD),  # 999 us
+        (patched(PIECE, 32, b"\1\x87\x93\3"), Refusal.FIELD),  # 60.000001 s
+        (patched(PIECE, 48, b"\1"), Refusal.FIELD),  # it would end moving
+        (patched(FAR, 24, bytes([255]) * 8), Refusal.FIELD),  # end beyond 64 bits
     ],
 )
 def test_each_damage_has_its_reason(data, reason):
@@ -179,7 +227,12 @@ def test_each_damage_has_its_reason(data, reason):
     [
         (SAMPLE, {"torque": 1 << 23}, "torque is 8388608, expected -8388608 to 8388607"),
         (SAMPLE, {"link": 256}, "link is 256, expected 0 to 255"),
-        (SAMPLE, {"slow_id": 0}, "slow_id is 0, expected 1 to 7"),
+        (SAMPLE, {"slow_id": 0}, "slow_id is 0, expected 1 to 8"),
+        (SAMPLE, {"mode": 31}, r"mode is 31, expected one of \[0, 1, 11, 21\]"),
+        (FOLLOW, {"set_point": 0}, "path is 0, expected 1 to 65535"),
+        (PIECE, {"index": 65535}, "index is 65535, expected 0 to 65534"),
+        (PIECE, {"duration": 999}, "duration is 999 us, expected 1000 to 60000000"),
+        (PIECE, {"end_velocity": -1}, "end_velocity is -1 in a last segment, expected 0"),
         (ORDER, {"set_point": 1 << 31}, "set_point is 2147483648"),
         (ORDER, {"expiry": 0}, "expiry is 0 in a command that arms"),
     ],
@@ -201,11 +254,12 @@ def test_sequence_numbers_wrap():
 def test_the_examples_in_the_documentation_are_these_frames():
     text = Path(__file__, "../../../../docs/reference/protocol.md").resolve().read_text()
     examples = re.findall(r"```\n([0-9a-f\s]+)```", text)
-    frames = [encode(SAMPLE), encode(ORDER), encode(ORDER, KEY), pack(encode(ORDER, KEY))]
+    signed_order = encode(ORDER, KEY)
+    frames = [encode(SAMPLE), encode(ORDER), encode(PIECE), signed_order, pack(signed_order)]
     assert [bytes.fromhex(example) for example in examples] == frames
 
 
-@given(TELEMETRY | COMMANDS, st.binary(min_size=16, max_size=32))
+@given(FRAMES, st.binary(min_size=16, max_size=32))
 def test_a_signed_frame_is_the_unsigned_one_but_for_its_signature(frame, key):
     data = encode(frame, key)
     assert data[:56] == encode(frame)[:56]
@@ -221,7 +275,7 @@ def test_a_signature_is_good_under_its_key_alone(key):
 
 def test_the_signature_is_keyed_blake2s():
     """As OpenSSL computes it: openssl mac -macopt hexkey:KEY -macopt size:16 BLAKE2SMAC."""
-    assert encode(SAMPLE, KEY)[56:].hex() == "ef64e670f1fad93dc879badd47241774"
+    assert encode(SAMPLE, KEY)[56:].hex() == "3bade87061685d603aa7a1917e84e1d7"
 
 
 def test_keys_are_read_by_link():

@@ -1,10 +1,11 @@
-"""Telemetry and command frames to bytes and back.
+"""Telemetry, command and segment frames to bytes and back.
 
 The layout and what both sides do with it are in docs/reference/protocol.md. Raw counts only:
 whoever holds the arm's description turns them into SI units.
 """
 
 import struct
+from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from enum import Enum, IntEnum
 from typing import Any
@@ -15,11 +16,16 @@ from fss_arm_driver.protocol.signature import SIGNATURE_SIZE, is_signed, sign
 FRAME_SIZE = 72  # the Wi-Fi shields drop longer datagrams
 NO_TORQUE = 255  # as the age of a torque sample: that old or older, or there is none [ms]
 MAGIC = 0x4653
-VERSION = 1
+VERSION = 2
 
 VELOCITY_UNIT = 0.1  # [counts/s]
 ACCELERATION_UNIT = 10.0  # [counts/s^2]
 CURRENT_UNIT = 0.01  # [A]
+
+LAST = 1  # flag of a segment: the path ends with it
+MAX_PATH = 0xFFFF  # number of a path
+MAX_INDEX = 0xFFFE  # of a segment
+DURATIONS = 1000, 60_000_000  # of a segment [us]
 
 
 def _unsigned(bits: int) -> Any:
@@ -31,12 +37,13 @@ def _signed(bits: int) -> Any:
 
 
 class Mode(IntEnum):
-    """What the servo drive controls, by the drive's own numbers."""
+    """What the servo drive controls, by the drive's own numbers; PATH only in commands."""
 
     OFF = 0
     CURRENT = 1
     VELOCITY = 11
     POSITION = 21
+    PATH = 31  # the drive is in VELOCITY meanwhile
 
 
 class State(IntEnum):
@@ -46,6 +53,8 @@ class State(IntEnum):
     STOPPED = 2  # latched until a command frame with neither arm nor stop
     WATCHDOG = 4  # commands ceased; disarmed for that reason
     REFERENCED = 8  # the encoder's zero is known
+    FOLLOWING = 16  # a path moves the joint
+    BROKEN = 32  # the last path ended before its last knot
 
 
 class Order(IntEnum):
@@ -68,6 +77,7 @@ class Slow(IntEnum):
     FIRMWARE = 5
     HOMINGS = 6
     REFUSED = 7
+    PATH = 8  # newest path held * 65536 + its segments without a gap from the first
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,9 +114,36 @@ class Command:
     expiry: int = _unsigned(64)  # in the link's clock [us]; 0: none, never with ARM
     mode: int = _unsigned(8)  # Mode
     watchdog: int = _unsigned(16)  # silence after which the link disarms itself [ms], 1 or more
-    set_point: int = _signed(32)  # [0.01 A], [0.1 counts/s] or [counts], by mode
-    velocity: int = _signed(32)  # of the profile [0.1 counts/s]
-    acceleration: int = _signed(32)  # of the profile [10 counts/s^2]
+    set_point: int = _signed(32)  # [0.01 A], [0.1 counts/s], [counts] or a path's number, by mode
+    velocity: int = _signed(32)  # of the profile, or a path's most [0.1 counts/s]
+    acceleration: int = _signed(32)  # of the profile, or a path's most [10 counts/s^2]
+
+
+@dataclass(frozen=True, slots=True)
+class Segment:
+    """The piece of a path between two of its knots: the cubic through both (Hermite's)."""
+
+    link: int = _unsigned(8)
+    flags: int = _unsigned(8)  # LAST
+    boot: int = _unsigned(16)  # of the link that is meant
+    sequence: int = _unsigned(32)  # counts the frames of one host session, modulo 2^32
+    clock: int = _unsigned(64)  # the host's stamp [us]
+    path: int = _unsigned(16)  # its number, 1 or more
+    index: int = _unsigned(16)  # of the segment in the path, from 0
+    begin: int = _unsigned(64)  # by the link's clock [us]
+    duration: int = _unsigned(32)  # [us]
+    position: int = _signed(32)  # at the beginning [counts]
+    velocity: int = _signed(32)  # at the beginning [0.1 counts/s]
+    end_position: int = _signed(32)
+    end_velocity: int = _signed(32)  # 0 with LAST
+
+    @property
+    def end(self) -> int:
+        """By the link's clock [us]."""
+        return self.begin + self.duration
+
+
+Frame = Telemetry | Command | Segment
 
 
 class Refusal(Enum):
@@ -129,19 +166,21 @@ class FrameError(ValueError):
         self.reason = reason
 
 
-_TELEMETRY, _COMMAND = 1, 2
+_TELEMETRY, _COMMAND, _SEGMENT = 1, 2, 3
+_KINDS = {Telemetry: _TELEMETRY, Command: _COMMAND, Segment: _SEGMENT}
 _HEAD = "<HBBBBHIQ"  # magic, version, kind, link, flags, boot, sequence, clock
 _TELEMETRY_BODY = struct.Struct(_HEAD + "IIiihBBIIi")  # torque and its age share one word
 _TELEMETRY_FIELDS = struct.Struct("<4xBBHIQIIiihBBIIi")  # the same from the link on
 _COMMAND_BODY = struct.Struct(_HEAD + "QBBHiii8s")
+_SEGMENT_BODY = struct.Struct(_HEAD + "HHQIiiii")
 _CRC = struct.Struct("<I")
 _KIND = struct.Struct("<HBB")  # magic, version, kind
 _SIGNATURE_AT = FRAME_SIZE - SIGNATURE_SIZE
 _CRC_AT = _SIGNATURE_AT - _CRC.size
 _RESERVED = bytes(8)
 
-_MODES = frozenset(Mode)
-_STATES, _ORDERS = sum(State), sum(Order)
+_MODES = {_TELEMETRY: frozenset(Mode) - {Mode.PATH}, _COMMAND: frozenset(Mode)}
+_FLAGS = {_TELEMETRY: sum(State), _COMMAND: sum(Order), _SEGMENT: LAST}
 _SLOW_IDS = frozenset(Slow)
 
 
@@ -150,7 +189,7 @@ def newer(sequence: int, than: int) -> bool:
     return 0 < (sequence - than) & 0xFFFFFFFF < 0x80000000
 
 
-def encode(frame: Telemetry | Command, key: bytes | None = None) -> bytes:
+def encode(frame: Frame, key: bytes | None = None) -> bytes:
     """The 72 bytes of `frame`, signed if a key is given.
 
     Raises:
@@ -158,17 +197,18 @@ def encode(frame: Telemetry | Command, key: bytes | None = None) -> bytes:
     """
     _check_ranges(frame)
     _check_meaning(frame)
-    kind = _TELEMETRY if isinstance(frame, Telemetry) else _COMMAND
-    head = (MAGIC, VERSION, kind, frame.link, frame.flags, frame.boot, frame.sequence, frame.clock)
+    head = MAGIC, VERSION, _KINDS[type(frame)], *_common(frame)
     if isinstance(frame, Telemetry):
         body = _pack_telemetry(head, frame)
-    else:
+    elif isinstance(frame, Command):
         body = _pack_command(head, frame)
+    else:
+        body = _pack_segment(head, frame)
     data = body + _CRC.pack(crc32(body))
     return data + sign(data, key)
 
 
-def decode(data: bytes, key: bytes | None = None) -> Telemetry | Command:
+def decode(data: bytes, key: bytes | None = None) -> Frame:
     """The frame that these bytes are, signed under the key; not signed at all without one.
 
     Raises:
@@ -181,17 +221,21 @@ def decode(data: bytes, key: bytes | None = None) -> Telemetry | Command:
         raise FrameError(Refusal.MAGIC, f"magic is {magic:#06x}, expected {MAGIC:#06x}")
     if version != VERSION:
         raise FrameError(Refusal.VERSION, f"version is {version}, expected {VERSION}")
-    if kind not in (_TELEMETRY, _COMMAND):
-        raise FrameError(Refusal.KIND, f"kind is {kind}, expected {_TELEMETRY} or {_COMMAND}")
+    if kind not in _READERS:
+        raise FrameError(Refusal.KIND, f"kind is {kind}, expected one of {list(_READERS)}")
     (crc,) = _CRC.unpack_from(data, _CRC_AT)
     if crc != crc32(data[:_CRC_AT]):
         raise FrameError(Refusal.CRC, f"CRC is {crc:#010x}, which does not fit the bytes")
     if not is_signed(data[:_SIGNATURE_AT], data[_SIGNATURE_AT:], key):
         expected = "that of the key" if key else "zero, as no key is configured"
         raise FrameError(Refusal.SIGNATURE, f"signature is not {expected}")
-    frame = _telemetry(data) if kind == _TELEMETRY else _command(data)
+    frame = _READERS[kind](data)
     _check_meaning(frame)
     return frame
+
+
+def _common(frame: Frame) -> tuple[int, ...]:
+    return frame.link, frame.flags, frame.boot, frame.sequence, frame.clock
 
 
 def _pack_telemetry(head: tuple[int, ...], frame: Telemetry) -> bytes:
@@ -223,18 +267,45 @@ def _command(data: bytes) -> Command:
     return Command(*values[:7], *values[8:-1])
 
 
-def _check_ranges(frame: Telemetry | Command) -> None:
+def _pack_segment(head: tuple[int, ...], frame: Segment) -> bytes:
+    return _SEGMENT_BODY.pack(
+        *head, frame.path, frame.index, frame.begin, frame.duration, frame.position,
+        frame.velocity, frame.end_position, frame.end_velocity,
+    )  # fmt: skip
+
+
+def _segment(data: bytes) -> Segment:
+    return Segment(*_SEGMENT_BODY.unpack_from(data)[3:])
+
+
+_READERS: dict[int, Callable[[bytes], Frame]] = {
+    _TELEMETRY: _telemetry,
+    _COMMAND: _command,
+    _SEGMENT: _segment,
+}
+
+
+def _check_ranges(frame: Frame) -> None:
     for f in fields(frame):
         value, (low, high) = getattr(frame, f.name), f.metadata["range"]
         if not low <= value <= high:
             raise FrameError(Refusal.FIELD, f"{f.name} is {value}, expected {low} to {high}")
 
 
-def _check_meaning(frame: Telemetry | Command) -> None:
+def _check_meaning(frame: Frame) -> None:
+    kind = _KINDS[type(frame)]
     if frame.link == 0:
         raise FrameError(Refusal.FIELD, "link is 0, expected 1 to 255")
-    if frame.mode not in _MODES:
-        raise FrameError(Refusal.FIELD, f"mode is {frame.mode}, expected one of {list(_MODES)}")
+    if frame.flags & ~_FLAGS[kind]:
+        raise FrameError(
+            Refusal.FIELD, f"flags are {frame.flags:#x}, expected only {_FLAGS[kind]:#x}"
+        )
+    if isinstance(frame, Segment):
+        _check_segment(frame)
+        return
+    if frame.mode not in _MODES[kind]:
+        expected = sorted(map(int, _MODES[kind]))
+        raise FrameError(Refusal.FIELD, f"mode is {frame.mode}, expected one of {expected}")
     if isinstance(frame, Telemetry):
         _check_telemetry(frame)
     else:
@@ -242,17 +313,33 @@ def _check_meaning(frame: Telemetry | Command) -> None:
 
 
 def _check_telemetry(frame: Telemetry) -> None:
-    if frame.flags & ~_STATES:
-        raise FrameError(Refusal.FIELD, f"flags are {frame.flags:#x}, expected only {_STATES:#x}")
     if frame.boot == 0:
         raise FrameError(Refusal.FIELD, "boot is 0, expected 1 or more")
     if frame.slow_id not in _SLOW_IDS:
-        raise FrameError(Refusal.FIELD, f"slow_id is {frame.slow_id}, expected 1 to 7")
+        raise FrameError(
+            Refusal.FIELD, f"slow_id is {frame.slow_id}, expected 1 to {max(_SLOW_IDS)}"
+        )
+
+
+def _check_segment(frame: Segment) -> None:
+    if frame.boot == 0 or frame.path == 0:
+        raise FrameError(Refusal.FIELD, "boot or path of a segment is 0, expected 1 or more")
+    if frame.index > MAX_INDEX:
+        raise FrameError(Refusal.FIELD, f"index is {frame.index}, expected 0 to {MAX_INDEX}")
+    low, high = DURATIONS
+    if not low <= frame.duration <= high:
+        raise FrameError(
+            Refusal.FIELD, f"duration is {frame.duration} us, expected {low} to {high}"
+        )
+    if frame.flags & LAST and frame.end_velocity:
+        raise FrameError(
+            Refusal.FIELD, f"end_velocity is {frame.end_velocity} in a last segment, expected 0"
+        )
+    if frame.end >= 1 << 64:
+        raise FrameError(Refusal.FIELD, f"end is {frame.end} us, beyond 64 bits")
 
 
 def _check_command(frame: Command) -> None:
-    if frame.flags & ~_ORDERS:
-        raise FrameError(Refusal.FIELD, f"flags are {frame.flags:#x}, expected only {_ORDERS:#x}")
     if frame.watchdog == 0:
         raise FrameError(Refusal.FIELD, "watchdog is 0 ms, expected 1 or more")
     if frame.velocity < 0 or frame.acceleration < 0:
@@ -260,6 +347,8 @@ def _check_command(frame: Command) -> None:
             Refusal.FIELD,
             f"profile is {frame.velocity}, {frame.acceleration}, expected none negative",
         )
+    if frame.mode == Mode.PATH and not 1 <= frame.set_point <= MAX_PATH:
+        raise FrameError(Refusal.FIELD, f"path is {frame.set_point}, expected 1 to {MAX_PATH}")
     if frame.flags & Order.HOME and not frame.flags & Order.ARM:
         raise FrameError(Refusal.FIELD, "flags hold home without arm")
     if not frame.flags & Order.ARM:
