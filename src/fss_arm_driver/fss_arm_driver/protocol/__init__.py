@@ -7,6 +7,7 @@ from fss_arm_driver.protocol.frames import (
     LAST,
     NO_TORQUE,
     VELOCITY_UNIT,
+    VERSION,
     Command,
     Frame,
     FrameError,
@@ -22,7 +23,7 @@ from fss_arm_driver.protocol.frames import (
     newer,
 )
 from fss_arm_driver.protocol.gate import Gate, Refused
-from fss_arm_driver.protocol.path import hermite
+from fss_arm_driver.protocol.path import KEPT, REACH, hermite, newer_path
 from fss_arm_driver.protocol.signature import KeyFileError, load_keys, parse_keys
 from fss_arm_driver.protocol.state import Goal, LinkState
 from fss_arm_driver.protocol.stream import StreamDecoder, pack
@@ -31,9 +32,12 @@ __all__ = [
     "ACCELERATION_UNIT",
     "CURRENT_UNIT",
     "FRAME_SIZE",
+    "KEPT",
     "LAST",
     "NO_TORQUE",
+    "REACH",
     "VELOCITY_UNIT",
+    "VERSION",
     "Command",
     "Frame",
     "FrameError",
@@ -55,6 +59,7 @@ __all__ = [
     "hermite",
     "load_keys",
     "newer",
+    "newer_path",
     "pack",
     "parse_keys",
 ]

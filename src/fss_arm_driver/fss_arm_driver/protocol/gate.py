@@ -1,25 +1,41 @@
-"""Which commands a link takes: the link's side of the protocol, for whatever plays a link."""
+"""Which commands and segments a link takes, for whatever plays a link."""
 
 from collections import Counter
 from enum import Enum
 
-from fss_arm_driver.protocol.frames import Command, FrameError, Order, decode, newer
+from fss_arm_driver.protocol.frames import (
+    Command,
+    FrameError,
+    Order,
+    Segment,
+    Telemetry,
+    decode,
+    newer,
+)
 
 WATCHDOG = 2_000_000  # until a command says otherwise [us]
 
 
 class Refused(Enum):
-    """Why a datagram is not taken as a command."""
+    """Why a datagram is not taken as a command, or a segment of a path."""
 
     FRAME = "not a frame"
-    OTHER = "not a command to this link"
+    OTHER = "not to this link"
     BOOT = "for another start"
     SEQUENCE = "not newer than the last"
     EXPIRED = "expired"
+    DISARMED = "a segment while disarmed"
+    TIME = "a segment of the past, or too far ahead"
+    PATH = "a segment of a path that is over"
+    INDEX = "a segment beyond those that are kept"
+    CONTRADICTION = "a segment that does not fit those that are kept"
 
 
 class Gate:
     """Lets through each command once, in order and in time, from the start of a link on.
+
+    Of segments it knows whether they are meant for this start of this link; how they fit what
+    came before is the path's to judge.
 
     Args:
         number: of the link.
@@ -34,32 +50,58 @@ class Gate:
         self.arrival = 0  # of that command, by the link's clock [us]
         self._newest = 0  # sequence
         self._latest = -1  # stamp of the computer [us]
+        self._disarming = -1  # that of the last command that did not arm
 
     @property
     def watchdog(self) -> int:
         """Silence after which the link disarms itself [us]."""
         return 1000 * self.command.watchdog if self.command else WATCHDOG
 
-    def take(self, data: bytes, clock: int) -> Command | None:
-        """The command that these bytes are, come at `clock` [us]; None if it is not taken."""
+    def take(self, data: bytes, clock: int) -> Command | Segment | None:
+        """What these bytes are, come at `clock` [us]; None if they are not taken."""
+        frame = self._judge(data, clock)
+        if isinstance(frame, Refused):
+            self.refuse(frame)
+            return None
+        if isinstance(frame, Command):
+            self._remember(frame, clock)
+        return frame
+
+    def refuse(self, reason: Refused) -> None:
+        """Count a datagram that is not taken."""
+        self.refused[reason] += 1
+
+    def _judge(self, data: bytes, clock: int) -> Command | Segment | Refused:
         try:
-            command = decode(data, self.key)
+            frame = decode(data, self.key)
         except FrameError:
-            return self._refuse(Refused.FRAME)
-        if not isinstance(command, Command) or command.link != self.number:
-            return self._refuse(Refused.OTHER)
-        stop, follows = command.flags & Order.STOP, self._follows(command, clock)
+            return Refused.FRAME
+        if isinstance(frame, Telemetry) or frame.link != self.number:
+            return Refused.OTHER
+        if isinstance(frame, Segment):
+            return self._segment_obstacle(frame) or frame
+        return self._command_obstacle(frame, clock) or frame
+
+    def _segment_obstacle(self, segment: Segment) -> Refused | None:
+        if segment.boot != self.boot:
+            return Refused.BOOT
+        return Refused.SEQUENCE if self.key and segment.clock <= self._disarming else None
+
+    def _command_obstacle(self, command: Command, clock: int) -> Refused | None:
+        stop = command.flags & Order.STOP
         if not stop and command.boot not in (0, self.boot):
-            return self._refuse(Refused.BOOT)
-        if self._is_replayed(command) or not (stop or follows):
-            return self._refuse(Refused.SEQUENCE)
-        if command.expiry and command.expiry < clock:
-            return self._refuse(Refused.EXPIRED)
-        if follows:
+            return Refused.BOOT
+        if self._is_replayed(command) or not (stop or self._follows(command, clock)):
+            return Refused.SEQUENCE
+        return Refused.EXPIRED if command.expiry and command.expiry < clock else None
+
+    def _remember(self, command: Command, clock: int) -> None:
+        if self._follows(command, clock):
             self._newest = command.sequence
         self._latest = max(self._latest, command.clock)
+        if not command.flags & Order.ARM:
+            self._disarming = command.clock
         self.command, self.arrival = command, clock
-        return command
 
     def _follows(self, command: Command, clock: int) -> bool:
         """Whether it is newer than the last command, or may begin a session."""
@@ -70,7 +112,3 @@ class Gate:
     def _is_replayed(self, command: Command) -> bool:
         """Whether a signed command is not later than all that were taken."""
         return bool(self.key) and command.clock <= self._latest
-
-    def _refuse(self, reason: Refused) -> Command | None:
-        self.refused[reason] += 1
-        return None

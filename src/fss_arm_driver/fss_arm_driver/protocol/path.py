@@ -1,4 +1,17 @@
-"""Paths in time that a link keeps and follows by itself (docs/reference/protocol.md)."""
+"""Paths in time that a link keeps and follows by itself (docs/reference/protocol.md).
+
+A `PathFollower` is the link's side, in counts: segments in, velocities for the drive out, times by
+the link's clock [us].
+"""
+
+from fss_arm_driver.protocol.frames import LAST, VELOCITY_UNIT, Command, Segment
+from fss_arm_driver.protocol.gate import Refused
+
+KEPT = 32  # segments of a path
+FARTHEST = 120_000_000  # that a segment may lie ahead [us]
+GAIN = 4.0  # of the correction [1/s]
+REACH = 0.25  # for so long the most velocity covers the farthest a joint may be from its path [s]
+REST = 100.0  # a slower joint is at rest [counts/s]
 
 
 def hermite(
@@ -15,3 +28,150 @@ def hermite(
     square, cube = 3.0 * rise - 2.0 * a - b, a + b - 2.0 * rise
     position = p0 + s * (a + s * (square + s * cube))
     return position, (a + s * (2.0 * square + s * 3.0 * cube)) / duration
+
+
+def newer_path(number: int, than: int) -> bool:
+    """Whether a path's number comes after another, modulo 2^16."""
+    return 0 < (number - than) & 0xFFFF < 0x8000
+
+
+class HeldPath:
+    """The segments of one path that have come and are not over."""
+
+    def __init__(self, number: int) -> None:
+        self.number = number
+        self.first = 0  # index of the earliest segment that may still come
+        self._held: dict[int, Segment] = {}  # by index
+
+    @property
+    def missing(self) -> int:
+        """Index of the earliest segment that is still to come."""
+        index = self.first
+        while index in self._held:
+            index += 1
+        return index
+
+    def take(self, new: Segment) -> Refused | None:
+        """Keep a segment, or say why it is refused."""
+        if not self.first <= new.index < self.first + KEPT:
+            return Refused.INDEX
+        for held in self._held.values():
+            early, late = sorted((held, new), key=lambda segment: segment.index)
+            if early.index == late.index and _told(held) != _told(new):
+                return Refused.CONTRADICTION
+            if early.index < late.index and early.flags & LAST:
+                return Refused.CONTRADICTION
+            if early.index + 1 == late.index and _told(early)[4:] != _told(late)[1:4]:
+                return Refused.CONTRADICTION
+        self._held[new.index] = new
+        return None
+
+    def begun(self, clock: int) -> bool:
+        """Whether the first segment that is held has begun."""
+        return bool(self._held) and clock >= self._held[min(self._held)].begin
+
+    def at(self, clock: int) -> tuple[float, float, bool] | None:
+        """Position [counts], velocity [counts/s], and whether the last knot is over.
+
+        None where no segment has come. What is before `clock` is forgotten.
+        """
+        for index in sorted(self._held):
+            segment = self._held[index]
+            if clock < segment.begin:
+                return None
+            over = clock >= segment.end
+            if over and not segment.flags & LAST:
+                del self._held[index]
+                continue
+            self.first = index
+            return (*at(segment, min(clock, segment.end)), over)
+        return None
+
+
+def at(segment: Segment, clock: int) -> tuple[float, float]:
+    """Position [counts] and velocity [counts/s] of a segment, at a time within it [us]."""
+    return hermite(
+        1e-6 * (clock - segment.begin),
+        1e-6 * segment.duration,
+        segment.position,
+        VELOCITY_UNIT * segment.velocity,
+        segment.end_position,
+        VELOCITY_UNIT * segment.end_velocity,
+    )
+
+
+def _told(segment: Segment) -> tuple[int, ...]:
+    """What a segment says: whether it is the last, its beginning, its end."""
+    s = segment
+    begin, end = (s.begin, s.position, s.velocity), (s.end, s.end_position, s.end_velocity)
+    return s.flags, *begin, *end
+
+
+class PathFollower:
+    """Keeps the path that a link follows and the next one, and says how to follow.
+
+    It begins anew whenever the link is disarmed. `following` and `broken` are as in telemetry.
+    """
+
+    def __init__(self) -> None:
+        self.following = self.broken = False
+        self._followed: HeldPath | None = None
+        self._next: HeldPath | None = None
+        self._last = 0  # number of the path followed last, though it be gone; 0: none
+
+    @property
+    def report(self) -> int:
+        """Slow field 8."""
+        path = self._next or self._followed
+        word = path.number << 16 | path.missing if path else 0
+        return (word ^ 1 << 31) - (1 << 31)  # as a signed number of 32 bits
+
+    def take(self, segment: Segment, clock: int) -> Refused | None:
+        """Keep a segment that came at `clock`, or say why it is refused."""
+        if segment.end <= clock or segment.begin > clock + FARTHEST:
+            return Refused.TIME
+        for path in (self._followed, self._next):
+            if path and segment.path == path.number:
+                return path.take(segment)
+        known = self._last, self._next.number if self._next else 0
+        if not all(newer_path(segment.path, number) for number in known if number):
+            return Refused.PATH
+        path = HeldPath(segment.path)
+        if why := path.take(segment):
+            return why
+        self._next = path
+        return None
+
+    def leave(self) -> None:
+        """The link is to do something else: the path that it follows is gone."""
+        self.following, self._followed = False, None
+
+    def follow(
+        self, command: Command, clock: int, position: float, velocity: float
+    ) -> float | None:
+        """The velocity that the drive shall have [counts/s]; None: it shall hold.
+
+        Args:
+            command: in force, of mode PATH.
+            clock: now [us].
+            position: of the joint [counts].
+            velocity: of it [counts/s].
+        """
+        number, fastest = command.set_point, VELOCITY_UNIT * command.velocity
+        if self._next and number == self._next.number:
+            if self._next.begun(clock):
+                self._followed, self._next, self._last = self._next, None, number
+                self.following, self.broken = True, False
+        elif not (self._followed and number == self._followed.number):
+            self.leave()
+        if self._followed is None:
+            return None
+        point = self._followed.at(clock)
+        off = point[0] - position if point else 0.0
+        if point is None or abs(off) > REACH * fastest:
+            self.leave()
+            self.broken = True
+            return None
+        if point[2] and abs(velocity) < REST:
+            self.following = False
+        return max(-fastest, min(point[1] + GAIN * off, fastest))

@@ -1,9 +1,19 @@
 """What a link is to do, by the commands that it takes and the time that passes."""
 
+from collections.abc import Sequence
 from enum import Enum
 
-from fss_arm_driver.protocol.frames import Order, State
-from fss_arm_driver.protocol.gate import Gate
+from fss_arm_driver.protocol.frames import (
+    VELOCITY_UNIT,
+    Command,
+    Mode,
+    Order,
+    Segment,
+    Slow,
+    State,
+)
+from fss_arm_driver.protocol.gate import Gate, Refused
+from fss_arm_driver.protocol.path import PathFollower
 
 
 class Goal(Enum):
@@ -12,10 +22,11 @@ class Goal(Enum):
     RELEASE = "decelerate, then switch off"
     HOLD = "decelerate, then hold that place"
     OBEY = "what the last command says"
+    FOLLOW = "what `LinkState.velocity` says, at least 50 times a second"
 
 
 class LinkState:
-    """Whether a link is armed, and its latches. Clocks are the link's own [us].
+    """Whether a link is armed, its latches, and its paths. Clocks are the link's own [us].
 
     Args:
         gate: that commands come through.
@@ -24,13 +35,16 @@ class LinkState:
     def __init__(self, gate: Gate) -> None:
         self.gate = gate
         self.armed = self.stopped = self.watchdog_tripped = False
+        self.paths = PathFollower()
         self._dropped = False  # by a fault; not in telemetry
         self._on = False  # the drive, from arming on: no stop switches it on
 
     def receive(self, data: bytes, clock: int) -> bool:
-        """Take or refuse bytes that have come; whether they were taken."""
+        """Take or refuse bytes that have come; whether they were taken as a command."""
         command = self.gate.take(data, clock)
-        if command is None:
+        if isinstance(command, Segment):
+            self._keep(command, clock)
+        if not isinstance(command, Command):
             return False
         if command.flags & Order.STOP:
             self.armed, self.stopped = False, True
@@ -38,7 +52,16 @@ class LinkState:
             self.disarm()
         elif not (self.stopped or self.watchdog_tripped or self._dropped):
             self.armed = self._on = True
+        if not self.armed:
+            self.paths = PathFollower()
         return True
+
+    def _keep(self, segment: Segment, clock: int) -> None:
+        """Keep a segment of a path, or refuse it."""
+        self._watch(clock)
+        why = self.paths.take(segment, clock) if self.armed else Refused.DISARMED
+        if why:
+            self.gate.refuse(why)
 
     def disarm(self) -> None:
         """Brake, then off; latches are forgotten."""
@@ -51,13 +74,41 @@ class LinkState:
 
     def goal(self, clock: int) -> Goal:
         """What to do now; lets the watchdog trip."""
-        gate, command = self.gate, self.gate.command
-        if self.armed and clock - gate.arrival > gate.watchdog:
-            self.armed, self.watchdog_tripped = False, True
+        command = self.gate.command
+        self._watch(clock)
+        if not self.armed:
+            self.paths = PathFollower()
         if not (self._on and command):
             return Goal.RELEASE
         obeys = self.armed and command.expiry >= clock and not command.flags & Order.HOLD
+        if obeys and command.mode == Mode.PATH and not command.flags & Order.HOME:
+            return Goal.FOLLOW
+        self.paths.leave()
         return Goal.OBEY if obeys else Goal.HOLD
+
+    def velocity(self, clock: int, position: float, velocity: float) -> int | None:
+        """What the drive's velocity shall be to follow a path [0.1 counts/s]; None: it holds.
+
+        Args:
+            clock: now.
+            position: of the joint [counts].
+            velocity: of the joint [0.1 counts/s].
+        """
+        assert self.gate.command
+        speed = VELOCITY_UNIT * velocity
+        wanted = self.paths.follow(self.gate.command, clock, position, speed)
+        return None if wanted is None else round(wanted / VELOCITY_UNIT)
+
+    def _watch(self, clock: int) -> None:
+        """Disarm after the watchdog time without a command."""
+        if self.armed and clock - self.gate.arrival > self.gate.watchdog:
+            self.armed, self.watchdog_tripped = False, True
+
+    def slow_field(self, sequence: int, fields: Sequence[Slow]) -> Slow:
+        """Which of the slow fields a frame has: they take turns; a path's, while it is held."""
+        if not self.paths.report:
+            return fields[sequence % len(fields)]
+        return Slow.PATH if sequence % 2 else fields[sequence // 2 % len(fields)]
 
     def flags(self, referenced: bool) -> int:
         """As telemetry has them."""
@@ -66,4 +117,6 @@ class LinkState:
             | State.STOPPED * self.stopped
             | State.WATCHDOG * self.watchdog_tripped
             | State.REFERENCED * referenced
+            | State.FOLLOWING * self.paths.following
+            | State.BROKEN * self.paths.broken
         )

@@ -4,6 +4,7 @@ What the firmware does, in its own units: the link's clock in microseconds since
 servo drive's counts, the torque converter's counts.
 """
 
+from dataclasses import replace
 from math import pi
 
 from fss_arm_driver.protocol import (
@@ -30,7 +31,7 @@ RELEASE_TIMEOUT = 3_000_000  # with a joint that does not come to rest and shall
 # The servo drive's status word.
 DISABLED, AT_HIGHEST, AT_LOWEST, IN_MOTION = 1 << 12, 1 << 16, 1 << 17, 1 << 27
 
-SUPPLY, TEMPERATURE, FIRMWARE = 240, 31, 0x010000  # 24.0 V, deg C, 1.0.0
+SUPPLY, TEMPERATURE, FIRMWARE = 240, 31, 0x020000  # 24.0 V, deg C, 2.0.0
 
 
 class LinkElectronics(LinkState):
@@ -84,7 +85,11 @@ class LinkElectronics(LinkState):
         goal, command = self.goal(clock), self.gate.command
         if goal is not Goal.RELEASE:
             self._kept = clock
-        if goal is Goal.OBEY and command and not command.flags & Order.HOME:
+        if goal is Goal.FOLLOW and command:
+            speed = self.velocity(clock, *self._measured(motion))
+            turn = replace(command, mode=Mode.VELOCITY, set_point=speed or 0)
+            self._demand = self._held() if speed is None else self._commanded(turn)
+        elif goal is Goal.OBEY and command and not command.flags & Order.HOME:
             self._demand = self._commanded(command)
         elif goal is not Goal.RELEASE:
             self._demand = self._held()
@@ -95,13 +100,14 @@ class LinkElectronics(LinkState):
 
     def telemetry(self, clock: int, motion: Motion) -> bytes | None:
         """The frame that is due now, measured now; None between frames."""
-        encoder, torque = self.instruments.encoder, self.instruments.torque
+        torque = self.instruments.torque
         torque.sample(clock, motion.torque)
         if clock // self._period == self._periods:
             return None
         self._periods = clock // self._period
         sequence, self._sequence = self._sequence, (self._sequence + 1) & 0xFFFFFFFF
-        slow = list(Slow)[sequence % len(Slow)]
+        slow = self.slow_field(sequence, list(Slow))
+        position, velocity = self._measured(motion)
         gate, command = self.gate, self.gate.command
         frame = Telemetry(
             link=gate.number,
@@ -111,8 +117,8 @@ class LinkElectronics(LinkState):
             clock=clock,
             echo=command.clock & 0xFFFFFFFF if command else 0,
             turnaround=min(clock - gate.arrival, 0xFFFFFFFF) if command else 0,
-            position=_signed(encoder.reading(motion.q) / self._count, 32),
-            velocity=_signed(encoder.rate(motion.q, motion.qd) / self._count / VELOCITY_UNIT, 32),
+            position=position,
+            velocity=velocity,
             current=_signed(self.link.drive.direction * motion.current / CURRENT_UNIT, 16),
             mode=self._demand.mode,
             slow_id=slow,
@@ -122,6 +128,14 @@ class LinkElectronics(LinkState):
             slow_value=self._slow_value(slow),
         )
         return encode(frame, gate.key)
+
+    def _measured(self, motion: Motion) -> tuple[int, int]:
+        """Position [counts] and velocity [0.1 counts/s], as the encoder has them."""
+        encoder, velocity = self.instruments.encoder, self._count * VELOCITY_UNIT
+        return (
+            _signed(encoder.reading(motion.q) / self._count, 32),
+            _signed(encoder.rate(motion.q, motion.qd) / velocity, 32),
+        )
 
     def _held(self) -> Demand:
         """Decelerate and hold there; a drive that holds already goes on holding the same place."""
@@ -160,6 +174,7 @@ class LinkElectronics(LinkState):
             Slow.FIRMWARE: FIRMWARE,
             Slow.HOMINGS: self.homings,
             Slow.REFUSED: _signed(self.gate.refused.total(), 32),
+            Slow.PATH: self.paths.report,
         }[slow]
 
 
