@@ -48,7 +48,8 @@ ALLOWED = {
     | {"numpy", "scipy", "yaml", "rich", "matplotlib"},
     "fss_arm_workspace": ROS
     | {"fss_arm_model", "fss_arm_ros", "fss_arm_bags", "numpy", "scipy", "rich", "matplotlib"},
-    "fss_arm_motion": ROS | {"fss_arm_model", "fss_arm_ros", "numpy", "scipy", "rich", "matplotlib"},
+    "fss_arm_motion": ROS
+    | {"fss_arm_model", "fss_arm_ros", "numpy", "scipy", "rich", "matplotlib"},
     "fss_gnc": ROS | {"fss_arm_model", "fss_arm_ros", "numpy"},
     "fss_arm_view": ROS
     | {"fss_arm_model", "fss_arm_ros", "fss_gnc.navigation", "fss_gnc.navigation.messages"}
@@ -69,7 +70,8 @@ SHARED = [
 ROOMS = {
     PROTOCOL: set(),
     "fss_arm_driver.session": {
-        "fss_arm_model.description", PROTOCOL, "fss_arm_driver.scale", "fss_arm_driver.faults",
+        "fss_arm_model.description", PROTOCOL, "fss_arm_driver.scale", "fss_arm_driver.knots",
+        "fss_arm_driver.faults",
     },
     "fss_arm_driver.copley": {PROTOCOL, "fss_arm_driver.faults"},
     "fss_arm_driver.transport": {PROTOCOL, "fss_arm_driver.copley"},

@@ -32,7 +32,7 @@ from fss_arm_driver.scale import CommandError
 from fss_arm_driver.session import Arming, LinkSession, Progress
 from fss_arm_driver.settings import LinkSettings
 from fss_arm_driver.transport import Transport, open_transport
-from fss_arm_msgs.msg import CommandStatus, LinkCommand, LinkTelemetry
+from fss_arm_msgs.msg import CommandStatus, LinkCommand, LinkPath, LinkTelemetry
 from fss_arm_ros.convert import SECOND, stamp_ns
 from fss_arm_ros.diagnostics import Diagnostics, Health
 from fss_arm_ros.pace import pace
@@ -98,6 +98,7 @@ class LinkNode(Node):
         self.battery = self.create_publisher(BatteryState, f"{self.name}/battery", SENSOR)
         self.status = self.create_publisher(CommandStatus, f"{self.name}/command_status", SENSOR)
         self.create_subscription(LinkCommand, f"{self.name}/command", self.on_command, COMMAND)
+        self.create_subscription(LinkPath, f"{self.name}/path", self.on_path, 10)
         self.create_subscription(Empty, "arm/stop", self.on_stop, 10)
         group = ReentrantCallbackGroup()  # the answer waits for the link's; all else goes on
         self.create_service(SetBool, f"{self.name}/arm", self.on_arm, callback_group=group)
@@ -146,18 +147,24 @@ class LinkNode(Node):
     def send(self) -> None:
         """Send the command of the moment."""
         with self.lock:
-            now = self.now()
-            self.transport.send(self.session.command(now))
+            self.transport.send(self.session.command(now := self.now()))
             self.pacer.sent(now)
+            self.send_path(now)
         self.steady.reset()
         self.late.cancel()
         self.answer()
         session, trouble = self.session, self.transport.trouble
         self.warn("trouble", trouble and f"{self.settings.url}: {trouble}")
         self.warn("rival", session.rival)
+        self.warn("path", session.breakage)
         if bool(session.strain) != bool(self.warned["strain"]):  # its figures change all the time
             self.warn("strain", session.strain)
         self.warn("standstill", session.standstill and f"{session.standstill}: disarmed")
+
+    def send_path(self, now: int) -> None:
+        """Send what the link lacks of its paths."""
+        for data in self.session.segments(now):
+            self.transport.send(data)
 
     def on_command(self, message: LinkCommand) -> None:
         """Take a command, from the time that its stamp says it was given, and pass it on."""
@@ -169,8 +176,7 @@ class LinkNode(Node):
                 self.take(message, given, now)
                 self.pass_on(now)
             except CommandError as error:
-                self.status.publish(command_refused(str(error), given + ahead, now + ahead))
-                self.warn("refused", f"command refused: {error}")
+                self.refuse("command", error, given)
             if before and before is not self.session.progress:
                 self.report(before)  # another command took its place
         self.answer()
@@ -179,9 +185,10 @@ class LinkNode(Node):
         """Have the session take a command given then, or raise CommandError."""
         if not 0.0 < (lives := message.time_to_live) <= 3600.0:
             raise CommandError(f"time_to_live is {lives} s, expected above 0")
+        follows = message.mode == LinkCommand.PATH
         self.session.set(
             message.mode,
-            message.set_point,
+            message.path if follows else message.set_point,
             message.max_velocity,
             message.max_acceleration,
             given + round(lives * SECOND),
@@ -195,6 +202,23 @@ class LinkNode(Node):
             self.late.reset()
         else:
             self.send()
+
+    def on_path(self, message: LinkPath) -> None:
+        """Take a path, and send its beginning to the link."""
+        with self.lock:
+            now, begin = self.now(), stamp_ns(message.header.stamp) - self.clock.ahead
+            knots = message.time, message.position, message.velocity
+            try:
+                self.session.give_path(message.path, begin, *knots, now)
+            except CommandError as error:
+                self.refuse("path", error, now)
+            self.send_path(now)
+
+    def refuse(self, what: str, error: CommandError, given: int) -> None:
+        """Say that a command or a path is not taken."""
+        ahead = self.clock.ahead
+        self.status.publish(command_refused(str(error), given + ahead, self.now() + ahead))
+        self.warn("refused", f"{what} refused: {error}")
 
     def on_stop(self, _: Empty) -> None:
         """Stop at once."""

@@ -6,6 +6,7 @@ from typing import NamedTuple
 from fss_arm_driver.protocol import (
     ACCELERATION_UNIT,
     CURRENT_UNIT,
+    MAX_PATH,
     VELOCITY_UNIT,
     Mode,
     Telemetry,
@@ -49,6 +50,7 @@ class Scale:
         self.link = link
         drive = link.drive
         self.radians_per_count = 2.0 * pi / (drive.direction * drive.counts_per_turn)
+        self.radians_per_raw_velocity = VELOCITY_UNIT * self.radians_per_count
         counts_per_radian = abs(1.0 / self.radians_per_count)
         self.velocity_step = VELOCITY_UNIT / counts_per_radian  # of a frame [rad/s]
         self.acceleration_step = ACCELERATION_UNIT / counts_per_radian  # of a frame [rad/s^2]
@@ -74,7 +76,7 @@ class Scale:
 
     def velocity(self, raw: int) -> float:
         """Joint rate [rad/s]."""
-        return self.radians_per_count * VELOCITY_UNIT * raw
+        return self.radians_per_raw_velocity * raw
 
     def torque(self, counts: int) -> float:
         """What the torque sensor measures [N m]."""
@@ -99,7 +101,7 @@ class Scale:
         The drive's own soft limits act at once; this one waits for the next telemetry.
         """
         q, push = self.position(counts), order.value * self.radians_per_count
-        return order.mode != Mode.POSITION and (
+        return order.mode not in (Mode.POSITION, Mode.PATH) and (
             (q >= self.link.q_max and push > 0.0) or (q <= self.link.q_min and push < 0.0)
         )
 
@@ -110,16 +112,16 @@ class Scale:
 
         A current, velocity or acceleration above the link's limit is clamped to it, and a current
         that would make more than the torque allowed; a profile velocity or acceleration of 0 means
-        the limit. HOME takes no numbers.
+        the limit. PATH takes a path's number as its value. HOME takes no numbers.
 
         Raises:
-            CommandError: no such mode, a number that is not finite or has the wrong sign, or a
-                target position outside the limits.
+            CommandError: no such mode, a number that is not finite or has the wrong sign, a target
+                position outside the limits, or no path's number.
         """
         if mode == HOME:
             return SetPoint(Mode.POSITION, 0, 0, 0, clamped=False, home=True)
-        if mode not in (Mode.CURRENT, Mode.VELOCITY, Mode.POSITION):
-            raise CommandError(f"mode is {mode}, expected 1, 2, 11 or 21")
+        if mode not in (Mode.CURRENT, Mode.VELOCITY, Mode.POSITION, Mode.PATH):
+            raise CommandError(f"mode is {mode}, expected 1, 2, 11, 21 or 31")
         numbers = {"set_point": value, "max_velocity": velocity, "max_acceleration": acceleration}
         for name, number in numbers.items():
             if not isfinite(number):
@@ -144,8 +146,12 @@ class Scale:
             if not low <= value <= high:
                 raise CommandError(f"set_point is {value} rad, expected {low:.6g} to {high:.6g}")
             return round(value / self.radians_per_count), False
+        if mode == Mode.PATH:
+            if not 1 <= value <= MAX_PATH:
+                raise CommandError(f"path is {value:g}, expected 1 to {MAX_PATH}")
+            return int(value), False
         if mode == Mode.VELOCITY:
-            limit, unit = drive.max_velocity, self.radians_per_count * VELOCITY_UNIT
+            limit, unit = drive.max_velocity, self.radians_per_raw_velocity
         else:
             limit = min(drive.max_current, drive.max_torque / drive.torque_constant)
             unit = drive.direction * CURRENT_UNIT

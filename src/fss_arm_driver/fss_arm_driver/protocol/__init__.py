@@ -5,6 +5,8 @@ from fss_arm_driver.protocol.frames import (
     CURRENT_UNIT,
     FRAME_SIZE,
     LAST,
+    MAX_INDEX,
+    MAX_PATH,
     NO_TORQUE,
     VELOCITY_UNIT,
     VERSION,
@@ -21,9 +23,10 @@ from fss_arm_driver.protocol.frames import (
     decode,
     encode,
     newer,
+    spoken,
 )
 from fss_arm_driver.protocol.gate import Gate, Refused
-from fss_arm_driver.protocol.path import KEPT, REACH, hermite, newer_path
+from fss_arm_driver.protocol.path import KEPT, REACH, at, hermite, newer_path
 from fss_arm_driver.protocol.signature import KeyFileError, load_keys, parse_keys
 from fss_arm_driver.protocol.state import Goal, LinkState
 from fss_arm_driver.protocol.stream import StreamDecoder, pack
@@ -34,6 +37,8 @@ __all__ = [
     "FRAME_SIZE",
     "KEPT",
     "LAST",
+    "MAX_INDEX",
+    "MAX_PATH",
     "NO_TORQUE",
     "REACH",
     "VELOCITY_UNIT",
@@ -54,6 +59,7 @@ __all__ = [
     "State",
     "StreamDecoder",
     "Telemetry",
+    "at",
     "decode",
     "encode",
     "hermite",
@@ -62,4 +68,5 @@ __all__ = [
     "newer_path",
     "pack",
     "parse_keys",
+    "spoken",
 ]

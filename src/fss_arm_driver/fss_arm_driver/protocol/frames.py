@@ -189,6 +189,11 @@ def newer(sequence: int, than: int) -> bool:
     return 0 < (sequence - than) & 0xFFFFFFFF < 0x80000000
 
 
+def spoken(data: bytes) -> tuple[int, int]:
+    """Version and link of a frame of whatever version: 72 bytes that begin with the magic."""
+    return data[2], data[4]
+
+
 def encode(frame: Frame, key: bytes | None = None) -> bytes:
     """The 72 bytes of `frame`, signed if a key is given.
 

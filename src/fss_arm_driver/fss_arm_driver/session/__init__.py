@@ -5,6 +5,7 @@
 | `session.py` | `LinkSession`: composes the others, and says in words what is wrong |
 | `arming.py` | arm, disarm, stop, clear faults: what is wanted of the drive, what is confirmed |
 | `orders.py` | the set point in force, until it expires |
+| `paths.py` | what of the paths in time the link is sent, and has |
 | `progress.py` | how far the link has come with it |
 | `reception.py` | which telemetry is believed; when the link is lost |
 | `clock.py` | the link's clock mapped to the host's |

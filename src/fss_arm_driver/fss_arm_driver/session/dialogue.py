@@ -37,7 +37,7 @@ class Dialogue:
     def __init__(self, epoch: int, timeout: int, watchdog: int, signed: bool) -> None:
         self._epoch, self._timeout, self._watchdog = epoch, timeout, watchdog
         self._signed = signed
-        self.sent = 0  # commands
+        self.sent = 0  # commands and segments
         self.delay = 0  # there and back, of the last command known to be taken
         self.answered = -1  # when the last command known to be taken was sent
         self.crowded = False  # the link refuses many commands that are not ours
@@ -56,6 +56,11 @@ class Dialogue:
         self._ours[self._clock & MASK] = now
         while now - self._ours[oldest := next(iter(self._ours))] > ECHO_MEMORY:
             del self._ours[oldest]
+        return self._clock
+
+    def last_stamp(self) -> int:
+        """The stamp of the last command, for one more segment of a path that goes with it [us]."""
+        self.sent += 1
         return self._clock
 
     def forget(self) -> None:

@@ -6,6 +6,7 @@ at its limit, an armed link holds its place. Times are the caller's, in nanoseco
 
 from fss_arm_driver.protocol import Mode, Order, Telemetry
 from fss_arm_driver.scale import Scale, SetPoint
+from fss_arm_driver.session.paths import SentPath
 from fss_arm_driver.session.progress import Progress, Status
 
 NO_SET_POINT = SetPoint(Mode.OFF, 0, 0, 0, clamped=False)
@@ -32,6 +33,12 @@ class Orders:
             self.progress = Progress(set_point, now, self._scale)
         self._set_point, self._expiry = set_point, expiry
 
+    @property
+    def path(self) -> int:
+        """Number of the path that is in force; 0: none is."""
+        order = self._set_point
+        return order.value if order and order.mode == Mode.PATH else 0
+
     def end(self, status: Status, why: str) -> None:
         """Put the set point out of force, if there is one."""
         if self._set_point and self.progress:
@@ -43,11 +50,15 @@ class Orders:
         if self._set_point and now > self._expiry:
             self.end(Status.TIMED_OUT, "its time to live ended")
 
-    def follow(self, frame: Telemetry, echoed: int | None, now: int) -> None:
-        """Learn from telemetry that echoes a command sent at `echoed`."""
+    def follow(
+        self, frame: Telemetry, echoed: int | None, now: int, path: SentPath | None = None
+    ) -> None:
+        """Learn from telemetry that echoes a command sent at `echoed`, `path` being in force."""
         if self._set_point and self.progress:
             taken = echoed is not None and echoed >= self.progress.given
-            self.progress.follow(frame, taken, now)
+            self.progress.follow(frame, taken, now, path)
+            if self.progress.broken:
+                self._set_point = None
 
     def wanted(self, position: int, now: int) -> tuple[int, int, SetPoint]:
         """Flags beside ARM, expiry and set point of a command, the joint at `position` [counts]."""

@@ -80,9 +80,9 @@ class Reception:
         self._candidates: deque[Track] = deque(maxlen=MAX_CANDIDATES)  # on probation
         self._stamp = 0  # of the last sample
 
-    def tick(self, now: int) -> bool:
-        """Let time pass; whether the link was lost by it."""
-        lost = not self.lost and now - self.heard > self._timeout
+    def tick(self, now: int, patience: int = 0) -> bool:
+        """Let time pass; whether the link was lost by it, `patience` being the least timeout."""
+        lost = not self.lost and now - self.heard > max(self._timeout, patience)
         if lost:
             self.lost = True
             self._counts["lost"] += 1

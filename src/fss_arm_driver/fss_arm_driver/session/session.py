@@ -5,31 +5,40 @@ docs/reference/protocol.md. All times are the caller's, in integer nanoseconds.
 """
 
 from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
 from math import inf, nan
 
 from fss_arm_driver.faults import blocking
+from fss_arm_driver.knots import Knot, knots
 from fss_arm_driver.protocol import (
+    MAX_PATH,
+    VERSION,
     Command,
     FrameError,
     Mode,
     Order,
     Refusal,
+    Segment,
     Slow,
     State,
     Telemetry,
     decode,
     encode,
+    spoken,
 )
 from fss_arm_driver.scale import CommandError, Scale, SetPoint
 from fss_arm_driver.session.arming import Arming, ArmingMachine
 from fss_arm_driver.session.battery import Battery
-from fss_arm_driver.session.clock import SECOND
+from fss_arm_driver.session.clock import MICROSECOND, SECOND
 from fss_arm_driver.session.dialogue import Dialogue
 from fss_arm_driver.session.orders import NO_SET_POINT, Orders
+from fss_arm_driver.session.paths import Paths, SentPath
 from fss_arm_driver.session.progress import Progress, Status
 from fss_arm_driver.session.reception import Reception, Sample
 from fss_arm_model.description import Link
 
+FARTHEST = 120 * SECOND  # that a path may begin ahead
 CLOCK_CORRECTION = SECOND // 10  # a simulated clock that is set back by less is being corrected
 
 #: What may happen to a telemetry frame but to be believed.
@@ -40,7 +49,7 @@ TROUBLES = (
 )
 COUNTS = (
     *("received", "believed", *TROUBLES, "adopted", "lost"),
-    *("sent", "commands_clamped", "commands_refused"),
+    *("sent", "segments", "commands_clamped", "commands_refused"),
 )
 
 
@@ -86,6 +95,9 @@ class LinkSession:
         self._dialogue = Dialogue(epoch, self._timeout, self._silence, signed)
         self._arming = ArmingMachine()
         self._orders = Orders(self.scale, self._timeout)
+        self._paths = Paths()
+        self.breakage = ""  # how the last path broke off, in words; until another is followed
+        self._version = VERSION  # of frames of this link that are refused for it
         self._sequence = 0
         self._now = 0
         self._still = 0  # how long time stood still before `_woke`
@@ -168,9 +180,22 @@ class LinkSession:
     @property
     def absence(self) -> str:
         """For how long the link was not heard, in words."""
+        if self._version != VERSION:
+            return self.dialect
         if (silence := self.silence(self._now)) == inf:
             return "not heard yet: is it on, and does no other driver talk to it?"
         return f"silent for {silence:.1f} s"
+
+    @property
+    def dialect(self) -> str:
+        """That the link speaks another version of the protocol, in words."""
+        if self._version == VERSION:
+            return ""
+        what = "its firmware" if self._version < VERSION else "this computer's software"
+        return (
+            f"link {self.number} speaks version {self._version} of the protocol, expected "
+            f"{VERSION}: {'flash' if self._version < VERSION else 'update'} {what}"
+        )
 
     @property
     def rival(self) -> str:
@@ -202,7 +227,7 @@ class LinkSession:
         if dialogue.delay > self._timeout:
             return f"{link}: {self.strain}"
         if self.lost:
-            return f"{link} is lost: {self.absence}"
+            return self.dialect or f"{link} is lost: {self.absence}"
         if dialogue.answered < self._woke:
             return f"{link}: its driver {self.standstill} just now"
         return f"{link} has faults: {', '.join(self.faults)}" if self.faults else ""
@@ -228,18 +253,23 @@ class LinkSession:
 
         `released` says whether the link has, once all is `settled`; a lost one cannot confirm it.
         """
-        self._orders.end(Status.ABORTED, "disarmed")
+        self._end("disarmed")
         self._arming.disarm(self._now, self.lost)
 
     def stop(self) -> None:
         """Stop now and hold that place until armed anew or disarmed; what is off stays off."""
-        self._orders.end(Status.ABORTED, "stopped")
+        self._end("stopped")
         self._arming.stop()
 
     def _drop(self, why: str) -> None:
         """Disarm without a person's request: a stop stays."""
-        self._orders.end(Status.ABORTED, why)
+        self._end(why)
         self._arming.drop()
+
+    def _end(self, why: str) -> None:
+        """Nothing is in force any more, and the link forgets its paths."""
+        self._orders.end(Status.ABORTED, why)
+        self._paths = Paths()
 
     def set(
         self, mode: int, value: float, velocity: float, acceleration: float, expiry: int, now: int
@@ -251,20 +281,76 @@ class LinkSession:
         """
         self.tick(now)
         try:
-            if not self.armed:
-                raise CommandError(f"link {self.number} is {self.arming.value}, not armed")
+            self._require_armed()
             if expiry <= now:
                 raise CommandError(f"the command expired {1e-9 * (now - expiry):.3f} s ago")
             if faults := self.faults:
                 raise CommandError(f"link {self.number} has faults: {', '.join(faults)}")
             set_point = self.scale.set_point(mode, value, velocity, acceleration)
-            if mode == Mode.POSITION and not self.referenced:
-                raise CommandError(f"link {self.number} is not referenced: home it first")
+            if mode in (Mode.POSITION, Mode.PATH):
+                self._require_reference()
+            if mode == Mode.PATH:
+                self._paths.check(set_point.value)
         except CommandError:
             self.counts["commands_refused"] += 1
             raise
         self._orders.give(set_point, expiry, now)
         self.counts["commands_clamped"] += set_point.clamped
+
+    def _require_armed(self) -> None:
+        if not self.armed:
+            raise CommandError(f"link {self.number} is {self.arming.value}, not armed")
+
+    def _require_reference(self) -> None:
+        if not self.referenced:
+            raise CommandError(f"link {self.number} is not referenced: home it first")
+
+    def give_path(
+        self,
+        number: int,
+        begin: int,
+        time: Sequence[float],
+        position: Sequence[float],
+        velocity: Sequence[float],
+        now: int,
+    ) -> None:
+        """Take a path in time for the link to keep; a command of mode PATH makes it follow.
+
+        Args:
+            number: of the path, 1 to 65535, newer than those before it.
+            begin: host time at which it begins.
+            time: (n) of the knots, since the path's beginning [s].
+            position: (n) [rad].
+            velocity: (n) [rad/s].
+            now: host time.
+
+        Raises:
+            CommandError: it cannot be followed; what was given before stays.
+        """
+        self.tick(now)
+        try:
+            self._require_armed()
+            self._require_reference()
+            self._paths.give(self._path(number, begin, knots(self.scale, time, position, velocity)))
+        except CommandError:
+            self.counts["commands_refused"] += 1
+            raise
+
+    def _path(self, number: int, begin: int, knots: Sequence[Knot]) -> SentPath:
+        """A path by the link's clock, as that is known now."""
+        track, now = self._reception.track, self._now
+        if not 1 <= number <= MAX_PATH:
+            raise CommandError(f"path is {number}, expected 1 to {MAX_PATH}")
+        if begin > now + FARTHEST:
+            ahead = 1e-9 * (begin - now)
+            raise CommandError(f"path {number} begins {ahead:.1f} s ahead, at most 120 s allowed")
+        if (ago := now - begin - knots[-1].time * MICROSECOND) >= 0:
+            raise CommandError(f"path {number} ended {1e-9 * ago:.3f} s ago")
+        if track is None or track.clock.half_width(now) > self._timeout:
+            raise CommandError(f"the clock of link {self.number} is not known yet")
+        boot, clock = track.frame.boot, track.clock
+        begins, rate = clock.to_link(begin), 1.0 / (1.0 + clock.drift)
+        return SentPath(self.number, boot, number, begins, rate, knots, now)
 
     def tick(self, now: int) -> None:
         """Let time pass: loss, expiry, arming that came to nothing, a simulated clock set back.
@@ -282,10 +368,13 @@ class LinkSession:
             self._arming.forget()
             self._drop("the clock was set back")
         self._now = now
-        if self._reception.tick(now):
+        # A link that follows a path does so by itself: it can wait for as long as it waits for us.
+        if self._reception.tick(now, self._silence if self._orders.path else 0):
             self._dialogue.delay = 0
             self._drop("the link is lost")
         self._orders.tick(now)
+        if track := self._reception.track:
+            self._paths.tick(self._orders.path, track.clock.to_link(now))
         self._arming.tick(now, self._dialogue.delay, self.lost)
 
     def command(self, now: int) -> bytes:
@@ -311,6 +400,19 @@ class LinkSession:
             ),
             self._key,
         )
+
+    def segments(self, now: int) -> list[bytes]:
+        """The frames of the paths to send now, after a command."""
+        track = self._reception.track
+        if not (self.armed and track):
+            return []
+        due = self._paths.due(track.clock.to_link(now))
+        self.counts["segments"] += len(due)
+        return [encode(segment, self._key) for segment in map(self._stamped, due)]
+
+    def _stamped(self, segment: Segment) -> Segment:
+        self._sequence = (self._sequence + 1) & 0xFFFFFFFF
+        return replace(segment, sequence=self._sequence, clock=self._dialogue.last_stamp())
 
     def _wanted(self, now: int) -> tuple[int, int, SetPoint]:
         """Flags, host time of expiry and set point of the next command."""
@@ -355,7 +457,12 @@ class LinkSession:
         if frame.slow_id == Slow.BATTERY:
             self.battery.take(0.1 * frame.slow_value, self._now)
         echoed = self._dialogue.sent_at(frame)
-        self._orders.follow(frame, echoed, self._now)
+        self._paths.follow(frame, echoed)
+        self._orders.follow(frame, echoed, self._now, self._paths.find(self._orders.path))
+        if self.progress and self.progress.broken:
+            self.breakage = self.progress.reason
+        elif frame.flags & State.FOLLOWING:
+            self.breakage = ""
         if why := self._arming.follow(frame, echoed, self.faults):
             self._drop(why)
 
@@ -365,8 +472,12 @@ class LinkSession:
             frame = decode(data, self._key)
         except FrameError as error:
             self.counts[error.reason.value] += 1
+            if error.reason is Refusal.VERSION:
+                version, link = spoken(data)
+                self._version = version if link == self.number else self._version
             return None
         if not isinstance(frame, Telemetry) or frame.link != self.number:
             self.counts["foreign"] += 1
             return None
+        self._version = VERSION
         return frame

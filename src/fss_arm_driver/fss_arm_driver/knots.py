@@ -1,0 +1,96 @@
+"""The knots of a joint's path in time, checked against its limits, in a link's counts."""
+
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+from math import isfinite, sqrt
+from typing import NamedTuple
+
+from fss_arm_driver.protocol import MAX_INDEX, hermite
+from fss_arm_driver.scale import CommandError, Scale
+
+SHORTEST, LONGEST = 2000, 59_000_000  # from knot to knot; more is left than clocks differ [us]
+TOLERANCE = 1e-6  # of limits [rad, rad/s]
+
+
+class Knot(NamedTuple):
+    """A time, and what the joint does then."""
+
+    time: int  # since the path begins [us]
+    position: int  # [counts]
+    velocity: int  # [0.1 counts/s]
+
+
+def knots(
+    scale: Scale, time: Sequence[float], position: Sequence[float], velocity: Sequence[float]
+) -> tuple[Knot, ...]:
+    """The knots of a path of cubics (Hermite's), as a link takes them.
+
+    Args:
+        scale: the link's units and limits.
+        time: (n) ascending from 0 [s].
+        position: (n) of the joint [rad].
+        velocity: (n) of the joint [rad/s].
+
+    Raises:
+        CommandError: they make no path, or one beyond the joint's limits.
+    """
+    lengths = len(time), len(position), len(velocity)
+    if len(set(lengths)) > 1 or not 2 <= len(time) <= MAX_INDEX + 2:
+        raise CommandError(
+            f"time, position and velocity hold {lengths[0]}, {lengths[1]} and {lengths[2]} values, "
+            f"expected as many of each, 2 to {MAX_INDEX + 2}"
+        )
+    for name, values in (("time", time), ("position", position), ("velocity", velocity)):
+        for k, value in enumerate(values):
+            if not isfinite(value):
+                raise CommandError(f"{name}[{k}] is {value}, expected a finite number")
+    if time[0] != 0.0:
+        raise CommandError(f"time[0] is {time[0]:g} s, expected 0")
+    if velocity[-1] != 0.0:
+        raise CommandError(f"the last velocity is {velocity[-1]:g} rad/s, expected 0")
+    clocks = [round(1e6 * t) for t in time]
+    for k, (begin, end) in enumerate(pairwise(clocks), 1):
+        if not SHORTEST <= end - begin <= LONGEST:
+            raise CommandError(
+                f"time[{k}] is {1e-6 * (end - begin):g} s after the one before, expected "
+                f"{1e-6 * SHORTEST:g} to {1e-6 * LONGEST:g} s"
+            )
+        _check_limits(scale, k, time, position, velocity)
+    return tuple(
+        Knot(t, round(q / scale.radians_per_count), round(qd / scale.radians_per_raw_velocity))
+        for t, q, qd in zip(clocks, position, velocity, strict=True)
+    )
+
+
+def _check_limits(
+    scale: Scale, k: int, time: Sequence[float], q: Sequence[float], qd: Sequence[float]
+) -> None:
+    """Whether the cubic that ends at knot k keeps the limits of the joint."""
+    link, fastest = scale.link, scale.link.drive.max_velocity
+    cubic = time[k] - time[k - 1], q[k - 1], qd[k - 1], q[k], qd[k]
+    for t in _turning_points(*cubic):
+        angle, rate = hermite(t, *cubic)
+        if not link.q_min - TOLERANCE <= angle <= link.q_max + TOLERANCE:
+            raise CommandError(
+                f"position is {angle:.6g} rad between knots {k - 1} and {k}, "
+                f"expected {link.q_min:.6g} to {link.q_max:.6g}"
+            )
+        if abs(rate) > fastest + TOLERANCE:
+            raise CommandError(
+                f"velocity is {rate:.6g} rad/s between knots {k - 1} and {k}, "
+                f"expected at most {fastest:.6g}"
+            )
+
+
+def _turning_points(duration: float, p0: float, v0: float, p1: float, v1: float) -> Iterator[float]:
+    """Times at which a cubic or its velocity may be greatest: its ends, and where either turns."""
+    yield from (0.0, duration)
+    rise, a, b = p1 - p0, duration * v0, duration * v1
+    square, cube = 3.0 * rise - 2.0 * a - b, a + b - 2.0 * rise
+    # p' T = a + 2 square s + 3 cube s^2, p'' T^2 = 2 square + 6 cube s, in s = t / T
+    roots = [-square / (3.0 * cube)] if cube else []
+    if (inner := square * square - 3.0 * cube * a) > 0.0:
+        far = -square - (sqrt(inner) if square > 0.0 else -sqrt(inner))  # no difference of equals
+        roots += [far / (3.0 * cube)] if cube else []
+        roots += [a / far] if far else []
+    yield from (s * duration for s in roots if 0.0 < s < 1.0)

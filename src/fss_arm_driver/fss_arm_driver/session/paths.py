@@ -1,0 +1,148 @@
+"""The paths in time that a link is sent ahead, and how much of them it has.
+
+What is known here of the paths is what the link does with them (docs/reference/protocol.md): one is
+followed, one is next, and one that is gone does not come back. Times are the link's own [us].
+"""
+
+from bisect import bisect_left, bisect_right
+from collections.abc import Iterator, Sequence
+
+from fss_arm_driver.knots import Knot
+from fss_arm_driver.protocol import KEPT, LAST, Segment, Slow, Telemetry, at, newer_path
+from fss_arm_driver.scale import CommandError
+
+HORIZON = 4_000_000  # segments that begin later are not sent yet [us]
+MOST = 12  # segments sent at once
+MARGIN = 2  # segments that the link may be behind by
+
+
+class SentPath:
+    """One path, its knots by the link's clock.
+
+    Args:
+        link: number of the link.
+        boot: of the link.
+        number: of the path.
+        begin: by the link's clock [us].
+        rate: of the link's clock against that of the knots' times.
+        knots: of the path.
+        given: when, by the caller's clock.
+    """
+
+    def __init__(
+        self,
+        link: int,
+        boot: int,
+        number: int,
+        begin: int,
+        rate: float,
+        knots: Sequence[Knot],
+        given: int,
+    ) -> None:
+        self.number, self.knots, self.given = number, knots, given
+        self.clocks = [begin + round(rate * knot.time) for knot in knots]
+        self.missing = 0  # index of the first segment that the link has not reported
+        self._link, self._boot = link, boot
+
+    @property
+    def begin(self) -> int:
+        """By the link's clock [us]."""
+        return self.clocks[0]
+
+    @property
+    def end(self) -> int:
+        """By the link's clock [us]."""
+        return self.clocks[-1]
+
+    def present(self, clock: int) -> int:
+        """Index of the segment at a time; before the path begins, of the first."""
+        return max(0, bisect_right(self.clocks, clock) - 1)
+
+    def segment(self, index: int) -> Segment:
+        """One of its segments, without sequence and stamp."""
+        (_, q0, qd0), (_, q1, qd1) = self.knots[index : index + 2]
+        begin, end = self.clocks[index : index + 2]
+        return Segment(
+            link=self._link,
+            flags=LAST if index + 2 == len(self.knots) else 0,
+            boot=self._boot,
+            sequence=0,
+            clock=0,
+            path=self.number,
+            index=index,
+            begin=begin,
+            duration=end - begin,
+            position=q0,
+            velocity=qd0,
+            end_position=q1,
+            end_velocity=qd1,
+        )
+
+    def due(self, clock: int) -> Iterator[Segment]:
+        """Segments to send now, the most urgent first."""
+        present = self.present(clock)
+        end = min(bisect_left(self.clocks, clock + HORIZON), len(self.clocks) - 1)
+        for index in range(max(present, self.missing), min(end, present + KEPT - MARGIN)):
+            yield self.segment(index)
+
+    def position(self, clock: int) -> float:
+        """Where the joint should be at a time [counts]."""
+        last = len(self.clocks) - 2
+        segment = self.segment(min(self.present(clock), last))
+        return at(segment, min(max(clock, segment.begin), segment.end))[0]
+
+
+class Paths:
+    """The paths that are sent to one link while it is armed."""
+
+    def __init__(self) -> None:
+        self.followed: SentPath | None = None
+        self.next: SentPath | None = None
+        self._last = 0  # number of the path followed last; 0: none
+
+    def find(self, number: int) -> SentPath | None:
+        """The path of that number, if it is not over."""
+        for path in (self.followed, self.next):
+            if path and path.number == number:
+                return path
+        return None
+
+    def check(self, number: int) -> None:
+        """Raise CommandError if the path of that number is over."""
+        if self._last and not self.find(number) and not newer_path(number, self._last):
+            raise CommandError(f"path {number} is over, as is any before path {self._last}")
+
+    def give(self, path: SentPath) -> None:
+        """Take a path; it takes the place of the next one.
+
+        Raises:
+            CommandError: it is over, older than one that is not, or told otherwise before.
+        """
+        self.check(path.number)
+        known = self.find(path.number)
+        if known is None and self.next and not newer_path(path.number, self.next.number):
+            raise CommandError(f"path {path.number} is older than path {self.next.number}")
+        if known is None:
+            self.next = path
+        elif known.knots != path.knots:
+            raise CommandError(f"path {path.number} was given before, with other knots")
+
+    def tick(self, ordered: int, clock: int) -> None:
+        """Let time pass, the link being ordered to follow the path `ordered`; 0: none."""
+        if self.followed and ordered not in (self.followed.number, self.next and self.next.number):
+            self.followed = None
+        if self.next and ordered == self.next.number and clock >= self.next.begin:
+            self.followed, self.next, self._last = self.next, None, ordered
+
+    def follow(self, frame: Telemetry, echoed: int | None) -> None:
+        """Learn from telemetry that echoes a command sent at `echoed` what the link has."""
+        word = frame.slow_value & 0xFFFFFFFF
+        path = self.find(word >> 16) if frame.slow_id == Slow.PATH else None
+        if path and echoed is not None and echoed >= path.given:
+            path.missing = word & 0xFFFF
+
+    def due(self, clock: int) -> list[Segment]:
+        """Segments to send now, at most MOST."""
+        paths = [path for path in (self.followed, self.next) if path]
+        due = [segment for path in paths for segment in path.due(clock)]
+        return sorted(due, key=lambda segment: segment.begin)[:MOST]
