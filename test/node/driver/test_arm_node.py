@@ -47,7 +47,7 @@ class Bench:
         self.stopper = self.user.create_publisher(Empty, "arm/stop", 10)
         self.feedback = []
         self.spin = spin
-        self.until(lambda: len(self.arm.links) == 2 and self.mover.server_is_ready())
+        self.until(lambda: len(self.arm.links.states) == 2 and self.mover.server_is_ready())
         self.until(lambda: self.armer.service_is_ready())
         self.until(lambda: all(client.service_is_ready() for client in self.arm.armers))
         self.until(lambda: self.stopper.get_subscription_count() == 3)
@@ -64,7 +64,7 @@ class Bench:
             answer = self.after(self.armer.call_async(SetBool.Request(data=data)))
             if answer.success:
                 break
-        self.until(lambda: all(link.armed == data for link in self.arm.links.values()))
+        self.until(lambda: all(link.armed == data for link in self.arm.links.states.values()))
         return answer
 
     def begin(self, *q, duration=0.0, keep_alive=0.0):
@@ -86,7 +86,6 @@ def bench(spin, tmp_path):
     yield bench
     if bench.mover:
         bench.mover.destroy()
-    bench.arm.mover.destroy()
 
 
 def test_all_links_arm_move_together_and_disarm(bench):
@@ -106,9 +105,9 @@ def test_all_links_arm_move_together_and_disarm(bench):
 
 def test_a_longer_duration_is_kept(bench):
     bench.enable()
-    begun = bench.arm.now()
+    begun = bench.arm.links.now()
     assert bench.move(0.2, 0.1, duration=1.5).result.reached
-    assert 1e-9 * (bench.arm.now() - begun) > 0.7  # the fake links need no time to accelerate
+    assert 1e-9 * (bench.arm.links.now() - begun) > 0.7  # the fake links need no time to accelerate
 
 
 @pytest.mark.parametrize(
@@ -136,13 +135,13 @@ def test_a_second_move_is_refused_and_the_first_can_be_cancelled(bench):
     bench.enable()
     first = bench.begin(0.5, 0.5, duration=20.0)
     bench.until(lambda: bench.feedback)
-    assert bench.move(0.1, 0.1).result.message == "another move is under way"
+    assert bench.move(0.1, 0.1).result.message == "a move is under way"
     bench.after(first.cancel_goal_async())
     done = bench.end(first)
     assert done.status == GoalStatus.STATUS_CANCELED
     assert done.result.message == "cancelled"
     bench.until(lambda: all(transport.link.speed == 0.0 for transport in bench.transports))
-    assert bench.arm.links[1].armed
+    assert bench.arm.links.states[1].armed
     assert bench.move(0.0, 0.0).result.reached
 
 
@@ -151,7 +150,7 @@ def test_a_move_ends_when_whoever_asked_for_it_is_gone(bench):
     bench.begin(0.5, 0.5, duration=20.0)
     bench.until(lambda: bench.feedback and any(t.link.speed for t in bench.transports))
     bench.mover = bench.mover.destroy()
-    bench.until(lambda: not bench.arm.moving)
+    bench.until(lambda: not bench.arm.moves.moving)
     bench.until(lambda: all(transport.link.speed == 0.0 for transport in bench.transports))
     assert all(abs(transport.link.position) < 10_000 for transport in bench.transports)
 
@@ -217,7 +216,7 @@ def test_no_timer_keeps_the_systems_clock(ros, kind):
     link = LinkNode(1, transport=FakeTransport(1), parameter_overrides=time)
     arm = ArmNode(parameter_overrides=time)
     paces = {t.callback: t.clock.clock_type for node in (link, arm) for t in node.timers}
-    assert paces[link.send] == paces[arm.tick] == kind
+    assert paces[link.send] == paces[arm.links.tick] == kind
     link.close()
     for node in (link, arm):
         node.destroy_node()
@@ -258,7 +257,7 @@ def test_a_move_ends_within_a_second_when_whoever_asked_for_it_is_killed(bench, 
     killed = time.monotonic()
     bench.until(lambda: all(transport.link.speed == 0.0 for transport in bench.transports))
     assert time.monotonic() - killed < 1.0
-    assert not bench.arm.moving
+    assert not bench.arm.moves.moving
     assert bench.arm.count_clients("arm/move/_action/get_result") == 2
 
 
@@ -271,7 +270,7 @@ def test_after_the_node_stood_still_nothing_old_moves_or_arms(bench):
     bench.enable()
     move = bench.begin(0.5, 0.5, duration=20.0)
     bench.until(lambda: any(transport.link.speed for transport in bench.transports))
-    bench.arm.stall.checked -= 5.0  # as after SIGSTOP and SIGCONT
+    bench.arm.links.stall.checked -= 5.0  # as after SIGSTOP and SIGCONT
     message = bench.end(move).result.message
     assert re.fullmatch(r"this program stood still for 5\.\d s", message)
     bench.until(lambda: all(transport.link.speed == 0.0 for transport in bench.transports))
@@ -279,6 +278,6 @@ def test_after_the_node_stood_still_nothing_old_moves_or_arms(bench):
     answer = bench.after(bench.armer.call_async(SetBool.Request(data=True)))
     assert (answer.success, answer.message) == (False, message)
     assert bench.after(bench.armer.call_async(SetBool.Request(data=False))).success
-    bench.until(lambda: not bench.arm.stood_still())
+    bench.until(lambda: not bench.arm.links.stood_still())
     assert bench.enable().success
     assert bench.move(0.1, 0.1).result.reached

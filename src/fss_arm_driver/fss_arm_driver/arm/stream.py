@@ -72,9 +72,7 @@ class Stream:
         filled = [name for name in FIELDS if len(getattr(message, name))]
         if len(filled) != 1:
             words = " and ".join(filled) or "nothing"
-            raise StreamError(
-                "fields", f"{words} is filled, expected one of {', '.join(FIELDS)}"
-            )
+            raise StreamError("fields", f"{words} is filled, expected one of {', '.join(FIELDS)}")
         names, values = message.name, getattr(message, filled[0])
         if len(names) != len(values):
             raise StreamError("fields", f"{filled[0]} has {len(values)} numbers for {len(names)} "

@@ -63,7 +63,7 @@ class Trajectory:
         return self.begin + round(self.times[-1] * SECOND)
 
     def at(self, time: int) -> tuple[Floats, Floats]:
-        """q [rad] and qd [rad/s] at a time [ns], (n) each; before and after it, at rest."""
+        """Positions [rad] and rates [rad/s] at a time [ns], (n) each; before and after it, at rest."""
         t = (time - self.begin) / SECOND
         if t <= 0.0 or t >= self.times[-1]:
             k = 0 if t <= 0.0 else -1
@@ -93,13 +93,11 @@ def requested(arm: Arm, message: Any) -> Request:
     if not points:
         raise TrajectoryError(Code.INVALID_GOAL, "points is empty")
     order = [names.index(joint) for joint in joints]
-    q = np.array([_row(p.positions, order, f"positions of point {k}") for k, p in enumerate(points)])
-    qd = np.array([
-        _row(p.velocities, order, f"velocities of point {k}")
-        if len(p.velocities) else np.full(arm.n, np.nan)
-        for k, p in enumerate(points)
-    ])  # fmt: skip
+    q, qd = np.full((2, len(points), arm.n), np.nan)
     for k, point in enumerate(points):
+        q[k] = _row(point.positions, order, f"positions of point {k}")
+        if len(point.velocities):
+            qd[k] = _row(point.velocities, order, f"velocities of point {k}")
         if len(point.accelerations):  # of no use to a cubic, but they must be right
             _row(point.accelerations, order, f"accelerations of point {k}")
         if len(point.effort):
@@ -178,7 +176,7 @@ def planned(
 
 
 def spline_velocities(times: Floats, q: Floats, qd: Floats) -> Floats:
-    """qd with its NaN rows filled, (m, n) [rad/s]: so that the acceleration is continuous there.
+    """Fill the NaN rows of qd, (m, n) [rad/s], so that the acceleration is continuous there.
 
     The first and the last row must be given. With steps h and the cubics' second derivatives
     equal on both sides of knot i,

@@ -1,0 +1,61 @@
+"""The topic `arm/joint_commands`: each message is passed on to the links as it comes."""
+
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState
+
+from fss_arm_driver.arm.link_topics import LinkTopics
+from fss_arm_driver.arm.stream import SetPoint, Stream, StreamError
+from fss_arm_driver.arm.turn import Motion
+from fss_arm_driver.protocol import Mode
+from fss_arm_msgs.msg import LinkCommand
+from fss_arm_ros.convert import SECOND, stamp_ns
+
+TOPIC = "arm/joint_commands"
+#: Of any publisher, and only what is newest: one that was lost is not worth another try.
+NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+
+class StreamTopic:
+    """Has the links do what a stream says."""
+
+    def __init__(self, links: LinkTopics) -> None:
+        self.links, self.lives = links, links.settings.stream_time_to_live
+        self.stream = Stream(links.arm, self.lives)
+        self.motion: Motion | None = None
+        links.node.create_subscription(JointState, TOPIC, self.on_command, NEWEST)
+
+    def on_command(self, message: JointState) -> None:
+        """Pass a message on, or refuse it; of refusals in a row for one reason, one is logged."""
+        now = self.links.now()
+        try:
+            given = self.stream.given(stamp_ns(message.header.stamp), now)
+            points = self.stream.read(message)
+            self.check(points)
+        except StreamError as error:
+            if self.stream.refuse(error):
+                self.links.node.get_logger().warning(f"{TOPIC} refused: {error}")
+            return
+        self.stream.accept()
+        self.take_turn(points, given, now)
+        commands = {i: LinkCommand(mode=int(m), set_point=v) for i, m, v in points}
+        self.links.send(commands, given, self.lives)
+
+    def check(self, points: list[SetPoint]) -> None:
+        """Raise StreamError if the joints cannot move."""
+        if why := self.links.stood_still():
+            raise StreamError("links", why)
+        referenced = any(point.mode == Mode.POSITION for point in points)
+        for i, trouble in self.links.troubles([p.link for p in points], referenced).items():
+            raise StreamError("links", f"link {i} {trouble}")
+
+    def take_turn(self, points: list[SetPoint], given: int, now: int) -> None:
+        """Prolong the stream, or begin one: what moved before ends, all other joints rest."""
+        turn, until = self.links.turn, given + round(self.lives * SECOND)
+        if self.motion and turn.has(self.motion, now):
+            self.motion.until = until
+            return
+        moved = bool(turn.holder(now))
+        self.motion = turn.take(TOPIC, now, until)
+        if moved:
+            self.links.wake()
+            self.links.rest(set(self.links.numbers) - {point.link for point in points})
