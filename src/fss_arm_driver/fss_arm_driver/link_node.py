@@ -87,6 +87,7 @@ class LinkNode(Node):
         self.reported: tuple[Any, ...] = ()  # of the last command
         self.given = 0, 0  # when that was given: by the session, and by the time of day then
         self.waiting: list[Future] = []
+        self.beats = 0  # since the last command was sent
         if settings.is_exposed():
             self.get_logger().warning(
                 f"{settings.url}: frames are not signed, so anybody on this network can move the "
@@ -104,7 +105,7 @@ class LinkNode(Node):
         self.create_service(SetBool, f"{self.name}/arm", self.on_arm, callback_group=group)
         self.create_service(Trigger, f"{self.name}/clear_faults", self.on_clear_faults)
         self.pacer, clock = Pacer(settings.max_rate), pace(self)
-        self.steady = self.create_timer(1.0 / settings.rate, self.send, clock=clock)
+        self.steady = self.create_timer(0.5 / settings.rate, self.beat, clock=clock)
         self.late = self.create_timer(1.0 / settings.rate, self.send, clock=clock, autostart=False)
         self.messages = SampleMessages(self.session)
         self.link_health = LinkHealth(self.session, self.transport, bool(settings.keys))
@@ -144,12 +145,19 @@ class LinkNode(Node):
         if sample.frame.slow_id == Slow.BATTERY:
             self.battery.publish(self.messages.battery(sample))
 
+    def beat(self) -> None:
+        """Send at the steady rate, and twice as often while the link is to follow a path."""
+        self.beats += 1
+        if self.beats >= 2 or self.session.follows:
+            self.send()
+
     def send(self) -> None:
         """Send the command of the moment."""
         with self.lock:
             self.transport.send(self.session.command(now := self.now()))
             self.pacer.sent(now)
             self.send_path(now)
+        self.beats = 0
         self.steady.reset()
         self.late.cancel()
         self.answer()

@@ -63,7 +63,7 @@ class Trajectory:
         return self.begin + round(self.times[-1] * SECOND)
 
     def at(self, time: int) -> tuple[Floats, Floats]:
-        """Positions [rad] and rates [rad/s] at a time [ns], (n) each; before and after it, at rest."""
+        """Positions [rad] and rates [rad/s] at a time [ns], at rest before and after it."""
         t = (time - self.begin) / SECOND
         if t <= 0.0 or t >= self.times[-1]:
             k = 0 if t <= 0.0 else -1

@@ -120,6 +120,11 @@ class PathFollower:
         self._last = 0  # number of the path followed last, though it be gone; 0: none
 
     @property
+    def followed(self) -> int:
+        """Number of the path that is followed, also once its last knot is over; 0: none."""
+        return self._followed.number if self._followed else 0
+
+    @property
     def report(self) -> int:
         """Slow field 8."""
         path = self._next or self._followed

@@ -39,6 +39,7 @@ from fss_arm_driver.session.reception import Reception, Sample
 from fss_arm_model.description import Link
 
 FARTHEST = 120 * SECOND  # that a path may begin ahead
+PATIENCE = 2  # with a link that follows a path by itself [its watchdog times]
 CLOCK_CORRECTION = SECOND // 10  # a simulated clock that is set back by less is being corrected
 
 #: What may happen to a telemetry frame but to be believed.
@@ -127,6 +128,11 @@ class LinkSession:
     def settled(self) -> bool:
         """Whether what was asked last, to arm or to disarm, is done or has come to nothing."""
         return self.arming is not Arming.ARMING and not self._arming.releasing
+
+    @property
+    def follows(self) -> bool:
+        """Whether the link is to follow a path."""
+        return bool(self._orders.path)
 
     @property
     def lost(self) -> bool:
@@ -368,8 +374,8 @@ class LinkSession:
             self._arming.forget()
             self._drop("the clock was set back")
         self._now = now
-        # A link that follows a path does so by itself: it can wait for as long as it waits for us.
-        if self._reception.tick(now, self._silence if self._orders.path else 0):
+        # A link that follows a path does so by itself, and its own watchdog looks after it.
+        if self._reception.tick(now, PATIENCE * self._silence if self.follows else 0):
             self._dialogue.delay = 0
             self._drop("the link is lost")
         self._orders.tick(now)
