@@ -5,7 +5,7 @@ from dataclasses import replace
 from random import Random
 
 from fss_arm_driver.protocol import Mode, State, hermite
-from fss_arm_driver.session import Arming, LinkSession
+from fss_arm_driver.session import Arming, LinkSession, Status
 from fss_arm_model.description import paper_arm
 from fss_sim.noise import PRESETS
 from fss_sim.testbed import FRAME, Testbed
@@ -48,7 +48,7 @@ class PathBed:
         for i, session in enumerate(self.sessions):
             beat, rest = divmod(self.bed.now // FRAME + 3 * i, BEAT // FRAME)
             if rest == 0 and beat % 2 == 0 and i in self.orders:
-                self.order(i)
+                self.order_path(i, *self.orders[i])
             if rest == 0 and (beat % 2 == 0 or session.follows):
                 self.send(i, session.command(frame - self.way(4)))
                 self.send_path(i)
@@ -69,8 +69,7 @@ class PathBed:
         for data in self.sessions[i].segments(self.now):
             self.send(i, data)
 
-    def order(self, i):
-        number, lives = self.orders[i]
+    def order_path(self, i, number, lives=2.5):
         expiry = self.now + round(lives * SECOND)
         self.sessions[i].set(Mode.PATH, number, 0.0, 0.0, expiry, self.now)
 
@@ -96,7 +95,8 @@ class PathBed:
     def arms(self):
         """Whether all links are armed; asks those again whose answer did not come."""
         for session in self.sessions:
-            if session.arming is Arming.DISARMED and not session.obstacle(self.now):
+            waits = session.arming in (Arming.ARMING, Arming.ARMED)
+            if not waits and not session.obstacle(self.now):
                 session.arm(self.now)
         return all(session.armed for session in self.sessions)
 
@@ -110,7 +110,11 @@ class PathBed:
         """Order it, again and again with each command."""
         for i in range(len(self.sessions)):
             self.orders[i] = number, lives
-            self.order(i)
+            self.order_path(i, number, lives)
+
+    def reached(self):
+        """Whether all links have come to the end of their path."""
+        return all(session.progress.status is Status.REACHED for session in self.sessions)
 
     def fault(self, **faults):
         """Faults of all links' ways."""

@@ -26,7 +26,7 @@ from fss_arm_driver.protocol.frames import (
     spoken,
 )
 from fss_arm_driver.protocol.gate import Gate, Refused
-from fss_arm_driver.protocol.path import KEPT, REACH, at, hermite, newer_path
+from fss_arm_driver.protocol.path import KEPT, REACH, PathFollower, at, hermite, newer_path
 from fss_arm_driver.protocol.signature import KeyFileError, load_keys, parse_keys
 from fss_arm_driver.protocol.state import Goal, LinkState
 from fss_arm_driver.protocol.stream import StreamDecoder, pack
@@ -52,6 +52,7 @@ __all__ = [
     "LinkState",
     "Mode",
     "Order",
+    "PathFollower",
     "Refusal",
     "Refused",
     "Segment",
