@@ -64,10 +64,10 @@ class Trajectory:
 
     def at(self, time: int) -> tuple[Floats, Floats]:
         """Positions [rad] and rates [rad/s] at a time [ns], at rest before and after it."""
+        if not self.begin <= time < self.end:
+            k = 0 if time < self.begin else -1
+            return self.q[k], np.zeros_like(self.q[k])
         t = (time - self.begin) / SECOND
-        if t <= 0.0 or t >= self.times[-1]:
-            k = 0 if t <= 0.0 else -1
-            return self.q[k], self.qd[k] if t == 0.0 else np.zeros_like(self.q[k])
         k = int(np.searchsorted(self.times, t, side="right")) - 1
         h = self.times[k + 1] - self.times[k]
         s = (t - self.times[k]) / h
