@@ -1,6 +1,7 @@
 """The node of the whole arm: its state, the ways to move it, and one answer for all links."""
 
 import sys
+from collections.abc import Mapping
 from typing import Any
 
 from rclpy.callback_groups import ReentrantCallbackGroup
@@ -10,7 +11,7 @@ from rclpy.task import Future
 from std_msgs.msg import Empty
 from std_srvs.srv import SetBool
 
-from fss_arm_driver.arm.link_topics import LinkTopics
+from fss_arm_driver.arm.link_topics import LinkTopics, Take
 from fss_arm_driver.arm.move_action import MoveAction
 from fss_arm_driver.arm.state_topics import StateTopics
 from fss_arm_driver.arm.stream_topic import StreamTopic
@@ -24,12 +25,22 @@ ANSWER = 6.0  # a link's driver has answered by then [s]
 
 
 class ArmNode(Node):
-    """Says what all joints do, moves them by moves, trajectories and streams, arms the links."""
+    """Says what all joints do, moves them by moves, trajectories and streams, arms the links.
 
-    def __init__(self, **options: Any) -> None:
+    Args:
+        kind: ArmSettings, or more than these.
+        local: what takes commands of links whose drivers are in this process, by number.
+    """
+
+    def __init__(
+        self,
+        kind: type[ArmSettings] = ArmSettings,
+        local: Mapping[int, Take] | None = None,
+        **options: Any,
+    ) -> None:
         super().__init__("arm", **options)
-        self.settings = declare(self, ArmSettings)
-        self.links = LinkTopics(self, self.settings.description(), self.settings)
+        self.settings = declare(self, kind)
+        self.links = LinkTopics(self, self.settings.description(), self.settings, local)
         self.states = StateTopics(self.links)
         self.moves = MoveAction(self.links)
         self.trajectories = TrajectoryAction(self.links)
@@ -44,7 +55,8 @@ class ArmNode(Node):
         self.diagnostics = Diagnostics(self, self.health)
 
     def close(self) -> None:
-        """Give the actions back, which a node does not destroy by itself."""
+        """Give back what a node does not destroy by itself."""
+        self.streams.ear.close()
         self.moves.server.destroy()
         self.trajectories.server.destroy()
 

@@ -51,7 +51,7 @@ class LinkSettings(Settings):
                 f"from one command to the next (rate {self.rate})"
             )
 
-    def description(self) -> Link:
+    def link_description(self) -> Link:
         """The link, as its arm's file has it.
 
         Raises:

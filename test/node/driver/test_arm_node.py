@@ -181,8 +181,8 @@ def test_a_lost_link_ends_the_move(bench):
 
 def test_a_move_that_is_blocked_ends_in_time(bench):
     bench.enable()
-    move = bench.begin(0.2, 0.1)
     bench.transports[0].hears = False
+    move = bench.begin(0.2, 0.1)
     message = bench.end(move).result.message
     assert message.startswith("not reached within") or message == "link 1 is not armed"
 

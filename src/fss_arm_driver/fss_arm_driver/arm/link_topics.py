@@ -1,6 +1,6 @@
 """The links' topics, as the arm's node has them: what they report, and what they are told."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 
 from rclpy.node import Node
 from rclpy.task import Future
@@ -17,6 +17,8 @@ from fss_arm_ros.convert import SECOND, stamp_ns, to_time
 from fss_arm_ros.pace import pace
 from fss_arm_ros.qos import command, subscribe_sensor
 
+Take = Callable[[LinkCommand], None]
+
 LAST_PATH = 65_535  # the number after which they begin anew
 
 
@@ -25,9 +27,18 @@ class MotionError(ValueError):
 
 
 class LinkTopics:
-    """All links of the arm, and whose turn it is to move them."""
+    """All links of the arm, and whose turn it is to move them.
 
-    def __init__(self, node: Node, arm: Arm, settings: ArmSettings) -> None:
+    Args:
+        node: whose topics they are.
+        arm: the arm.
+        settings: the node's.
+        local: what takes the commands of links whose drivers are in this process, by number.
+    """
+
+    def __init__(
+        self, node: Node, arm: Arm, settings: ArmSettings, local: Mapping[int, Take] | None = None
+    ) -> None:
         self.node, self.arm, self.settings = node, arm, settings
         self.numbers = range(1, arm.n + 1)
         self.states: dict[int, LinkState] = {}
@@ -35,10 +46,10 @@ class LinkTopics:
         self.clock, self.stall = pace(node), Stall(settings.time_to_live)
         self.ticked: Future = Future()
         lifespan = command(settings.time_to_live)
-        self.commands = {
-            i: node.create_publisher(LinkCommand, f"link_{i}/command", lifespan)
+        self.commands: dict[int, Take] = {
+            i: node.create_publisher(LinkCommand, f"link_{i}/command", lifespan).publish
             for i in self.numbers
-        }
+        } | dict(local or {})
         self.paths = {
             i: node.create_publisher(LinkPath, f"link_{i}/path", 10) for i in self.numbers
         }
@@ -113,7 +124,7 @@ class LinkTopics:
         for i, message in messages.items():
             message.header.stamp = stamp
             message.time_to_live = self.settings.time_to_live if lives is None else lives
-            self.commands[i].publish(message)
+            self.commands[i](message)
 
     def rest(self, numbers: Iterable[int] | None = None) -> None:
         """Have links come to rest: all of them, or these."""

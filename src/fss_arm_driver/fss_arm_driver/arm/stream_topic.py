@@ -9,6 +9,7 @@ from fss_arm_driver.arm.turn import Motion
 from fss_arm_driver.protocol import Mode
 from fss_arm_msgs.msg import LinkCommand
 from fss_arm_ros.convert import SECOND, stamp_ns
+from fss_arm_ros.ear import Ear
 
 TOPIC = "arm/joint_commands"
 #: Of any publisher, and only what is newest: one that was lost is not worth another try.
@@ -16,13 +17,14 @@ NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 class StreamTopic:
-    """Has the links do what a stream says."""
+    """Has the links do what a stream says, in a thread of its own."""
 
     def __init__(self, links: LinkTopics) -> None:
         self.links, self.lives = links, links.settings.stream_time_to_live
         self.stream = Stream(links.arm, self.lives)
         self.motion: Motion | None = None
-        links.node.create_subscription(JointState, TOPIC, self.on_command, NEWEST)
+        self.commands = {i: LinkCommand() for i in links.numbers}  # as making one takes long
+        self.ear = Ear(links.node, JointState, TOPIC, NEWEST, self.on_command)
 
     def on_command(self, message: JointState) -> None:
         """Pass a message on, or refuse it; of refusals in a row for one reason, one is logged."""
@@ -37,8 +39,9 @@ class StreamTopic:
             return
         self.stream.accept()
         self.take_turn(points, given, now)
-        commands = {i: LinkCommand(mode=int(m), set_point=v) for i, m, v in points}
-        self.links.send(commands, given, self.lives)
+        for i, mode, value in points:
+            self.commands[i].mode, self.commands[i].set_point = int(mode), value
+        self.links.send({p.link: self.commands[p.link] for p in points}, given, self.lives)
 
     def check(self, points: list[SetPoint]) -> None:
         """Raise StreamError if the joints cannot move."""

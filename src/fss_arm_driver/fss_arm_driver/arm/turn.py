@@ -5,6 +5,7 @@ it is refused. A stop ends whatever there is.
 """
 
 from dataclasses import dataclass
+from threading import Lock
 
 
 @dataclass(eq=False)
@@ -17,9 +18,10 @@ class Motion:
 
 
 class Turn:
-    """Who moves the arm. Times are the caller's, in nanoseconds."""
+    """Who moves the arm, for several threads. Times are the caller's, in nanoseconds."""
 
     def __init__(self) -> None:
+        self._lock = Lock()
         self._motion: Motion | None = None
 
     def holder(self, now: int) -> str:
@@ -34,17 +36,20 @@ class Turn:
 
     def take(self, name: str, now: int, until: int | None = None) -> Motion:
         """Begin a motion; the one under way, if any, shall end."""
-        if self._motion and self.holder(now):
-            self._motion.ended = f"preempted by {name}"
-        self._motion = Motion(name, until)
-        return self._motion
+        with self._lock:
+            if self._motion and self.holder(now):
+                self._motion.ended = f"preempted by {name}"
+            self._motion = motion = Motion(name, until)
+        return motion
 
     def leave(self, motion: Motion) -> None:
         """End a motion."""
-        if motion is self._motion:
-            self._motion = None
+        with self._lock:
+            if motion is self._motion:
+                self._motion = None
 
     def stop(self) -> None:
         """End whatever is under way."""
-        if self._motion:
-            self._motion.ended = "stopped"
+        with self._lock:
+            if self._motion:
+                self._motion.ended = "stopped"
