@@ -220,7 +220,16 @@ def test_a_room_imports_what_its_row_allows(room: str) -> None:
 
 def test_the_session_reads_no_clock_and_does_no_io() -> None:
     session = {n for m in MODULES if m.startswith("fss_arm_driver.session.") for n in imports(m)}
-    pure = {"collections", "dataclasses", "enum", "math", "statistics", "typing"}
+    pure = {
+        "bisect",
+        "collections",
+        "collections.abc",
+        "dataclasses",
+        "enum",
+        "math",
+        "statistics",
+        "typing",
+    }
     assert {name for name in session if not name.startswith("fss_")} <= pure
 
 

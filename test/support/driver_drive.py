@@ -7,6 +7,7 @@ import threading
 import time
 
 READ_ONLY = {0x0C, 0x18, 0x1E, 0x20, 0x32, 0xA0, 0xC9}
+TURN = 0.02  # [s]
 RATES = {9600: termios.B9600, 115200: termios.B115200}
 
 
@@ -26,6 +27,7 @@ class FakeDrive:
         self.held = {0x02: 0, 0x24: 0, 0x2F: 0, 0x36: 1000, 0x37: 1000, 0x90: 9600, 0xA4: 0}
         self.held |= {0xC8: 0, 0xCA: 0, 0xCB: 0, 0xCC: 0, 0xCD: 0, 0xCF: 30000}
         self.position = self.velocity = self.current = 0
+        self.rest = 0.0  # of a count, turned already
 
     def feed(self, data, baud):
         """What it answers to bytes that come at a rate."""
@@ -107,11 +109,15 @@ class FakeDrive:
         return "ok"
 
     def turn(self):
-        """Let some time pass: a move takes three such turns."""
+        """Let 20 ms pass: a move takes three such turns, whatever its way."""
         if self.moving:
             self.moving -= 1
             self.position += (self.held[0xCA] - self.position) // (self.moving + 1)
             self.velocity = self.held[0xCB] if self.moving else 0
+        elif self.held[0x24] == 11:
+            self.rest += 0.1 * self.velocity * TURN
+            self.position += int(self.rest)
+            self.rest -= int(self.rest)
         elif self.held[0x24] == 21:
             self.velocity = 0
 

@@ -11,6 +11,8 @@ from fss_arm_driver.protocol import (
     Command,
     Mode,
     Order,
+    PathFollower,
+    Segment,
     Slow,
     State,
     Telemetry,
@@ -43,6 +45,7 @@ class FakeLink:
         self.flags, self.referenced = 0, True
         self.position = self.target = 0
         self.speed = 0.0  # [counts/s]
+        self.paths, self.turning = PathFollower(), 0.0  # as a path says [counts/s]
         self.measured = 0
 
     def clock(self, now: int) -> int:
@@ -50,6 +53,9 @@ class FakeLink:
 
     def take(self, data: bytes, now: int) -> None:
         command = decode(data, self.key)
+        if isinstance(command, Segment):
+            assert self.paths.take(command, self.clock(now)) is None
+            return
         assert isinstance(command, Command)
         assert command.boot in (0, self.frame.boot)
         assert self.taken is None or newer(command.sequence, self.taken.sequence)
@@ -70,24 +76,40 @@ class FakeLink:
             else:
                 self.speed = 0.0
 
+    def turn(self, now):
+        """Follow the path that is commanded, or hold."""
+        last = self.turning
+        self.position += round(1e-9 * (now - self.measured) * last)
+        self.turning = self.paths.follow(self.taken, self.clock(now), self.position, last) or 0.0
+
     def telemetry(self, now: int, **changes: int) -> bytes:
         """The next frame, measured at host time `now`."""
         taken = self.taken
-        way = self.target - self.position if self.speed and self.flags & State.ARMED else 0
+        armed = self.flags & State.ARMED
+        if armed and taken and taken.mode == Mode.PATH:
+            self.turn(now)
+        elif not armed:
+            self.paths = PathFollower()
+        way = self.target - self.position if self.speed and armed else 0
         most = round(self.speed * 1e-9 * (now - self.measured))
         self.measured, turned = now, max(-most, min(way, most))
         self.position += turned
         self.frame = replace(
             self.frame,
-            flags=self.flags | (State.REFERENCED if self.referenced else 0),
+            flags=self.flags
+            | State.REFERENCED * self.referenced
+            | State.FOLLOWING * self.paths.following
+            | State.BROKEN * self.paths.broken,
             sequence=(self.frame.sequence + 1) & 0xFFFFFFFF,
             clock=self.clock(now),
             echo=taken.clock & 0xFFFFFFFF if taken else 0,
             turnaround=self.clock(now) - self.clock(self.arrived) if taken else 0,
             position=self.position,
-            velocity=round(self.speed / VELOCITY_UNIT) if turned else 0,
-            status=IN_MOTION if turned else 0,
+            velocity=round((self.speed if turned else self.turning) / VELOCITY_UNIT),
+            status=IN_MOTION if turned or self.paths.following else 0,
             mode=Mode.POSITION if self.speed else Mode.OFF,
+            slow_id=Slow.PATH if self.paths.report else SAMPLE.slow_id,
+            slow_value=self.paths.report or SAMPLE.slow_value,
         )
         return encode(replace(self.frame, **changes), self.key)
 
@@ -105,7 +127,7 @@ class FakeTransport:
 
     def send(self, data):
         now = self.clock()
-        expiry = decode(data, self.link.key).expiry
+        expiry = getattr(decode(data, self.link.key), "expiry", 0)
         late = expiry and self.link.clock(now) > expiry  # sent in time, by a busy computer
         if self.hears and not late:
             self.link.take(data, now)

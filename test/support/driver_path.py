@@ -69,7 +69,7 @@ class PathBed:
         for data in self.sessions[i].segments(self.now):
             self.send(i, data)
 
-    def order_path(self, i, number, lives=2.5):
+    def order_path(self, i, number, lives=2.0):
         expiry = self.now + round(lives * SECOND)
         self.sessions[i].set(Mode.PATH, number, 0.0, 0.0, expiry, self.now)
 
@@ -106,7 +106,7 @@ class PathBed:
             session.give_path(number, begin, time, positions[i], velocities[i], self.now)
             self.send_path(i)
 
-    def follow(self, number, lives=2.5):
+    def follow(self, number, lives=2.0):
         """Order it, again and again with each command."""
         for i in range(len(self.sessions)):
             self.orders[i] = number, lives

@@ -42,6 +42,7 @@ from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import COMMAND, SENSOR
 from fss_arm_ros.run import RCLError, run
 
+PATH_RATE = 10.0  # of commands, below which they are doubled while a path is followed [1/s]
 SIMULATED_STEP = 0.01  # of /clock [s]
 
 
@@ -92,7 +93,7 @@ class LinkNode(Node):
         self.given = 0, 0  # when that was given: by the session, and by the time of day then
         self.waiting: list[Future] = []
         self.replaced: deque[Progress] = deque()  # by others, whose end is yet to be reported
-        self.beats = 0  # since the last command was sent
+        self.beats, self.usual = 0, 2 if settings.rate < PATH_RATE else 1  # beats to a command
         if settings.is_exposed():
             self.get_logger().warning(
                 f"{settings.url}: frames are not signed, so anybody on this network can move the "
@@ -109,8 +110,9 @@ class LinkNode(Node):
         self.create_service(SetBool, f"{self.name}/arm", self.on_arm, callback_group=group)
         self.create_service(Trigger, f"{self.name}/clear_faults", self.on_clear_faults)
         self.pacer, clock = Pacer(settings.max_rate), pace(self)
-        self.steady = self.create_timer(0.5 / settings.rate, self.beat, clock=clock)
-        self.late = self.create_timer(1.0 / settings.rate, self.send, clock=clock, autostart=False)
+        period = 1.0 / settings.rate / self.usual
+        self.steady = self.create_timer(period, self.beat, clock=clock)
+        self.late = self.create_timer(period, self.send, clock=clock, autostart=False)
         self.messages = SampleMessages(self.session)
         self.link_health = LinkHealth(self.session, self.transport, bool(settings.keys))
         self.diagnostics = Diagnostics(self, self.health, settings.url)
@@ -151,9 +153,9 @@ class LinkNode(Node):
             self.battery.publish(self.messages.battery(sample))
 
     def beat(self) -> None:
-        """Send at the steady rate, and twice as often while the link is to follow a path."""
+        """Send at the steady rate; twice as often while a path is followed, if that is seldom."""
         self.beats += 1
-        if self.beats >= 2 or self.session.follows:
+        if self.beats >= self.usual or self.session.follows:
             self.send()
         else:
             self.answer()

@@ -22,7 +22,11 @@ REPORTED = (
     *("torque", "torque_age", "mode", "flags", "status"),
 )
 SLOW_NAMES = tuple((int(s), s.name.lower()) for s in Slow if s is not Slow.TEMPERATURE)
-LATCHED_WORDS = {State.STOPPED: "the link is stopped", State.WATCHDOG: "its watchdog tripped"}
+LATCHED_WORDS = {
+    State.STOPPED: "the link is stopped",
+    State.WATCHDOG: "its watchdog tripped",
+    State.BROKEN: "its last path broke off",
+}
 
 
 class SampleMessages:

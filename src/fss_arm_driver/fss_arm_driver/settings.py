@@ -18,7 +18,8 @@ class LinkSettings(Settings):
         (), "instead of url: where links 1, 2, ... are, to host all in one process"
     )
     rate: float = setting(
-        5.0, "rate of the commands while there are no new ones", unit="1/s",
+        5.0, "rate of commands that are not new; below 10, twice that while a path is followed",
+        unit="1/s",
         check=between(0.1, 1000.0),
     )  # fmt: skip
     max_rate: float = setting(

@@ -13,6 +13,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from driver_link import RATE, SECOND, FakeLink, FakeTransport
 from driver_wire import ENDS
+from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
@@ -24,7 +25,7 @@ from std_srvs.srv import SetBool, Trigger
 from fss_arm_driver.host_clock import HostClock
 from fss_arm_driver.link_node import LinkNode
 from fss_arm_driver.protocol import Mode, Order, Slow, State
-from fss_arm_msgs.msg import CommandStatus, LinkCommand, LinkTelemetry
+from fss_arm_msgs.msg import CommandStatus, LinkCommand, LinkPath, LinkTelemetry
 from fss_arm_ros.convert import stamp_ns, to_time
 
 KEY = bytes(range(16))
@@ -40,6 +41,7 @@ class User(Node):
         self.create_subscription(LinkTelemetry, "link_1/telemetry", self.telemetry.append, 100)
         self.create_subscription(DiagnosticArray, "/diagnostics", self.health.append, 10)
         self.command = self.create_publisher(LinkCommand, "link_1/command", 1)
+        self.path = self.create_publisher(LinkPath, "link_1/path", 10)
         self.stop = self.create_publisher(Empty, "arm/stop", 10)
         self.arm = self.create_client(SetBool, "link_1/arm")
         self.clear, self.status = self.create_client(Trigger, "link_1/clear_faults"), []
@@ -69,6 +71,7 @@ def bench(spin, request):
     until(lambda: user.telemetry and user.joints and user.health)
     until(lambda: user.arm.service_is_ready() and user.command.get_subscription_count())
     until(lambda: user.stop.get_subscription_count() and user.clear.service_is_ready())
+    until(user.path.get_subscription_count)
     until(lambda: node.status.get_subscription_count())
     return node, user, transport, until
 
@@ -207,6 +210,71 @@ def test_commands_are_told_how_far_they_have_come(bench):
     assert stations[0] == CommandStatus.REFUSED
     assert stations[1:] == sorted(set(stations[1:]))
     assert CommandStatus.MOVING in stations
+
+
+def path(user, number=3, way=0.2, starts=0.3):
+    message = LinkPath(path=number, time=[0.0, 0.5, 1.0], position=[0.0, way, 0.0])
+    message.velocity, begin = [0.0, 0.0, 0.0], user.get_clock().now() + Duration(seconds=starts)
+    message.header.stamp = begin.to_msg()
+    user.path.publish(message)
+
+
+def test_a_path_is_kept_by_the_link_and_told_of(bench):
+    node, user, transport, until = bench
+    arm(user, until)
+    path(user)
+    order(user, mode=LinkCommand.PATH, path=3)
+    until(lambda: transport.link.paths.report == 3 << 16 | 2)
+    until(lambda: user.telemetry[-1].flags & State.FOLLOWING)
+    assert user.telemetry[-1].path == 3 << 16 | 2
+    until(lambda: user.status and user.status[-1].status == CommandStatus.REACHED)
+    assert [s.status for s in user.status] == [1, 2, 3]
+    assert max(joint.position[0] for joint in user.joints) > 0.1
+    assert user.joints[-1].position[0] == pytest.approx(0.0, abs=0.005)
+    assert node.session.armed
+
+
+def test_a_path_that_breaks_off_and_one_that_is_refused_are_said_once(bench, monkeypatch):
+    node, user, transport, until = bench
+    said = []
+    monkeypatch.setattr(node.get_logger(), "warning", said.append)
+    arm(user, until)
+    path(user, starts=1.0)
+    order(user, mode=LinkCommand.PATH, path=3)
+    until(lambda: transport.link.paths.report)
+    transport.link.position = 30_000
+    until(lambda: user.status and user.status[-1].status == CommandStatus.ABORTED)
+    words = "path 3 of link 1 broke off: the joint is 0."
+    assert user.status[-1].reason.startswith(words)
+    until(lambda: said)
+    refused = {
+        "path 3 is over": lambda: order(user, mode=LinkCommand.PATH, path=3),
+        "position is 2 rad between knots 0 and 1": lambda: path(user, number=4, way=2.0),
+    }
+    for reason, ask in 2 * list(refused.items()):
+        user.status.clear()
+        ask()
+        until(lambda reason=reason: any(s.reason.startswith(reason) for s in user.status))
+        assert {status.status for status in user.status} == {CommandStatus.REFUSED}
+    assert [text[: len(words)] for text in said if "broke" in text] == [words]
+    assert any("path refused: position is 2 rad" in text for text in said)
+
+
+def test_old_firmware_is_named(bench):
+    node, user, transport, until = bench
+    transport.talks = False
+    old = bytearray(transport.link.telemetry(transport.clock()))
+    old[2] = 1
+    words = "link 1 speaks version 1 of the protocol, expected 2: flash its firmware"
+
+    def shown():
+        transport.put(bytes(old))
+        return user.health and words in user.health[-1].status[0].message
+
+    until(lambda: node.session.lost)
+    until(shown)
+    answer = arm(user, until)
+    assert (answer.success, answer.message) == (False, words)
 
 
 def test_a_link_without_reference_has_telemetry_and_no_joint_state(bench):

@@ -33,7 +33,7 @@ class World:
     def __init__(self, number=1, key=KEY, now=START):
         self.session = LinkSession(number, LINK, key=key)
         self.number, self.key, self.now = number, key, now
-        self.down, self.up = [], []
+        self.down, self.up, self.pieces = [], [], []
         self.switch_on(boot=3)
 
     def switch_on(self, boot):
@@ -50,6 +50,9 @@ class World:
         self.now += DELAY
         if down:
             self.link.receive(self.down[-1], self.clock())
+        for piece in self.session.segments(self.now):
+            self.pieces.append(piece)
+            self.link.receive(piece, self.clock())
         self.link.demand(self.clock(), REST)
         self.up.append(self.link.telemetry(self.clock(), REST))
         self.now += DELAY
@@ -71,6 +74,21 @@ class World:
         self.session.set(Mode.POSITION, 0.3, 0.0, 0.0, expiry, self.now)
         self.step()
         assert self.link.demand(self.clock(), REST).set_point == pytest.approx(0.3, abs=1e-4)
+        return self
+
+    def following(self, number=7):
+        """In the middle of a path of 100 s that hardly moves; a next one waits."""
+        self.armed()
+        times = [2.0 * k for k in range(51)]
+        knots = times, [0.1 + 1e-4 * k for k in range(51)], 51 * [0.0]
+        self.session.give_path(number, self.now + SECOND, *knots, self.now)
+        expiry = self.now + 60 * SECOND
+        self.session.set(Mode.PATH, number, 0.0, 0.0, expiry, self.now)
+        self.run(40)
+        self.session.give_path(number + 1, self.now + 100 * SECOND, *knots, self.now)
+        self.run(2)
+        assert self.link.paths.following
+        assert self.link.demand(self.clock(), REST).mode == Mode.VELOCITY
         return self
 
 
@@ -161,6 +179,85 @@ def test_frames_made_of_what_was_heard_change_nothing(name, make):
     assert all(world.run(3))
     assert world.session.armed
     assert world.link.armed
+
+
+ON_PIECES = {
+    "all again": (None, lambda heard: heard[-4:]),
+    "all again, newest first": (None, lambda heard: heard[:-5:-1]),
+    "those that are over": (Refused.TIME, lambda heard: heard[:1]),
+    "flipped bits": (Refused.FRAME, lambda heard: list(flipped(heard[-1]))[: 8 * 52]),
+    "another link's key": (Refused.FRAME, lambda heard: [forged(heard[-1], OTHER)]),
+    "not signed": (Refused.FRAME, lambda heard: [forged(heard[-1], None)]),
+    "another's signature": (Refused.FRAME, lambda heard: [heard[-1][:56] + heard[-2][56:]]),
+    "another link's": (Refused.FRAME, lambda _: World(2, OTHER).following().pieces),
+    "noise": (Refused.FRAME, lambda _: [RNG.randbytes(72) for _ in range(100)]),
+}
+
+
+@pytest.mark.parametrize("name", ON_PIECES)
+def test_pieces_of_a_path_made_of_what_was_heard_change_nothing(name):
+    world = World().following()
+    before, velocity = state(world), world.link.demand(world.clock(), REST).set_point
+    why, attack = ON_PIECES[name]
+    pieces = list(attack(world.pieces))
+    for data in pieces:
+        assert not world.link.receive(data, world.clock())
+    assert world.link.gate.refused == (Counter({why: len(pieces)}) if why else {})
+    assert state(world) == before
+    assert world.link.demand(world.clock(), REST).set_point == velocity
+    assert all(world.run(3))
+    assert world.link.paths.following
+
+
+ON_FORGED_PIECES = {
+    "elsewhere": (Refused.CONTRADICTION, {"position": 9000}),
+    "ends elsewhere": (Refused.CONTRADICTION, {"end_position": -9000}),
+    "faster": (Refused.CONTRADICTION, {"end_velocity": 90_000}),
+    "longer": (Refused.CONTRADICTION, {"duration": 2_500_000}),
+    "the last": (Refused.CONTRADICTION, {"flags": 1, "end_velocity": 0}),
+    "of the past": (Refused.TIME, {"begin": 1}),
+    "at once": (Refused.CONTRADICTION, {"begin": 14_000_000}),
+    "far ahead": (Refused.TIME, {"begin": 1 << 60}),
+    "no room": (Refused.INDEX, {"index": 40}),
+    "over": (Refused.INDEX, {"index": 0}),
+    "an older path": (Refused.PATH, {"path": 6}),
+    "a far older path": (Refused.PATH, {"path": 7 - 32767}),
+    "another start": (Refused.BOOT, {"boot": 4}),
+    "another link": (Refused.OTHER, {"link": 2}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ON_FORGED_PIECES)
+def test_forged_pieces_that_do_not_fit_are_refused_by_a_link_without_a_key(name):
+    world = World(key=None).following()
+    why, changes = ON_FORGED_PIECES[name]
+    held = next(d for p in world.pieces if (d := decode(p)).path == 7 and d.end > world.clock())
+    before = state(world)
+    changes = {k: v & 0xFFFF if k == "path" else v for k, v in changes.items()}
+    assert not world.link.receive(encode(replace(held, **changes)), world.clock())
+    assert world.link.gate.refused == {why: 1}
+    assert state(world) == before
+
+
+@pytest.mark.parametrize("key", [KEY, None])
+def test_pieces_of_a_path_from_before_are_refused_after_a_disarm(key):
+    world = World(key=key).following()
+    recorded = list(world.pieces)
+    world.session.disarm()
+    world.run(2)
+    for data in recorded:
+        assert not world.link.receive(data, world.clock())
+    assert world.link.gate.refused == {Refused.SEQUENCE if key else Refused.DISARMED: len(recorded)}
+    world.session.arm(world.now)
+    world.run(3)
+    assert world.link.armed
+    for data in recorded:
+        assert not world.link.receive(data, world.clock())
+    if key:
+        assert world.link.gate.refused == {Refused.SEQUENCE: 2 * len(recorded)}
+        assert world.link.paths.report == 0
+    world.run(3)
+    assert not world.link.paths.following
 
 
 def test_what_one_side_said_is_not_taken_by_itself():

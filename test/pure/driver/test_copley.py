@@ -23,7 +23,17 @@ from fss_arm_driver.copley.language import (
     trajectory,
 )
 from fss_arm_driver.copley.link import DriveLink
-from fss_arm_driver.protocol import Command, Mode, Order, State, decode, encode
+from fss_arm_driver.protocol import (
+    LAST,
+    Command,
+    Mode,
+    Order,
+    Segment,
+    State,
+    at,
+    decode,
+    encode,
+)
 from fss_arm_driver.scale import HOME
 from fss_arm_driver.session import Arming, LinkSession
 from fss_arm_driver.transport import TransportError, open_transport
@@ -315,7 +325,7 @@ def test_telemetry_comes_at_its_rate_and_says_what_there_is():
     frame = bench.frames[-1]
     assert frame.flags == State.REFERENCED
     assert frame.torque_age == 255
-    assert {frame.slow_id for frame in bench.frames} == {1, 2, 4, 6, 7}
+    assert {frame.slow_id for frame in bench.frames} == {1, 2, 4, 6, 7, 8}
 
 
 def test_armed_it_moves_and_holds_when_its_time_is_over():
@@ -331,6 +341,65 @@ def test_armed_it_moves_and_holds_when_its_time_is_over():
     bench.run(0.8)
     assert bench.there.held[0x24] == 21
     assert bench.there.velocity == 0
+
+
+PIECES = [
+    Segment(
+        link=1, flags=LAST * (k == 1), boot=7, sequence=k, clock=1, path=4, index=k,
+        begin=(3 + k) * SECOND, duration=SECOND, position=40_000 * k, velocity=0,
+        end_position=40_000 * (1 - k), end_velocity=0,
+    )
+    for k in range(2)
+]  # fmt: skip
+
+
+def following():
+    """At 2.5 s; path 4 begins at 3 s, goes to 40000 counts within 1 s, and back."""
+    bench = LinkBench()
+    bench.run(1.0)
+    forever = {"expiry": 100 * SECOND, "watchdog": 60_000}
+    bench.arm(mode=Mode.PATH, set_point=4, velocity=700_000, acceleration=100_000, **forever)
+    for piece in PIECES:
+        bench.link.receive(encode(piece), bench.now)
+    bench.run(2.5 - 1e-6 * bench.now)
+    assert bench.there.held[0x24] == 21  # it holds
+    return bench
+
+
+def test_a_path_is_followed_at_50_hz_or_more():
+    bench = following()
+    bench.run(0.7)
+    begin, off, said = bench.now, [], len(bench.there.lines)
+    for _ in range(180):
+        bench.run(0.01)
+        piece = PIECES[bench.now >= PIECES[1].begin]
+        if bench.now < PIECES[1].end:
+            off.append(abs(bench.there.position - at(piece, bench.now)[0]))
+    orders = [line for line in bench.there.lines[said:] if line.startswith("s r0x2f")]
+    assert len(orders) >= 50e-6 * (bench.now - begin)
+    assert max(off) < 2500  # the fake drive turns in steps of 20 ms, by up to 1200 counts
+    bench.run(1.0)
+    assert not bench.frames[-1].flags & (State.FOLLOWING | State.BROKEN)
+    assert bench.there.position == pytest.approx(0, abs=20)
+    assert {frame.slow_value for frame in bench.frames if frame.slow_id == 8} >= {4 << 16 | 2}
+
+
+def test_a_path_that_ends_early_or_is_stopped_is_held():
+    for data in (None, {"flags": Order.ARM | Order.HOLD}, {"flags": Order.STOP}):
+        bench = following()
+        bench.run(0.8)
+        assert bench.frames[-1].flags & State.FOLLOWING
+        if data:
+            command(bench.link, bench.now, **data)
+        else:
+            bench.there.position += 30_000
+        bench.run(0.2)
+        assert bench.there.held[0x24] == 21
+        where = bench.there.position
+        bench.run(1.0)
+        assert bench.there.position == where
+        assert bool(bench.frames[-1].flags & State.BROKEN) == (data is None)
+        assert not bench.frames[-1].flags & State.FOLLOWING
 
 
 def test_silence_trips_the_watchdog():
@@ -528,6 +597,21 @@ def test_a_drive_on_a_port_is_a_link(rig):
     assert rig.session.scale.position(rig.peer.drive.position) == pytest.approx(0.5, abs=1e-4)
     rig.transport.close()
     assert rig.peer.drive.held[0x24] == 0  # the process ends: the drive is switched off
+
+
+def test_a_drive_on_a_port_follows_a_path(rig):
+    rig.arm()
+    begin = time.time_ns() + 10**9
+    rig.session.give_path(3, begin, [0.0, 1.5, 3.0], [0.0, 0.4, 0.1], [0.0, 0.1, 0.0],
+                          time.time_ns())  # fmt: skip
+    rig.set(Mode.PATH, 3)
+    for data in rig.session.segments(time.time_ns()):
+        rig.transport.send(data)
+    rig.until(lambda: rig.session.progress.ended)
+    assert rig.session.progress.reason == ""
+    assert rig.session.scale.position(rig.peer.drive.position) == pytest.approx(0.1, abs=1e-3)
+    orders = [line for line in rig.peer.drive.lines if line.startswith("s r0x2f")]
+    assert len(orders) > 3.0 * 50, len(orders)
 
 
 def test_the_end_of_the_process_switches_off_a_joint_that_does_not_come_to_rest(rig):

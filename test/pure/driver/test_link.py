@@ -368,7 +368,7 @@ def test_velocity_and_current_are_clamped(armed, mode, value, set_point):
         ((Mode.VELOCITY, inf), "set_point is inf"),
         ((Mode.POSITION, 0.1, -1.0), "max_velocity is -1.0, expected 0"),
         ((Mode.POSITION, 0.1, 0.0, nan), "max_acceleration is nan"),
-        ((Mode.OFF, 0.0), "mode is 0, expected 1, 2, 11 or 21"),
+        ((Mode.OFF, 0.0), "mode is 0, expected 1, 2, 11, 21 or 31"),
         ((7, 0.0), "mode is 7"),
         ((Mode.POSITION, 0.1, 0.0, 0.0, -0.1), "expired 0.100 s ago"),
     ],

@@ -248,6 +248,18 @@ def test_the_next_path_takes_over_when_it_begins():
     assert joint.position == pytest.approx(8000.0, abs=1.0)
 
 
+def test_until_the_next_path_has_come_the_joint_goes_on():
+    joint, order = following(), replace(ORDER, set_point=6)
+    joint.until(NOW + 1_800_000, order)
+    assert joint.follower.followed == 5
+    for segment in path(6, NOW + 2_000_000, [(0, 5000, 60_000), (1_000_000, 8000, 0)]):
+        assert joint.follower.take(segment, joint.clock) is None
+    joint.until(NOW + 2_500_000, order)
+    assert joint.follower.followed == 6
+    joint.until(joint.clock + 100_000, replace(ORDER, set_point=4))  # long over
+    assert (joint.told, joint.follower.report) == (None, 0)
+
+
 def test_another_order_ends_the_followed_path_and_keeps_the_next():
     joint = following()
     for segment in path(6, NOW + 9_000_000):
@@ -369,7 +381,7 @@ def test_without_buffered_segments_the_path_breaks_off_and_says_so():
     words = "path 3 of link 1 broke off: no segment after"
     assert words in bed.sessions[0].breakage
     assert bed.sessions[0].progress.status is Status.ABORTED
-    with pytest.raises(CommandError, match="path 3 is over, as is any before path 3"):
+    with pytest.raises(CommandError, match="path 3 is over: expected one newer than 3"):
         bed.order_path(0, 3)
     assert bed.flags() & State.BROKEN
     bed.run(1.0)
@@ -404,7 +416,8 @@ def test_a_dense_path_is_sent_as_the_link_has_room():
     [
         ({"number": 0}, "path is 0, expected 1 to 65535"),
         ({"number": 3}, "path 3 is older than path 4"),
-        ({"number": 4, "time": [0.0, 2.5]}, "path 4 was given before, with other knots"),
+        ({"number": 4, "time": [0.0, 2.5]}, "path 4 was given before, otherwise"),
+        ({"number": 4, "begin": 2}, "path 4 was given before, otherwise"),
         ({"begin": 121}, "path 5 begins 121.0 s ahead, at most 120 s allowed"),
         ({"begin": -9}, "path 5 ended 7.000 s ago"),
     ],
@@ -412,7 +425,8 @@ def test_a_dense_path_is_sent_as_the_link_has_room():
 def test_paths_that_cannot_be_followed_are_refused(change, words):
     bed = PathBed(n=1).armed()
     session, given = bed.sessions[0], {"number": 5, "begin": 1, "time": [0.0, 2.0]}
-    given_path(bed, **(given | {"number": 4}))
+    for _ in range(2):  # again changes nothing
+        given_path(bed, **(given | {"number": 4}))
     with pytest.raises(CommandError, match=words):
         given_path(bed, **(given | change))
     assert session.counts["commands_refused"] == 1

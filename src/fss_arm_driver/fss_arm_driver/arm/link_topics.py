@@ -117,19 +117,32 @@ class LinkTopics:
         return tuple(self.states[i].q for i in self.numbers if heard)
 
     def send(
-        self, messages: Mapping[int, LinkCommand], given: int, lives: float | None = None
+        self,
+        messages: Mapping[int, LinkCommand],
+        given: int,
+        motion: Motion,
+        lives: float | None = None,
     ) -> None:
-        """Send links commands, given at that time [ns], from which on they live."""
-        stamp = to_time(given)
-        for i, message in messages.items():
-            message.header.stamp = stamp
-            message.time_to_live = self.settings.time_to_live if lives is None else lives
-            self.commands[i](message)
+        """Send links commands of a motion, unless it shall end.
 
-    def rest(self, numbers: Iterable[int] | None = None) -> None:
-        """Have links come to rest: all of them, or these."""
+        Args:
+            messages: by link; stamp and time to live are filled in.
+            given: when, from which on they live [ns].
+            motion: whose they are.
+            lives: how long [s]; time_to_live by default.
+        """
+        stamp = to_time(given)
+        with self.turn.lock:
+            for i, message in messages.items() if not motion.ended else ():
+                message.header.stamp = stamp
+                message.time_to_live = self.settings.time_to_live if lives is None else lives
+                self.commands[i](message)
+
+    def rest(self, motion: Motion, numbers: Iterable[int] | None = None) -> None:
+        """Have links come to rest by a motion, unless it shall end: all of them, or these."""
         wanted = self.numbers if numbers is None else numbers
-        self.send({i: LinkCommand(mode=LinkCommand.VELOCITY) for i in wanted}, self.now())
+        rest = {i: LinkCommand(mode=LinkCommand.VELOCITY) for i in wanted}
+        self.send(rest, self.now(), motion)
 
     def give_path(self, trajectory: Trajectory) -> dict[int, LinkCommand]:
         """Give each link its part of a trajectory; return the commands that make it follow."""

@@ -84,8 +84,7 @@ class MoveAction:
         try:
             await self.go(handle, move, motion)
         except MotionError:
-            if not motion.ended:
-                links.rest()
+            links.rest(motion)
             raise
         finally:
             links.turn.leave(motion)
@@ -99,7 +98,7 @@ class MoveAction:
             elapsed = (links.now() - begun) / SECOND
             if elapsed > move.duration + links.settings.max_overrun:
                 raise MotionError(f"not reached within {elapsed:.1f} s, {self.farthest(move)}")
-            links.send({i: position(p) for i, p in enumerate(move.profiles, 1)}, given)
+            links.send({i: position(p) for i, p in enumerate(move.profiles, 1)}, given, motion)
             remaining = max(0.0, move.duration - elapsed)
             handle.publish_feedback(MoveArm.Feedback(q=links.q(), remaining=remaining))
             await links.ticked

@@ -38,10 +38,11 @@ class StreamTopic:
                 self.links.node.get_logger().warning(f"{TOPIC} refused: {error}")
             return
         self.stream.accept()
-        self.take_turn(points, given, now)
         for i, mode, value in points:
             self.commands[i].mode, self.commands[i].set_point = int(mode), value
-        self.links.send({p.link: self.commands[p.link] for p in points}, given, self.lives)
+        commands = {point.link: self.commands[point.link] for point in points}
+        with self.links.turn.lock:
+            self.links.send(commands, given, self.take_turn(points, given, now), self.lives)
 
     def check(self, points: list[SetPoint]) -> None:
         """Raise StreamError if the joints cannot move."""
@@ -51,14 +52,16 @@ class StreamTopic:
         for i, trouble in self.links.troubles([p.link for p in points], referenced).items():
             raise StreamError("links", f"link {i} {trouble}")
 
-    def take_turn(self, points: list[SetPoint], given: int, now: int) -> None:
+    def take_turn(self, points: list[SetPoint], given: int, now: int) -> Motion:
         """Prolong the stream, or begin one: what moved before ends, all other joints rest."""
         turn, until = self.links.turn, given + round(self.lives * SECOND)
         if self.motion and turn.has(self.motion, now):
             self.motion.until = until
-            return
+            return self.motion
         moved = bool(turn.holder(now))
         self.motion = turn.take(TOPIC, now, until)
         if moved:
             self.links.wake()
-            self.links.rest(set(self.links.numbers) - {point.link for point in points})
+            others = set(self.links.numbers) - {point.link for point in points}
+            self.links.rest(self.motion, others)
+        return self.motion

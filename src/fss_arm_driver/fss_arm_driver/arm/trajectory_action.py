@@ -129,8 +129,7 @@ class TrajectoryAction:
         try:
             await self.keep_on(Following(trajectory, tolerances, self.patience), motion, handle)
         except TrajectoryError:
-            if not motion.ended:
-                links.rest()
+            links.rest(motion)
             raise
         finally:
             links.turn.leave(motion)
@@ -147,7 +146,7 @@ class TrajectoryAction:
         links = self.links
         commands = links.give_path(following.trajectory)
         while True:
-            links.send(commands, links.now())
+            links.send(commands, links.now(), motion)
             await links.ticked
             if handle and handle.is_cancel_requested:
                 raise TrajectoryError(Code.SUCCESSFUL, CANCELLED)

@@ -5,7 +5,7 @@ it is refused. A stop ends whatever there is.
 """
 
 from dataclasses import dataclass
-from threading import Lock
+from threading import RLock
 
 
 @dataclass(eq=False)
@@ -18,10 +18,13 @@ class Motion:
 
 
 class Turn:
-    """Who moves the arm, for several threads. Times are the caller's, in nanoseconds."""
+    """Who moves the arm, for several threads. Times are the caller's, in nanoseconds.
+
+    Who holds `lock` keeps the turn from changing.
+    """
 
     def __init__(self) -> None:
-        self._lock = Lock()
+        self.lock = RLock()
         self._motion: Motion | None = None
 
     def holder(self, now: int) -> str:
@@ -36,7 +39,7 @@ class Turn:
 
     def take(self, name: str, now: int, until: int | None = None) -> Motion:
         """Begin a motion; the one under way, if any, shall end."""
-        with self._lock:
+        with self.lock:
             if self._motion and self.holder(now):
                 self._motion.ended = f"preempted by {name}"
             self._motion = motion = Motion(name, until)
@@ -44,12 +47,12 @@ class Turn:
 
     def leave(self, motion: Motion) -> None:
         """End a motion."""
-        with self._lock:
+        with self.lock:
             if motion is self._motion:
                 self._motion = None
 
     def stop(self) -> None:
         """End whatever is under way."""
-        with self._lock:
+        with self.lock:
             if self._motion:
                 self._motion.ended = "stopped"

@@ -5,7 +5,7 @@ that it reports, so that a lost reply, a pulled cable or a drive that was off ne
 conversation is a script that stops wherever it must wait.
 """
 
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from enum import IntEnum
 from itertools import count, cycle
@@ -36,6 +36,10 @@ LINE_TIME = 50 * MILLISECOND  # for what is still under way after a failure
 SWITCH_TIME = 150 * MILLISECOND  # for the order to leave at the old rate, and the drive's own
 REST_TIMEOUT = 3000 * MILLISECOND  # with a joint that does not come to rest and shall be released
 MOTION_THRESHOLD = 1000  # a slower drive is at rest [0.1 counts/s]
+STATE_VARIABLES = (
+    *(Variable.VELOCITY, Variable.CURRENT, Variable.STATUS),
+    *(Variable.TRAJECTORY_STATUS, Variable.DESIRED_STATE),
+)
 STATE = put(Variable.DESIRED_STATE, 0).removesuffix(b"0\r")  # what orders a mode begin with
 SLOW = (Variable.FAULTS, Variable.SUPPLY, Variable.TEMPERATURE, Variable.ABORT_DECELERATION)
 
@@ -49,9 +53,15 @@ class Goal(IntEnum):
     CURRENT = 3
     VELOCITY = 4
     POSITION = 5
+    FOLLOW = 6  # the velocity that `steer` says, at each position
 
 
-MODES = {Goal.RELEASE: Mode.OFF, Goal.CURRENT: Mode.CURRENT, Goal.VELOCITY: Mode.VELOCITY}
+MODES = {
+    Goal.RELEASE: Mode.OFF,
+    Goal.CURRENT: Mode.CURRENT,
+    Goal.VELOCITY: Mode.VELOCITY,
+    Goal.FOLLOW: Mode.VELOCITY,
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,6 +116,7 @@ class _ResetError(Exception):
 
 
 Script = Generator[_Ask | _Tell, Reply | None, None]
+Steer = Callable[[int, int, int], int | None]
 
 
 class Drive:
@@ -113,9 +124,11 @@ class Drive:
 
     Args:
         baud: the rate to work at; the drive begins at 9600.
+        steer: told each position [counts] with its time [us] and the last velocity
+            [0.1 counts/s]; says what velocity to FOLLOW with, or None.
     """
 
-    def __init__(self, baud: int = 115_200) -> None:
+    def __init__(self, baud: int = 115_200, steer: Steer = lambda *_: None) -> None:
         self.demand = Demand()
         self.clear_faults = False
         self.reading: Reading | None = None
@@ -127,7 +140,7 @@ class Drive:
         self._mode = int(Mode.OFF)  # that the drive is in, as read or acknowledged
         self._referenced = False  # as read; not since it was ordered to home
         self.baud = FIRST_BAUD  # that the line must be set to now
-        self._fast = baud
+        self._fast, self._steer = baud, steer
         self._now = self._until = 0
         self._buffer = b""
         self._script = self._talk()
@@ -215,16 +228,15 @@ class Drive:
     def _read(self, slow: Variable) -> Generator[_Ask | _Tell, Reply | None, Reading]:
         """A round of readings."""
         last = self.reading
-        position = yield from self._value(Variable.POSITION)
-        reading = Reading(
-            clock=self._now,
-            position=position,
-            velocity=(yield from self._value(Variable.VELOCITY)),
-            current=(yield from self._value(Variable.CURRENT)),
-            status=(yield from self._value(Variable.STATUS)) & 0xFFFFFFFF,
-            trajectory=(yield from self._value(Variable.TRAJECTORY_STATUS)),
-            mode=(yield from self._value(Variable.DESIRED_STATE)),
-        )
+        clock, position = yield from self._track()
+        values = []
+        for variable in STATE_VARIABLES:
+            values.append((yield from self._value(variable)))
+            if self.demand.goal == Goal.FOLLOW:
+                yield from self._track()
+        velocity, current, status, trajectory, mode = values
+        status &= 0xFFFFFFFF
+        reading = Reading(clock, position, velocity, current, status, trajectory, mode)
         self.slow[slow] = yield from self._value(slow)
         rose = reading.status & ~last.status if last else 0
         if rose & RESET or self._mode != Mode.OFF == reading.mode:
@@ -235,6 +247,16 @@ class Drive:
         self.homings += referenced and not self._referenced
         self._referenced = referenced
         return reading
+
+    def _track(self) -> Generator[_Ask | _Tell, Reply | None, tuple[int, int]]:
+        """Read the position and when it was; a drive that follows is steered by it."""
+        position = yield from self._value(Variable.POSITION)
+        clock, demand = self._now, self.demand
+        speed = self._steer(position, clock, self.reading.velocity if self.reading else 0)
+        if speed is not None and demand.goal == Goal.FOLLOW and demand == self._done:
+            done = yield from self._say([put(Variable.COMMANDED_VELOCITY, speed)])
+            self._done = demand if done else None
+        return clock, position
 
     def _act(self) -> Script:
         """Say what brings the drive to what is demanded of it."""
@@ -316,7 +338,7 @@ def _program(demand: Demand, mode: int | None) -> list[bytes]:
     acceleration = demand.acceleration
     if demand.goal == Goal.CURRENT:
         return [put(Variable.COMMANDED_CURRENT, demand.set_point), *state]
-    if demand.goal == Goal.VELOCITY:
+    if demand.goal in (Goal.VELOCITY, Goal.FOLLOW):
         limit = _limit(acceleration)
         limits = [put(Variable.ACCELERATION_LIMIT, limit), put(Variable.DECELERATION_LIMIT, limit)]
         speed = put(Variable.COMMANDED_VELOCITY, demand.set_point)

@@ -24,6 +24,7 @@ SLOW = {
     Slow.SUPPLY: Variable.SUPPLY,
     Slow.TEMPERATURE: Variable.TEMPERATURE,
 }
+FIELDS = (*SLOW, Slow.HOMINGS, Slow.REFUSED, Slow.PATH)
 GOALS = {
     Mode.OFF: Goal.RELEASE,
     Mode.CURRENT: Goal.CURRENT,
@@ -47,8 +48,9 @@ class DriveLink:
         self, number: int, boot: int, key: bytes | None, baud: int, rate: float = 5.0
     ) -> None:
         self.state = LinkState(Gate(number, boot, key))
-        self.drive = Drive(baud)
         self._baud = baud
+        self._speed: int | None = None  # to follow a path with, as of the last position
+        self.drive = Drive(baud, self._steer)
         self._period, self._periods = round(1e6 / rate), 0
         self._sequence, self._measured = 0, 0
         self._taken: deque[tuple[int, int]] = deque(maxlen=TAKEN)  # arrivals and clocks
@@ -56,11 +58,11 @@ class DriveLink:
     def restart(self) -> None:
         """The line was opened anew; the drive's state is not known."""
         homings = self.drive.homings
-        self.drive = Drive(self._baud)
+        self.drive = Drive(self._baud, self._steer)
         self.drive.homings = homings
 
     def receive(self, data: bytes, clock: int) -> None:
-        """Take or refuse a command frame."""
+        """Take or refuse a command, or a segment of a path."""
         if self.state.receive(data, clock):
             command = self.state.gate.command
             assert command
@@ -81,7 +83,15 @@ class DriveLink:
         goal, command = self.state.goal(clock), self.state.gate.command
         if goal is Intent.RELEASE or command is None:
             return Demand()
-        return Demand(Goal.HOLD) if goal is Intent.HOLD else _commanded(command)
+        if goal is Intent.FOLLOW and self._speed is not None:
+            return Demand(Goal.FOLLOW, acceleration=command.acceleration)
+        return _commanded(command) if goal is Intent.OBEY else Demand(Goal.HOLD)
+
+    def _steer(self, position: int, clock: int, velocity: int) -> int | None:
+        """Follow a path, if one is to be followed, from where the joint is."""
+        follows = self.state.goal(clock) is Intent.FOLLOW
+        self._speed = self.state.velocity(clock, position, velocity) if follows else None
+        return self._speed
 
     def _telemetry(self, clock: int) -> bytes:
         reading, gate = self.drive.reading, self.state.gate
@@ -92,7 +102,7 @@ class DriveLink:
         self._measured, self._periods = reading.clock, reading.clock // self._period
         arrival, echo = self._taken_before(reading.clock)
         self._sequence = (self._sequence + 1) & 0xFFFFFFFF
-        slow = (*SLOW, Slow.HOMINGS, Slow.REFUSED)[self._sequence % (len(SLOW) + 2)]
+        slow = self.state.slow_field(self._sequence, FIELDS)
         known = reading.mode in GOALS
         frame = Telemetry(
             link=gate.number,
@@ -123,6 +133,8 @@ class DriveLink:
     def _slow(self, slow: Slow) -> int:
         if slow in SLOW:
             return self.drive.slow[SLOW[slow]]
+        if slow is Slow.PATH:
+            return self.state.paths.report
         return self.drive.homings if slow is Slow.HOMINGS else self.state.gate.refused.total()
 
 

@@ -63,7 +63,7 @@ class HeldPath:
                 return Refused.CONTRADICTION
             if early.index + 1 == late.index and _told(early)[4:] != _told(late)[1:4]:
                 return Refused.CONTRADICTION
-        self._held[new.index] = new
+        self._held.setdefault(new.index, new)
         return None
 
     def begun(self, clock: int) -> bool:
@@ -167,7 +167,7 @@ class PathFollower:
             if self._next.begun(clock):
                 self._followed, self._next, self._last = self._next, None, number
                 self.following, self.broken = True, False
-        elif not (self._followed and number == self._followed.number):
+        elif number != self._last and self._last and not newer_path(number, self._last):
             self.leave()
         if self._followed is None:
             return None

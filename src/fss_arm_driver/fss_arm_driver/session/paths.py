@@ -13,6 +13,7 @@ from fss_arm_driver.scale import CommandError
 
 HORIZON = 4_000_000  # segments that begin later are not sent yet [us]
 MOST = 12  # segments sent at once
+SAME = 10_000  # by less, the beginnings of a path given twice may differ [us]
 MARGIN = 2  # segments that the link may be behind by
 
 
@@ -110,7 +111,7 @@ class Paths:
     def check(self, number: int) -> None:
         """Raise CommandError if the path of that number is over."""
         if self._last and not self.find(number) and not newer_path(number, self._last):
-            raise CommandError(f"path {number} is over, as is any before path {self._last}")
+            raise CommandError(f"path {number} is over: expected one newer than {self._last}")
 
     def give(self, path: SentPath) -> None:
         """Take a path; it takes the place of the next one.
@@ -124,12 +125,12 @@ class Paths:
             raise CommandError(f"path {path.number} is older than path {self.next.number}")
         if known is None:
             self.next = path
-        elif known.knots != path.knots:
-            raise CommandError(f"path {path.number} was given before, with other knots")
+        elif known.knots != path.knots or abs(known.begin - path.begin) > SAME:
+            raise CommandError(f"path {path.number} was given before, otherwise")
 
     def tick(self, ordered: int, clock: int) -> None:
         """Let time pass, the link being ordered to follow the path `ordered`; 0: none."""
-        if self.followed and ordered not in (self.followed.number, self.next and self.next.number):
+        if ordered != self._last and not (ordered and newer_path(ordered, self._last)):
             self.followed = None
         if self.next and ordered == self.next.number and clock >= self.next.begin:
             self.followed, self.next, self._last = self.next, None, ordered

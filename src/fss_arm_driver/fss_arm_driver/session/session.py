@@ -478,7 +478,7 @@ class LinkSession:
             frame = decode(data, self._key)
         except FrameError as error:
             self.counts[error.reason.value] += 1
-            if error.reason is Refusal.VERSION:
+            if error.reason is Refusal.VERSION and self.lost:
                 version, link = spoken(data)
                 self._version = version if link == self.number else self._version
             return None
