@@ -83,7 +83,8 @@ class Guard:
         self._p, self._sizes = arm.vector(), sizes(s, s.target_radius, s.gripper_length)
         drives = [link.drive for link in arm.links]
         self._speeds = np.array([drive.max_velocity for drive in drives])
-        self._brakes = np.array([drive.max_acceleration for drive in drives])
+        self._gains = np.array([drive.max_acceleration for drive in drives])
+        self._brakes = s.braking * self._gains
         rows = [(*pair, s.margin) for pair in links_and_base(n)]
         self._pairs: dict[tuple[str, ...], Floats] = {(SELF,): np.array(rows).reshape(-1, 3)}
         rows += [(*pair, s.edge_margin) for pair in with_edge(n)]
@@ -176,8 +177,8 @@ class Guard:
         """Whether the arm keeps clear if it follows a command, and then comes to rest.
 
         With `position`, the drives go there, each by its own trapezoid, and rest. Else they turn at
-        `velocity` for the horizon, and then brake. Of a torque, only the sign is of use: give the
-        largest velocity that it may lead to.
+        `velocity` for the horizon, and then brake, at GuardSettings.braking of the acceleration. Of
+        a torque, only the sign is of use: give the largest velocity that it may lead to.
 
         Args:
             q: (n) present readings [rad].
@@ -192,12 +193,13 @@ class Guard:
             target: see above.
         """
         q, qd = self._numbers("q", q), self._numbers("qd", qd)
-        a = self._numbers("max_acceleration", self._or(max_acceleration, self._brakes))
+        a = self._numbers("max_acceleration", self._or(max_acceleration, self._gains))
         if not (a > 0.0).all():
             raise ValueError(f"max_acceleration is {a.tolist()} rad/s^2, expected more than 0")
         if position is None:
             wanted = self._numbers("velocity", self._or(velocity, qd))
-            knots = moved(q, qd, turning(qd, wanted, a, horizon), horizon)
+            brake = self.settings.braking * a
+            knots = moved(q, qd, turning(qd, wanted, a, brake, horizon), horizon)
         else:
             top = self._numbers("max_velocity", self._or(max_velocity, self._speeds))
             way = self._numbers("position", position) - q
@@ -219,14 +221,14 @@ class Guard:
         """
         q = self._numbers("q", q)
         qd = self._numbers("qd", self._or(qd, np.zeros(self.arm.n)))
-        times, q, qd = moved(q, qd, turning(qd, qd, self._brakes, 0.0), longest)
+        times, q, qd = moved(q, qd, turning(qd, qd, self._brakes, self._brakes, 0.0), longest)
         state = [*self._numbers("base", base, 3), *self._numbers("twist", twist, 3)]
         pairs = self._pairs[SELF, EDGE][len(self._pairs[SELF,]) :]
         contact, time, *_ = sweep(self._p, state, times, q, qd, pairs, self._sizes, np.zeros(4))
         return time if contact else inf
 
     def braking(self, qd: npt.ArrayLike) -> float:
-        """How long the drives take to come to rest from rates (n) [s]."""
+        """How long the drives take at most to come to rest from rates (n) [s]."""
         return float((np.abs(self._numbers("qd", qd)) / self._brakes).max())
 
     def _numbers(self, name: str, given: npt.ArrayLike, *shape: int) -> Floats:
@@ -265,14 +267,14 @@ class Guard:
 Phases = tuple[Floats, Floats]  # durations [s] and accelerations [rad/s^2], (phases, n) each
 
 
-def turning(qd: Floats, wanted: Floats, a: Floats, horizon: float) -> Phases:
-    """From rates (n) towards others, these held until the horizon, and then braking at a (n)."""
+def turning(qd: Floats, wanted: Floats, a: Floats, brake: Floats, horizon: float) -> Phases:
+    """From rates (n) towards others at a (n), these held until the horizon, and then braking."""
     change = np.minimum(np.abs(wanted - qd) / a, horizon)
     speeding = np.sign(wanted - qd) * a
     reached = qd + speeding * change
     still = np.zeros_like(qd)
-    times = np.stack([change, horizon - change, np.abs(reached) / a])
-    return times, np.stack([speeding, still, -np.sign(reached) * a])
+    times = np.stack([change, horizon - change, np.abs(reached) / brake])
+    return times, np.stack([speeding, still, -np.sign(reached) * brake])
 
 
 def trapezoids(way: Floats, qd: Floats, top: Floats, a: Floats) -> Phases:

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from fss_arm_model.extents import Extents
-from fss_arm_model.settings import NOT_NEGATIVE, setting
+from fss_arm_model.settings import NOT_NEGATIVE, above, setting
 
 
 @dataclass(frozen=True)
@@ -28,3 +28,7 @@ class GuardSettings(Extents):
     edge_margin: float = setting(
         0.1, "least gap that the guard leaves to the table's edge", unit="m", check=NOT_NEGATIVE
     )
+    braking: float = setting(
+        0.5, "share of the drives' accelerations that the arm is sure to brake with, for all their "
+        "torque is limited", check=above(0.0, 1.0),
+    )  # fmt: skip
