@@ -36,7 +36,8 @@ SAME = 1e-6  # that such a gap may be less by in the end than at the begin [m]
 SHORTEST = 2e-5  # step; where a contact cannot be excluded with this one, it counts as one [s]
 TURN = 0.2  # that bodies turn by in a window, at most, against the base [rad]
 TINY = 1e-300  # instead of 0 in a quotient
-LOOK = 0.01  # step in which the least distance is looked for once there is a contact [s]
+LOOK = 0.005  # step in which gaps below their margin are looked at [s]
+EPOCH = 0.4  # after which pairs that are far from each other are looked at again, at most [s]
 
 
 @helper
@@ -162,7 +163,8 @@ def _sweep(p, base, times, q, qd, pairs, sizes, target, _o, found, where):  # ty
     w, alpha, N, Psi, length = np.zeros((5, n + 1))
     arms = np.empty((3, n + 1))
     U = np.zeros(n + 2)
-    start, best, limit = np.empty((3, pairs.shape[0]))
+    start, best, limit, top, due = np.empty((5, pairs.shape[0]))
+    near = np.empty(pairs.shape[0], np.int64)
     at, chase = complex(target[0], target[1]), abs(complex(target[2], target[3]))
     own = 0.0
     for k in range(n + 1):
@@ -186,68 +188,90 @@ def _sweep(p, base, times, q, qd, pairs, sizes, target, _o, found, where):  # ty
     t, segment, worst, contact = times[0], 0, np.inf, False
     found[0], found[1], found[2], found[3] = 0.0, t, np.inf, -1.0
     _accelerations(times, q, qd, 0, alpha)
-    begun, window = False, np.inf
+    window, epoch = np.inf, t  # the length of a step's, and when all pairs are due again
+    best[:] = -np.inf
     while True:
         _locate(bodies, turned, com + velocity * (t - times[0]), heading, r)
         now = at + complex(target[2], target[3]) * (t - times[0])
+        ended = segment + 1 >= knots
+        rest = 0.0 if ended else times[segment + 1] - t
+        h = rest
         if contact:  # look on for the least distance
             k = int(found[3])
             gap = _gap(int(pairs[k, 0]), int(pairs[k, 1]), r, now, sizes)
             if gap < found[2]:
                 found[2] = gap
                 where[:] = angle
+            h = min(rest, max(LOOK, (times[knots - 1] - found[1]) / 500.0))
         else:
-            for k in range(pairs.shape[0]):
-                gap = _gap(int(pairs[k, 0]), int(pairs[k, 1]), r, now, sizes)
-                if not begun:
-                    start[k] = best[k] = gap
-                best[k] = max(best[k], gap)
-                limit[k] = pairs[k, 2] if best[k] >= pairs[k, 2] else best[k] - RELIEF
-                if gap - pairs[k, 2] < worst:
-                    worst = gap - pairs[k, 2]
-                    found[1], found[2], found[3] = t, gap, k
-                    where[:] = angle
-                limit[k] = max(gap - limit[k], 0.0)  # from here on: what it may shrink by
-            begun = True
-        if segment + 1 >= knots:
-            for k in range(0 if contact else pairs.shape[0]):
-                gap = best[k] - RELIEF + limit[k]
-                if best[k] < pairs[k, 2] and gap < start[k] - SAME:
-                    found[0], found[1], found[2], found[3] = 1.0, times[0], gap, k
-                    where[:] = angle
-            break
-        rest = times[segment + 1] - t
-        if contact:
-            step = min(rest, max(LOOK, (times[knots - 1] - found[1]) / 500.0))
-        else:
+            all_due = ended or t >= epoch
+            if all_due:
+                epoch = t + min(rest, EPOCH)
+                if floats:
+                    _world_speeds(
+                        arms, abs(velocity), own, epoch - t, w, alpha, N, inertia, moment, L, Psi, U
+                    )
             fastest = most = TINY
             for k in range(1, n + 1):
                 fastest, most = max(fastest, abs(w[k])), max(most, alpha[k])
-            h = min(min(rest, window), min(TURN / fastest, math.sqrt(TURN / most)))
-            first = -1
-            for _ in range(4):
+            h = min(min(epoch - t, window), min(TURN / fastest, math.sqrt(TURN / most)))
+            active, first = 0, -1
+            for k in range(pairs.shape[0]):
+                if not all_due and due[k] > t + h:
+                    continue
+                a, b, margin = int(pairs[k, 0]), int(pairs[k, 1]), pairs[k, 2]
+                gap = _gap(a, b, r, now, sizes)
+                if best[k] == -np.inf:
+                    start[k] = gap
+                best[k] = max(best[k], gap)
+                if gap - margin < worst:
+                    worst = gap - margin
+                    found[1], found[2], found[3] = t, gap, k
+                    where[:] = angle
+                if best[k] >= margin:
+                    limit[k] = max(gap - margin, 0.0)
+                else:
+                    limit[k] = gap - best[k] + RELIEF
+                    if limit[k] < 0.0 or (ended and gap < start[k] - SAME):
+                        first = k
+                if all_due:
+                    top[k] = _closing(a, b, epoch - t, w, alpha, length, U, chase)
+                due[k] = t + limit[k] / max(top[k], TINY)
+                if due[k] <= t + h:
+                    near[active] = k
+                    active += 1
+            step = widest = h
+            for _ in range(4 if first < 0 else 0):
                 if floats:
                     _world_speeds(
                         arms, abs(velocity), own, h, w, alpha, N, inertia, moment, L, Psi, U
                     )
                 step, first = h, -1
-                for k in range(pairs.shape[0]):
+                for i in range(active):
+                    k = near[i]
                     V = _closing(
                         int(pairs[k, 0]), int(pairs[k, 1]), h, w, alpha, length, U, chase
                     )  # fmt: skip
                     if limit[k] < V * step:
-                        step, first = limit[k] / max(V, TINY), k
+                        holds = limit[k] / max(V, TINY)
+                        if best[k] < pairs[k, 2]:
+                            step = min(step, max(holds, LOOK))
+                        else:
+                            step, first = holds, k
                 if step >= 0.5 * h:
                     break
                 h = min(h, max(2.0 * step, SHORTEST))
-            window = max(4.0 * step, SHORTEST)
-            if first >= 0 and step < min(SHORTEST, rest):
-                k = first
-                contact = True
+            window = 4.0 * (max(step, SHORTEST) if step < widest else window)
+            if first >= 0 and (ended or limit[first] < 0.0 or step < min(SHORTEST, rest)):
+                contact, k = True, first
                 found[0], found[1], found[3] = 1.0, t, k
                 found[2] = _gap(int(pairs[k, 0]), int(pairs[k, 1]), r, now, sizes)
                 where[:] = angle
                 continue
+            h = step
+        if ended:
+            break
+        step = h
         until = t + step if step < rest else times[segment + 1]
         spin = (L - moment) / inertia
         if floats:
