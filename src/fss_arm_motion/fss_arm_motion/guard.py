@@ -92,6 +92,7 @@ class Guard:
         rows += [(*pair, s.margin) for pair in with_target(n)]
         rows[-1] = (*rows[-1][:2], -s.gripper_depth)  # the gripper's own
         self._pairs[SELF, EDGE, TARGET] = np.array(rows)
+        self.drift(np.zeros(3), np.zeros(3), np.zeros(n))  # the kernel is loaded from here on
 
     def guards(
         self, base: npt.ArrayLike | None = None, target: npt.ArrayLike | None = None
@@ -100,6 +101,16 @@ class Guard:
         if base is None:
             return (SELF,)
         return (SELF, EDGE) if target is None else (SELF, EDGE, TARGET)
+
+    def slack(self, q: npt.ArrayLike) -> Floats:
+        """How much more than its margin the least gap of postures is, (...) for q (..., n) [m].
+
+        Of the arm against itself and its base; below 0 it is refused, infinite without two bodies.
+        """
+        q, pairs = np.asarray(q, dtype=float), self._pairs[SELF,]
+        state = np.concatenate([np.zeros((*q.shape[:-1], 3)), q], axis=-1)
+        found = gaps(self._p, state, pairs[:, :2], self._sizes)
+        return np.min(found - pairs[:, 2], axis=-1, initial=inf)
 
     def check_posture(
         self,

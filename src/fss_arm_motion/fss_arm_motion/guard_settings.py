@@ -26,7 +26,7 @@ class GuardSettings(Extents):
         0.05, "least gap that the guard leaves between bodies", unit="m", check=NOT_NEGATIVE
     )
     edge_margin: float = setting(
-        0.1, "least gap that the guard leaves to the table's edge", unit="m", check=NOT_NEGATIVE
+        0.05, "least gap that the guard leaves to the table's edge", unit="m", check=NOT_NEGATIVE
     )
     braking: float = setting(
         0.5, "share of the drives' accelerations that the arm is sure to brake with, for all their "
