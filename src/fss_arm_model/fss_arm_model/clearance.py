@@ -135,7 +135,7 @@ def gaps(
     return np.asarray(_gaps(p, q, pairs, sizes, target))
 
 
-def clearance(p: npt.ArrayLike, q: npt.ArrayLike, extents: Extents) -> Floats:
+def clearance(p: npt.ArrayLike, q: npt.ArrayLike, base_radius: float, link_radius: float) -> Floats:
     """The least gap between two bodies of base and arm that are not neighbours, (...) [m].
 
     Infinite where there are no such two.
@@ -143,15 +143,25 @@ def clearance(p: npt.ArrayLike, q: npt.ArrayLike, extents: Extents) -> Floats:
     Raises:
         ValueError: shapes do not fit.
     """
+    around = sizes(Extents(base_radius=base_radius, link_radius=link_radius))
     pairs = list(links_and_base(np.shape(q)[-1] - 3))
-    return np.min(gaps(p, q, pairs, sizes(extents)), axis=-1, initial=np.inf)
+    return np.min(gaps(p, q, pairs, around), axis=-1, initial=np.inf)
 
 
-def edge_clearance(p: npt.ArrayLike, q: npt.ArrayLike, extents: Extents) -> Floats:
+def edge_clearance(
+    p: npt.ArrayLike, q: npt.ArrayLike, table: tuple[float, ...], base: float, link: float
+) -> Floats:
     """The least gap between the edge of a table about the origin and any body, (...) [m].
+
+    Args:
+        p: (..., 8 + 6 n) Arm.vector().
+        q: (..., 3 + n) state.
+        table: its sides along x and y [m].
+        base: the base's radius [m].
+        link: that of joints and tip [m].
 
     Raises:
         ValueError: shapes do not fit.
     """
     pairs = list(with_edge(np.shape(q)[-1] - 3))
-    return np.min(gaps(p, q, pairs, sizes(extents)), axis=-1)
+    return np.min(gaps(p, q, pairs, sizes(Extents(table, base, link))), axis=-1)

@@ -20,7 +20,8 @@ from fss_arm_model.description import paper_arm
 from fss_arm_model.extents import Extents
 from fss_arm_model.kinematics import joint_positions
 
-BED = Extents()  # of the paper's spacecraft
+BED = Extents()
+RADII = BED.base_radius, BED.link_radius
 
 
 @pytest.mark.parametrize("n", [2, 3, 4, 6])
@@ -28,9 +29,7 @@ def test_gaps_are_those_between_points_of_the_bodies(n):
     rng = np.random.default_rng(n)
     p, q = random_arm(n, rng).vector(), random_states(n, 8, rng)[0]
     along = np.linspace(0.0, 1.0, 150)
-    for state, gap in zip(
-        q, clearance(p, q, Extents(base_radius=0.1, link_radius=0.03)), strict=True
-    ):
+    for state, gap in zip(q, clearance(p, q, 0.1, 0.03), strict=True):
         joints = joint_positions(p, state)
         lines = [a + along[:, None] * (b - a) for a, b in pairwise(joints)]
         own = [np.linalg.norm(x - state[:2], axis=1).min() - 0.13 for x in lines[1:]]
@@ -44,14 +43,14 @@ def test_gaps_are_those_between_points_of_the_bodies(n):
 
 def test_an_arm_rolled_up_collides_and_a_straight_one_does_not():
     p, rolled = paper_arm().vector(), np.array([0, 0, 0, 0.0, 1.55, 1.55, 1.55])
-    assert clearance(p, rolled, BED) < 0.0
+    assert clearance(p, rolled, *RADII) < 0.0
     # Straight, links 1 and 3 are a link's length apart.
-    assert clearance(p, np.zeros(7), BED) == pytest.approx(0.3825 - 2 * 0.06, abs=1e-3)
+    assert clearance(p, np.zeros(7), *RADII) == pytest.approx(0.3825 - 2 * 0.06, abs=1e-3)
 
 
 def test_one_link_has_nothing_to_collide_with():
     p = random_arm(1, np.random.default_rng(0)).vector()
-    assert clearance(p, np.zeros(4), BED) == np.inf
+    assert clearance(p, np.zeros(4), *RADII) == np.inf
 
 
 def test_the_edge_is_as_far_as_the_outermost_body():
@@ -59,7 +58,7 @@ def test_the_edge_is_as_far_as_the_outermost_body():
     q[1, 0], q[2, 1] = 1.0, -1.9
     far = joint_positions(p, q[0])[-1, 0]
     expected = [2.0 - far - 0.06, 1.0 - far - 0.06, 2.0 - 1.9 - 0.19]
-    np.testing.assert_allclose(edge_clearance(p, q, BED), expected, atol=1e-12)
+    np.testing.assert_allclose(edge_clearance(p, q, BED.table, *RADII), expected, atol=1e-12)
 
 
 def test_gaps_stand_in_the_order_of_the_pairs_which_name_their_bodies():

@@ -237,12 +237,15 @@ class Plant:
     @property
     def clearance(self) -> float:
         """The least gap between two bodies of base and arm that are not neighbours [m]."""
-        return float(clearance(self._p, self.q, self.world.surroundings.extents))
+        around = self.world.surroundings
+        return float(clearance(self._p, self.q, around.base_radius, around.link_radius))
 
     @property
     def edge_clearance(self) -> float:
         """The least gap between base or arm and the table's edge [m]; below 0 the border pushes."""
-        return float(edge_clearance(self._p, self.q, self.world.surroundings.extents))
+        around = self.world.surroundings
+        radii = around.base_radius, around.link_radius
+        return float(edge_clearance(self._p, self.q, around.table, *radii))
 
     @property
     def audit(self) -> Audit:

@@ -45,11 +45,6 @@ class Surroundings(Settings):
     base_radius: float = like(Extents, "base_radius")
     link_radius: float = like(Extents, "link_radius")
 
-    @property
-    def extents(self) -> Extents:
-        """The room that bodies take on the table."""
-        return Extents(self.table, self.base_radius, self.link_radius)
-
     def vector(self) -> Floats:
         """The numbers that the kernel takes, (11,); the tilt as an acceleration, half the table."""
         tilt, half = GRAVITY * np.array(self.tilt), 0.5 * np.array(self.table)
