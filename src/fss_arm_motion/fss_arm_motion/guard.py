@@ -187,15 +187,16 @@ class Guard:
     ) -> Clear:
         """Whether the arm keeps clear if it follows a command, and then comes to rest.
 
-        With `position`, the drives go there, each by its own trapezoid, and rest. Else they turn at
-        `velocity` for the horizon, and then brake, at GuardSettings.braking of the acceleration. Of
-        a torque, only the sign is of use: give the largest velocity that it may lead to.
+        A joint with a `position` goes there by a trapezoid of its own, and rests. Any other turns
+        at its `velocity` for the horizon and then brakes, at GuardSettings.braking of the
+        acceleration. Of a torque, only the sign is of use: give the largest velocity that it may
+        lead to. NaN: not commanded.
 
         Args:
             q: (n) present readings [rad].
             qd: (n) present rates [rad/s].
             horizon: how long the command acts, if no other follows [s].
-            velocity: (n) commanded [rad/s]; as it is now by default.
+            velocity: (n) commanded [rad/s]; where there is none, as it is now.
             position: (n) commanded [rad].
             max_velocity: (n) of the trapezoids [rad/s]; the drives' limits by default.
             max_acceleration: (n) to speed up and brake with [rad/s^2]; the same.
@@ -207,15 +208,16 @@ class Guard:
         a = self._numbers("max_acceleration", self._or(max_acceleration, self._gains))
         if not (a > 0.0).all():
             raise ValueError(f"max_acceleration is {a.tolist()} rad/s^2, expected more than 0")
-        if position is None:
-            wanted = self._numbers("velocity", self._or(velocity, qd))
-            brake = self.settings.braking * a
-            knots = moved(q, qd, turning(qd, wanted, a, brake, horizon), horizon)
-        else:
-            top = self._numbers("max_velocity", self._or(max_velocity, self._speeds))
-            way = self._numbers("position", position) - q
-            knots = moved(q, qd, trapezoids(way, qd, top, a), horizon)
-        return self.check_path(*knots, base, twist, target)
+        none = np.full(self.arm.n, np.nan)
+        wanted = np.asarray(self._or(velocity, none), dtype=float)
+        wanted = self._numbers("velocity", np.where(np.isnan(wanted), qd, wanted))
+        goal = np.asarray(self._or(position, none), dtype=float)
+        way = self._numbers("position", np.where(np.isnan(goal), q, goal)) - q
+        top = self._numbers("max_velocity", self._or(max_velocity, self._speeds))
+        turned = turning(qd, wanted, a, self.settings.braking * a, horizon)
+        gone = trapezoids(way, qd, top, a)
+        lasts, gains = (np.where(np.isnan(goal), *both) for both in zip(turned, gone, strict=True))
+        return self.check_path(*moved(q, qd, (lasts, gains), horizon), base, twist, target)
 
     def drift(
         self,

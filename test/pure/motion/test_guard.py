@@ -168,6 +168,19 @@ def test_trapezoids_arrive_within_limits_and_brake_to_rest(seed):
     assert times[-1] == pytest.approx(0.4 + (np.abs(rates[times <= 0.4][-1]) / a).max(), abs=1e-5)
 
 
+def test_a_command_is_refused_for_where_it_leads():
+    guard, rest, nan = Guard(paper_arm()), np.zeros(4), np.nan
+    bent = np.radians([0.0, 75.0, 75.0, 30.0])
+    guard.check_command(bent, rest, 0.2, velocity=0.1 * np.ones(4))
+    with pytest.raises(GuardError, match="link 4 and base"):
+        guard.check_command(bent, rest, 1.0, velocity=np.ones(4))
+    with pytest.raises(GuardError, match="link 4 and base"):  # nor can it brake in time
+        guard.check_command(bent + 0.1, np.ones(4), 0.05, velocity=np.zeros(4))
+    guard.check_command(bent, rest, position=[nan, 1.0, 1.0, nan])
+    with pytest.raises(GuardError, match="link 4 and base"):
+        guard.check_command(bent, rest, position=[nan, 1.5, 1.5, nan], velocity=[0, nan, nan, 1])
+
+
 def test_bad_numbers_are_named():
     guard, rest = Guard(paper_arm()), np.zeros((2, 4))
     with pytest.raises(ValueError, match=r"times are \[0. 0.\]"):
