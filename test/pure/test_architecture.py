@@ -20,6 +20,7 @@ MESSAGES = {
 }
 ROS = MESSAGES | {"rclpy", "ament_index_python"}
 MODEL = {"numpy", "scipy", "numba", "yaml"}
+GUARD = {"fss_arm_motion.guard", "fss_arm_motion.guard_settings"}
 
 # Beside itself and the standard library, a package, or a folder in one, may import these; a
 # module's name in full allows that module alone.
@@ -31,7 +32,7 @@ ALLOWED = {
     | {"numpy", "rosbags", "mcap", "rich"},
     "fss_arm_driver": ROS
     | {"fss_arm_model.description", "fss_arm_model.settings", "fss_arm_model.urdf"}
-    | {"fss_arm_model.files", "fss_arm_motion.guard", "fss_arm_ros", "numpy", "serial"},
+    | {"fss_arm_model.files", *GUARD, "fss_arm_ros", "numpy", "serial"},
     "fss_sim": ROS | {"fss_arm_model", "fss_arm_ros", "fss_arm_driver.protocol", "numpy"},
     "fss_sim.rehearsal": ROS
     | {
@@ -45,7 +46,7 @@ ALLOWED = {
         "matplotlib",
     },
     "fss_arm_calib": ROS
-    | {"fss_arm_model", "fss_arm_motion.guard", "fss_arm_ros", "fss_arm_bags"}
+    | {"fss_arm_model", *GUARD, "fss_arm_ros", "fss_arm_bags"}
     | {"numpy", "scipy", "yaml", "rich", "matplotlib"},
     "fss_arm_workspace": ROS
     | {"fss_arm_model", "fss_arm_ros", "fss_arm_bags", "numpy", "scipy", "rich", "matplotlib"},
@@ -268,7 +269,13 @@ def test_the_plot_library_is_imported_only_where_it_is_used() -> None:
 
 @pytest.mark.parametrize(
     "module",
-    ["fss_arm_model.description", PROTOCOL, "fss_arm_driver.session", f"{REGIONS}.fixed"],
+    [
+        "fss_arm_model.description",
+        PROTOCOL,
+        "fss_arm_driver.session",
+        f"{REGIONS}.fixed",
+        "fss_arm_motion.guard_settings",
+    ],
 )
 def test_importing_it_loads_neither_kernels_nor_ros(module: str) -> None:
     program = f"import sys, {module}; print({{'numba', 'rclpy', 'scipy'}} & sys.modules.keys())"

@@ -125,9 +125,11 @@ def add_settings(
         if isinstance(f.default, bool):
             p.add_argument(flag, action=BooleanOptionalAction, default=f.default, help=about)
             continue
+        several = f.default if isinstance(f.default, tuple) else ()
         p.add_argument(
             flag,
-            type=type(f.default),
+            type=type(several[0] if several else f.default),
+            nargs=len(several) or None,
             default=f.default,
             metavar=f.name.split("_")[-1].upper(),
             help=f"{about} (default: {'none' if f.default == '' else f.default})".replace(
