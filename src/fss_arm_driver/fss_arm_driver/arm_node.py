@@ -11,6 +11,7 @@ from rclpy.task import Future
 from std_msgs.msg import Empty
 from std_srvs.srv import SetBool
 
+from fss_arm_driver.arm.guard_topics import GuardTopics
 from fss_arm_driver.arm.link_topics import LinkTopics, Take
 from fss_arm_driver.arm.move_action import MoveAction
 from fss_arm_driver.arm.state_topics import StateTopics
@@ -42,9 +43,10 @@ class ArmNode(Node):
         self.settings = declare(self, kind)
         self.links = LinkTopics(self, self.settings.description(), self.settings, local)
         self.states = StateTopics(self.links)
-        self.moves = MoveAction(self.links)
-        self.trajectories = TrajectoryAction(self.links)
-        self.streams = StreamTopic(self.links)
+        self.guard = GuardTopics(self, self.links.arm, self.settings)
+        self.moves = MoveAction(self.links, self.guard)
+        self.trajectories = TrajectoryAction(self.links, self.guard)
+        self.streams = StreamTopic(self.links, self.guard)
         self.create_subscription(Empty, "arm/stop", lambda _: self.links.stop(), 10)
         waits = ReentrantCallbackGroup()  # answers take their time; all else goes on
         self.armers = [
@@ -95,6 +97,7 @@ class ArmNode(Node):
         troubles = links.troubles()
         values: dict[str, Any] = {f"link {i}": troubles.get(i, "armed") for i in links.numbers}
         values["arm/joint_states"] = self.states.withheld or "published"
+        values["guarded against"] = self.guard.words()
         values["path"] = links.path
         values["commands taken"] = stream.taken
         values |= {f"commands refused: {kind}": n for kind, n in sorted(stream.refused.items())}

@@ -6,6 +6,7 @@ from urllib.parse import urlsplit
 from fss_arm_driver.protocol import load_keys
 from fss_arm_model.description import Arm, Link, described
 from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, Settings, between, setting
+from fss_arm_motion.guard_settings import GuardSettings
 
 
 @dataclass(frozen=True)
@@ -82,7 +83,7 @@ class LinkSettings(Settings):
 
 
 @dataclass(frozen=True)
-class ArmSettings(Settings):
+class ArmSettings(GuardSettings):
     """The parameters of an ArmNode."""
 
     arm: str = setting("", "file of the arm's description; empty: the paper's arm")
@@ -123,6 +124,13 @@ class ArmSettings(Settings):
     max_extrapolation: float = setting(
         0.5, "age of a joint's measurement beyond which arm/joint_states cease", unit="s",
         check=POSITIVE,
+    )  # fmt: skip
+    guard: bool = setting(
+        True, "whether to refuse motions that bring bodies nearer to each other than the margins"
+    )
+    base_age: float = setting(
+        1.0, "age of base/state, or of the target's pose, beyond which it is unknown to the guard",
+        unit="s", check=POSITIVE,
     )  # fmt: skip
     publish_tf: bool = setting(
         True, "whether to publish transforms; not beside robot_state_publisher, which does"

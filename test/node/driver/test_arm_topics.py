@@ -1,5 +1,6 @@
 """The topics and actions of the arm's node, its links being ideal."""
 
+import re
 from dataclasses import replace
 from math import atan2, cos, nan, sin
 
@@ -9,6 +10,7 @@ from action_msgs.msg import GoalStatus
 from arm_links import ARM, FakeLinks
 from control_msgs.action import FollowJointTrajectory
 from diagnostic_msgs.msg import DiagnosticArray
+from nav_msgs.msg import Odometry
 from rclpy.duration import Duration
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -317,3 +319,45 @@ def test_a_topic_is_listened_to_by_best_effort_and_reliable_publishers(bench):
         JointState, "arm/joint_commands", QoSProfile(depth=1, reliability=2)
     )
     bench.until(loose.get_subscription_count)
+
+
+# --- the guard -----------------------------------------------------------------------------------
+
+FOLDED = (0.0, 1.5, 1.5, 1.5)
+
+
+def test_nothing_folds_the_arm_into_itself_or_the_base(bench):
+    ended = bench.go(bench.client.goal([(9.0, FOLDED)])).result
+    assert ended.error_code == ENDED.INVALID_GOAL
+    assert re.search(
+        r"link \d and \w+.* would be -?0\.\d+ m apart with the joints", ended.error_string
+    )
+    bench.client.command(position=FOLDED)
+    bench.until(lambda: bench.health.get("commands refused: guard") == "1")
+    mover = standard_action(bench)
+    handle = bench.after(mover.send_goal_async(MoveArm.Goal(q=FOLDED)))
+    assert "m apart with the joints at" in bench.end(handle).result.message
+    assert not bench.links.taken
+    assert bench.health["guarded against"] == "self"
+    mover.destroy()
+
+
+def odometry(x, vx=0.0):
+    message = Odometry()
+    message.pose.pose.position.x, message.pose.pose.orientation.w = x, 1.0
+    message.twist.twist.linear.x = vx
+    return message
+
+
+def test_a_path_ends_when_the_base_drifts_to_the_edge(bench):
+    base = bench.client.create_publisher(Odometry, "base/state", 10)
+    bench.until(base.get_subscription_count)
+    bench.client.create_timer(0.05, lambda: base.publish(odometry(**state)))
+    state = {"x": 0.0}
+    bench.until(lambda: bench.health.get("guarded against") == "self, edge")
+    handle = bench.begin(bench.client.goal([(8.0, THERE)]))
+    bench.until(lambda: bench.links.q[0] > 0.02)
+    state = {"x": -1.2, "vx": -0.3}
+    ended = bench.end(handle).result
+    assert ended.error_string.startswith("table edge and ")
+    bench.until(lambda: bench.links.last(1).mode == LinkCommand.VELOCITY)

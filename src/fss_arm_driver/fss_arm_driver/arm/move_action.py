@@ -8,10 +8,12 @@ from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
 from unique_identifier_msgs.msg import UUID
 
+from fss_arm_driver.arm.guard_topics import GuardTopics
 from fss_arm_driver.arm.link_topics import LinkTopics, MotionError
 from fss_arm_driver.arm.turn import Motion
 from fss_arm_driver.move import MAX_DURATION, Move, MoveError, Profile, plan
 from fss_arm_driver.watch import Asker
+from fss_arm_motion.guard import GuardError
 from fss_arm_msgs.action import MoveArm
 from fss_arm_msgs.msg import LinkCommand
 from fss_arm_ros.convert import SECOND
@@ -22,8 +24,8 @@ ASKING = "arm/move/_action/get_result"  # the service that whoever asked for a m
 class MoveAction:
     """Executes moves, one at a time; whoever asked for one must stay alive."""
 
-    def __init__(self, links: LinkTopics) -> None:
-        self.links, node = links, links.node
+    def __init__(self, links: LinkTopics, guard: GuardTopics) -> None:
+        self.links, self.guard, node = links, guard, links.node
         self.moving = b""  # the goal's id
         self.asker = Asker(0.0, 0.0)
         node.create_subscription(UUID, "arm/move/alive", self.on_alive, 10)
@@ -51,7 +53,7 @@ class MoveAction:
         message = ""
         try:
             await self.begin(handle)
-        except (MotionError, MoveError) as error:
+        except (MotionError, MoveError, GuardError) as error:
             message = str(error)
         if not message:
             handle.succeed()
@@ -68,6 +70,7 @@ class MoveAction:
         Raises:
             MotionError: it cannot be begun, or ended before.
             MoveError: it makes no sense.
+            GuardError: bodies would come too near.
         """
         links, request = self.links, handle.request
         if other := links.turn.holder(links.now()):
@@ -78,12 +81,13 @@ class MoveAction:
             raise MoveError(
                 f"keep_alive is {request.keep_alive} s, expected 0 to {MAX_DURATION:.0f}"
             )
+        self.guard.check_move(links.states, move.profiles, begun=False)
         motion = links.turn.take("a move", links.now())
         self.moving = handle.goal_id.uuid.tobytes()
         self.asker = Asker(request.keep_alive, time.monotonic())
         try:
             await self.go(handle, move, motion)
-        except MotionError:
+        except (MotionError, GuardError):
             links.rest(motion)
             raise
         finally:
@@ -104,6 +108,7 @@ class MoveAction:
             await links.ticked
             given = links.now()
             self.check(handle, motion)
+            self.guard.check_move(links.states, move.profiles, begun=True)
 
     def check(self, handle: ServerGoalHandle, motion: Motion) -> None:
         """Raise MotionError if a move cannot or shall not go on."""

@@ -3,10 +3,12 @@
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
+from fss_arm_driver.arm.guard_topics import GuardTopics
 from fss_arm_driver.arm.link_topics import LinkTopics
 from fss_arm_driver.arm.stream import SetPoint, Stream, StreamError
 from fss_arm_driver.arm.turn import Motion
 from fss_arm_driver.protocol import Mode
+from fss_arm_motion.guard import GuardError
 from fss_arm_msgs.msg import LinkCommand
 from fss_arm_ros.convert import SECOND, stamp_ns
 from fss_arm_ros.ear import Ear
@@ -19,8 +21,9 @@ NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 class StreamTopic:
     """Has the links do what a stream says, in a thread of its own."""
 
-    def __init__(self, links: LinkTopics) -> None:
-        self.links, self.lives = links, links.settings.stream_time_to_live
+    def __init__(self, links: LinkTopics, guard: GuardTopics) -> None:
+        self.links, self.guard = links, guard
+        self.lives = links.settings.stream_time_to_live
         self.stream = Stream(links.arm, self.lives)
         self.motion: Motion | None = None
         self.commands = {i: LinkCommand() for i in links.numbers}  # as making one takes long
@@ -45,12 +48,16 @@ class StreamTopic:
             self.links.send(commands, given, self.take_turn(points, given, now), self.lives)
 
     def check(self, points: list[SetPoint]) -> None:
-        """Raise StreamError if the joints cannot move."""
+        """Raise StreamError if the joints cannot move, or shall not."""
         if why := self.links.stood_still():
             raise StreamError("links", why)
         referenced = any(point.mode == Mode.POSITION for point in points)
         for i, trouble in self.links.troubles([p.link for p in points], referenced).items():
             raise StreamError("links", f"link {i} {trouble}")
+        try:
+            self.guard.check_stream(self.links.states, points)
+        except GuardError as error:
+            raise StreamError("guard", str(error)) from None
 
     def take_turn(self, points: list[SetPoint], given: int, now: int) -> Motion:
         """Prolong the stream, or begin one: what moved before ends, all other joints rest."""

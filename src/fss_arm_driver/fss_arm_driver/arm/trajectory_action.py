@@ -12,6 +12,7 @@ from rclpy.duration import Duration
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from fss_arm_driver.arm.following import Following, Progress
+from fss_arm_driver.arm.guard_topics import GuardTopics
 from fss_arm_driver.arm.link_topics import LinkTopics, MotionError
 from fss_arm_driver.arm.tolerance import Tolerance, Tolerances
 from fss_arm_driver.arm.trajectory import (
@@ -25,6 +26,7 @@ from fss_arm_driver.arm.trajectory import (
     requested,
 )
 from fss_arm_driver.arm.turn import Motion
+from fss_arm_motion.guard import GuardError
 from fss_arm_ros.convert import SECOND, to_time
 
 CONTROLLER = "arm_controller"
@@ -34,8 +36,8 @@ CANCELLED = "cancelled"
 class TrajectoryAction:
     """Has the links follow trajectories, the newest in the place of the one before."""
 
-    def __init__(self, links: LinkTopics) -> None:
-        self.links, node, s = links, links.node, links.settings
+    def __init__(self, links: LinkTopics, guard: GuardTopics) -> None:
+        self.links, self.guard, node, s = links, guard, links.node, links.settings
         goal = Tolerance(s.tolerance, s.motion_threshold)
         n = links.arm.n
         self.tolerances = Tolerances((Tolerance(s.path_tolerance),) * n, (goal,) * n, s.max_overrun)
@@ -121,7 +123,8 @@ class TrajectoryAction:
         try:
             links.check()
             trajectory = planned(links.arm, request, self.earliest, self.start)
-        except MotionError as error:
+            self.guard.check_trajectory(trajectory)
+        except (MotionError, GuardError) as error:
             raise TrajectoryError(Code.INVALID_GOAL, str(error)) from None
         motion = self.motion = links.turn.take("a trajectory", links.now())
         self.trajectory = trajectory
@@ -152,7 +155,8 @@ class TrajectoryAction:
                 raise TrajectoryError(Code.SUCCESSFUL, CANCELLED)
             try:
                 links.check(motion)
-            except MotionError as error:
+                self.guard.check_trajectory(following.trajectory, links.now())
+            except (MotionError, GuardError) as error:
                 raise TrajectoryError(Code.INVALID_GOAL, str(error)) from None
             if handle:
                 handle.publish_feedback(self.feedback(following.progress(links.states)))
