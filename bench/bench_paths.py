@@ -34,7 +34,7 @@ CASES = {
 
 def knots(rng):
     """Positions and velocities that keep the joint's limits; from rest to rest at 0."""
-    q = [0.0, *(rng.uniform(-0.6, 0.6) for _ in TIMES[2:]), 0.0]
+    q = [0.0, *(rng.uniform(-0.5, 0.5) for _ in TIMES[2:]), 0.0]
     qd = [0.0, *((b - a) / 4.0 for a, b in zip(q, q[2:], strict=False)), 0.0]
     return q, qd
 
@@ -52,7 +52,7 @@ def run(seed, faults):
     bed.run(0.5)
     started = spread(bed)
     true, read, missed = [], [], 0
-    while (t := (bed.now - begin) / SECOND) <= TIMES[-1]:
+    while (t := (bed.frame - begin) / SECOND) <= TIMES[-1]:
         if faults:
             bed.fault(loss=1.0 if outage <= t < outage + 1.0 else faults["loss"])
         for i, (q, qd) in enumerate(paths if t >= 0.0 else ()):
@@ -60,7 +60,7 @@ def run(seed, faults):
             true.append(DEGREE * abs(bed.bed.plant.q[3 + i] - wanted))
             read.append(DEGREE * abs(bed.reading(i) - wanted))
         bed.step()
-        if any(0.03 <= (bed.now - begin) / SECOND - knot < 0.04 for knot in TIMES):
+        if any(0.03 <= (bed.frame - begin) / SECOND - knot < 0.04 for knot in TIMES):
             missed += sum(bed.electronics(i).paths.followed != 1 for i in range(len(paths)))
     return true, read, started, missed
 

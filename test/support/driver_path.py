@@ -39,12 +39,17 @@ class PathBed:
 
     @property
     def now(self):
-        """The sessions' clock [ns]: a little before the next frame of the test bed."""
-        return EPOCH + self.bed.now - 4 * MILLISECOND
+        """The sessions' clock [ns]: a little before the test bed's frame."""
+        return self.frame - 4 * MILLISECOND
+
+    @property
+    def frame(self):
+        """The same at the test bed's frame, whose state it shows."""
+        return EPOCH + self.bed.now
 
     def step(self):
         """One frame's time, 10 ms; the links' commands are sent at different times of a period."""
-        frame = EPOCH + self.bed.now
+        frame = self.frame
         for i, session in enumerate(self.sessions):
             beat, rest = divmod(self.bed.now // FRAME + 3 * i, BEAT // FRAME)
             if rest == 0 and beat % 2 == 0 and i in self.orders:

@@ -21,7 +21,9 @@ REPORTED = (
     *("boot", "sequence", "clock", "position", "velocity", "current"),
     *("torque", "torque_age", "mode", "flags", "status"),
 )
-SLOW_NAMES = tuple((int(s), s.name.lower()) for s in Slow if s is not Slow.TEMPERATURE)
+SLOW_NAMES = tuple(
+    (int(s), s.name.lower()) for s in Slow if s not in (Slow.TEMPERATURE, Slow.PATH)
+)
 LATCHED_WORDS = {
     State.STOPPED: "the link is stopped",
     State.WATCHDOG: "its watchdog tripped",
@@ -60,6 +62,7 @@ class SampleMessages:
             setattr(message, name, getattr(frame, name))
         for field, name in SLOW_NAMES:
             setattr(message, name, session.slow.get(field, 0) & 0xFFFFFFFF)
+        message.path = session.path
         message.temperature = session.slow.get(Slow.TEMPERATURE, 0)
         message.clock_deviation = session.deviation(now)
         message.round_trip = session.round_trip

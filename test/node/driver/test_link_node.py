@@ -234,6 +234,23 @@ def test_a_path_is_kept_by_the_link_and_told_of(bench):
     assert node.session.armed
 
 
+@pytest.mark.parametrize("bench", [{"rate": 5.0}], indirect=True)
+def test_commands_are_doubled_while_a_path_is_followed(bench, monkeypatch):
+    node, user, _, until = bench
+    arm(user, until)
+    sent = []
+    monkeypatch.setattr(node, "send", lambda: sent.append(node.session.follows))
+    for _ in range(4):
+        node.beat()
+    assert sent == 2 * [False]
+    order(user, mode=LinkCommand.PATH, path=3)
+    until(lambda: node.session.follows)
+    sent.clear()
+    for _ in range(4):
+        node.beat()
+    assert sent == 4 * [True]
+
+
 def test_a_path_that_breaks_off_and_one_that_is_refused_are_said_once(bench, monkeypatch):
     node, user, transport, until = bench
     said = []
@@ -256,6 +273,7 @@ def test_a_path_that_breaks_off_and_one_that_is_refused_are_said_once(bench, mon
         ask()
         until(lambda reason=reason: any(s.reason.startswith(reason) for s in user.status))
         assert {status.status for status in user.status} == {CommandStatus.REFUSED}
+    until(lambda: user.telemetry[-1].path == 3 << 16)  # so that the next can be newer
     assert [text[: len(words)] for text in said if "broke" in text] == [words]
     assert any("path refused: position is 2 rad" in text for text in said)
 

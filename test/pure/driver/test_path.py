@@ -336,12 +336,12 @@ def test_all_links_follow_their_path_and_it_is_reached():
     assert spread(bed) < 5.0
     bed.follow(1)
     off = []
-    while (t := (bed.now - begin) / SECOND) < 10.0:
+    while (t := (bed.frame - begin) / SECOND) < 10.0:
         if t >= 0.0:
             wanted = path_at(t, TIMES, POSITIONS, VELOCITIES)
             off += [abs(bed.reading(i) - wanted) for i in range(4)]
         bed.step()
-    assert max(off) < 0.02
+    assert max(off) < 0.003
     bed.until(bed.reached)
     assert all(session.armed and not session.breakage for session in bed.sessions)
     assert not any(bed.electronics(i).gate.refused for i in range(4))

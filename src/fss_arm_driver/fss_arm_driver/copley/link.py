@@ -18,6 +18,7 @@ from fss_arm_driver.protocol import (
 )
 from fss_arm_driver.protocol import Goal as Intent
 
+LEAD = 10_000  # half the time for which a velocity is set, and what it takes to set it [us]
 TAKEN = 1024  # commands remembered: as many as may come during one round of readings
 SLOW = {
     Slow.FAULTS: Variable.FAULTS,
@@ -90,7 +91,7 @@ class DriveLink:
     def _steer(self, position: int, clock: int, velocity: int) -> int | None:
         """Follow a path, if one is to be followed, from where the joint is."""
         follows = self.state.goal(clock) is Intent.FOLLOW
-        self._speed = self.state.velocity(clock, position, velocity) if follows else None
+        self._speed = self.state.velocity(clock, position, velocity, LEAD) if follows else None
         return self._speed
 
     def _telemetry(self, clock: int) -> bytes:

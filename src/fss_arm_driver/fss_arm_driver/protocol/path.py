@@ -70,8 +70,8 @@ class HeldPath:
         """Whether the first segment that is held has begun."""
         return bool(self._held) and clock >= self._held[min(self._held)].begin
 
-    def at(self, clock: int) -> tuple[float, float, bool] | None:
-        """Position [counts], velocity [counts/s], and whether the last knot is over.
+    def at(self, clock: int, lead: int = 0) -> tuple[float, float, bool] | None:
+        """Position [counts], velocity [counts/s] `lead` later, and whether the last knot is over.
 
         None where no segment has come. What is before `clock` is forgotten.
         """
@@ -84,7 +84,9 @@ class HeldPath:
                 del self._held[index]
                 continue
             self.first = index
-            return (*at(segment, min(clock, segment.end)), over)
+            position, _ = at(segment, min(clock, segment.end))
+            _, velocity = at(segment, min(clock + lead, segment.end))
+            return position, velocity, over
         return None
 
 
@@ -152,7 +154,7 @@ class PathFollower:
         self.following, self._followed = False, None
 
     def follow(
-        self, command: Command, clock: int, position: float, velocity: float
+        self, command: Command, clock: int, position: float, velocity: float, lead: int = 0
     ) -> float | None:
         """The velocity that the drive shall have [counts/s]; None: it shall hold.
 
@@ -161,6 +163,7 @@ class PathFollower:
             clock: now [us].
             position: of the joint [counts].
             velocity: of it [counts/s].
+            lead: the time until half of what is said is done [us].
         """
         number, fastest = command.set_point, VELOCITY_UNIT * command.velocity
         if self._next and number == self._next.number:
@@ -171,7 +174,7 @@ class PathFollower:
             self.leave()
         if self._followed is None:
             return None
-        point = self._followed.at(clock)
+        point = self._followed.at(clock, lead)
         off = point[0] - position if point else 0.0
         if point is None or abs(off) > REACH * fastest:
             self.leave()

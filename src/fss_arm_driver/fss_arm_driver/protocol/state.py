@@ -86,17 +86,18 @@ class LinkState:
         self.paths.leave()
         return Goal.OBEY if obeys else Goal.HOLD
 
-    def velocity(self, clock: int, position: float, velocity: float) -> int | None:
+    def velocity(self, clock: int, position: float, velocity: float, lead: int = 0) -> int | None:
         """What the drive's velocity shall be to follow a path [0.1 counts/s]; None: it holds.
 
         Args:
             clock: now.
             position: of the joint [counts].
             velocity: of the joint [0.1 counts/s].
+            lead: the time until half of what is said is done [us].
         """
         assert self.gate.command
         speed = VELOCITY_UNIT * velocity
-        wanted = self.paths.follow(self.gate.command, clock, position, speed)
+        wanted = self.paths.follow(self.gate.command, clock, position, speed, lead)
         return None if wanted is None else round(wanted / VELOCITY_UNIT)
 
     def _watch(self, clock: int) -> None:

@@ -99,7 +99,7 @@ class Paths:
     def __init__(self) -> None:
         self.followed: SentPath | None = None
         self.next: SentPath | None = None
-        self._last = 0  # number of the path followed last; 0: none
+        self.last = 0  # number of the path followed last; 0: none
 
     def find(self, number: int) -> SentPath | None:
         """The path of that number, if it is not over."""
@@ -110,8 +110,8 @@ class Paths:
 
     def check(self, number: int) -> None:
         """Raise CommandError if the path of that number is over."""
-        if self._last and not self.find(number) and not newer_path(number, self._last):
-            raise CommandError(f"path {number} is over: expected one newer than {self._last}")
+        if self.last and not self.find(number) and not newer_path(number, self.last):
+            raise CommandError(f"path {number} is over: expected one newer than {self.last}")
 
     def give(self, path: SentPath) -> None:
         """Take a path; it takes the place of the next one.
@@ -130,10 +130,10 @@ class Paths:
 
     def tick(self, ordered: int, clock: int) -> None:
         """Let time pass, the link being ordered to follow the path `ordered`; 0: none."""
-        if ordered != self._last and not (ordered and newer_path(ordered, self._last)):
+        if ordered != self.last and not (ordered and newer_path(ordered, self.last)):
             self.followed = None
         if self.next and ordered == self.next.number and clock >= self.next.begin:
-            self.followed, self.next, self._last = self.next, None, ordered
+            self.followed, self.next, self.last = self.next, None, ordered
 
     def follow(self, frame: Telemetry, echoed: int | None) -> None:
         """Learn from telemetry that echoes a command sent at `echoed` what the link has."""

@@ -135,6 +135,11 @@ class LinkSession:
         return bool(self._orders.path)
 
     @property
+    def path(self) -> int:
+        """What the link reports of its paths; if it holds none, the number of the last * 65536."""
+        return self.slow.get(Slow.PATH, 0) & 0xFFFFFFFF or self._paths.last << 16
+
+    @property
     def lost(self) -> bool:
         """Whether nothing believable has come for the timeout, or ever."""
         return self._reception.lost

@@ -28,6 +28,8 @@ from fss_sim.plant.plant import Demand, Motion
 MOTION_THRESHOLD = 1e-3  # a joint slower than this is at rest [rad/s]
 RELEASE_TIMEOUT = 3_000_000  # with a joint that does not come to rest and shall be released [us]
 
+LEAD = 5000  # half the time for which a demand stands [us]
+
 # The servo drive's status word.
 DISABLED, AT_HIGHEST, AT_LOWEST, IN_MOTION = 1 << 12, 1 << 16, 1 << 17, 1 << 27
 
@@ -86,7 +88,7 @@ class LinkElectronics(LinkState):
         if goal is not Goal.RELEASE:
             self._kept = clock
         if goal is Goal.FOLLOW and command:
-            speed = self.velocity(clock, *self._measured(motion))
+            speed = self.velocity(clock, *self._measured(motion), LEAD)
             turn = replace(command, mode=Mode.VELOCITY, set_point=speed or 0)
             self._demand = self._held() if speed is None else self._commanded(turn)
         elif goal is Goal.OBEY and command and not command.flags & Order.HOME:
