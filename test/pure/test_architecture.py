@@ -240,8 +240,9 @@ def test_mathematics_is_free_of_ros(module: str) -> None:
 
 @pytest.mark.parametrize("package", ["fss_arm_driver", "fss_arm_ros", "fss_arm_bags"])
 def test_driver_and_recorder_load_no_kernels(package: str) -> None:
+    """But the arm's node, for the guard."""
     loading = {m for m in MODULES if m.startswith(package) and "numba" in tops(reached(m))}
-    assert not loading
+    assert not {m for m in loading if not m.startswith("fss_arm_driver.arm")}
 
 
 def test_the_plot_library_is_imported_only_where_it_is_used() -> None:
