@@ -156,6 +156,7 @@ class LinkNode(Node):
         """Send at the steady rate; twice as often while a path is followed, if that is seldom."""
         self.beats += 1
         if self.beats >= self.usual or self.session.follows:
+            self.beats = 0
             self.send()
         else:
             self.answer()

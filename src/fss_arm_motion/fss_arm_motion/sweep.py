@@ -21,6 +21,7 @@ The base's heading is integrated along (Simpson); its place follows from the cen
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -106,12 +107,23 @@ def _locate(bodies, turned, com, heading, r):  # type: ignore[no-untyped-def]
     return away
 
 
-@helper
-def _world_speeds(arms, speed, own, h, w, alpha, N, inertia, moment, L, Psi, U):  # type: ignore[no-untyped-def]
-    """Write a bound on the speed of base, joints and tip in a window of length h.
+class Motion(NamedTuple):
+    """How the bodies move at a time, and what bounds it from then on, seen from the base."""
 
-    arms (3, m) has |S_k|, |T_k| and |T_k| / M.
-    """
+    w: Floats  # (m,) rates of the bodies
+    alpha: Floats  # (m,) the most that these change by in a second
+    N: Floats  # (m,) n_k
+    length: Floats  # (m,) from each pivot to the next
+    arms: Floats  # (3, m) |S_k|, |T_k| and |T_k| / M
+    speed: float  # of the centre of mass
+    own: float  # the least that I can be: the bodies' own inertias
+    chase: float  # speed of the target
+
+
+@helper
+def _world_speeds(motion, h, inertia, moment, L, Psi, U):  # type: ignore[no-untyped-def]
+    """Write a bound on the speed of base, joints and tip in a window of length h."""
+    w, alpha, N, arms = motion.w, motion.alpha, motion.N, motion.arms
     m = w.size
     less = change = 0.0  # that I may lose in the window; that sum n_k w_k may change by
     for k in range(m):
@@ -124,11 +136,11 @@ def _world_speeds(arms, speed, own, h, w, alpha, N, inertia, moment, L, Psi, U):
         less += swing
         change += swing * (abs(w[k]) + alpha[k] * h) + abs(N[k]) * alpha[k] * h
     spin = (L - moment) / inertia
-    least = max(inertia - less, own)
+    least = max(inertia - less, motion.own)
     drift = (change + abs(spin) * less) / least  # that psi'_0 may change by
     for k in range(m):
         Psi[k] = abs(spin + w[k]) + drift + alpha[k] * h
-    total = speed
+    total = motion.speed
     for k in range(m):
         total += arms[2, k] * Psi[k]
     U[0] = total
@@ -138,19 +150,55 @@ def _world_speeds(arms, speed, own, h, w, alpha, N, inertia, moment, L, Psi, U):
 
 
 @helper
-def _closing(i, j, h, w, alpha, length, U, chase):  # type: ignore[no-untyped-def]
+def _closing(i, j, h, motion, U):  # type: ignore[no-untyped-def]
     """A bound on how fast two bodies approach each other in a window of length h."""
+    w, alpha = motion.w, motion.alpha
     n = w.size - 1
     if j <= n:
         V = 0.0
         for m in range(i + 1, j + 1):
-            V += (abs(w[m] - w[i]) + (alpha[m] + alpha[i]) * h) * length[m]
+            V += (abs(w[m] - w[i]) + (alpha[m] + alpha[i]) * h) * motion.length[m]
         return V
     if j == n + EDGE:
         return U[i]
     if i == 0:
-        return U[0] + chase
-    return max(U[min(i, n)], U[min(i, n) + 1]) + chase
+        return U[0] + motion.chase
+    return max(U[min(i, n)], U[min(i, n) + 1]) + motion.chase
+
+
+@helper
+def _widest(motion, h):  # type: ignore[no-untyped-def]
+    """The window, h long at most, in which no body turns by more than about TURN."""
+    fastest = most = TINY
+    for k in range(1, motion.w.size):
+        fastest, most = max(fastest, abs(motion.w[k])), max(most, motion.alpha[k])
+    return min(h, TURN / fastest, math.sqrt(TURN / most))
+
+
+@helper
+def _safe_step(h, near, pairs, best, limit, motion, floats, inertia, moment, L, Psi, U):  # type: ignore[no-untyped-def]
+    """How far one may step in a window of length h, and the pair that allows no more, or -1.
+
+    Bounds on speeds are the lower, the shorter the window is. A gap that is below its margin is
+    looked at every LOOK.
+    """
+    step, first = h, -1
+    for _ in range(4):
+        if floats:
+            _world_speeds(motion, h, inertia, moment, L, Psi, U)
+        step, first = h, -1
+        for k in near:
+            V = _closing(int(pairs[k, 0]), int(pairs[k, 1]), h, motion, U)
+            if limit[k] < V * step:
+                holds = limit[k] / max(V, TINY)
+                if best[k] < pairs[k, 2]:
+                    step = min(step, max(holds, LOOK))
+                else:
+                    step, first = holds, k
+        if step >= 0.5 * h:
+            break
+        h = min(h, max(2.0 * step, SHORTEST))
+    return step, first
 
 
 @kernel("(p),(b),(k),(k,n),(k,n),(g,f),(s),(c),(o)->(o),(n)")
@@ -161,11 +209,10 @@ def _sweep(p, base, times, q, qd, pairs, sizes, target, _o, found, where):  # ty
     r = np.empty(n + 2, np.complex128)
     angle, rate = np.empty((2, n))
     w, alpha, N, Psi, length = np.zeros((5, n + 1))
-    arms = np.empty((3, n + 1))
-    U = np.zeros(n + 2)
+    arms, U = np.empty((3, n + 1)), np.zeros(n + 2)
     start, best, limit, top, due = np.empty((5, pairs.shape[0]))
     near = np.empty(pairs.shape[0], np.int64)
-    at, chase = complex(target[0], target[1]), abs(complex(target[2], target[3]))
+    at, chase = complex(target[0], target[1]), complex(target[2], target[3])
     own = 0.0
     for k in range(n + 1):
         length[k] = abs(bodies.arms[0, k] + _scaled(1.0 / bodies.mass, bodies.arms[1, k]))
@@ -174,47 +221,42 @@ def _sweep(p, base, times, q, qd, pairs, sizes, target, _o, found, where):  # ty
         arms[2, k] = arms[1, k] / bodies.mass
 
     _cubic(times, q, qd, 0, times[0], angle, rate)
+    _accelerations(times, q, qd, 0, alpha)
     inertia, moment = _arrange(bodies, angle, rate, turned, w, N)
-    heading = base[2] if floats else 0.0
-    com, velocity, L = 0j, 0j, 0.0
+    heading, com, velocity, L = 0.0, 0j, 0j, 0.0
     if floats:
+        heading = base[2]
         com = complex(base[0], base[1]) - _locate(bodies, turned, 0j, heading, r)
         if not math.isnan(base[3]):
             turn = complex(math.cos(heading), math.sin(heading))
             L, velocity = inertia * base[5] + moment, complex(base[3], base[4])
             for k in range(n + 1):
-                psi = (base[5] + w[k]) / bodies.mass
-                velocity += 1j * psi * turn * turned[2, k]
+                velocity += 1j * _scaled((base[5] + w[k]) / bodies.mass, turn * turned[2, k])
+    motion = Motion(w, alpha, N, length, arms, abs(velocity), own, abs(chase))
+
     t, segment, worst, contact = times[0], 0, np.inf, False
-    found[0], found[1], found[2], found[3] = 0.0, t, np.inf, -1.0
-    _accelerations(times, q, qd, 0, alpha)
     window, epoch = np.inf, t  # the length of a step's, and when all pairs are due again
     best[:] = -np.inf
+    found[0], found[1], found[2], found[3] = 0.0, t, np.inf, -1.0
     while True:
         _locate(bodies, turned, com + velocity * (t - times[0]), heading, r)
-        now = at + complex(target[2], target[3]) * (t - times[0])
+        now = at + chase * (t - times[0])
         ended = segment + 1 >= knots
         rest = 0.0 if ended else times[segment + 1] - t
-        h = rest
+        step = min(rest, max(LOOK, (times[knots - 1] - found[1]) / 500.0))
         if contact:  # look on for the least distance
             k = int(found[3])
             gap = _gap(int(pairs[k, 0]), int(pairs[k, 1]), r, now, sizes)
             if gap < found[2]:
                 found[2] = gap
                 where[:] = angle
-            h = min(rest, max(LOOK, (times[knots - 1] - found[1]) / 500.0))
         else:
             all_due = ended or t >= epoch
             if all_due:
                 epoch = t + min(rest, EPOCH)
                 if floats:
-                    _world_speeds(
-                        arms, abs(velocity), own, epoch - t, w, alpha, N, inertia, moment, L, Psi, U
-                    )
-            fastest = most = TINY
-            for k in range(1, n + 1):
-                fastest, most = max(fastest, abs(w[k])), max(most, alpha[k])
-            h = min(min(epoch - t, window), min(TURN / fastest, math.sqrt(TURN / most)))
+                    _world_speeds(motion, epoch - t, inertia, moment, L, Psi, U)
+            h = _widest(motion, min(epoch - t, window))
             active, first = 0, -1
             for k in range(pairs.shape[0]):
                 if not all_due and due[k] > t + h:
@@ -235,43 +277,24 @@ def _sweep(p, base, times, q, qd, pairs, sizes, target, _o, found, where):  # ty
                     if limit[k] < 0.0 or (ended and gap < start[k] - SAME):
                         first = k
                 if all_due:
-                    top[k] = _closing(a, b, epoch - t, w, alpha, length, U, chase)
+                    top[k] = _closing(a, b, epoch - t, motion, U)
                 due[k] = t + limit[k] / max(top[k], TINY)
                 if due[k] <= t + h:
                     near[active] = k
                     active += 1
-            step = widest = h
-            for _ in range(4 if first < 0 else 0):
-                if floats:
-                    _world_speeds(
-                        arms, abs(velocity), own, h, w, alpha, N, inertia, moment, L, Psi, U
-                    )
-                step, first = h, -1
-                for i in range(active):
-                    k = near[i]
-                    V = _closing(
-                        int(pairs[k, 0]), int(pairs[k, 1]), h, w, alpha, length, U, chase
-                    )  # fmt: skip
-                    if limit[k] < V * step:
-                        holds = limit[k] / max(V, TINY)
-                        if best[k] < pairs[k, 2]:
-                            step = min(step, max(holds, LOOK))
-                        else:
-                            step, first = holds, k
-                if step >= 0.5 * h:
-                    break
-                h = min(h, max(2.0 * step, SHORTEST))
-            window = 4.0 * (max(step, SHORTEST) if step < widest else window)
-            if first >= 0 and (ended or limit[first] < 0.0 or step < min(SHORTEST, rest)):
-                contact, k = True, first
-                found[0], found[1], found[3] = 1.0, t, k
-                found[2] = _gap(int(pairs[k, 0]), int(pairs[k, 1]), r, now, sizes)
-                where[:] = angle
+            refused, step = first >= 0, h
+            if not refused and not ended:
+                step, first = _safe_step(
+                    h, near[:active], pairs, best, limit, motion, floats, inertia, moment, L, Psi, U
+                )  # fmt: skip
+                refused = first >= 0 and step < min(SHORTEST, rest)
+                window = 4.0 * (max(step, SHORTEST) if step < h else window)
+            if refused:
+                contact = True
+                found[0], found[1], found[2], found[3] = 1.0, t, np.inf, first
                 continue
-            h = step
         if ended:
             break
-        step = h
         until = t + step if step < rest else times[segment + 1]
         spin = (L - moment) / inertia
         if floats:
@@ -285,7 +308,7 @@ def _sweep(p, base, times, q, qd, pairs, sizes, target, _o, found, where):  # ty
             heading += (until - t) / 6.0 * spin
         t = until
         if step >= rest:
-            segment += 1
+            segment, epoch = segment + 1, t
             if segment + 1 < knots:
                 _cubic(times, q, qd, segment, t, angle, rate)
                 _accelerations(times, q, qd, segment, alpha)

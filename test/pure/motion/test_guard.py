@@ -71,6 +71,27 @@ def test_no_contact_is_missed_and_hardly_any_is_seen_that_is_none(n, paths):
     assert found.nearly < 1e-4
 
 
+@pytest.mark.parametrize("paths", [100, pytest.param(5000, marks=pytest.mark.slow)])
+def test_what_grazes_a_margin_is_told_from_what_just_passes(paths):
+    """Margins are set to the least gap of each path, 0.1 mm more and 0.1 mm less."""
+    arm, rng, tried = paper_arm(), np.random.default_rng(7), 0
+    while tried < paths:
+        flight = replace(random_flight(arm, rng), target=None)
+        begin = min(row[0] for row in next(looks(flight, arm, BED)).values())
+        low = least(flight, arm, BED)
+        if not 0.0 < low < begin - 0.001:
+            continue
+        tried += 1
+        for by in (low - 1e-4, low + 1e-4):
+            s = replace(BED, margin=BED.margin + by, edge_margin=BED.edge_margin + by)
+            given = flight.times, flight.q, flight.qd, flight.base, flight.twist
+            if by < low:
+                Guard(arm, s).check_path(*given)
+            else:
+                with pytest.raises(GuardError):
+                    Guard(arm, s).check_path(*given)
+
+
 def test_it_names_bodies_joints_distance_and_margin():
     with pytest.raises(GuardError) as caught:
         Guard(paper_arm()).check_path([0.0, 5.0], [np.zeros(4), FOLDED], np.zeros((2, 4)))
