@@ -21,7 +21,7 @@ GIVE_WAY = 0.0005  # that another thread of Python may go on when a message has 
 AWAKE = 200_000_000  # [ns]; so often it sees that it shall end
 
 
-class _OutsideExecutors(CallbackGroup):
+class OutsideExecutors(CallbackGroup):
     """Of entities that no executor handles."""
 
     def can_execute(self, entity: Any) -> bool:
@@ -54,7 +54,7 @@ class Ear(Thread):
         self._context, self._kind, self._take = node.context, kind, take
         self._failed = node.create_guard_condition(self._raise)
         self._subscription = node.create_subscription(
-            kind, topic, take, qos, callback_group=_OutsideExecutors()
+            kind, topic, take, qos, callback_group=OutsideExecutors()
         )
         self._error: Exception | None = None
         self._closing = False
