@@ -12,6 +12,7 @@ from rclpy.action import ActionClient
 from rclpy.clock import ClockType
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from sensor_msgs.msg import JointState
 from std_msgs.msg import Empty, String
 from std_srvs.srv import SetBool
 from unique_identifier_msgs.msg import UUID
@@ -22,6 +23,7 @@ from fss_arm_driver.protocol import State
 from fss_arm_model.description import paper_arm, save
 from fss_arm_model.urdf import urdf
 from fss_arm_msgs.action import MoveArm
+from fss_arm_msgs.msg import LinkCommand
 from fss_arm_ros.qos import LATCHED
 
 
@@ -32,7 +34,7 @@ def overrides(**parameters):
 class Bench:
     """Two links, their nodes, the arm's node, and a user of it."""
 
-    def __init__(self, spin, file):
+    def __init__(self, spin, file, together=False):
         self.transports = [FakeTransport(i) for i in (1, 2)]
         links = overrides(rate=RATE, timeout=2.5, arm=str(file))
         self.links = [
@@ -40,7 +42,8 @@ class Bench:
             for i, transport in enumerate(self.transports, 1)
         ]
         arm = overrides(rate=RATE, arm=str(file), time_to_live=2.5, max_overrun=2.0)
-        self.arm = ArmNode(parameter_overrides=arm)
+        local = {i: link.on_command for i, link in enumerate(self.links, 1)} if together else None
+        self.arm = ArmNode(local=local, parameter_overrides=arm)
         self.user = Node("user")
         self.mover = ActionClient(self.user, MoveArm, "arm/move")
         self.armer = self.user.create_client(SetBool, "arm/enable")
@@ -79,10 +82,10 @@ class Bench:
 
 
 @pytest.fixture
-def bench(spin, tmp_path):
+def bench(spin, tmp_path, request):
     arm = paper_arm()
     save(replace(arm, links=arm.links[:2]), tmp_path / "arm.yaml")
-    bench = Bench(spin, tmp_path / "arm.yaml")
+    bench = Bench(spin, tmp_path / "arm.yaml", getattr(request, "param", False))
     yield bench
     if bench.mover:
         bench.mover.destroy()
@@ -281,3 +284,19 @@ def test_after_the_node_stood_still_nothing_old_moves_or_arms(bench):
     bench.until(lambda: not bench.arm.links.stood_still())
     assert bench.enable().success
     assert bench.move(0.1, 0.1).result.reached
+
+
+@pytest.mark.parametrize("bench", [True, False], indirect=True, ids=["together", "apart"])
+def test_moves_and_streams_reach_links_in_one_process_or_in_others(bench):
+    told = []
+    bench.user.create_subscription(LinkCommand, "link_1/command", told.append, 10)
+    bench.until(lambda: bench.arm.count_subscribers("link_1/command") == 2)
+    bench.enable()
+    assert bench.move(0.1, -0.1).result.reached
+    stream = bench.user.create_publisher(JointState, "arm/joint_commands", 1)
+    bench.until(stream.get_subscription_count)
+    stream.publish(JointState(name=["joint_2"], velocity=[0.2]))
+    bench.until(lambda: bench.transports[1].link.taken.mode == LinkCommand.VELOCITY)
+    assert bench.transports[0].link.taken.mode != LinkCommand.VELOCITY
+    together = bench.arm.links.commands[1] == bench.links[0].on_command
+    assert bool(told) != together

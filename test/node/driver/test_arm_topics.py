@@ -12,6 +12,7 @@ from control_msgs.action import FollowJointTrajectory
 from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Odometry
 from rclpy.duration import Duration
+from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
@@ -361,3 +362,15 @@ def test_a_path_ends_when_the_base_drifts_to_the_edge(bench):
     ended = bench.end(handle).result
     assert ended.error_string.startswith("table edge and ")
     bench.until(lambda: bench.links.last(1).mode == LinkCommand.VELOCITY)
+
+
+def test_one_process_hosts_the_arm_and_its_links(start, spin):
+    program = start(
+        "fss_arm_driver.driver_node", "--ros-args", "-p", "time_to_live:=2.0",
+        "-p", "urls:=['udp://127.0.0.1:9', 'udp://127.0.0.1:9', 'udp://127.0.0.1:9', "
+        "'udp://127.0.0.1:9']",
+    )  # fmt: skip
+    ears = Node("ears")
+    names = {"arm", "link_1", "link_2", "link_3", "link_4"}
+    spin(ears, lambda: names <= set(ears.get_node_names()), 60.0)
+    assert program.stop() == 0
