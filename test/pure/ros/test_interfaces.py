@@ -1,4 +1,4 @@
-"""Interfaces that the set-up builds where the wheels lack them: the distribution's, to the field."""
+"""Interfaces that the set-up builds where the wheels lack them: as the distribution has them."""
 
 import json
 from pathlib import Path
