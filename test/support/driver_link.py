@@ -91,7 +91,6 @@ class FakeLink:
         elif not armed:
             self.paths = PathFollower()
         way = self.target - self.position if self.speed and armed else 0
-        told = self.paths.report or self.paths.broken
         most = round(self.speed * 1e-9 * (now - self.measured))
         self.measured, turned = now, max(-most, min(way, most))
         self.position += turned
@@ -109,9 +108,9 @@ class FakeLink:
             velocity=round((self.speed if turned else self.turning) / VELOCITY_UNIT),
             status=IN_MOTION if turned or self.paths.following else 0,
             mode=Mode.POSITION if self.speed else Mode.OFF,
-            slow_id=Slow.PATH if told else SAMPLE.slow_id,
-            slow_value=self.paths.report if told else SAMPLE.slow_value,
         )
+        if self.paths.report or self.paths.broken:
+            changes = {"slow_id": Slow.PATH, "slow_value": self.paths.report, **changes}
         return encode(replace(self.frame, **changes), self.key)
 
 
