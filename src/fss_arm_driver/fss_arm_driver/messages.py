@@ -21,9 +21,7 @@ REPORTED = (
     *("boot", "sequence", "clock", "position", "velocity", "current"),
     *("torque", "torque_age", "mode", "flags", "status"),
 )
-SLOW_NAMES = tuple(
-    (int(s), s.name.lower()) for s in Slow if s not in (Slow.TEMPERATURE, Slow.PATH)
-)
+SLOW_NAMES = tuple((int(s), s.name.lower()) for s in Slow if s not in (Slow.TEMPERATURE, Slow.PATH))
 LATCHED_WORDS = {
     State.STOPPED: "the link is stopped",
     State.WATCHDOG: "its watchdog tripped",

@@ -138,6 +138,8 @@ def test_one_in_the_future_begins_when_it_says():
     times, q = wavy()
     request = Request(NOW + 5 * SECOND, times, q, np.full_like(q, np.nan))
     assert planned(ARM, request, NOW, at_rest()).begin == NOW + 5 * SECOND
+    with pytest.raises(TrajectoryError, match=r"begins 120.0 s ahead, expected at most 119"):
+        check_time(request, NOW - 115 * SECOND)
 
 
 def test_long_waits_are_divided_without_a_change():

@@ -13,8 +13,9 @@ from fss_arm_model.description import Arm
 Floats = npt.NDArray[np.float64]
 
 SECOND = 1_000_000_000  # [ns]
-MIN_SEGMENT, MAX_SEGMENT = 0.001, 60.0  # between knots, by the links' protocol [s]
+MIN_SEGMENT, MAX_SEGMENT = 0.002, 59.0  # between knots, as a LinkPath has them [s]
 MAX_SEGMENTS = 65_535
+MAX_AHEAD = 119.0  # that a path may begin, of the 120 s that a link allows [s]
 REACH = 0.25  # a link begins a path no further away than its drive covers in this time [s]
 OVERSHOOT = 1.1  # of the drive's velocity: a cubic through points that keep it may exceed it a bit
 
@@ -129,7 +130,10 @@ def _ns(time: Any) -> int:
 
 
 def check_time(request: Request, earliest: int) -> None:
-    """Raise TrajectoryError if a request ends before its path could begin [ns]."""
+    """Raise TrajectoryError if a request ends before its path could begin [ns], or begins late."""
+    if (ahead := (request.stamp - earliest) / SECOND) > MAX_AHEAD:
+        words = f"begins {ahead:.1f} s ahead, expected at most {MAX_AHEAD:.0f}"
+        raise TrajectoryError(Code.INVALID_GOAL, f"the trajectory {words}")
     if request.stamp and request.stamp + round(request.times[-1] * SECOND) <= earliest:
         raise TrajectoryError(Code.OLD_HEADER_TIMESTAMP, "the trajectory ends in the past")
 
