@@ -50,7 +50,7 @@ ALLOWED = {
     "fss_arm_workspace": ROS
     | {"fss_arm_model", "fss_arm_ros", "fss_arm_bags", "numpy", "scipy", "rich", "matplotlib"},
     "fss_arm_motion": ROS
-    | {"fss_arm_model", "fss_arm_ros", "numpy", "scipy", "rich", "matplotlib"},
+    | {"fss_arm_model", "fss_arm_ros", "numpy", "scipy", "yaml", "rich", "matplotlib"},
     "fss_gnc": ROS | {"fss_arm_model", "fss_arm_ros", "numpy"},
     "fss_arm_view": ROS
     | {"fss_arm_model", "fss_arm_ros", "fss_gnc.navigation", "fss_gnc.navigation.messages"}

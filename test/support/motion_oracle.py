@@ -130,6 +130,22 @@ def least(flight: Flight, arm: Arm, s: GuardSettings) -> float:
     return min((low for name, low in lows.items() if begun[name] >= 0.0), default=np.inf)
 
 
+def shrinks(flight: Flight, arm: Arm, s: GuardSettings) -> float:
+    """The most that a gap below its margin is less than it was before, to a millisecond [m].
+
+    Infinite where one ends smaller than it began, or had its margin and loses it.
+    """
+    begin, end = flight.times[[0, -1]]
+    marks, most = np.linspace(begin, end, int(1000.0 * (end - begin)) + 2), 0.0
+    for row in slacks(arm, s, flight, marks).values():
+        best = np.maximum.accumulate(row)
+        most = max(most, float(np.max(best - row, where=best < 0.0, initial=0.0)))
+        less = best[-1] < 0.0 and row[-1] < row[0] - 2e-6
+        if less or ((best >= 0.0) & (row < 0.0)).any():
+            return np.inf
+    return most
+
+
 def random_flight(arm: Arm, rng: np.random.Generator) -> Flight:
     """Two to five knots anywhere within the limits, and a base anywhere, with or without a target.
 
