@@ -1,12 +1,15 @@
-"""What the driver costs: from datagram to joint_states, beside a bare relay; share of a core.
+"""What the driver costs beside a bare relay: from datagram to topic and back; share of a core.
 
 The relay is an rclpy node that waits for its datagrams in the same way, copies one float out of
 each into a std_msgs/Float64, and does nothing else. Both run at once, as processes of their own,
-and get their datagrams in turn. Then one process drives four links at several rates.
+and get their datagrams in turn. Then arm/joint_commands is streamed: the arm's node and those of
+its links are one process, with and without the guard, or two. The relay of commands copies each
+position of a JointState into a datagram. At last one process drives four links at several rates.
 """
 
 import argparse
 import os
+import select
 import signal
 import socket
 import statistics
@@ -14,7 +17,7 @@ import struct
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from threading import Thread
@@ -25,8 +28,9 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
+from std_srvs.srv import SetBool
 
-from fss_arm_driver.protocol import Mode, Slow, State, Telemetry, encode
+from fss_arm_driver.protocol import Command, Mode, Order, Slow, State, Telemetry, decode, encode
 from fss_arm_driver.receiver import Receiver
 from fss_arm_driver.transport import UdpTransport
 from fss_arm_msgs.msg import LinkTelemetry
@@ -34,6 +38,10 @@ from fss_arm_ros.qos import SENSOR, sensor
 
 LIMIT = 1.3  # of the driver's latency to the relay's
 RATES = (5.0, 100.0, 500.0)
+STREAMS = (50.0, 200.0)
+JOINTS = ("joint_1", "joint_2", "joint_3", "joint_4")
+SO_TIMESTAMPNS = 35  # of Linux; Python has no name for it
+STEP = 2.618e-5  # of the positions streamed, so that each makes other counts [rad]
 TELEMETRY = tuple((LinkTelemetry, f"link_{i}/telemetry") for i in (1, 2, 3, 4))
 FRAME = Telemetry(
     link=1, flags=State.REFERENCED, boot=3, sequence=0, clock=0, echo=0, turnaround=0, position=0,
@@ -57,11 +65,27 @@ class RelayNode(Node):
             self.publisher.publish(Float64(data=struct.unpack("<d", data[:8])[0]))
 
 
+class CommandRelayNode(Node):
+    """Copies the positions of a JointState to a datagram each."""
+
+    def __init__(self, peers: list[int], ports: list[int]) -> None:
+        super().__init__("command_relay")
+        ends = zip(peers, ports, strict=True)
+        self.transports = [UdpTransport("127.0.0.1", peer, port) for peer, port in ends]
+        self.create_subscription(JointState, "relay/joint_commands", self.on_command, 1)
+
+    def on_command(self, message: JointState) -> None:
+        """Copy what has come."""
+        for transport, position in zip(self.transports, message.position, strict=True):
+            transport.send(struct.pack("<9d", *9 * [position]))
+
+
 class Peer:
     """The far end of a UDP transport."""
 
     def __init__(self) -> None:
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.socket.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
         self.socket.bind(("127.0.0.1", 0))
         self.port: int = self.socket.getsockname()[1]
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
@@ -73,6 +97,12 @@ class Peer:
         """As the driver has it."""
         return f"udp://127.0.0.1:{self.port}?bind={self.home}"
 
+    def receive(self) -> tuple[bytes, float]:
+        """A datagram, and when the kernel had it, by the time of day [s]."""
+        data, ((_, _, stamp),), *_ = self.socket.recvmsg(100, 100)
+        seconds, nanoseconds = struct.unpack("qq", stamp)
+        return data, seconds + 1e-9 * nanoseconds
+
     def send(self, data: bytes) -> None:
         """Send to the driver's side."""
         self.socket.sendto(data, ("127.0.0.1", self.home))
@@ -83,7 +113,22 @@ class FakeLink(Peer):
 
     def __init__(self, number: int = 1) -> None:
         super().__init__()
-        self.frame = replace(FRAME, link=number)
+        self.frame, self.arrival = replace(FRAME, link=number), 0.0
+
+    def answer(self, data: bytes) -> int:
+        """Take a command; return its set point [counts]."""
+        command = decode(data)
+        assert isinstance(command, Command)
+        arms = State.ARMED if command.flags & Order.ARM else 0
+        self.frame = replace(self.frame, echo=command.clock & 0xFFFFFFFF, flags=FRAME.flags | arms)
+        self.arrival = time.monotonic()
+        return command.set_point
+
+    def report(self) -> None:
+        """Send telemetry, as at the link's steady rate."""
+        turnaround = round(1e6 * (time.monotonic() - self.arrival)) if self.frame.echo else 0
+        self.frame = replace(self.frame, turnaround=turnaround)
+        self.send(self.measure())
 
     def measure(self, at: float | None = None) -> bytes:
         """The frame measured at a time [s], now by default."""
@@ -97,8 +142,8 @@ def start(*code_and_arguments: str) -> subprocess.Popen[bytes]:
     return subprocess.Popen([sys.executable, "-c", *code_and_arguments])
 
 
-def start_driver(*parameters: str) -> subprocess.Popen[bytes]:
-    code = "import sys; from fss_arm_driver.link_node import main; sys.exit(main())"
+def start_driver(*parameters: str, kind: str = "link") -> subprocess.Popen[bytes]:
+    code = f"import sys; from fss_arm_driver.{kind}_node import main; sys.exit(main())"
     given = [word for parameter in parameters for word in ("-p", parameter)]
     return start(code, "--ros-args", *given)
 
@@ -149,6 +194,96 @@ def latencies(samples: int, rate: float) -> tuple[list[float], list[float]]:
             process.wait()
         node.destroy_node()
     return results["joint_states"], results["relayed"]
+
+
+class Bench:
+    """Four links, their drivers, the arm's node and the relay; all that the stream's user sees."""
+
+    def __init__(self, rate: float, together: bool, guard: bool) -> None:
+        self.links, self.peers = [FakeLink(i) for i in (1, 2, 3, 4)], [Peer() for _ in JOINTS]
+        urls = ", ".join(f"'{link.url}'" for link in self.links)
+        far, home = [p.port for p in self.peers], [p.home for p in self.peers]
+        code = f"from bench_driver import relay_commands; relay_commands({far}, {home})"
+        links = [f"urls:=[{urls}]", f"max_rate:={2.0 * rate}", "timeout:=3.0"]
+        arm = ["time_to_live:=3.0", f"guard:={str(guard).lower()}"]
+        parameters = {"driver": [*links, *arm]} if together else {"link": links, "arm": arm}
+        self.processes = [
+            *(start_driver(*given, kind=kind) for kind, given in parameters.items()),
+            start(code),
+        ]
+        self.node = Node("bench_driver")
+        self.publishers = {
+            name: self.node.create_publisher(JointState, f"{name}/joint_commands", 1)
+            for name in ("arm", "relay")
+        }
+        self.told, self.reported = 0, 0.0
+
+    def arm(self) -> None:
+        """Wait until all links are armed."""
+        client = self.node.create_client(SetBool, "arm/enable")
+        deadline, answer = time.monotonic() + 60.0, None
+        while not (answer and answer.done() and answer.result().success):
+            if time.monotonic() > deadline:
+                raise RuntimeError(f"not armed: {answer and answer.result()}")
+            if client.service_is_ready() and (answer is None or answer.done()):
+                answer = client.call_async(SetBool.Request(data=True))
+            self.wait(0.005)
+            rclpy.spin_once(self.node, timeout_sec=0.0)
+
+    def wait(self, seconds: float, wanted: Sequence[Peer] = ()) -> list[float]:
+        """Let links answer for that long, or until all wanted datagrams came; when those did."""
+        end, came, rest = time.perf_counter() + seconds, [], list(wanted)
+        while (left := end - time.perf_counter()) > 0.0 and (rest or not wanted):
+            if time.monotonic() > self.reported + 0.2:
+                self.reported = time.monotonic()
+                for link in self.links:
+                    link.report()
+            sockets = {peer.socket: peer for peer in (*self.links, *self.peers)}
+            for ready in select.select(list(sockets), [], [], min(left, 0.05))[0]:
+                peer = sockets[ready]
+                data, at = peer.receive()
+                value = peer.answer(data) if isinstance(peer, FakeLink) else self.told
+                if peer in rest and value == self.told:
+                    rest.remove(peer)
+                    came.append(at)
+        return came
+
+    def once(self, name: str) -> list[float]:
+        """The latencies [s] of a command's datagrams; infinite where none came."""
+        self.told = self.told % 1000 + 1
+        message = JointState(name=JOINTS, position=4 * [self.told * STEP])
+        message.header.stamp = self.node.get_clock().now().to_msg()
+        begun = time.time()
+        self.publishers[name].publish(message)
+        came = self.wait(0.5, self.links if name == "arm" else self.peers)
+        return [at - begun for at in came] + (4 - len(came)) * [float("inf")]
+
+    def close(self) -> None:
+        """End all."""
+        for process in self.processes:
+            process.send_signal(signal.SIGINT)
+            process.wait()
+        self.node.destroy_node()
+
+
+def streaming(
+    rate: float, samples: int, together: bool, guard: bool = False
+) -> tuple[list[float], list[float]]:
+    """Latencies of the arm's stream and of the relay [s], each told at that rate, in turn."""
+    bench = Bench(rate, together, guard)
+    found: dict[str, list[float]] = {"arm": [], "relay": []}
+    try:
+        bench.arm()
+        for count in range(-20, samples):
+            for name, latencies in found.items():
+                due = time.perf_counter() + 0.5 / rate
+                came = bench.once(name)
+                if count >= 0:
+                    latencies += came
+                bench.wait(due - time.perf_counter())
+    finally:
+        bench.close()
+    return found["arm"], found["relay"]
 
 
 def share(rate: float, seconds: float) -> tuple[float, float]:
@@ -205,6 +340,28 @@ def relay(peer: int, port: int) -> None:
         rclpy.spin(RelayNode(peer, port))
 
 
+def relay_commands(peers: list[int], ports: list[int]) -> None:
+    """Run the relay of commands."""
+    rclpy.init()
+    with suppress(KeyboardInterrupt, ExternalShutdownException):
+        rclpy.spin(CommandRelayNode(peers, ports))
+
+
+def compare(what: str, driver: list[float], bare: list[float]) -> bool:
+    """Print both, and whether the driver keeps to the limit."""
+    good = True
+    for name, quantile in (("p50", 50), ("p99", 99)):
+        ours, peer = (
+            1e6 * statistics.quantiles(times, n=100)[quantile - 1] for times in (driver, bare)
+        )
+        good &= ours <= LIMIT * peer
+        print(
+            f"{what}, {name}: driver {ours:7.0f} us, bare relay {peer:7.0f} us, "
+            f"ratio {ours / peer:.2f}"
+        )
+    return good
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--samples", type=int, default=2000)
@@ -213,14 +370,13 @@ def main() -> int:
     given = parser.parse_args()
     os.chdir(os.path.dirname(os.path.abspath(__file__)))
     rclpy.init()
-    driver, bare = latencies(given.samples, given.rate)
-    good = True
-    for name, quantile in (("p50", 50), ("p99", 99)):
-        ours, peer = (
-            1e6 * statistics.quantiles(times, n=100)[quantile - 1] for times in (driver, bare)
-        )
-        good &= ours <= LIMIT * peer
-        print(f"{name}: driver {ours:7.0f} us, bare relay {peer:7.0f} us, ratio {ours / peer:.2f}")
+    good = compare("datagram to topic", *latencies(given.samples, given.rate))
+    for together, guard in ((True, False), (True, True), (False, False)):
+        how = ("one process" if together else "two processes") + (", guarded" if guard else "")
+        for rate in STREAMS:
+            found = streaming(rate, given.samples // 4, together, guard)
+            kept = compare(f"{how}: stream at {rate:g} Hz to datagram", *found)
+            good &= kept or not together or guard
     for rate in RATES:
         core, published = share(rate, given.seconds)
         print(

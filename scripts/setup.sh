@@ -112,7 +112,8 @@ look_for_needs() {
     missing+=("Python 3.11 or 3.12") packages+=(python3-dev python3-venv)
   fi
   [[ $ros == jazzy ]] || return 0
-  for name in ament_cmake rosidl_default_generators common_interfaces tf2_msgs; do
+  for name in ament_cmake rosidl_default_generators common_interfaces control_msgs \
+    tf2_msgs; do
     ament_has "$name" || { missing+=("$name") packages+=("ros-jazzy-${name//_/-}"); }
   done
 }
@@ -191,18 +192,21 @@ END
   done
 }
 
-# The wheels lack tf2_msgs; its one message that is needed goes into .venv beside them.
-add_tf2_msgs() (
+# The wheels lack some interface packages; what is needed of them goes into .venv beside them.
+add_interfaces() (
   # shellcheck disable=SC2030,SC2031  # meant for the subshell alone
   export PATH=$venv/bin:$PATH VIRTUAL_ENV=$venv AMENT_PREFIX_PATH=$venv CMAKE_PREFIX_PATH=$venv
   build=$(mktemp -d)
   trap 'rm -rf "$build"' EXIT
-  if ! { cmake -S "$root/scripts/tf2_msgs" -B "$build" -DCMAKE_INSTALL_PREFIX="$venv" \
-    -DBUILD_TESTING=OFF && cmake --build "$build" -j "$(nproc)" --target install; } >"$log" 2>&1
-  then
-    tail -n 25 "$log" >&2
-    die "tf2_msgs could not be built"
-  fi
+  for package in "$root"/scripts/interfaces/*_msgs; do
+    name=${package##*/}
+    if ! { cmake -S "$package" -B "$build/$name" -DCMAKE_INSTALL_PREFIX="$venv" \
+      -DBUILD_TESTING=OFF && cmake --build "$build/$name" -j "$(nproc)" --target install; } >"$log" 2>&1
+    then
+      tail -n 25 "$log" >&2
+      die "$name could not be built"
+    fi
+  done
 )
 
 make_venv() {
@@ -233,7 +237,7 @@ add_packages() {
   [[ -e $warm ]] || beside compile_kernels
   [[ -z $dev ]] || beside pip -r "$requirements-dev.txt"
   pip -r "$requirements.txt"
-  [[ $ros == jazzy ]] || { repair_wheels; beside add_tf2_msgs; }
+  [[ $ros == jazzy ]] || { repair_wheels; beside add_interfaces; }
 }
 
 # --- the build -----------------------------------------------------------------------------------
@@ -287,7 +291,7 @@ choose_ros
 requirements=$root/scripts/requirements
 [[ $ros == wheels ]] || requirements+=-jazzy
 kind="$ros $root"
-pins=$(digest "$requirements.txt")
+pins=$(digest "$requirements.txt" "$root"/scripts/interfaces/{*.cmake,*/CMakeLists.txt,*/*/*})
 dev_pins=$(digest "$requirements-dev.txt")
 
 if ! current "$venv/.stamp" "$kind" || ! "$venv/bin/python" -c '' 2>/dev/null; then

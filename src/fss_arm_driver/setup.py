@@ -19,7 +19,9 @@ setup(
         "console_scripts": [
             "link = fss_arm_driver.link_node:main",
             "arm = fss_arm_driver.arm_node:main",
+            "driver = fss_arm_driver.driver_node:main",
             "check = fss_arm_driver.check:main",
+            "urdf = fss_arm_driver.urdf_command:main",
         ],
     },
 )

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 
 from fss_arm_calib.outcome import Datum, Outcome
@@ -9,7 +10,9 @@ from fss_arm_calib.report import Report, Table
 from fss_arm_calib.report_tables import table_report
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_calib.settings import CalibrationSettings
-from fss_arm_model.description import Arm
+from fss_arm_model.description import Arm, from_yaml
+from fss_arm_model.files import write_text
+from fss_arm_model.urdf import urdf
 
 D = TypeVar("D", bound=Datum)
 C = TypeVar("C", bound=CalibrationSettings)
@@ -72,6 +75,7 @@ class Calibration(Generic[D, C]):
     report: Callable[[Outcome[D, Any], Arm | None], Report] = table_report
     output: Callable[[Outcome[D, Any]], str] = lambda outcome: outcome.description
     written: str = "calibrated description"  # what `output` is
+    has_urdf: bool = True  # `output` is a description, and its URDF goes beside it
     stale: Callable[[Outcome[D, Any], Streams], str] = lambda *_: ""  # why a result holds no more
     health: Callable[[Any], Mapping[str, object]] = field(default=lambda _: {})  # of the finder
     lacks: Mapping[str, str] = field(default_factory=dict)  # what it cannot have, and why
@@ -89,6 +93,16 @@ class Calibration(Generic[D, C]):
         rows = list(self.lacks.items())
         table = Table("What it does not have", ["", "reason"], rows, words=2)
         return replace(report, details=[*report.details, table])
+
+    def write(self, path: str, outcome: Outcome[D, Any]) -> None:
+        """Write what has passed.
+
+        Raises:
+            OSError: it cannot be written.
+        """
+        write_text(path, self.output(outcome))
+        if self.has_urdf:
+            write_text(Path(path).with_suffix(".urdf"), urdf(from_yaml(outcome.description)))
 
     @property
     def topic(self) -> str:

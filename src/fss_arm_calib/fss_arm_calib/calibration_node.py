@@ -18,7 +18,6 @@ from fss_arm_calib.report import write
 from fss_arm_calib.segments.streams import Streams, newest
 from fss_arm_calib.state import Flags, StateError, Writes, restore, save
 from fss_arm_model.description import described
-from fss_arm_model.files import write_text
 from fss_arm_model.settings import Settings, setting
 from fss_arm_ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
 from fss_arm_ros.memory import give_back
@@ -145,7 +144,7 @@ class CalibrationNode(Node):
         self.found.publish(kind.data.to_message(self.data, self.frame))
         self.result.publish(kind.to_message(self.outcome, self.frame))
         if s.output and self.outcome.verdict == PASS:
-            self.writes(lambda: write_text(s.output, kind.output(self.outcome)))
+            self.writes(lambda: kind.write(s.output, self.outcome))
 
     def save(self) -> None:
         """Keep data and flags for a run after this one."""

@@ -20,7 +20,6 @@ from fss_arm_calib.outcome import Datum, Outcome
 from fss_arm_calib.segments.streams import newest
 from fss_arm_calib.settings import CalibrationSettings
 from fss_arm_model.description import described, load
-from fss_arm_model.files import write_text
 from fss_arm_model.settings import meaning
 from fss_arm_ros.command_line import USER_ERROR, Parser
 from fss_arm_ros.convert import SECOND
@@ -126,9 +125,11 @@ def add_settings(
         if isinstance(f.default, bool):
             p.add_argument(flag, action=BooleanOptionalAction, default=f.default, help=about)
             continue
+        several = f.default if isinstance(f.default, tuple) else ()
         p.add_argument(
             flag,
-            type=type(f.default),
+            type=type(several[0] if several else f.default),
+            nargs=len(several) or None,
             default=f.default,
             metavar=f.name.split("_")[-1].upper(),
             help=f"{about} (default: {'none' if f.default == '' else f.default})".replace(
@@ -156,7 +157,7 @@ def calibrated(
         page = report.write(options.report, found)
         console.print(f"report written to {page}", soft_wrap=True)
     if options.output and outcome.verdict == PASS:
-        write_text(options.output, kind.output(outcome))
+        kind.write(options.output, outcome)
         console.print(f"{kind.written} written to {options.output}", soft_wrap=True)
     elif options.output:
         reason = f"as the verdict is {outcome.verdict}"

@@ -83,6 +83,9 @@ FAULTS = (
 )
 
 
+_BLOCKING = sum(1 << f.bit for f in FAULTS if f.word is Word.STATUS and f.blocks)  # of the status
+
+
 def present(status: int, faults: int) -> list[Fault]:
     """The entries of the table that are set in the drive's two words."""
     words = {Word.STATUS: status, Word.FAULTS: faults}
@@ -91,6 +94,8 @@ def present(status: int, faults: int) -> list[Fault]:
 
 def blocking(status: int, faults: int) -> list[str]:
     """Names of what forbids motion, each once, the cause before the bit that says there is one."""
+    if not (status & _BLOCKING or faults):
+        return []
     names = [fault.name for fault in present(status, faults) if fault.blocks]
     known = {fault.bit for fault in FAULTS if fault.word is Word.FAULTS}
     names += [f"latched fault {bit}" for bit in range(32) if faults >> bit & 1 and bit not in known]

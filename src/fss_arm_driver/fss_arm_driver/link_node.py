@@ -1,11 +1,12 @@
 """The node of one link: its telemetry to topics, commands to its electronics.
 
-A thread takes the link's datagrams and publishes what they say; all else happens in the executor.
-What both touch is the session, under a lock.
+A thread takes the link's datagrams and publishes what they say, another takes commands and sends
+them; all else happens in the executor. What they share is the session, under a lock.
 """
 
 import os
 import sys
+from collections import deque
 from threading import RLock
 from typing import Any
 
@@ -13,7 +14,7 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.task import Future
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import BatteryState, JointState
 from std_msgs.msg import Empty
 from std_srvs.srv import SetBool, Trigger
 
@@ -25,6 +26,8 @@ from fss_arm_driver.messages import (
     command_status,
     state_words,
 )
+from fss_arm_driver.pacer import Pacer
+from fss_arm_driver.protocol import Slow
 from fss_arm_driver.receiver import Receiver
 from fss_arm_driver.scale import CommandError
 from fss_arm_driver.session import Arming, LinkSession, Progress
@@ -33,6 +36,7 @@ from fss_arm_driver.transport import Transport, open_transport
 from fss_arm_msgs.msg import CommandStatus, LinkCommand, LinkPath, LinkTelemetry
 from fss_arm_ros.convert import SECOND, stamp_ns
 from fss_arm_ros.diagnostics import Diagnostics, Health
+from fss_arm_ros.ear import Ear
 from fss_arm_ros.pace import pace
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import COMMAND, SENSOR
@@ -50,6 +54,7 @@ class LinkNode(Node):
         url: where its electronics are.
         transport: instead of `url`.
         clock: the computer's, but for tests.
+        kind: LinkSettings, or more than these.
     """
 
     def __init__(
@@ -58,13 +63,14 @@ class LinkNode(Node):
         url: str = "",
         transport: Transport | None = None,
         clock: HostClock | None = None,
+        kind: type[LinkSettings] = LinkSettings,
         **options: Any,
     ) -> None:
         overrides = [Parameter("link", value=number), *options.pop("parameter_overrides", ())]
         if url:
             overrides.append(Parameter("url", value=url))
         super().__init__(f"link_{number}", parameter_overrides=overrides, **options)
-        self.settings = settings = declare(self, LinkSettings)
+        self.settings = settings = declare(self, kind)
         simulated = self.get_parameter("use_sim_time").value
         if simulated:
             clock = HostClock(self.simulated_now, self.simulated_now)
@@ -72,7 +78,7 @@ class LinkNode(Node):
         self.now = self.clock.now
         self.session = LinkSession(
             number,
-            settings.description(),
+            settings.link_description(),
             settings.timeout,
             settings.watchdog,
             SIMULATED_STEP if simulated else 0.0,
@@ -86,6 +92,7 @@ class LinkNode(Node):
         self.reported: tuple[Any, ...] = ()  # of the last command
         self.given = 0, 0  # when that was given: by the session, and by the time of day then
         self.waiting: list[Future] = []
+        self.replaced: deque[Progress] = deque()  # by others, whose end is yet to be reported
         self.beats, self.usual = 0, 2 if settings.rate < PATH_RATE else 1  # beats to a command
         if settings.is_exposed():
             self.get_logger().warning(
@@ -95,20 +102,23 @@ class LinkNode(Node):
 
         self.joint_states = self.create_publisher(JointState, "joint_states", SENSOR)
         self.telemetry = self.create_publisher(LinkTelemetry, f"{self.name}/telemetry", SENSOR)
+        self.battery = self.create_publisher(BatteryState, f"{self.name}/battery", SENSOR)
         self.status = self.create_publisher(CommandStatus, f"{self.name}/command_status", SENSOR)
-        self.create_subscription(LinkCommand, f"{self.name}/command", self.on_command, COMMAND)
         self.create_subscription(LinkPath, f"{self.name}/path", self.on_path, 10)
         self.create_subscription(Empty, "arm/stop", self.on_stop, 10)
         group = ReentrantCallbackGroup()  # the answer waits for the link's; all else goes on
         self.create_service(SetBool, f"{self.name}/arm", self.on_arm, callback_group=group)
         self.create_service(Trigger, f"{self.name}/clear_faults", self.on_clear_faults)
+        self.pacer, clock = Pacer(settings.max_rate), pace(self)
         period = 1.0 / settings.rate / self.usual
-        self.create_timer(period, self.beat, clock=pace(self))
+        self.steady = self.create_timer(period, self.beat, clock=clock)
+        self.late = self.create_timer(period, self.send, clock=clock, autostart=False)
         self.messages = SampleMessages(self.session)
         self.link_health = LinkHealth(self.session, self.transport, bool(settings.keys))
         self.diagnostics = Diagnostics(self, self.health, settings.url)
         self.news = self.create_guard_condition(self.answer)
         self.receiver = Receiver(self.transport, self.poll, self.news)
+        self.ear = Ear(self, LinkCommand, f"{self.name}/command", COMMAND, self.on_command)
 
     def simulated_now(self) -> int:
         """The time of /clock [ns]; 0 before its first message."""
@@ -139,18 +149,21 @@ class LinkNode(Node):
             os.sched_yield()  # on a busy processor, to who waits for it: the rest is not urgent
         self.session.follow(sample)
         self.telemetry.publish(self.messages.telemetry(sample, now))
+        if sample.frame.slow_id == Slow.BATTERY:
+            self.battery.publish(self.messages.battery(sample))
 
     def beat(self) -> None:
         """Send at the steady rate; twice as often while a path is followed, if that is seldom."""
         self.beats += 1
-        if self.beats % self.usual == 0 or self.session.follows:
+        if self.beats >= self.usual or self.session.follows:
+            self.beats = 0
             self.send()
+        else:
+            self.answer()
 
     def send(self) -> None:
-        """Send the command of the moment."""
-        with self.lock:
-            self.transport.send(self.session.command(now := self.now()))
-            self.send_path(now)
+        """Send the command of the moment, and say what has become of earlier ones."""
+        self.transmit()
         self.answer()
         session, trouble = self.session, self.transport.trouble
         self.warn("trouble", trouble and f"{self.settings.url}: {trouble}")
@@ -160,34 +173,60 @@ class LinkNode(Node):
             self.warn("strain", session.strain)
         self.warn("standstill", session.standstill and f"{session.standstill}: disarmed")
 
+    def transmit(self) -> None:
+        """Send the command of the moment."""
+        with self.lock:
+            self.transport.send(self.session.command(now := self.now()))
+            self.pacer.sent(now)
+            self.send_path(now)
+            self.beats = 0
+            self.steady.reset()
+            self.late.cancel()
+
     def send_path(self, now: int) -> None:
         """Send what the link lacks of its paths."""
         for data in self.session.segments(now):
             self.transport.send(data)
 
     def on_command(self, message: LinkCommand) -> None:
-        """Take a command, from the time that its stamp says it was given."""
+        """Take a command, from the time that its stamp says it was given, and pass it on.
+
+        In a thread of its own: what has become of it is said by the executor, soon enough.
+        """
         with self.lock:
             now, before, ahead = self.now(), self.session.progress, self.clock.ahead
             given = stamp_ns(message.header.stamp)
             given = min(given - ahead, now) if given else now
             try:
-                if not 0.0 < (lives := message.time_to_live) <= 3600.0:
-                    raise CommandError(f"time_to_live is {lives} s, expected above 0")
-                follows = message.mode == LinkCommand.PATH
-                self.session.set(
-                    message.mode,
-                    message.path if follows else message.set_point,
-                    message.max_velocity,
-                    message.max_acceleration,
-                    given + round(lives * SECOND),
-                    now,
-                )
+                self.take(message, given, now)
+                self.pass_on(now)
             except CommandError as error:
                 self.refuse("command", error, given)
             if before and before is not self.session.progress:
-                self.report(before)  # another command took its place
-        self.answer()
+                self.replaced.append(before)
+
+    def take(self, message: LinkCommand, given: int, now: int) -> None:
+        """Have the session take a command given then, or raise CommandError."""
+        if not 0.0 < (lives := message.time_to_live) <= 3600.0:
+            raise CommandError(f"time_to_live is {lives} s, expected above 0")
+        follows = message.mode == LinkCommand.PATH
+        self.session.set(
+            message.mode,
+            message.path if follows else message.set_point,
+            message.max_velocity,
+            message.max_acceleration,
+            given + round(lives * SECOND),
+            now,
+        )
+
+    def pass_on(self, now: int) -> None:
+        """Send what was taken: at once, or as soon as the highest rate allows."""
+        if wait := self.pacer.wait(now):
+            self.late.timer_period_ns = wait
+            self.late.reset()
+            self.news.trigger()  # the executor shall know
+        else:
+            self.transmit()
 
     def on_path(self, message: LinkPath) -> None:
         """Take a path, and send its beginning to the link."""
@@ -265,6 +304,8 @@ class LinkNode(Node):
         if self.receiver.error and self.context.ok():
             raise self.receiver.error
         with self.lock:
+            while self.replaced:
+                self.report(self.replaced.popleft())
             if self.session.progress:
                 self.report(self.session.progress)
         while self.waiting and self.session.settled:
@@ -283,20 +324,21 @@ class LinkNode(Node):
 
     def close(self) -> None:
         """Give the port back."""
+        self.ear.close()
         self.receiver.close()
         self.transport.close()
 
 
-def make_nodes() -> list[LinkNode]:
+def make_nodes(kind: type[LinkSettings] = LinkSettings) -> list[LinkNode]:
     """The nodes that the parameters ask for: one link, or all of `urls`."""
     probe = Node("link", enable_rosout=False, start_parameter_services=False)
     try:
-        settings = declare(probe, LinkSettings)
+        settings = declare(probe, kind)
     finally:
         probe.destroy_node()
     if not settings.urls:
-        return [LinkNode(settings.link, settings.url)]
-    return [LinkNode(number, url) for number, url in enumerate(settings.urls, 1)]
+        return [LinkNode(settings.link, settings.url, kind=kind)]
+    return [LinkNode(number, url, kind=kind) for number, url in enumerate(settings.urls, 1)]
 
 
 def main() -> int:

@@ -4,7 +4,7 @@ from math import nan
 from typing import Any
 
 from builtin_interfaces.msg import Time
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import BatteryState, JointState
 
 from fss_arm_driver.faults import present
 from fss_arm_driver.protocol import NO_TORQUE, Slow, State
@@ -21,9 +21,7 @@ REPORTED = (
     *("boot", "sequence", "clock", "position", "velocity", "current"),
     *("torque", "torque_age", "mode", "flags", "status"),
 )
-SLOW_NAMES = tuple(
-    (int(s), s.name.lower()) for s in Slow if s not in (Slow.TEMPERATURE, Slow.PATH)
-)
+SLOW_NAMES = tuple((int(s), s.name.lower()) for s in Slow if s not in (Slow.TEMPERATURE, Slow.PATH))
 LATCHED_WORDS = {
     State.STOPPED: "the link is stopped",
     State.WATCHDOG: "its watchdog tripped",
@@ -69,6 +67,17 @@ class SampleMessages:
         message.armed = session.armed
         has_torque = frame.torque_age < NO_TORQUE
         _set(message.torque_stamp, (sample.stamp - frame.torque_age * MILLISECOND) * has_torque)
+        return message
+
+    def battery(self, sample: Sample) -> BatteryState:
+        """The link's battery, of which only the voltage is known."""
+        message = BatteryState(
+            voltage=self.session.battery.voltage, temperature=nan, current=nan, charge=nan,
+            capacity=nan, design_capacity=nan, percentage=nan, present=True,
+            location=self._telemetry.header.frame_id,
+        )  # fmt: skip
+        _set(message.header.stamp, sample.stamp)
+        message.header.frame_id = message.location
         return message
 
 

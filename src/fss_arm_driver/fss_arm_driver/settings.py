@@ -6,6 +6,7 @@ from urllib.parse import urlsplit
 from fss_arm_driver.protocol import load_keys
 from fss_arm_model.description import Arm, Link, described
 from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, Settings, between, setting
+from fss_arm_motion.guard_settings import GuardSettings
 
 
 @dataclass(frozen=True)
@@ -18,8 +19,13 @@ class LinkSettings(Settings):
         (), "instead of url: where links 1, 2, ... are, to host all in one process"
     )
     rate: float = setting(
-        5.0, "rate of the commands; below 10, twice that while a path is followed", unit="1/s",
+        5.0, "rate of commands that are not new; below 10, twice that while a path is followed",
+        unit="1/s",
         check=between(0.1, 1000.0),
+    )  # fmt: skip
+    max_rate: float = setting(
+        50.0, "most commands a second to the link, as users' commands are passed on at once",
+        unit="1/s", check=between(0.1, 1000.0),
     )  # fmt: skip
     timeout: float = setting(
         1.0,
@@ -47,7 +53,7 @@ class LinkSettings(Settings):
                 f"from one command to the next (rate {self.rate})"
             )
 
-    def description(self) -> Link:
+    def link_description(self) -> Link:
         """The link, as its arm's file has it.
 
         Raises:
@@ -77,27 +83,58 @@ class LinkSettings(Settings):
 
 
 @dataclass(frozen=True)
-class ArmSettings(Settings):
+class ArmSettings(GuardSettings):
     """The parameters of an ArmNode."""
 
     arm: str = setting("", "file of the arm's description; empty: the paper's arm")
     rate: float = setting(
-        5.0, "rate of each link's commands during a move", unit="1/s", check=between(0.1, 1000.0)
-    )
+        5.0, "rate of each link's commands during a move or a trajectory", unit="1/s",
+        check=between(0.1, 1000.0),
+    )  # fmt: skip
     time_to_live: float = setting(
         1.0, "age at which a command, or what a link reported, holds no more", unit="s",
         check=between(0.001, 3600.0),
     )  # fmt: skip
+    stream_time_to_live: float = setting(
+        0.5, "age at which a message on arm/joint_commands holds no more", unit="s",
+        check=between(0.001, 3600.0),
+    )  # fmt: skip
+    lead: float = setting(
+        0.5, "least time from a trajectory's arrival to its begin, for the links to hear of it",
+        unit="s", check=between(0.0, 60.0),
+    )  # fmt: skip
     tolerance: float = setting(
         0.005, "a joint nearer to its goal has reached it", unit="rad", check=POSITIVE
     )
+    path_tolerance: float = setting(
+        0.0, "most that a joint may be off a trajectory that says no tolerance; 0: any", unit="rad",
+        check=NOT_NEGATIVE,
+    )  # fmt: skip
     motion_threshold: float = setting(
         0.01, "rate above which a joint counts as moving", unit="rad/s", check=POSITIVE
     )
     max_overrun: float = setting(
-        5.0, "most time that a move may take beyond what was planned", unit="s",
+        5.0, "most time that a move or a trajectory may take beyond what was planned", unit="s",
         check=POSITIVE,
     )  # fmt: skip
+    state_rate: float = setting(
+        20.0, "rate of arm/joint_states and of the transforms", unit="1/s",
+        check=between(0.1, 1000.0),
+    )  # fmt: skip
+    max_extrapolation: float = setting(
+        0.5, "age of a joint's measurement beyond which arm/joint_states cease", unit="s",
+        check=POSITIVE,
+    )  # fmt: skip
+    guard: bool = setting(
+        True, "whether to refuse motions that bring bodies nearer to each other than the margins"
+    )
+    base_age: float = setting(
+        1.0, "age of base/state, or of the target's pose, beyond which it is unknown to the guard",
+        unit="s", check=POSITIVE,
+    )  # fmt: skip
+    publish_tf: bool = setting(
+        True, "whether to publish transforms; not beside robot_state_publisher, which does"
+    )
 
     def description(self) -> Arm:
         """The arm to move."""

@@ -1,10 +1,52 @@
-"""How far the bodies are from touching each other, and the table's edge."""
+"""How far the bodies are from touching each other, a target, and the table's edge.
+
+The base is a disc about its origin, a link all that is within its radius of the line from its joint
+to the next, the target a disc. The gripper is the end of the last link, which may touch the target:
+against that it is a line of no radius, and what is left of the last link ends where it begins.
+Bodies are numbered 0: the base, 1 to n: the links, then GRIPPER, TARGET and EDGE more than n.
+"""
+
+from collections.abc import Iterator
 
 import numpy as np
 import numpy.typing as npt
 
+from .extents import Extents
 from .kernels import Floats, helper, kernel
-from .kinematics import _chain, _cross, _dot, checked, joint_positions
+from .kinematics import _chain, _cross, _dot, checked
+
+GRIPPER, TARGET, EDGE = 1, 2, 3
+
+# Where what stands in the sizes that kernels take.
+BASE_RADIUS, LINK_RADIUS, TARGET_RADIUS, GRIPPER_LENGTH, HALF_X, HALF_Y = range(6)
+
+
+def sizes(extents: Extents, target_radius: float = 0.0, gripper_length: float = 0.0) -> Floats:
+    """What the kernels take of all bodies and the table, (6,) [m]."""
+    half = 0.5 * np.array(extents.table)
+    radii = extents.base_radius, extents.link_radius, target_radius, gripper_length
+    return np.array([*radii, *half])
+
+
+def links_and_base(n: int) -> Iterator[tuple[int, int]]:
+    """The pairs of base and links that are not neighbours."""
+    return ((i, j) for i in range(n + 1) for j in range(i + 2, n + 1))
+
+
+def with_target(n: int) -> Iterator[tuple[int, int]]:
+    """The target with base, links and gripper."""
+    return ((i, n + TARGET) for i in range(n + 1 + GRIPPER))
+
+
+def with_edge(n: int) -> Iterator[tuple[int, int]]:
+    """The edge with base, links and gripper."""
+    return ((i, n + EDGE) for i in range(n + 1 + GRIPPER))
+
+
+def body_name(body: int, n: int) -> str:
+    """What people call a body."""
+    others = {0: "base", n + GRIPPER: "gripper", n + TARGET: "target", n + EDGE: "table edge"}
+    return others.get(body, f"link {body}")
 
 
 @helper
@@ -24,36 +66,90 @@ def _apart(a, d, b, e):  # type: ignore[no-untyped-def]
     return min(ends, _to_segment(b, e, a), _to_segment(b, e, a + d))
 
 
-@kernel("(p),(m),(),()->()")
-def _clearance(p, q, base_radius, link_radius, out):  # type: ignore[no-untyped-def]
+@helper
+def _gap(i, j, r, target, sizes):  # type: ignore[no-untyped-def]
+    """The gap between two bodies, i before j [m], of pivots and tip at r (n + 2,)."""
+    n = r.size - 2
+    last = r[n + 1] - r[n]
+    if j <= n:
+        if i == 0:
+            reach = sizes[BASE_RADIUS] + sizes[LINK_RADIUS]
+            return _to_segment(r[j], r[j + 1] - r[j], r[0]) - reach
+        apart = _apart(r[i], r[i + 1] - r[i], r[j], r[j + 1] - r[j])
+        return apart - 2.0 * sizes[LINK_RADIUS]
+    radius = sizes[BASE_RADIUS] if i == 0 else sizes[LINK_RADIUS]
+    if j == n + EDGE:
+        x, y = sizes[HALF_X] - abs(r[i].real), sizes[HALF_Y] - abs(r[i].imag)
+        return min(x, y) - radius
+    share = min(sizes[GRIPPER_LENGTH] / abs(last), 1.0 - 1e-9)
+    if i == 0:
+        return abs(target - r[0]) - radius - sizes[TARGET_RADIUS]
+    if i == n + GRIPPER:
+        return _to_segment(r[n + 1], -(share + 1e-9) * last, target) - sizes[TARGET_RADIUS]
+    along = (1.0 - share) * last if i == n else r[i + 1] - r[i]
+    return _to_segment(r[i], along, target) - radius - sizes[TARGET_RADIUS]
+
+
+@helper
+def _pivots(q, d, r):  # type: ignore[no-untyped-def]
+    """Write the base's origin, joints and tip to r, from the bodies' d."""
+    r[0] = complex(q[0], q[1])
+    for k in range(d.size):
+        r[k + 1] = r[k] + d[k]
+
+
+@kernel("(p),(m),(g,w),(s),(w)->(g)")
+def _gaps(p, q, pairs, sizes, target, out):  # type: ignore[no-untyped-def]
     d, e = np.empty((2, q.size - 2), np.complex128)
+    r = np.empty(q.size - 1, np.complex128)
     _chain(p, q, d, e)
-    out[0], a, first = np.inf, 0j, d[0]
-    for i in range(1, d.size):
-        a += d[i - 1]  # where link i begins, from the base's origin
-        if i > 1:
-            out[0] = min(out[0], _to_segment(a, d[i], 0j) - base_radius[0] - link_radius[0])
-        b = first
-        for j in range(1, i - 1):
-            out[0] = min(out[0], _apart(a, d[i], b, d[j]) - 2.0 * link_radius[0])
-            b += d[j]
+    _pivots(q, d, r)
+    for k in range(out.size):
+        i, j = int(pairs[k, 0]), int(pairs[k, 1])
+        out[k] = _gap(i, j, r, complex(target[0], target[1]), sizes)
 
 
-def clearance(p: npt.ArrayLike, q: npt.ArrayLike, base_radius: float, link_radius: float) -> Floats:
-    """The least gap between two bodies that are not neighbours, (...) [m]; below 0 they collide.
+def gaps(
+    p: npt.ArrayLike,
+    q: npt.ArrayLike,
+    pairs: npt.ArrayLike,
+    sizes: npt.ArrayLike,
+    target: npt.ArrayLike = (np.nan, np.nan),
+) -> Floats:
+    """The gap between the two bodies of each pair, (..., g) [m]; below 0 they collide.
 
-    The base is a disc about its origin, a link all that is within its radius of the line from its
-    joint to the next. Infinite where there are no such two.
+    A link that crosses another is 0 from its line, however far it reaches beyond.
+
+    Args:
+        p: (..., 8 + 6 n) Arm.vector().
+        q: (..., 3 + n) state.
+        pairs: (g, 2) bodies by number, the lower first.
+        sizes: (6,) of `sizes`.
+        target: (..., 2) where it is in the world [m]; not needed without a pair that has it.
 
     Raises:
         ValueError: shapes do not fit.
     """
     p, q, _ = checked(p, q)
-    return _clearance(p, q, base_radius, link_radius)
+    pairs = np.asarray(pairs, dtype=float).reshape(-1, 2)
+    return np.asarray(_gaps(p, q, pairs, sizes, target))
+
+
+def clearance(p: npt.ArrayLike, q: npt.ArrayLike, base_radius: float, link_radius: float) -> Floats:
+    """The least gap between two bodies of base and arm that are not neighbours, (...) [m].
+
+    Infinite where there are no such two.
+
+    Raises:
+        ValueError: shapes do not fit.
+    """
+    around = sizes(Extents(base_radius=base_radius, link_radius=link_radius))
+    pairs = list(links_and_base(np.shape(q)[-1] - 3))
+    return np.min(gaps(p, q, pairs, around), axis=-1, initial=np.inf)
 
 
 def edge_clearance(
-    p: npt.ArrayLike, q: npt.ArrayLike, table: npt.ArrayLike, base: float, link: float
+    p: npt.ArrayLike, q: npt.ArrayLike, table: tuple[float, ...], base: float, link: float
 ) -> Floats:
     """The least gap between the edge of a table about the origin and any body, (...) [m].
 
@@ -67,7 +163,5 @@ def edge_clearance(
     Raises:
         ValueError: shapes do not fit.
     """
-    half, q = 0.5 * np.asarray(table), np.asarray(q, dtype=float)
-    joints = half - np.abs(joint_positions(p, q)) - link
-    own = half - np.abs(q[..., :2]) - base
-    return np.minimum(joints.min(axis=(-1, -2)), own.min(axis=-1))
+    pairs = list(with_edge(np.shape(q)[-1] - 3))
+    return np.min(gaps(p, q, pairs, sizes(Extents(table, base, link))), axis=-1)

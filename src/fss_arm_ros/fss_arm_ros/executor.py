@@ -12,6 +12,8 @@ from typing import Any
 
 from rclpy.executors import SingleThreadedExecutor
 
+from fss_arm_ros.ear import OutsideExecutors
+
 BATCH = 64  # messages of one subscription in a turn, so that others have theirs
 QUEUE = 10_000  # before a request, which may be about all that has come by then
 PAUSE = 0.002  # from one turn to the next at least, in simulated time [s]
@@ -49,7 +51,8 @@ class BatchExecutor(SingleThreadedExecutor):
 
         async def answer() -> None:
             for subscription in chain(*(node.subscriptions for node in self.get_nodes())):
-                await _all(QUEUE, take_message, subscription)
+                if not isinstance(subscription.callback_group, OutsideExecutors):
+                    await _all(QUEUE, take_message, subscription)
             await _all(1, take, service)
 
         return answer

@@ -219,6 +219,11 @@ def test_an_experiment_that_was_killed_goes_on(spin, spin_to_the_end, tmp_path):
     [
         ({"postures": POSTURES[:3]}, "postures has 3 numbers, expected 4 a row"),
         ({"postures": [0.0, 1.6, 0.0, 0.0]}, "joint 2 at 1.6 rad, expected -1.571 to 1.571"),
+        ({"postures": [0.0, 1.5, 1.5, 1.5]}, "to posture 1, link 4 and base would be -"),
+        (
+            {"postures": [0.0, 1.5, 1.5, 0.0, 0.0, 0.0, 1.5, 1.5], "margin": 0.5},
+            r"posture 1, link . and .* less than the 0.500 m expected",
+        ),
         ({"retry": 0.0}, "retry is 0.0 s, expected a positive number"),
     ],
 )

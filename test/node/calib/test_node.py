@@ -18,6 +18,8 @@ from fss_arm_calib.messages import common
 from fss_arm_calib.recompute import again, recompute
 from fss_arm_calib.recompute import main as recompute_command
 from fss_arm_calib.state import StateError
+from fss_arm_model.description import load
+from fss_arm_model.urdf import urdf
 from fss_arm_ros.convert import SECOND
 from fss_arm_ros.diagnostics import ERROR, OK, WARN
 from fss_arm_ros.qos import LATCHED
@@ -102,6 +104,7 @@ def test_live_is_what_the_bag_says_and_can_be_recomputed(spin, made, tmp_path):
     assert recompute(kind, result, data).same
     assert again(kind, result, data).description == found.description
     assert output.read_text().partition("\n")[2] == kind.output(node.outcome).partition("\n")[2]
+    assert output.with_suffix(".urdf").exists() == kind.has_urdf
     page = (report / "index.html").read_text()
     assert '<span class="pass">' in page
     for what, why in kind.lacks.items():
@@ -331,6 +334,8 @@ def test_the_command_for_bags(made, tmp_path, capsys):
     text = capsys.readouterr().out
     assert f"{made.kind.written} written to {output}" in text
     assert output.exists()
+    if made.kind.has_urdf:
+        assert output.with_suffix(".urdf").read_text() == urdf(load(output))
     assert "pass" in (page / "index.html").read_text()
     asked = [f"--{k.replace('_', '-')}={v}" for k, v in made.case.asked.items()]
     no = tmp_path / "no.yaml"

@@ -12,6 +12,7 @@ from rclpy.action import ActionClient
 from rclpy.clock import ClockType
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from sensor_msgs.msg import JointState
 from std_msgs.msg import Empty, String
 from std_srvs.srv import SetBool
 from unique_identifier_msgs.msg import UUID
@@ -19,9 +20,10 @@ from unique_identifier_msgs.msg import UUID
 from fss_arm_driver.arm_node import ArmNode
 from fss_arm_driver.link_node import LinkNode
 from fss_arm_driver.protocol import State
-from fss_arm_driver.urdf import urdf
 from fss_arm_model.description import paper_arm, save
+from fss_arm_model.urdf import urdf
 from fss_arm_msgs.action import MoveArm
+from fss_arm_msgs.msg import LinkCommand
 from fss_arm_ros.qos import LATCHED
 
 
@@ -32,7 +34,7 @@ def overrides(**parameters):
 class Bench:
     """Two links, their nodes, the arm's node, and a user of it."""
 
-    def __init__(self, spin, file):
+    def __init__(self, spin, file, together=False):
         self.transports = [FakeTransport(i) for i in (1, 2)]
         links = overrides(rate=RATE, timeout=2.5, arm=str(file))
         self.links = [
@@ -40,14 +42,15 @@ class Bench:
             for i, transport in enumerate(self.transports, 1)
         ]
         arm = overrides(rate=RATE, arm=str(file), time_to_live=2.5, max_overrun=2.0)
-        self.arm = ArmNode(parameter_overrides=arm)
+        local = {i: link.on_command for i, link in enumerate(self.links, 1)} if together else None
+        self.arm = ArmNode(local=local, parameter_overrides=arm)
         self.user = Node("user")
         self.mover = ActionClient(self.user, MoveArm, "arm/move")
         self.armer = self.user.create_client(SetBool, "arm/enable")
         self.stopper = self.user.create_publisher(Empty, "arm/stop", 10)
         self.feedback = []
         self.spin = spin
-        self.until(lambda: len(self.arm.links) == 2 and self.mover.server_is_ready())
+        self.until(lambda: len(self.arm.links.states) == 2 and self.mover.server_is_ready())
         self.until(lambda: self.armer.service_is_ready())
         self.until(lambda: all(client.service_is_ready() for client in self.arm.armers))
         self.until(lambda: self.stopper.get_subscription_count() == 3)
@@ -64,7 +67,7 @@ class Bench:
             answer = self.after(self.armer.call_async(SetBool.Request(data=data)))
             if answer.success:
                 break
-        self.until(lambda: all(link.armed == data for link in self.arm.links.values()))
+        self.until(lambda: all(link.armed == data for link in self.arm.links.states.values()))
         return answer
 
     def begin(self, *q, duration=0.0, keep_alive=0.0):
@@ -79,14 +82,13 @@ class Bench:
 
 
 @pytest.fixture
-def bench(spin, tmp_path):
+def bench(spin, tmp_path, request):
     arm = paper_arm()
     save(replace(arm, links=arm.links[:2]), tmp_path / "arm.yaml")
-    bench = Bench(spin, tmp_path / "arm.yaml")
+    bench = Bench(spin, tmp_path / "arm.yaml", getattr(request, "param", False))
     yield bench
     if bench.mover:
         bench.mover.destroy()
-    bench.arm.mover.destroy()
 
 
 def test_all_links_arm_move_together_and_disarm(bench):
@@ -106,9 +108,9 @@ def test_all_links_arm_move_together_and_disarm(bench):
 
 def test_a_longer_duration_is_kept(bench):
     bench.enable()
-    begun = bench.arm.now()
+    begun = bench.arm.links.now()
     assert bench.move(0.2, 0.1, duration=1.5).result.reached
-    assert 1e-9 * (bench.arm.now() - begun) > 0.7  # the fake links need no time to accelerate
+    assert 1e-9 * (bench.arm.links.now() - begun) > 0.7  # the fake links need no time to accelerate
 
 
 @pytest.mark.parametrize(
@@ -136,13 +138,13 @@ def test_a_second_move_is_refused_and_the_first_can_be_cancelled(bench):
     bench.enable()
     first = bench.begin(0.5, 0.5, duration=20.0)
     bench.until(lambda: bench.feedback)
-    assert bench.move(0.1, 0.1).result.message == "another move is under way"
+    assert bench.move(0.1, 0.1).result.message == "a move is under way"
     bench.after(first.cancel_goal_async())
     done = bench.end(first)
     assert done.status == GoalStatus.STATUS_CANCELED
     assert done.result.message == "cancelled"
     bench.until(lambda: all(transport.link.speed == 0.0 for transport in bench.transports))
-    assert bench.arm.links[1].armed
+    assert bench.arm.links.states[1].armed
     assert bench.move(0.0, 0.0).result.reached
 
 
@@ -151,7 +153,7 @@ def test_a_move_ends_when_whoever_asked_for_it_is_gone(bench):
     bench.begin(0.5, 0.5, duration=20.0)
     bench.until(lambda: bench.feedback and any(t.link.speed for t in bench.transports))
     bench.mover = bench.mover.destroy()
-    bench.until(lambda: not bench.arm.moving)
+    bench.until(lambda: not bench.arm.moves.moving)
     bench.until(lambda: all(transport.link.speed == 0.0 for transport in bench.transports))
     assert all(abs(transport.link.position) < 10_000 for transport in bench.transports)
 
@@ -182,8 +184,8 @@ def test_a_lost_link_ends_the_move(bench):
 
 def test_a_move_that_is_blocked_ends_in_time(bench):
     bench.enable()
-    move = bench.begin(0.2, 0.1)
     bench.transports[0].hears = False
+    move = bench.begin(0.2, 0.1)
     message = bench.end(move).result.message
     assert message.startswith("not reached within") or message == "link 1 is not armed"
 
@@ -217,7 +219,7 @@ def test_no_timer_keeps_the_systems_clock(ros, kind):
     link = LinkNode(1, transport=FakeTransport(1), parameter_overrides=time)
     arm = ArmNode(parameter_overrides=time)
     paces = {t.callback: t.clock.clock_type for node in (link, arm) for t in node.timers}
-    assert paces[link.beat] == paces[arm.tick] == kind
+    assert paces[link.beat] == paces[arm.links.tick] == kind
     link.close()
     for node in (link, arm):
         node.destroy_node()
@@ -258,7 +260,7 @@ def test_a_move_ends_within_a_second_when_whoever_asked_for_it_is_killed(bench, 
     killed = time.monotonic()
     bench.until(lambda: all(transport.link.speed == 0.0 for transport in bench.transports))
     assert time.monotonic() - killed < 1.0
-    assert not bench.arm.moving
+    assert not bench.arm.moves.moving
     assert bench.arm.count_clients("arm/move/_action/get_result") == 2
 
 
@@ -271,7 +273,7 @@ def test_after_the_node_stood_still_nothing_old_moves_or_arms(bench):
     bench.enable()
     move = bench.begin(0.5, 0.5, duration=20.0)
     bench.until(lambda: any(transport.link.speed for transport in bench.transports))
-    bench.arm.stall.checked -= 5.0  # as after SIGSTOP and SIGCONT
+    bench.arm.links.stall.checked -= 5.0  # as after SIGSTOP and SIGCONT
     message = bench.end(move).result.message
     assert re.fullmatch(r"this program stood still for 5\.\d s", message)
     bench.until(lambda: all(transport.link.speed == 0.0 for transport in bench.transports))
@@ -279,6 +281,22 @@ def test_after_the_node_stood_still_nothing_old_moves_or_arms(bench):
     answer = bench.after(bench.armer.call_async(SetBool.Request(data=True)))
     assert (answer.success, answer.message) == (False, message)
     assert bench.after(bench.armer.call_async(SetBool.Request(data=False))).success
-    bench.until(lambda: not bench.arm.stood_still())
+    bench.until(lambda: not bench.arm.links.stood_still())
     assert bench.enable().success
     assert bench.move(0.1, 0.1).result.reached
+
+
+@pytest.mark.parametrize("bench", [True, False], indirect=True, ids=["together", "apart"])
+def test_moves_and_streams_reach_links_in_one_process_or_in_others(bench):
+    told = []
+    bench.user.create_subscription(LinkCommand, "link_1/command", told.append, 10)
+    bench.until(lambda: bench.arm.count_subscribers("link_1/command") == 2)
+    bench.enable()
+    assert bench.move(0.1, -0.1).result.reached
+    stream = bench.user.create_publisher(JointState, "arm/joint_commands", 1)
+    bench.until(stream.get_subscription_count)
+    stream.publish(JointState(name=["joint_2"], velocity=[0.2]))
+    bench.until(lambda: bench.transports[1].link.taken.mode == LinkCommand.VELOCITY)
+    assert bench.transports[0].link.taken.mode != LinkCommand.VELOCITY
+    together = bench.arm.links.commands[1] == bench.links[0].on_command
+    assert bool(told) != together

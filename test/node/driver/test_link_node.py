@@ -8,6 +8,7 @@ from contextlib import suppress
 from dataclasses import replace
 from math import inf, nan
 
+import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from driver_link import RATE, SECOND, FakeLink, FakeTransport
@@ -17,7 +18,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 from running import wait_until
-from sensor_msgs.msg import JointState
+from sensor_msgs.msg import BatteryState, JointState
 from std_msgs.msg import Empty
 from std_srvs.srv import SetBool, Trigger
 
@@ -597,7 +598,48 @@ def test_one_process_hosts_all_links_and_is_up_soon(start, spin):
 def test_the_driver_loads_no_compiler():
     code = """if True:
         import sys
-        import fss_arm_driver.arm_node, fss_arm_driver.link_node
+        import fss_arm_driver.link_node
         sys.exit({"numba", "scipy"} & set(sys.modules) != set())
     """
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+@pytest.mark.parametrize("bench", [{"rate": 2.0, "max_rate": 20.0}], indirect=True)
+def test_commands_are_passed_on_as_they_come_but_not_faster_than_allowed(bench):
+    node, user, transport, until = bench
+    assert arm(user, until).success
+    sent, send = [], transport.send
+
+    def note(data):
+        sent.append((time.monotonic(), send(data), transport.link.taken.set_point)[::2])
+
+    transport.send = note
+    begun = time.monotonic()
+    for count in range(1, 31):
+        due = begun + 0.01 * count
+        until(lambda due=due: time.monotonic() > due)
+        order(user, set_point=1e-3 * count)
+    last = node.session.scale.set_point(Mode.POSITION, 0.03).value
+    until(lambda: sent and sent[-1][1] == last)
+    assert sent[0][0] - begun < 0.1  # a tick is 0.5 s
+    assert len(sent) <= 2 + 20.0 * (sent[-1][0] - sent[0][0])
+    assert [p for _, p in sent] == sorted({p for _, p in sent})
+    until(lambda: time.monotonic() > sent[-1][0] + 0.4)
+    assert sent[-1][1] == last
+    until(lambda: time.monotonic() - sent[-1][0] < 0.05, 2.0)  # the steady rate goes on
+    assert sent[-1][1] == last
+
+
+def test_the_battery_is_what_ros_knows_of_one(bench):
+    _, user, transport, until = bench
+    heard = []
+    user.create_subscription(BatteryState, "link_1/battery", heard.append, 10)
+    until(lambda: transport.put(low(transport)) or heard)
+    message = heard[-1]
+    assert message.voltage == pytest.approx(23.7)
+    assert np.isnan([message.percentage, message.temperature, message.current]).all()
+    assert (message.location, message.present) == ("link_1", True)
+
+
+def low(transport):
+    return transport.link.telemetry(time.time_ns(), slow_id=Slow.BATTERY, slow_value=237)

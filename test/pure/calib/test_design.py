@@ -192,8 +192,8 @@ def test_loops_tell_least_on_a_table_that_may_be_tilted():
 
 
 def test_nothing_fits_a_small_table():
-    with pytest.raises(NoManeuver, match=r"keeps to 8 s, the joints' torque and a table of 1 m"):
-        design(ARM, 1, SETTINGS, Conditions(table=1.0), **SMALL)
+    with pytest.raises(NoManeuver, match=r"keeps to 8 s, .* and a table of 1 x 1 m"):
+        design(ARM, 1, SETTINGS, Conditions(table=(1.0, 1.0)), **SMALL)
 
 
 def test_another_arm():
@@ -232,5 +232,5 @@ def test_the_command_prints_what_to_expect_and_writes_a_plan(tmp_path, capsys):
     assert len(from_yaml(output.read_text(), 4)) == 2
     assert main(["--kinematic", "--count", "8", "--output", str(output)]) == 0
     assert "theta_BJ1" in capsys.readouterr().out
-    assert main(["--table", "1", "--count", "1"]) == 1
+    assert main(["--table", "1", "1", "--count", "1"]) == 1
     assert capsys.readouterr().err.count("\n") == 1

@@ -6,10 +6,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from fss_arm_calib.experiment.postures import APART, DEFAULT, MARGIN, clearance, default, design
+from fss_arm_calib.experiment.postures import APART, DEFAULT, clear, default, design
 from fss_arm_calib.kinematic.problem import FULL, KinematicProblem, solve
 from fss_arm_model.description import Arm, paper_arm
 from fss_arm_model.kinematics import tip_in_base
+from fss_arm_motion.guard import Guard
+from fss_arm_motion.guard_settings import GuardSettings
 
 
 def arm_of(n: int) -> Arm:
@@ -41,9 +43,9 @@ def test_the_table_can_be_run():
     assert np.abs(DEFAULT[0]).max() < 0.2
     moves = np.abs(np.diff(DEFAULT, axis=0)).max(axis=1)
     assert moves.sum() / 0.8 < 45.0  # seconds of travel at 0.8 rad/s
-    share = np.linspace(0.0, 1.0, 101)[:, None]
-    for here, there in pairwise(DEFAULT):
-        assert clearance(paper_arm(), here + share * (there - here)).min() >= MARGIN
+    guard = Guard(paper_arm())
+    assert guard.slack(DEFAULT).min() >= 0.0
+    assert all(clear(guard, here, there) for here, there in pairwise(DEFAULT))
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 6])
@@ -63,7 +65,7 @@ def test_more_postures_than_one_joint_has_room_for_are_chosen_in_time():
     assert np.ptp(q) > np.radians(160.0)
 
 
-def test_a_folded_arm_is_not_clear():
-    assert clearance(paper_arm(), np.zeros(4)) > MARGIN
-    assert clearance(paper_arm(), np.radians([0.0, 90.0, 90.0, 85.0])) < MARGIN
-    assert clearance(paper_arm(), np.radians([0.0, 80.0, 130.0, 60.0])) == 0.0
+def test_postures_leave_the_margin_asked_for():
+    arm, wide = paper_arm(), GuardSettings(margin=0.2)
+    near, far = (Guard(arm, wide).slack(design(arm, 8, settings=s)) for s in (None, wide))
+    assert near.min() < 0.0 <= far.min()

@@ -1,67 +1,96 @@
-"""Frames on a byte stream: found again wherever the noise ends."""
+"""Streamed commands: what is understood, and what is refused and counted."""
 
-import random
+import math
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from sensor_msgs.msg import JointState
 
-from fss_arm_driver.protocol import FRAME_SIZE, StreamDecoder, pack
+from fss_arm_driver.arm.stream import AHEAD, SECOND, SetPoint, Stream, StreamError
+from fss_arm_driver.arm.turn import Turn
+from fss_arm_driver.protocol import Mode
+from fss_arm_model.description import paper_arm
 
-FRAMES = st.binary(min_size=FRAME_SIZE, max_size=FRAME_SIZE)
-ONE, TWO = bytes(range(72)), bytes(30) + b"\xff" * 42
-
-
-def unstuffed(data):
-    """The textbook's decoder, byte by byte."""
-    out, code, left = [], 0xFF, 0
-    for byte in data:
-        if left:
-            out.append(byte)
-        else:
-            if code != 0xFF:
-                out.append(0)
-            code = left = byte
-        left -= 1
-    return bytes(out)
+NOW = 1_000 * SECOND
 
 
-@given(FRAMES)
-def test_a_packed_frame_has_no_zero_within_and_the_textbook_reads_it(frame):
-    packed = pack(frame)
-    assert len(packed) == 75
-    assert packed[0] == packed[-1] == 0
-    assert 0 not in packed[1:-1]
-    assert unstuffed(packed[1:-1]) == frame
+def state(names=("joint_1",), **fields):
+    return JointState(name=list(names), **{name: list(v) for name, v in fields.items()})
 
 
-@pytest.mark.parametrize("noise", [b"", b"noise", b"\0\0", b"x\0y", bytes(range(256))])
-def test_any_split_of_the_stream_gives_the_same_frames(noise):
-    stream = noise + pack(ONE) + noise + pack(TWO) + pack(ONE) + noise
-    for size in (1, 2, 7, 74, 75, 76, len(stream)):
-        decoder = StreamDecoder()
-        pieces = [stream[at : at + size] for at in range(0, len(stream), size)]
-        got = [frame for piece in pieces for frame in decoder.feed(piece)]
-        assert got == [ONE, TWO, ONE]
-        assert (decoder.received, decoder.frames) == (len(stream), 3)
+@pytest.fixture
+def stream():
+    return Stream(paper_arm(), 0.5)
 
 
-@given(st.lists(st.binary(max_size=200), max_size=5), FRAMES)
-def test_a_frame_is_found_after_any_noise(noise, frame):
-    decoder = StreamDecoder()
-    for piece in noise:
-        decoder.feed(piece)
-    assert decoder.feed(pack(frame))[-1] == frame
+def test_any_joints_in_any_order_by_what_is_filled(stream):
+    names = ("joint_3", "joint_1")
+    assert stream.read(state(names, position=(0.1, -0.2))) == [
+        SetPoint(3, Mode.POSITION, 0.1),
+        SetPoint(1, Mode.POSITION, -0.2),
+    ]
+    assert stream.read(state(names, velocity=(0.1, 9.0)))[1] == SetPoint(1, Mode.VELOCITY, 9.0)
+    ((link, mode, current),) = stream.read(state(("joint_4",), effort=(0.4,)))
+    assert (link, mode, current) == (4, Mode.CURRENT, pytest.approx(0.5))  # 0.8 N m/A
 
 
-def test_a_torn_frame_costs_itself_only():
-    for cut in range(75):
-        stream = pack(ONE)[:cut] + pack(TWO)
-        assert StreamDecoder().feed(stream) == [TWO] if cut < 74 else [ONE, TWO]
+REFUSED = {
+    "nothing is filled": ("fields", state()),
+    "position and velocity is filled": ("fields", state(position=[0.1], velocity=[0.1])),
+    "position has 1 numbers for 2 names": ("fields", state(("joint_1", "joint_2"), position=[0.1])),
+    "has a joint twice": ("names", state(("joint_1", "joint_1"), position=[0.1, 0.1])),
+    "'joint_5', expected joint_1 to joint_4": ("names", state(("joint_5",), position=[0.1])),
+    "velocity of joint_1 is nan": ("number", state(velocity=[math.nan])),
+    "effort of joint_1 is inf": ("number", state(effort=[math.inf])),
+    "is 1.6 rad, expected -1.5708 to 1.5708": ("limits", state(position=[1.6])),
+}
 
 
-def test_endless_noise_is_not_kept():
-    decoder, rng = StreamDecoder(), random.Random(1)
-    for _ in range(1000):
-        assert not decoder.feed(rng.randbytes(1000).replace(b"\0", b"\1"))
-    assert len(decoder._rest) <= FRAME_SIZE + 2
+@pytest.mark.parametrize("words", REFUSED)
+def test_what_is_not_understood_whole_is_refused(stream, words):
+    kind, message = REFUSED[words]
+    with pytest.raises(StreamError, match=words) as error:
+        stream.read(message)
+    assert error.value.kind == kind
+
+
+def test_a_message_lives_from_its_stamp_on(stream):
+    assert stream.given(0, NOW) == NOW
+    assert stream.given(NOW - SECOND // 2, NOW) == NOW - SECOND // 2
+    assert stream.given(NOW + AHEAD, NOW) == NOW
+    with pytest.raises(StreamError, match=r"stamp is 0.501 s old, expected less than 0.5 s"):
+        stream.given(NOW - 501_000_000, NOW)
+    with pytest.raises(StreamError, match=r"stamp is 0.101 s in the future"):
+        stream.given(NOW + AHEAD + 1_000_000, NOW)
+
+
+def test_refusals_are_counted_and_a_change_is_told(stream):
+    told = [stream.refuse(StreamError(kind, "")) for kind in ("old", "old", "names", "old")]
+    assert told == [True, False, True, True]
+    stream.accept()
+    assert stream.refuse(StreamError("old", ""))
+    assert (stream.refused, stream.taken) == ({"old": 4, "names": 1}, 1)
+
+
+# --- whose turn it is ----------------------------------------------------------------------------
+
+
+def test_the_newest_has_the_turn():
+    turn = Turn()
+    first = turn.take("a trajectory", 0)
+    second = turn.take("a stream", 1, until=10)
+    assert (first.ended, second.ended) == ("preempted by a stream", "")
+    assert turn.has(second, 10)
+    assert not turn.has(first, 10)
+    turn.leave(first)
+    assert turn.holder(10) == "a stream"
+    assert turn.holder(11) == ""
+    assert not turn.take("a move", 11).ended
+    assert second.ended == ""  # it was over
+
+
+def test_a_stop_ends_what_there_is():
+    turn = Turn()
+    turn.stop()
+    motion = turn.take("a move", 0)
+    turn.stop()
+    assert (motion.ended, turn.holder(0)) == ("stopped", "")

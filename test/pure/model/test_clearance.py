@@ -6,9 +6,22 @@ import numpy as np
 import pytest
 from model_arms import random_arm, random_states
 
-from fss_arm_model.clearance import clearance, edge_clearance
+from fss_arm_model.clearance import (
+    body_name,
+    clearance,
+    edge_clearance,
+    gaps,
+    links_and_base,
+    sizes,
+    with_edge,
+    with_target,
+)
 from fss_arm_model.description import paper_arm
+from fss_arm_model.extents import Extents
 from fss_arm_model.kinematics import joint_positions
+
+BED = Extents()
+RADII = BED.base_radius, BED.link_radius
 
 
 @pytest.mark.parametrize("n", [2, 3, 4, 6])
@@ -30,14 +43,14 @@ def test_gaps_are_those_between_points_of_the_bodies(n):
 
 def test_an_arm_rolled_up_collides_and_a_straight_one_does_not():
     p, rolled = paper_arm().vector(), np.array([0, 0, 0, 0.0, 1.55, 1.55, 1.55])
-    assert clearance(p, rolled, 0.19, 0.06) < 0.0
+    assert clearance(p, rolled, *RADII) < 0.0
     # Straight, links 1 and 3 are a link's length apart.
-    assert clearance(p, np.zeros(7), 0.19, 0.06) == pytest.approx(0.3825 - 2 * 0.06, abs=1e-3)
+    assert clearance(p, np.zeros(7), *RADII) == pytest.approx(0.3825 - 2 * 0.06, abs=1e-3)
 
 
 def test_one_link_has_nothing_to_collide_with():
     p = random_arm(1, np.random.default_rng(0)).vector()
-    assert clearance(p, np.zeros(4), 0.2, 0.1) == np.inf
+    assert clearance(p, np.zeros(4), *RADII) == np.inf
 
 
 def test_the_edge_is_as_far_as_the_outermost_body():
@@ -45,4 +58,21 @@ def test_the_edge_is_as_far_as_the_outermost_body():
     q[1, 0], q[2, 1] = 1.0, -1.9
     far = joint_positions(p, q[0])[-1, 0]
     expected = [2.0 - far - 0.06, 1.0 - far - 0.06, 2.0 - 1.9 - 0.19]
-    np.testing.assert_allclose(edge_clearance(p, q, (4.0, 4.0), 0.19, 0.06), expected, atol=1e-12)
+    np.testing.assert_allclose(edge_clearance(p, q, BED.table, *RADII), expected, atol=1e-12)
+
+
+def test_gaps_stand_in_the_order_of_the_pairs_which_name_their_bodies():
+    p, n = paper_arm().vector(), 4
+    pairs = [*links_and_base(n), *with_edge(n), *with_target(n)]
+    named = [(body_name(i, n), body_name(j, n)) for i, j in pairs]
+    assert named[:3] == [("base", "link 2"), ("base", "link 3"), ("base", "link 4")]
+    assert named[6] == ("base", "table edge")
+    assert named[-1] == ("gripper", "target")
+    tip = joint_positions(p, np.zeros(7))[-1]
+    around = sizes(BED, target_radius=0.2, gripper_length=0.1)
+    found = dict(zip(named, gaps(p, np.zeros(7), pairs, around, tip), strict=True))
+    assert found["gripper", "target"] == pytest.approx(-0.2)
+    assert found["link 4", "target"] == pytest.approx(0.1 - 0.06 - 0.2)
+    assert found["base", "target"] == pytest.approx(np.hypot(*tip) - 0.19 - 0.2)
+    joint = joint_positions(p, np.zeros(7))[2]
+    assert found["link 3", "table edge"] == pytest.approx(2.0 - 0.06 - np.abs(joint).max())

@@ -18,7 +18,7 @@ PACKAGES = sorted(path.parent.name for path in SOURCES.glob("*/setup.py"))
 DIMENSIONLESS = {
     *("clock_drift", "gear_ratio", "gyro_scale", "ReplaySettings.rate", "speed", "tolerance"),
     *("battery", "corruption", "dead", "dropout", "duplication", "frozen", "loss", "occlusion"),
-    *("reordering", "swap"),
+    *("braking", "reordering", "swap"),
     *("max_condition", "max_relative", "min_probability", "min_redundancy", "outlier"),
     *("DriftSettings.mass_deviation", "Event.value", "PoseGains.damping", "PoseGains.integral"),
 }

@@ -103,6 +103,7 @@ DRIFT = Calibration(
     report=drift_report,
     output=parameters,
     written="parameters of dynamic and base_reaction",
+    has_urdf=False,
     health=rest,
     lacks={
         "time offset": "within a drift the arm rests: an offset of the clocks moves nothing",

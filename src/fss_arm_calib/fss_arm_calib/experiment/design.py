@@ -10,7 +10,7 @@ as unknowns, and the table may be tilted: what counts is what a drifting base le
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from math import ceil, inf, sqrt
+from math import inf, sqrt
 
 import numpy as np
 import yaml
@@ -19,20 +19,19 @@ from fss_arm_calib.dynamic.problem import DynamicProblem, DynamicResult, informa
 from fss_arm_calib.dynamic.settings import HEADING, DynamicSettings
 from fss_arm_calib.dynamic.solution import known_beforehand
 from fss_arm_calib.estimation.least_squares import Floats
-from fss_arm_calib.experiment.postures import MARGIN, clearance
 from fss_arm_model.base_motion import Law, Path, base_poses, path, stack
 from fss_arm_model.description import Arm
 from fss_arm_model.dynamics import bias, inertia_matrix
-from fss_arm_model.kinematics import joint_positions
 from fss_arm_model.settings import (
     POSITIVE,
     Check,
     SettingError,
-    Settings,
     at_least,
     one_of,
     setting,
 )
+from fss_arm_motion.guard import Guard, GuardError
+from fss_arm_motion.guard_settings import GuardSettings
 
 SINGLE, SWEEP, LOOP = "single", "sweep", "loop"
 KINDS = (SINGLE, SWEEP, LOOP)
@@ -40,7 +39,6 @@ KINDS = (SINGLE, SWEEP, LOOP)
 RAMP = 1.0 / 3.0  # share of a move's time in which it accelerates, and again decelerates
 PAUSE = 0.5  # between two moves of a maneuver, in which the arm is found to have arrived [s]
 STRENGTH = 0.7  # of the drives' torque, to leave them some to correct with
-EDGE = 0.1  # that links keep off the table's edge [m]
 STEP = np.radians(5.0)  # joint angles are multiples of it
 
 
@@ -86,8 +84,8 @@ def profile(x: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 @dataclass(frozen=True)
-class Conditions(Settings):
-    """What a maneuver must keep to.
+class Conditions(GuardSettings):
+    """What a maneuver must keep to; the base begins at rest at the table's centre.
 
     Raises:
         SettingError: a condition is impossible.
@@ -95,9 +93,6 @@ class Conditions(Settings):
 
     duration: float = setting(8.0, "longest maneuver", unit="s", check=POSITIVE)
     rest: float = setting(5.0, "rest before and after a maneuver", unit="s", check=POSITIVE)
-    table: float = setting(
-        4.0, "length of the table's sides; the base begins at its centre", unit="m", check=POSITIVE
-    )
     repeats: int = setting(3, "most repeats of a closed loop", check=at_least(1))
     total: float = setting(
         inf, "most time that all maneuvers and rests take", unit="s",
@@ -157,6 +152,7 @@ def candidates(
     low = np.ceil(np.array([k.q_min for k in arm.links]) / STEP * 0.95)
     high = np.floor(np.array([k.q_max for k in arm.links]) / STEP * 0.95)
     found: list[Planned] = []
+    guard = Guard(arm, conditions)
     for _ in range(3 * count):
         if len(found) == count:
             break
@@ -168,32 +164,30 @@ def candidates(
         elif kind == LOOP:
             corners = np.concatenate([ways[:2], begin[None]])
             ways = np.tile(corners, (int(rng.integers(1, conditions.repeats + 1)), 1))
-        planned = within(arm, kind, np.concatenate([begin[None], ways]), conditions)
+        planned = within(guard, kind, np.concatenate([begin[None], ways]), conditions)
         if planned:
             found.append(planned)
     return found
 
 
-def within(arm: Arm, kind: str, waypoints: Floats, conditions: Conditions) -> Planned | None:
+def within(guard: Guard, kind: str, waypoints: Floats, conditions: Conditions) -> Planned | None:
     """The maneuver through the waypoints, if it keeps to the conditions."""
     pairs = list(pairwise(waypoints))
     if any(np.abs(b - a).max() < 2.0 * STEP for a, b in pairs):
         return None
     durations: list[float] = []
     for a, b in pairs:
-        durations.append(timed(arm, a, b))
+        durations.append(timed(guard.arm, a, b))
         if sum(durations) + PAUSE * (len(durations) - 1) > conditions.duration:
             return None
     planned = Planned(kind, waypoints, np.array(durations))
     law, edges = planned.law()
-    t = np.linspace(0.0, planned.length, ceil(planned.length / 0.2) + 1)
-    q = law(t)[0]
-    if clearance(arm, q).min() < MARGIN:
+    try:
+        guard.check_posture(waypoints[0], base=np.zeros(3))
+        guard.check_path(edges, *law(edges), base=np.zeros(3))
+    except GuardError:
         return None
-    poses = base_poses(arm.vector(), path(law, edges, t), np.zeros(8))
-    places = joint_positions(arm.vector(), np.concatenate([poses, q], axis=1))
-    reach = max(np.abs(places).max(), np.abs(poses[:, :2]).max())
-    return planned if reach <= 0.5 * conditions.table - EDGE else None
+    return planned
 
 
 def windowed(planned: Planned, settings: DynamicSettings, rest: float) -> tuple[Path, Floats]:
@@ -265,9 +259,10 @@ def design(
     while len(plan) < count:
         options = candidates(arm, place, tried, conditions, rng)
         if not options:
+            sides = " x ".join(f"{side:g}" for side in conditions.table)
             raise NoManeuver(
                 f"none of {3 * tried} maneuvers keeps to {conditions.duration:g} s, the joints' "
-                f"torque and a table of {conditions.table:g} m"
+                f"torque, the arm's clearance and a table of {sides} m"
             )
         model = problem(arm, options, settings, conditions.rest)
         if unknown := set(chosen) - set(model.names):

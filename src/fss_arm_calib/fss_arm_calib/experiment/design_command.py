@@ -34,7 +34,8 @@ from fss_arm_model.kinematics import tip_in_base
 from fss_arm_ros.command_line import USER_ERROR, Parser
 
 MANY = 1000  # maneuvers, more than time allows
-CONDITIONS = ("duration", "rest", "table", "repeats")  # that are options
+GUARD = ("table", "base_radius", "link_radius", "margin", "edge_margin")
+CONDITIONS = ("duration", "rest", "repeats", *GUARD)  # that are options
 
 
 def parser() -> argparse.ArgumentParser:
@@ -114,9 +115,11 @@ def comparison(arm: Arm, settings: DynamicSettings, given: Conditions, count: in
     return report.Table("Deviations of each kind of maneuvers at equal floating time", head, rows)
 
 
-def propose_postures(options: argparse.Namespace, arm: Arm, console: Console) -> None:
+def propose_postures(
+    options: argparse.Namespace, arm: Arm, conditions: Conditions, console: Console
+) -> None:
     """Postures for the kinematic calibration."""
-    q = postures.design(arm, options.count, options.seed)
+    q = postures.design(arm, options.count, options.seed, settings=conditions)
     result = solve(KinematicProblem(q, tip_in_base(arm.vector(), q), arm, FULL))
     rows = [
         [name, unit, f"{value:.5g}", f"{deviation:.2g}"]
@@ -145,11 +148,12 @@ def propose(options: argparse.Namespace, console: Console) -> None:
         **{f.name: getattr(options, f.name) for f in fields(DynamicSettings)}
     )
     arm = described(settings.arm)
-    if options.kinematic:
-        propose_postures(options, arm, console)
-        return
     given = {name: getattr(options, name) for name in CONDITIONS}
+    given["table"] = tuple(given["table"])
     conditions = Conditions(kinds=tuple(options.kinds.split()), **given)
+    if options.kinematic:
+        propose_postures(options, arm, conditions, console)
+        return
     before = known_before(options.bag, arm, settings)
     with Progress(console=console, transient=True) as bar:
         task = bar.add_task("choosing maneuvers", total=options.count)

@@ -21,7 +21,9 @@ from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.experiment.design import Planned, from_yaml
 from fss_arm_calib.experiment.postures import default
 from fss_arm_model.description import Arm, described
-from fss_arm_model.settings import FINITE, POSITIVE, Settings, setting
+from fss_arm_model.settings import FINITE, POSITIVE, Settings, like, setting
+from fss_arm_motion.guard import Guard, GuardError
+from fss_arm_motion.guard_settings import GuardSettings
 from fss_arm_msgs.action import MoveArm
 from fss_arm_msgs.msg import KinematicObservations, Maneuvers
 from fss_arm_ros.convert import SECOND, stamp_ns
@@ -63,7 +65,16 @@ class ExperimentSettings(Settings):
     keep_alive: float = setting(
         0.5, "silence of this node, in real time, that ends its move", unit="s", check=POSITIVE
     )
+    base_radius: float = like(GuardSettings, "base_radius")
+    link_radius: float = like(GuardSettings, "link_radius")
+    margin: float = like(GuardSettings, "margin")
     state_file: str = setting("", "progress is kept here across restarts; empty: nowhere")
+
+    def guarded(self) -> GuardSettings:
+        """What keeps the arm clear of itself; where the base is, the experiment does not know."""
+        return GuardSettings(
+            base_radius=self.base_radius, link_radius=self.link_radius, margin=self.margin
+        )
 
 
 @dataclass
@@ -330,22 +341,20 @@ def stops(settings: ExperimentSettings) -> list[Stop]:
     """Where to go, one after the other.
 
     Raises:
-        ValueError: they do not suit the arm.
+        ValueError: they do not suit the arm, or the way from one to the next is not clear.
         OSError: a file cannot be read.
     """
     s = settings
     arm = described(s.arm)
     if s.maneuvers:
         found = through(from_yaml(Path(s.maneuvers).read_text(encoding="utf-8"), arm.n), s.pause)
-        check(np.array([stop.q for stop in found]), arm)
-        return found
-    if not s.postures:
-        return [Stop(q) for q in default(arm)]
-    if len(s.postures) % arm.n:
+    elif len(s.postures) % arm.n:
         raise ValueError(f"postures has {len(s.postures)} numbers, expected {arm.n} a row")
-    q = np.array(s.postures).reshape(-1, arm.n)
-    check(q, arm)
-    return [Stop(row) for row in q]
+    else:
+        rows = np.reshape(s.postures, (-1, arm.n)) if s.postures else default(arm, s.guarded())
+        found = [Stop(q) for q in rows]
+    check(np.array([stop.q for stop in found]).reshape(-1, arm.n), arm, s.guarded())
+    return found
 
 
 def through(plan: Sequence[Planned], pause: float) -> list[Stop]:
@@ -366,8 +375,8 @@ def back(stops: Sequence[Stop]) -> deque[Stop]:
     return found
 
 
-def check(q: Floats, arm: Arm) -> None:
-    """Raise ValueError if a posture is beyond a limit."""
+def check(q: Floats, arm: Arm, guarded: GuardSettings) -> None:
+    """Raise ValueError if a posture is beyond a limit, or a move between two is not clear."""
     for i, link in enumerate(arm.links):
         outside = (q[:, i] < link.q_min) | (q[:, i] > link.q_max) | ~np.isfinite(q[:, i])
         if outside.any():
@@ -375,6 +384,13 @@ def check(q: Floats, arm: Arm) -> None:
                 f"postures: joint {i + 1} at {q[outside, i][0]:.4g} rad, "
                 f"expected {link.q_min:.4g} to {link.q_max:.4g}"
             )
+    guard = Guard(arm, guarded)
+    for k in range(len(q)):
+        try:
+            guard.check_posture(q[k])
+            guard.check_path((0.0, 1.0), q[[max(k - 1, 0), k]], np.zeros((2, arm.n)))
+        except GuardError as error:
+            raise ValueError(f"postures: on the way to posture {k + 1}, {error}") from None
 
 
 def main() -> int:

@@ -7,12 +7,11 @@ import numpy as np
 from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.kinematic.problem import HEADING_DEVIATION, POSITION_DEVIATION
 from fss_arm_model.description import Arm
-from fss_arm_model.kinematics import joint_positions, tip_regressor
+from fss_arm_model.kinematics import tip_regressor
+from fss_arm_motion.guard import Guard, GuardError
+from fss_arm_motion.guard_settings import GuardSettings
 
-MARGIN = 0.2  # least distance between links that are not neighbours [m]
 APART = np.radians(45.0)  # two postures differ by as much in some joint at least
-BASE_RADIUS = 0.3  # about the base's origin, kept clear by all links but the first [m]
-
 ROUNDS = 20  # of exchanges at most: about five are enough, unless too many crowd a single joint
 
 #: What design(paper_arm(), seed=5) finds, for the paper's arm and those like it, (13, 4) [rad].
@@ -35,9 +34,9 @@ DEFAULT: Floats = np.radians(
 )
 
 
-def default(arm: Arm) -> Floats:
+def default(arm: Arm, settings: GuardSettings | None = None) -> Floats:
     """Postures for an arm: the table above for four links, else designed for it, (s, n) [rad]."""
-    return DEFAULT if arm.n == 4 else design(arm, max(13, 2 * arm.n + 2))
+    return DEFAULT if arm.n == 4 else design(arm, max(13, 2 * arm.n + 2), settings=settings)
 
 
 def design(
@@ -46,14 +45,15 @@ def design(
     seed: int = 0,
     candidates: int = 2000,
     reach: float = np.radians(85.0),
+    settings: GuardSettings | None = None,
 ) -> Floats:
     """Choose postures by their joint information about all 2n+2 parameters (D-optimality).
 
-    From seeded random candidates within the joints' limits and +-`reach`, in which the arm keeps
-    clear of itself and the base, one posture after the other is exchanged for the candidate that
-    raises det(Phi' W Phi) most among those APART from the others, until none does, or for ROUNDS.
-    The first is the candidate nearest to zero. The order then is a short way through them, in moves
-    that keep clear as well.
+    From seeded random candidates within the joints' limits and +-`reach`, in which the guard finds
+    the arm clear of itself and the base, one posture after the other is exchanged for the candidate
+    that raises det(Phi' W Phi) most among those APART from the others, until none does, or for
+    ROUNDS. The first is the candidate nearest to zero. The order then is a short way through them,
+    in moves that keep clear as well.
 
     Returns:
         (count, n) [rad], in whole multiples of 5 degrees.
@@ -66,7 +66,8 @@ def design(
     high = np.floor(np.minimum([k.q_max for k in arm.links], reach) / step)
     rng = np.random.default_rng(seed)
     q = step * rng.integers(low, high, (candidates, arm.n), endpoint=True)
-    q = q[clearance(arm, q) >= MARGIN]
+    guard = Guard(arm, settings)
+    q = q[guard.slack(q) >= 0.0]
     if len(q) < count:
         raise ValueError(f"only {len(q)} of {candidates} postures keep the arm clear of itself")
     q = q[np.argsort(np.max(np.abs(q), axis=1))]
@@ -85,7 +86,7 @@ def design(
             chosen[k] = int(np.argmax(gain))
         if chosen == before:
             break
-    return q[chosen][_short_way(arm, q[chosen])]
+    return q[chosen][_short_way(guard, q[chosen])]
 
 
 def _apart(q: Floats, others: Floats) -> np.ndarray:
@@ -97,59 +98,21 @@ def _apart(q: Floats, others: Floats) -> np.ndarray:
     return nearest >= min(APART, np.max(nearest))
 
 
-def clearance(arm: Arm, q: Floats) -> Floats:
-    """Least distance [m] between links that are not neighbours, (...) for q (..., n).
-
-    The base counts as a disc of BASE_RADIUS - MARGIN that all links but the first keep clear of.
-    """
-    state = np.concatenate([np.zeros((*q.shape[:-1], 3)), q], axis=-1)
-    ends = joint_positions(arm.vector(), state)
-    ends = ends[..., 0] + 1j * ends[..., 1]
-    least = np.full(q.shape[:-1], np.inf)
-    for i, j in combinations(range(arm.n), 2):
-        if j > i + 1:
-            least = np.minimum(least, _distance(ends[..., i : i + 2], ends[..., j : j + 2]))
-    for i in range(1, arm.n):
-        from_base = _from_segment(np.zeros_like(ends[..., 0]), ends[..., i : i + 2])
-        least = np.minimum(least, from_base - BASE_RADIUS + MARGIN)
-    return least
+def clear(guard: Guard, begin: Floats, end: Floats) -> bool:
+    """Whether a straight move between two postures (n) keeps the arm clear of itself."""
+    try:
+        guard.check_path((0.0, 1.0), (begin, end), np.zeros((2, len(begin))))
+    except GuardError:
+        return False
+    return True
 
 
-def _from_segment(point: np.ndarray, ends: np.ndarray) -> Floats:
-    """Distance of a point from a segment, complex numbers."""
-    along = ends[..., 1] - ends[..., 0]
-    share = ((point - ends[..., 0]) * along.conj()).real / np.abs(along) ** 2
-    return np.abs(point - ends[..., 0] - np.clip(share, 0.0, 1.0) * along)
-
-
-def _distance(one: np.ndarray, other: np.ndarray) -> Floats:
-    """Distance between two segments, 0 if they cross."""
-    apart = np.min(
-        [
-            _from_segment(one[..., 0], other),
-            _from_segment(one[..., 1], other),
-            _from_segment(other[..., 0], one),
-            _from_segment(other[..., 1], one),
-        ],
-        axis=0,
-    )
-    return np.where(_sides(one, other) & _sides(other, one), 0.0, apart)
-
-
-def _sides(line: np.ndarray, ends: np.ndarray) -> np.ndarray:
-    """Whether the ends of a segment lie on the two sides of a line."""
-    along = (line[..., 1] - line[..., 0]).conj()
-    side = (along[..., None] * (ends - line[..., :1])).imag
-    return side[..., 0] * side[..., 1] < 0.0
-
-
-def _short_way(arm: Arm, q: Floats) -> list[int]:
+def _short_way(guard: Guard, q: Floats) -> list[int]:
     """An order of postures, the first staying first, improved by reversing parts of it (2-opt)."""
-    share = np.linspace(0.0, 1.0, 41)[:, None]
     cost = np.zeros((len(q), len(q)))
     for i, j in combinations(range(len(q)), 2):
-        clear = np.min(clearance(arm, q[i] + share * (q[j] - q[i]))) > 0.5 * MARGIN
-        cost[i, j] = cost[j, i] = np.max(np.abs(q[j] - q[i])) + (0.0 if clear else 100.0)
+        blocked = not clear(guard, q[i], q[j])
+        cost[i, j] = cost[j, i] = np.max(np.abs(q[j] - q[i])) + 100.0 * blocked
 
     def length(way: list[int]) -> float:
         return float(sum(cost[i, j] for i, j in pairwise(way)))

@@ -290,11 +290,16 @@ _READERS: dict[int, Callable[[bytes], Frame]] = {
 }
 
 
+_RANGES = {
+    kind: [(f.name, *f.metadata["range"]) for f in fields(kind)]
+    for kind in (Telemetry, Command, Segment)
+}
+
+
 def _check_ranges(frame: Frame) -> None:
-    for f in fields(frame):
-        value, (low, high) = getattr(frame, f.name), f.metadata["range"]
-        if not low <= value <= high:
-            raise FrameError(Refusal.FIELD, f"{f.name} is {value}, expected {low} to {high}")
+    for name, low, high in _RANGES[type(frame)]:
+        if not low <= (value := getattr(frame, name)) <= high:
+            raise FrameError(Refusal.FIELD, f"{name} is {value}, expected {low} to {high}")
 
 
 def _check_meaning(frame: Frame) -> None:

@@ -7,9 +7,10 @@ from typing import NamedTuple
 import numpy as np
 
 from fss_arm_model.centroidal import _momenta, _rate, _scaled
+from fss_arm_model.extents import Extents
 from fss_arm_model.kernels import Floats, helper, inlined
 from fss_arm_model.kinematics import _cross, _dot
-from fss_arm_model.settings import FINITE, NOT_NEGATIVE, POSITIVE, Settings, setting
+from fss_arm_model.settings import FINITE, NOT_NEGATIVE, Settings, like, setting
 from fss_arm_model.units import GRAVITY
 
 # Where what stands in Surroundings.vector(). The air film's shear grows with the mass that it
@@ -34,22 +35,15 @@ class Surroundings(Settings):
     tether_twist: float = setting(
         0.0, "drag of the tether against the base's turning", unit="N m s", check=NOT_NEGATIVE
     )
-    table: tuple[float, ...] = setting(
-        (4.0, 4.0), "sides of the table, along x and y, about the origin", unit="m",
-        check=POSITIVE, size=2,
-    )  # fmt: skip
+    table: tuple[float, ...] = like(Extents, "table")
     border_stiffness: float = setting(
         2000.0, "stiffness of the table's border", unit="N/m", check=NOT_NEGATIVE
     )
     border_damping: float = setting(
         100.0, "damping of the table's border", unit="N s/m", check=NOT_NEGATIVE
     )
-    base_radius: float = setting(
-        0.19, "radius within which the base lies about its origin", unit="m", check=NOT_NEGATIVE
-    )
-    link_radius: float = setting(
-        0.06, "radius of the links' ends about their joints", unit="m", check=NOT_NEGATIVE
-    )
+    base_radius: float = like(Extents, "base_radius")
+    link_radius: float = like(Extents, "link_radius")
 
     def vector(self) -> Floats:
         """The numbers that the kernel takes, (11,); the tilt as an acceleration, half the table."""

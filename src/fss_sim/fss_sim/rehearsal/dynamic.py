@@ -42,7 +42,7 @@ from fss_sim.rehearsal.processes import Nodes, RehearsalError, rehearse, results
 
 PAUSE = 5.2  # between maneuvers [s]
 SESSION = 4  # maneuvers before somebody puts the base back to the middle of the table
-TABLE = 3.7  # to plan with: the table is larger, by what the base drifts in a session [m]
+TABLE = (3.7, 3.7)  # to plan with: the table is larger, by what the base drifts in a session [m]
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from fss_arm_driver.urdf import urdf
 from fss_arm_model.description import load, paper_arm
 from fss_arm_model.dynamics import inertia_matrix
 from fss_arm_model.kinematics import tip_pose
+from fss_arm_model.urdf import urdf
 
 TRUTH = load(Path(__file__).parents[3] / "config/truth.yaml")
 BENT = replace(
@@ -64,3 +64,14 @@ def test_a_reader_of_text_gets_no_encoding_and_a_root_without_mass():
     links = {link.get("name"): link for link in ElementTree.fromstring(text).iter("link")}
     assert links["fss"].find("inertial") is None
     assert float(links["fss_body"].find("inertial/mass").get("value")) == paper_arm().base.mass
+
+
+def test_what_is_drawn_is_what_collides():
+    for link in ElementTree.fromstring(urdf(paper_arm())).iter("link"):
+        drawn, collides = (
+            [part.attrib for name in ("geometry/box", "origin") for part in shape.findall(name)]
+            for kind in ("visual", "collision")
+            for shape in [link.find(kind) if link.find(kind) is not None else link]
+        )
+        assert drawn == collides
+        assert bool(drawn) == (link.get("name") not in ("fss", "end_effector"))

@@ -1,0 +1,144 @@
+"""The action `arm/move`: all joints to given angles, arriving together."""
+
+import time
+from typing import Any
+
+from rclpy.action import ActionServer, CancelResponse
+from rclpy.action.server import ServerGoalHandle
+from rclpy.callback_groups import ReentrantCallbackGroup
+from unique_identifier_msgs.msg import UUID
+
+from fss_arm_driver.arm.guard_topics import GuardTopics
+from fss_arm_driver.arm.link_topics import LinkTopics, MotionError
+from fss_arm_driver.arm.turn import Motion
+from fss_arm_driver.move import MAX_DURATION, Move, MoveError, Profile, plan
+from fss_arm_driver.watch import Asker
+from fss_arm_motion.guard import GuardError
+from fss_arm_msgs.action import MoveArm
+from fss_arm_msgs.msg import LinkCommand
+from fss_arm_ros.convert import SECOND
+
+ASKING = "arm/move/_action/get_result"  # the service that whoever asked for a move is a client of
+
+
+class MoveAction:
+    """Executes moves, one at a time; whoever asked for one must stay alive."""
+
+    def __init__(self, links: LinkTopics, guard: GuardTopics) -> None:
+        self.links, self.guard, node = links, guard, links.node
+        self.moving = b""  # the goal's id
+        self.asker = Asker(0.0, 0.0)
+        node.create_subscription(UUID, "arm/move/alive", self.on_alive, 10)
+        self.server = ActionServer(
+            node,
+            MoveArm,
+            "arm/move",
+            self.on_move,
+            cancel_callback=self.on_cancel,
+            callback_group=ReentrantCallbackGroup(),  # moves take their time; all else goes on
+        )
+
+    def on_alive(self, goal: UUID) -> None:
+        """Whoever asked for a move still wants it."""
+        if goal.uuid.tobytes() == self.moving:
+            self.asker.heard = time.monotonic()
+
+    def on_cancel(self, _: Any) -> CancelResponse:
+        """Whoever asked for a move does not want it any more."""
+        self.links.wake()
+        return CancelResponse.ACCEPT
+
+    async def on_move(self, handle: ServerGoalHandle) -> MoveArm.Result:
+        """Execute `arm/move`."""
+        message = ""
+        try:
+            await self.begin(handle)
+        except (MotionError, MoveError, GuardError) as error:
+            message = str(error)
+        if not message:
+            handle.succeed()
+        elif handle.is_cancel_requested:
+            handle.canceled()
+        else:
+            self.links.node.get_logger().warning(f"move ended: {message}")
+            handle.abort()
+        return MoveArm.Result(reached=not message, message=message, q=self.links.q())
+
+    async def begin(self, handle: ServerGoalHandle) -> None:
+        """Send the links where they shall go until they are there.
+
+        Raises:
+            MotionError: it cannot be begun, or ended before.
+            MoveError: it makes no sense.
+            GuardError: bodies would come too near.
+        """
+        links, request = self.links, handle.request
+        if other := links.turn.holder(links.now()):
+            raise MotionError(f"{other} is under way")
+        links.check()
+        move = plan(links.arm, links.q(), tuple(request.q), request.duration)
+        if not 0.0 <= request.keep_alive <= MAX_DURATION:
+            raise MoveError(
+                f"keep_alive is {request.keep_alive} s, expected 0 to {MAX_DURATION:.0f}"
+            )
+        self.guard.check_move(links.states, move.profiles, begun=False)
+        motion = links.turn.take("a move", links.now())
+        self.moving = handle.goal_id.uuid.tobytes()
+        self.asker = Asker(request.keep_alive, time.monotonic())
+        try:
+            await self.go(handle, move, motion)
+        except (MotionError, GuardError):
+            links.rest(motion)
+            raise
+        finally:
+            links.turn.leave(motion)
+            self.moving = b""
+
+    async def go(self, handle: ServerGoalHandle, move: Move, motion: Motion) -> None:
+        """Repeat the commands until all joints are there."""
+        links, begun = self.links, self.links.now()
+        given = begun
+        while not self.reached(move):
+            elapsed = (links.now() - begun) / SECOND
+            if elapsed > move.duration + links.settings.max_overrun:
+                raise MotionError(f"not reached within {elapsed:.1f} s, {self.farthest(move)}")
+            links.send({i: position(p) for i, p in enumerate(move.profiles, 1)}, given, motion)
+            remaining = max(0.0, move.duration - elapsed)
+            handle.publish_feedback(MoveArm.Feedback(q=links.q(), remaining=remaining))
+            await links.ticked
+            given = links.now()
+            self.check(handle, motion)
+            self.guard.check_move(links.states, move.profiles, begun=True)
+
+    def check(self, handle: ServerGoalHandle, motion: Motion) -> None:
+        """Raise MotionError if a move cannot or shall not go on."""
+        if handle.is_cancel_requested:
+            raise MotionError("cancelled")
+        self.links.check(motion)
+        seen = bool(self.links.node.count_clients(ASKING))
+        if gone := self.asker.gone(time.monotonic(), seen):
+            raise MotionError(gone)
+
+    def reached(self, move: Move) -> bool:
+        """Whether all joints are at their goals and at rest."""
+        s = self.links.settings
+        return all(
+            abs(self.links.states[i].q - part.target) <= s.tolerance
+            and abs(self.links.states[i].qd) <= s.motion_threshold
+            for i, part in enumerate(move.profiles, 1)
+        )
+
+    def farthest(self, move: Move) -> str:
+        """The joint that is farthest from its goal, in words."""
+        off = [abs(q - p.target) for q, p in zip(self.links.q(), move.profiles, strict=True)]
+        return f"joint {off.index(max(off)) + 1} is off by {max(off):.4f} rad"
+
+
+def position(part: Profile) -> LinkCommand:
+    """One joint's part in a move as a command."""
+    return LinkCommand(
+        mode=LinkCommand.POSITION,
+        set_point=part.target,
+        max_velocity=part.velocity,
+        max_acceleration=part.acceleration,
+    )

@@ -1,0 +1,78 @@
+"""What the links reported last, and the joints' states brought to one time."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import nan
+from typing import Any, NamedTuple
+
+from fss_arm_driver.protocol import NO_TORQUE, State
+from fss_arm_driver.scale import Scale
+
+PATH_SHIFT = 16  # of a path's number in a LinkTelemetry's `path`
+SECOND = 1_000_000_000  # [ns]
+
+
+@dataclass(frozen=True)
+class LinkState:
+    """What one link reported last."""
+
+    heard: int  # [ns]
+    measured: int  # [ns]
+    q: float  # [rad]
+    qd: float  # [rad/s]
+    effort: float  # of the torque sensor [N m]; NaN: unknown
+    armed: bool
+    referenced: bool
+    following: bool
+    broken: bool
+    path: int  # number of the newest path that it holds; 0: none
+
+
+def link_state(message: Any, scale: Scale, measured: int, heard: int) -> LinkState:
+    """A LinkTelemetry in SI units."""
+    flags = message.flags
+    known = message.torque_age < NO_TORQUE
+    return LinkState(
+        heard,
+        measured,
+        scale.position(message.position),
+        scale.velocity(message.velocity),
+        scale.torque(message.torque) if known else nan,
+        message.armed,
+        bool(flags & State.REFERENCED),
+        bool(flags & State.FOLLOWING),
+        bool(flags & State.BROKEN),
+        message.path >> PATH_SHIFT,
+    )
+
+
+class Joints(NamedTuple):
+    """All joints at one time, each (n)."""
+
+    q: list[float]  # [rad]
+    qd: list[float]  # [rad/s]
+    effort: list[float]  # [N m]
+
+
+def together(links: Mapping[int, LinkState], n: int, at: int, most: float) -> Joints | str:
+    """All joints at a time, extrapolated by their rates, or why that cannot be said.
+
+    Args:
+        links: by number, as far as they were heard.
+        n: how many there are.
+        at: the time [ns].
+        most: longest extrapolation [s].
+    """
+    q, qd, effort = [], [], []
+    for i in range(1, n + 1):
+        link = links.get(i)
+        if link is None:
+            return f"link {i} is not heard yet"
+        if not link.referenced:
+            return f"link {i} is not referenced"
+        if (age := (at - link.measured) / SECOND) > most:
+            return f"link {i} was measured {age:.2f} s ago, at most {most:g} s"
+        q.append(link.q + link.qd * age)
+        qd.append(link.qd)
+        effort.append(link.effort)
+    return Joints(q, qd, effort)

@@ -1,0 +1,94 @@
+"""What the arm's node says of the arm: all joints in one message, transforms, the description."""
+
+from math import cos, sin
+from typing import Any
+
+from geometry_msgs.msg import TransformStamped
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from tf2_msgs.msg import TFMessage
+
+from fss_arm_driver.arm.link_topics import LinkTopics
+from fss_arm_driver.arm.state import together
+from fss_arm_model.urdf import Frame, frames, urdf
+from fss_arm_msgs.msg import DynamicCalibration, KinematicCalibration
+from fss_arm_ros.calibrated import Calibrated
+from fss_arm_ros.convert import to_time
+from fss_arm_ros.qos import LATCHED, SENSOR
+
+CALIBRATIONS = (
+    ("calibration/kinematic", KinematicCalibration),
+    ("calibration/dynamic", DynamicCalibration),
+)
+
+
+class StateTopics:
+    """Publishes `arm/joint_states`, /tf, /tf_static and `robot_description`."""
+
+    def __init__(self, links: LinkTopics) -> None:
+        self.links, node, s = links, links.node, links.settings
+        self.calibrated = Calibrated(links.arm)
+        self.withheld = ""  # why there are no joint states, in words
+        self.joint_states = node.create_publisher(JointState, "arm/joint_states", SENSOR)
+        self.description = node.create_publisher(String, "robot_description", LATCHED)
+        self.tf = self.tf_static = None
+        if s.publish_tf:
+            self.tf = node.create_publisher(TFMessage, "/tf", 100)
+            self.tf_static = node.create_publisher(TFMessage, "/tf_static", LATCHED)
+        for topic, kind in CALIBRATIONS:
+            node.create_subscription(
+                kind, topic, lambda message, topic=topic: self.on_calibration(topic, message),
+                LATCHED,
+            )  # fmt: skip
+        node.create_timer(1.0 / s.state_rate, self.publish, clock=links.clock)
+        self.describe()
+
+    def on_calibration(self, topic: str, message: Any) -> None:
+        """Describe the arm as a calibration found it, if that has passed."""
+        try:
+            found = self.calibrated.with_message(topic, message)
+            if found.arm.n != self.links.arm.n:
+                raise ValueError(f"has {found.arm.n} links, expected {self.links.arm.n}")
+        except ValueError as error:
+            self.links.node.get_logger().warning(f"{topic} is of another arm: {error}")
+            return
+        if found.arm != self.calibrated.arm:
+            self.calibrated = found
+            self.describe()
+
+    def describe(self) -> None:
+        """Publish the description, and what does not move in it."""
+        arm = self.calibrated.arm
+        self.description.publish(String(data=urdf(arm)))
+        self.frames = frames(arm)
+        if self.tf_static:
+            now, fixed = self.links.now(), [f for f in self.frames if not f.joint]
+            self.tf_static.publish(TFMessage(transforms=[transform(f, 0.0, now) for f in fixed]))
+
+    def publish(self) -> None:
+        """Publish all joints at the present time, and the links' transforms."""
+        links, now = self.links, self.links.now()
+        joints = together(links.states, links.arm.n, now, links.settings.max_extrapolation)
+        if isinstance(joints, str):
+            self.withheld = joints
+            return
+        self.withheld = ""
+        message = JointState(
+            name=[f"joint_{i}" for i in links.numbers],
+            position=joints.q, velocity=joints.qd, effort=joints.effort,
+        )  # fmt: skip
+        message.header.stamp = to_time(now)
+        self.joint_states.publish(message)
+        if self.tf:
+            moving = [transform(f, joints.q[f.joint - 1], now) for f in self.frames if f.joint]
+            self.tf.publish(TFMessage(transforms=moving))
+
+
+def transform(frame: Frame, q: float, at: int) -> TransformStamped:
+    """A link's pose in its parent's frame, its joint at q [rad]."""
+    message = TransformStamped(child_frame_id=frame.name)
+    message.header.stamp, message.header.frame_id = to_time(at), frame.parent
+    message.transform.translation.x, message.transform.translation.y = frame.x, frame.y
+    half = 0.5 * (frame.theta + q)
+    message.transform.rotation.z, message.transform.rotation.w = sin(half), cos(half)
+    return message

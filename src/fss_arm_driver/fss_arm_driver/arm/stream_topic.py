@@ -1,0 +1,74 @@
+"""The topic `arm/joint_commands`: each message is passed on to the links as it comes."""
+
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState
+
+from fss_arm_driver.arm.guard_topics import GuardTopics
+from fss_arm_driver.arm.link_topics import LinkTopics
+from fss_arm_driver.arm.stream import SetPoint, Stream, StreamError
+from fss_arm_driver.arm.turn import Motion
+from fss_arm_driver.protocol import Mode
+from fss_arm_motion.guard import GuardError
+from fss_arm_msgs.msg import LinkCommand
+from fss_arm_ros.convert import SECOND, stamp_ns
+from fss_arm_ros.ear import Ear
+
+TOPIC = "arm/joint_commands"
+#: Of any publisher, and only what is newest: one that was lost is not worth another try.
+NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+
+class StreamTopic:
+    """Has the links do what a stream says, in a thread of its own."""
+
+    def __init__(self, links: LinkTopics, guard: GuardTopics) -> None:
+        self.links, self.guard = links, guard
+        self.lives = links.settings.stream_time_to_live
+        self.stream = Stream(links.arm, self.lives)
+        self.motion: Motion | None = None
+        self.commands = {i: LinkCommand() for i in links.numbers}  # as making one takes long
+        self.ear = Ear(links.node, JointState, TOPIC, NEWEST, self.on_command)
+
+    def on_command(self, message: JointState) -> None:
+        """Pass a message on, or refuse it; of refusals in a row for one reason, one is logged."""
+        now = self.links.now()
+        try:
+            given = self.stream.given(stamp_ns(message.header.stamp), now)
+            points = self.stream.read(message)
+            self.check(points)
+        except StreamError as error:
+            if self.stream.refuse(error):
+                self.links.node.get_logger().warning(f"{TOPIC} refused: {error}")
+            return
+        self.stream.accept()
+        for i, mode, value in points:
+            self.commands[i].mode, self.commands[i].set_point = int(mode), value
+        commands = {point.link: self.commands[point.link] for point in points}
+        with self.links.turn.lock:
+            self.links.send(commands, given, self.take_turn(points, given, now), self.lives)
+
+    def check(self, points: list[SetPoint]) -> None:
+        """Raise StreamError if the joints cannot move, or shall not."""
+        if why := self.links.stood_still():
+            raise StreamError("links", why)
+        referenced = any(point.mode == Mode.POSITION for point in points)
+        for i, trouble in self.links.troubles([p.link for p in points], referenced).items():
+            raise StreamError("links", f"link {i} {trouble}")
+        try:
+            self.guard.check_stream(self.links.states, points)
+        except GuardError as error:
+            raise StreamError("guard", str(error)) from None
+
+    def take_turn(self, points: list[SetPoint], given: int, now: int) -> Motion:
+        """Prolong the stream, or begin one: what moved before ends, all other joints rest."""
+        turn, until = self.links.turn, given + round(self.lives * SECOND)
+        if self.motion and turn.has(self.motion, now):
+            self.motion.until = until
+            return self.motion
+        moved = bool(turn.holder(now))
+        self.motion = turn.take(TOPIC, now, until)
+        if moved:
+            self.links.wake()
+            others = set(self.links.numbers) - {point.link for point in points}
+            self.links.rest(self.motion, others)
+        return self.motion

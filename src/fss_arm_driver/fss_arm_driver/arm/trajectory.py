@@ -1,0 +1,266 @@
+"""A trajectory in time, as it was asked for and as the links follow it: cubic between knots."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from fss_arm_model.description import Arm
+
+Floats = npt.NDArray[np.float64]
+
+SECOND = 1_000_000_000  # [ns]
+MIN_SEGMENT, MAX_SEGMENT = 0.002, 59.0  # between knots, as a LinkPath has them [s]
+MAX_SEGMENTS = 65_535
+MAX_AHEAD = 119.0  # that a path may begin, of the 120 s that a link allows [s]
+REACH = 0.25  # a link begins a path no further away than its drive covers in this time [s]
+OVERSHOOT = 1.1  # of the drive's velocity: a cubic through points that keep it may exceed it a bit
+
+
+class Code(IntEnum):
+    """How a trajectory ended, as control_msgs/FollowJointTrajectory has it."""
+
+    SUCCESSFUL = 0
+    INVALID_GOAL = -1
+    INVALID_JOINTS = -2
+    OLD_HEADER_TIMESTAMP = -3
+    PATH_TOLERANCE_VIOLATED = -4
+    GOAL_TOLERANCE_VIOLATED = -5
+
+
+class TrajectoryError(ValueError):
+    """A trajectory cannot be begun, or ended before its goal: a code, and the reason."""
+
+    def __init__(self, code: Code, words: str) -> None:
+        super().__init__(words)
+        self.code = code
+
+
+@dataclass(frozen=True)
+class Request:
+    """What was asked for, joints in the arm's order."""
+
+    stamp: int  # that times are since [ns]; 0: as soon as possible
+    times: Floats  # (m,) ascending [s]
+    q: Floats  # (m, n) [rad]
+    qd: Floats  # (m, n) [rad/s], NaN where it was not given
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """A path in time of all joints."""
+
+    begin: int  # [ns]
+    times: Floats  # (m,) ascending from 0 [s]
+    q: Floats  # (m, n) [rad]
+    qd: Floats  # (m, n) [rad/s]
+
+    @property
+    def end(self) -> int:
+        """When its last knot is reached [ns]."""
+        return self.begin + round(self.times[-1] * SECOND)
+
+    def at(self, time: int) -> tuple[Floats, Floats]:
+        """Positions [rad] and rates [rad/s] at a time [ns], at rest before and after it."""
+        if not self.begin <= time < self.end:
+            k = 0 if time < self.begin else -1
+            return self.q[k], np.zeros_like(self.q[k])
+        t = (time - self.begin) / SECOND
+        k = int(np.searchsorted(self.times, t, side="right")) - 1
+        h = self.times[k + 1] - self.times[k]
+        s = (t - self.times[k]) / h
+        c = _coefficients(h, self.q[k : k + 2], self.qd[k : k + 2])
+        return c[0] + s * (c[1] + s * (c[2] + s * c[3])), (c[1] + s * (2 * c[2] + 3 * s * c[3])) / h
+
+
+def requested(arm: Arm, message: Any) -> Request:
+    """What a trajectory_msgs/JointTrajectory asks for.
+
+    Raises:
+        TrajectoryError: it makes no sense, as joint_trajectory_controller sees it, too.
+    """
+    names, points = list(message.joint_names), message.points
+    joints = [f"joint_{i}" for i in range(1, arm.n + 1)]
+    if unknown := [name for name in names if name not in joints]:
+        raise TrajectoryError(Code.INVALID_JOINTS, f"{unknown[0]!r} is none of {_listed(joints)}")
+    if sorted(names) != joints:
+        raise TrajectoryError(
+            Code.INVALID_JOINTS, f"joint_names is {_listed(names)}, expected each of "
+            f"{_listed(joints)} once",
+        )  # fmt: skip
+    if not points:
+        raise TrajectoryError(Code.INVALID_GOAL, "points is empty")
+    order = [names.index(joint) for joint in joints]
+    q, qd = np.full((2, len(points), arm.n), np.nan)
+    for k, point in enumerate(points):
+        q[k] = _row(point.positions, order, f"positions of point {k}")
+        if len(point.velocities):
+            qd[k] = _row(point.velocities, order, f"velocities of point {k}")
+        if len(point.accelerations):  # of no use to a cubic, but they must be right
+            _row(point.accelerations, order, f"accelerations of point {k}")
+        if len(point.effort):
+            raise TrajectoryError(Code.INVALID_GOAL, f"effort of point {k} is filled")
+    if np.abs(np.nan_to_num(qd[-1])).max() > np.finfo(np.float32).eps:
+        raise TrajectoryError(Code.INVALID_GOAL, "velocities of the last point are not zero")
+    stamp = _ns(message.header.stamp)
+    times = np.array([_ns(point.time_from_start) for point in points]) / SECOND
+    if times[0] < 0.0 or (np.diff(times) <= 0.0).any():
+        raise TrajectoryError(Code.INVALID_GOAL, "time_from_start does not ascend from 0")
+    return Request(stamp, times, q, qd)
+
+
+def _row(values: Any, order: list[int], what: str) -> Floats:
+    if len(values) != len(order):
+        words = f"{what} are {len(values)}, expected {len(order)}"
+        raise TrajectoryError(Code.INVALID_GOAL, words)
+    if not np.isfinite(values).all():
+        raise TrajectoryError(Code.INVALID_GOAL, f"{what} are not finite")
+    return np.array(values)[order]
+
+
+def _listed(names: list[str]) -> str:
+    return ", ".join(names) or "empty"
+
+
+def _ns(time: Any) -> int:
+    return int(time.sec) * SECOND + int(time.nanosec)
+
+
+def check_time(request: Request, earliest: int) -> None:
+    """Raise TrajectoryError if a request ends before its path could begin [ns], or begins late."""
+    if (ahead := (request.stamp - earliest) / SECOND) > MAX_AHEAD:
+        words = f"begins {ahead:.1f} s ahead, expected at most {MAX_AHEAD:.0f}"
+        raise TrajectoryError(Code.INVALID_GOAL, f"the trajectory {words}")
+    if request.stamp and request.stamp + round(request.times[-1] * SECOND) <= earliest:
+        raise TrajectoryError(Code.OLD_HEADER_TIMESTAMP, "the trajectory ends in the past")
+
+
+def planned(
+    arm: Arm, request: Request, earliest: int, start: Callable[[int], tuple[Floats, Floats]]
+) -> Trajectory:
+    """The path through what is still to come of a request, from where the arm will be.
+
+    Velocities that are not given are those of the cubic spline through the points with continuous
+    accelerations, and zero at the end.
+
+    Args:
+        arm: its limits.
+        request: what was asked for.
+        earliest: when the path can begin [ns].
+        start: q and qd, (n) each, of the arm at a time [ns].
+
+    Raises:
+        TrajectoryError: it is over, leaves a limit, or begins too far away.
+    """
+    check_time(request, earliest)
+    begin = max(request.stamp, earliest)
+    times = request.times - ((begin - request.stamp) / SECOND if request.stamp else 0.0)
+    q0, qd0 = start(begin)
+    if times[0] == 0.0:  # it says itself where it begins
+        _check_start(arm, request.q[0], q0)
+        q, qd = request.q, request.qd.copy()
+        qd[0] = np.where(np.isnan(qd[0]), qd0, qd[0])
+    else:
+        rows = times >= MIN_SEGMENT
+        rows[-1] = True
+        times = np.concatenate([[0.0], times[rows]])
+        q, qd = np.vstack([q0, request.q[rows]]), np.vstack([qd0, request.qd[rows]])
+    qd[-1] = np.where(np.isnan(qd[-1]), 0.0, qd[-1])
+    if len(times) == 1:  # already there
+        times, q, qd = np.array([0.0, MIN_SEGMENT]), np.vstack([q, q]), np.zeros((2, arm.n))
+    if (shortest := np.diff(times).min()) < MIN_SEGMENT - 1e-9:
+        words = f"points are {shortest:.6f} s apart, expected at least {MIN_SEGMENT} s"
+        raise TrajectoryError(Code.INVALID_GOAL, words)
+    found = _divided(Trajectory(begin, times, q, spline_velocities(times, q, qd)))
+    _check_limits(arm, found)
+    return found
+
+
+def spline_velocities(times: Floats, q: Floats, qd: Floats) -> Floats:
+    """Fill the NaN rows of qd, (m, n) [rad/s], so that the acceleration is continuous there.
+
+    The first and the last row must be given. With steps h and the cubics' second derivatives
+    equal on both sides of knot i,
+
+        v_{i-1} / h_i + 2 (1 / h_i + 1 / h_{i+1}) v_i + v_{i+1} / h_{i+1}
+            = 3 ((q_i - q_{i-1}) / h_i^2 + (q_{i+1} - q_i) / h_{i+1}^2),
+
+    a tridiagonal system in which a given velocity is a row of its own.
+    """
+    h = np.diff(times)[:, None]
+    slope = np.diff(q, axis=0) / h**2
+    free = np.isnan(qd).any(axis=1)
+    v, above = np.where(np.isnan(qd), 0.0, qd), np.zeros(len(times))
+    for i in np.flatnonzero(free):  # forward elimination; a given row ends a stretch
+        low, high = 1.0 / h[i - 1, 0], 1.0 / h[i, 0]
+        pivot = 2.0 * (low + high) - low * above[i - 1]
+        above[i] = high / pivot
+        v[i] = (3.0 * (slope[i - 1] + slope[i]) - low * v[i - 1]) / pivot
+    for i in np.flatnonzero(free)[::-1]:
+        v[i] -= above[i] * v[i + 1]
+    return v
+
+
+def _coefficients(h: Any, q: Floats, qd: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """Of the cubic in s from 0 to 1 over a time h; q and qd begin with its two ends, (2, ...)."""
+    d, v0, v1 = q[1] - q[0], h * qd[0], h * qd[1]
+    return q[0], v0, 3.0 * d - 2.0 * v0 - v1, v0 + v1 - 2.0 * d
+
+
+def _divided(path: Trajectory) -> Trajectory:
+    """The same with no segment longer than the protocol allows."""
+    times = [
+        np.linspace(a, b, int(np.ceil((b - a) / MAX_SEGMENT)) + 1)[:-1]
+        for a, b in zip(path.times[:-1], path.times[1:], strict=True)
+    ]
+    all_times = np.concatenate([*times, path.times[-1:]])
+    if len(all_times) > MAX_SEGMENTS + 1:
+        words = f"points are {len(all_times)}, expected at most {MAX_SEGMENTS}"
+        raise TrajectoryError(Code.INVALID_GOAL, words)
+    if len(all_times) == len(path.times):
+        return path
+    whole = Trajectory(0, path.times, path.q, path.qd)
+    states = [whole.at(round(t * SECOND)) for t in all_times[1:-1]]
+    q = np.vstack([path.q[0], *(q for q, _ in states), path.q[-1]])
+    qd = np.vstack([path.qd[0], *(qd for _, qd in states), path.qd[-1]])
+    return Trajectory(path.begin, all_times, q, qd)
+
+
+def _check_start(arm: Arm, first: Floats, here: Floats) -> None:
+    for i, link in enumerate(arm.links):
+        reach = REACH * link.drive.max_velocity
+        if (way := abs(first[i] - here[i])) > reach:
+            raise TrajectoryError(
+                Code.INVALID_GOAL,
+                f"joint_{i + 1} begins {way:.4f} rad from where it is, expected at most "
+                f"{reach:.4g} (or a later first point)",
+            )
+
+
+def _check_limits(arm: Arm, path: Trajectory) -> None:
+    """Raise TrajectoryError where a joint leaves its range or is faster than its drive."""
+    h = np.diff(path.times)[:, None]
+    pairs = np.stack([path.q[:-1], path.q[1:]]), np.stack([path.qd[:-1], path.qd[1:]])
+    c0, c1, c2, c3 = _coefficients(h, *pairs)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        root = np.sqrt(np.maximum(c2**2 - 3.0 * c1 * c3, 0.0))
+        turns = [(-c2 + root) / (3.0 * c3), (-c2 - root) / (3.0 * c3), -c1 / (2.0 * c2)]
+        peak = -c2 / (3.0 * c3)
+    places = [np.zeros_like(c0), np.ones_like(c0)]
+    places += [np.clip(np.nan_to_num(s, posinf=0.0, neginf=0.0), 0.0, 1.0) for s in (*turns, peak)]
+    s = np.stack(places)
+    q = c0 + s * (c1 + s * (c2 + s * c3))
+    qd = (c1 + s * (2.0 * c2 + 3.0 * s * c3)) / h
+    for i, link in enumerate(arm.links):
+        low, high, most = link.q_min, link.q_max, link.drive.max_velocity
+        for value in (q[..., i].min(), q[..., i].max()):
+            if not low - 1e-9 <= value <= high + 1e-9:
+                expected = f"{low:.6g} to {high:.6g}"
+                words = f"joint_{i + 1} would be at {value:.4f} rad, expected {expected}"
+                raise TrajectoryError(Code.INVALID_GOAL, words)
+        if (fastest := np.abs(qd[..., i]).max()) > OVERSHOOT * most:
+            words = f"joint_{i + 1} would turn at {fastest:.4f} rad/s, expected at most {most:.6g}"
+            raise TrajectoryError(Code.INVALID_GOAL, words)

@@ -1,0 +1,192 @@
+"""The action and the topic of a joint trajectory controller, by the name `arm_controller`."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from control_msgs.action import FollowJointTrajectory
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.action.server import ServerGoalHandle
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.duration import Duration
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from fss_arm_driver.arm.following import Following, Progress
+from fss_arm_driver.arm.guard_topics import GuardTopics
+from fss_arm_driver.arm.link_topics import LinkTopics, MotionError
+from fss_arm_driver.arm.tolerance import Tolerance, Tolerances
+from fss_arm_driver.arm.trajectory import (
+    Code,
+    Floats,
+    Request,
+    Trajectory,
+    TrajectoryError,
+    check_time,
+    planned,
+    requested,
+)
+from fss_arm_driver.arm.turn import Motion
+from fss_arm_motion.guard import GuardError
+from fss_arm_ros.convert import SECOND, to_time
+
+CONTROLLER = "arm_controller"
+CANCELLED = "cancelled"
+
+
+class TrajectoryAction:
+    """Has the links follow trajectories, the newest in the place of the one before."""
+
+    def __init__(self, links: LinkTopics, guard: GuardTopics) -> None:
+        self.links, self.guard, node, s = links, guard, links.node, links.settings
+        goal = Tolerance(s.tolerance, s.motion_threshold)
+        n = links.arm.n
+        self.tolerances = Tolerances((Tolerance(s.path_tolerance),) * n, (goal,) * n, s.max_overrun)
+        self.motion: Motion | None = None
+        self.trajectory: Trajectory | None = None  # of that motion
+        self.server = ActionServer(
+            node,
+            FollowJointTrajectory,
+            f"{CONTROLLER}/follow_joint_trajectory",
+            self.on_execute,
+            goal_callback=self.on_goal,
+            cancel_callback=self.on_cancel,
+            callback_group=ReentrantCallbackGroup(),  # they take their time; all else goes on
+        )
+        topic = f"{CONTROLLER}/joint_trajectory"
+        node.create_subscription(JointTrajectory, topic, self.on_message, 1)
+
+    @property
+    def earliest(self) -> int:
+        """When a path that is given now can begin [ns]."""
+        return self.links.now() + round(self.links.settings.lead * SECOND)
+
+    def on_goal(self, goal: FollowJointTrajectory.Goal) -> GoalResponse:
+        """Reject a goal that makes no sense; the log says why, as an answer has no room for it."""
+        try:
+            self.tolerances.of_goal(goal)
+            check_time(self.read(goal.trajectory), self.earliest)
+        except TrajectoryError as error:
+            self.warn("goal rejected", error)
+            return GoalResponse.REJECT
+        return GoalResponse.ACCEPT
+
+    def read(self, message: JointTrajectory) -> Request:
+        """What a message asks for, or TrajectoryError."""
+        return requested(self.links.arm, message)
+
+    def on_cancel(self, _: Any) -> CancelResponse:
+        """Let a goal end that nobody wants any more."""
+        self.links.wake()
+        return CancelResponse.ACCEPT
+
+    async def on_execute(self, handle: ServerGoalHandle) -> FollowJointTrajectory.Result:
+        """Execute a goal that was accepted."""
+        goal = handle.request
+        code, words = Code.SUCCESSFUL, "goal reached"
+        try:
+            tolerances = self.tolerances.of_goal(goal)
+            await self.follow(self.read(goal.trajectory), tolerances, handle)
+            handle.succeed()
+        except TrajectoryError as error:
+            code, words = error.code, str(error)
+            if words == CANCELLED:
+                handle.canceled()
+            else:
+                self.warn("trajectory ended", error)
+                handle.abort()
+        return FollowJointTrajectory.Result(error_code=int(code), error_string=words)
+
+    def on_message(self, message: JointTrajectory) -> None:
+        """Begin a trajectory that nobody asks about."""
+        self.links.node.executor.create_task(self.follow_unasked(message))
+
+    async def follow_unasked(self, message: JointTrajectory) -> None:
+        """Follow a trajectory; the log says why it ended, if not by reaching its goal."""
+        try:
+            await self.follow(self.read(message), self.tolerances)
+        except TrajectoryError as error:
+            self.warn("trajectory ended", error)
+
+    def warn(self, what: str, error: TrajectoryError) -> None:
+        """Log how a trajectory ended."""
+        self.links.node.get_logger().warning(f"{what}: {error.code.name}: {error}")
+
+    async def follow(
+        self, request: Request, tolerances: Tolerances, handle: ServerGoalHandle | None = None
+    ) -> None:
+        """Have the links follow what was asked for until they are there.
+
+        Raises:
+            TrajectoryError: it cannot be begun, or ended before.
+        """
+        links = self.links
+        try:
+            links.check()
+            trajectory = planned(links.arm, request, self.earliest, self.start)
+            self.guard.check_trajectory(trajectory)
+        except (MotionError, GuardError) as error:
+            raise TrajectoryError(Code.INVALID_GOAL, str(error)) from None
+        motion = self.motion = links.turn.take("a trajectory", links.now())
+        self.trajectory = trajectory
+        links.wake()  # what it takes the place of ends
+        try:
+            await self.keep_on(Following(trajectory, tolerances, self.patience), motion, handle)
+        except TrajectoryError:
+            links.rest(motion)
+            raise
+        finally:
+            links.turn.leave(motion)
+
+    @property
+    def patience(self) -> float:
+        """Time after its begin in which a link may not have heard of a path [s]."""
+        return self.links.settings.time_to_live
+
+    async def keep_on(
+        self, following: Following, motion: Motion, handle: ServerGoalHandle | None
+    ) -> None:
+        """Repeat the commands as long as the links follow, and say where they are."""
+        links = self.links
+        commands = links.give_path(following.trajectory)
+        while True:
+            links.send(commands, links.now(), motion)
+            await links.ticked
+            if handle and handle.is_cancel_requested:
+                raise TrajectoryError(Code.SUCCESSFUL, CANCELLED)
+            try:
+                links.check(motion)
+                self.guard.check_trajectory(following.trajectory, links.now())
+            except (MotionError, GuardError) as error:
+                raise TrajectoryError(Code.INVALID_GOAL, str(error)) from None
+            if handle:
+                handle.publish_feedback(self.feedback(following.progress(links.states)))
+            if following.reached(links.states):
+                return
+
+    def start(self, time: int) -> tuple[Floats, Floats]:
+        """Where the arm will be at a time, and how fast: on its trajectory, or at rest."""
+        links = self.links
+        if self.trajectory and links.turn.has(self.motion, links.now()):
+            return self.trajectory.at(time)
+        states = [links.states[i] for i in links.numbers]
+        gains = [link.drive.max_acceleration for link in links.arm.links]
+        q = [s.q + s.qd * abs(s.qd) / (2.0 * a) for s, a in zip(states, gains, strict=True)]
+        return np.array(q), np.zeros(links.arm.n)
+
+    def feedback(self, progress: Progress) -> FollowJointTrajectory.Feedback:
+        """Where the joints are, as a message."""
+        since = Duration(seconds=max(0.0, progress.time)).to_msg()
+
+        def point(value: Callable[[int], Floats]) -> JointTrajectoryPoint:
+            return JointTrajectoryPoint(
+                positions=value(0).tolist(), velocities=value(1).tolist(), time_from_start=since
+            )
+
+        message = FollowJointTrajectory.Feedback(
+            joint_names=[f"joint_{i}" for i in self.links.numbers],
+            desired=point(lambda k: progress.desired[k]),
+            actual=point(lambda k: progress.actual[k]),
+            error=point(lambda k: progress.desired[k] - progress.actual[k]),
+        )
+        message.header.stamp = to_time(self.links.now())
+        return message

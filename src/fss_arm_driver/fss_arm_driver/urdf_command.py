@@ -1,0 +1,36 @@
+"""The command `urdf`: an arm's description as URDF, to a file or to what reads it."""
+
+import argparse
+import sys
+
+from fss_arm_model.description import described
+from fss_arm_model.files import write_text
+from fss_arm_model.urdf import urdf
+from fss_arm_ros.command_line import Parser
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    p = Parser(prog="urdf", description="Write an arm's description as URDF.")
+    p.add_argument("arm", nargs="?", default="", help="the description (default: the paper's arm)")
+    p.add_argument("--output", metavar="FILE", help="what is written (default: standard output)")
+    return p
+
+
+def main() -> int:
+    """Run as `ros2 run fss_arm_driver urdf`."""
+    given = parser().parse_args()
+    try:
+        text = urdf(described(given.arm))
+        if given.output:
+            write_text(given.output, text)
+        else:
+            print(text, end="")
+    except (ValueError, OSError) as error:
+        print(f"urdf: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

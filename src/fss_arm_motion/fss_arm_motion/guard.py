@@ -1,0 +1,329 @@
+"""Keep the arm clear of itself, of its base and target, and all of them on the table.
+
+A path is checked as a whole, not at samples (sweep.py). A stream of commands is checked as the path
+that it amounts to if nothing follows: the command's motion, then the drives' braking.
+
+What begins nearer than its margin may only get clearer: until it has its margin, no gap may shrink
+from the largest that it had on the path, but by sweep.RELIEF.
+"""
+
+from dataclasses import dataclass
+from math import degrees, inf
+
+import numpy as np
+import numpy.typing as npt
+
+from fss_arm_model.clearance import body_name, gaps, links_and_base, sizes, with_edge, with_target
+from fss_arm_model.description import Arm
+from fss_arm_model.kernels import Floats
+from fss_arm_motion.guard_settings import GuardSettings
+from fss_arm_motion.sweep import sweep
+
+SELF, EDGE, TARGET = "self", "edge", "target"
+BRIEF = 1e-6  # knots nearer to each other are one [s]
+
+
+@dataclass(frozen=True)
+class Clear:
+    """Nothing comes nearer than its margin; of what was looked at, this comes nearest to it."""
+
+    guards: tuple[str, ...]  # what was checked: SELF, AGAINST_EDGE, AGAINST_TARGET
+    bodies: tuple[str, ...]  # by name; () where there are no two
+    distance: float  # between them at the least [m]; then infinite
+    time: float  # when [s]
+
+
+class GuardError(ValueError):
+    """Two bodies would come nearer to each other than they may.
+
+    Attributes:
+        bodies: by name: "base", "link 3", "gripper", "target", "table edge".
+        distance: between them, the least from there on [m]; below 0 they collide.
+        margin: what it has to be [m].
+        time: on the path, from when on it would be less [s].
+        q: joint readings at the least distance (n) [rad].
+        guards: what was checked.
+    """
+
+    def __init__(
+        self,
+        bodies: tuple[str, ...],
+        distance: float,
+        margin: float,
+        time: float,
+        q: tuple[float, ...],
+        guards: tuple[str, ...],
+    ) -> None:
+        self.bodies, self.distance, self.margin = bodies, distance, margin
+        self.time, self.q, self.guards = time, q, guards
+        joints = ", ".join(f"{degrees(angle):.1f}" for angle in q)
+        super().__init__(
+            f"{bodies[0]} and {bodies[1]} would be {distance:.3f} m apart with the joints at "
+            f"({joints}) deg, from {time:.2f} s on less than the {margin:.3f} m expected"
+        )
+
+
+class Guard:
+    """Answers, for one arm, whether a motion keeps all bodies clear of each other and the edge.
+
+    Everywhere: base is the base's pose in the world (x, y [m], heading [rad]) and twist its
+    velocity (vx, vy [m/s], omega [rad/s]) at the begin; without a twist, base and arm together
+    have no momentum. target is the pose of what the gripper is to grip, (3,), or pose and twist,
+    (2, 3), in the world. Without base, the arm is guarded against itself and the base alone; which
+    guards there were, each answer says.
+
+    Raises, everywhere:
+        GuardError: two bodies would come too near.
+        ValueError: shapes do not fit, times do not ascend, or a number is not finite.
+    """
+
+    def __init__(self, arm: Arm, settings: GuardSettings | None = None) -> None:
+        self.arm, self.settings = arm, settings or GuardSettings()
+        s, n = self.settings, arm.n
+        self._p, self._sizes = arm.vector(), sizes(s, s.target_radius, s.gripper_length)
+        drives = [link.drive for link in arm.links]
+        self._speeds = np.array([drive.max_velocity for drive in drives])
+        self._gains = np.array([drive.max_acceleration for drive in drives])
+        self._brakes = s.braking * self._gains
+        rows = [(*pair, s.margin) for pair in links_and_base(n)]
+        self._pairs: dict[tuple[str, ...], Floats] = {(SELF,): np.array(rows).reshape(-1, 3)}
+        rows += [(*pair, s.edge_margin) for pair in with_edge(n)]
+        self._pairs[SELF, EDGE] = np.array(rows)
+        rows += [(*pair, s.margin) for pair in with_target(n)]
+        rows[-1] = (*rows[-1][:2], -s.gripper_depth)  # the gripper's own
+        self._pairs[SELF, EDGE, TARGET] = np.array(rows)
+        self.drift(np.zeros(3), np.zeros(3), np.zeros(n))  # the kernel is loaded from here on
+
+    def guards(
+        self, base: npt.ArrayLike | None = None, target: npt.ArrayLike | None = None
+    ) -> tuple[str, ...]:
+        """What is checked where this is known."""
+        if base is None:
+            return (SELF,)
+        return (SELF, EDGE) if target is None else (SELF, EDGE, TARGET)
+
+    def slack(self, q: npt.ArrayLike) -> Floats:
+        """How much more than its margin the least gap of postures is, (...) for q (..., n) [m].
+
+        Of the arm against itself and its base; below 0 it is refused, infinite without two bodies.
+        """
+        q, pairs = np.asarray(q, dtype=float), self._pairs[SELF,]
+        state = np.concatenate([np.zeros((*q.shape[:-1], 3)), q], axis=-1)
+        found = gaps(self._p, state, pairs[:, :2], self._sizes)
+        return np.min(found - pairs[:, 2], axis=-1, initial=inf)
+
+    def check_posture(
+        self,
+        q: npt.ArrayLike,
+        base: npt.ArrayLike | None = None,
+        target: npt.ArrayLike | None = None,
+    ) -> Clear:
+        """Whether a posture (n) [rad] has all margins."""
+        guards = self.guards(base, target)
+        pairs, q = self._pairs[guards], self._numbers("q", q)
+        pose = self._numbers("base", (0.0, 0.0, 0.0) if base is None else base, 3)
+        at = self._target(guards, target)[:2]
+        found = gaps(self._p, np.concatenate([pose, q]), pairs[:, :2], self._sizes, at)
+        if not len(pairs):
+            return Clear(guards, (), inf, 0.0)
+        least = int(np.argmin(found - pairs[:, 2]))
+        if found[least] < pairs[least, 2]:
+            raise self._error(guards, pairs[least], float(found[least]), 0.0, q)
+        return Clear(guards, self._names(pairs[least]), float(found[least]), 0.0)
+
+    def check_path(
+        self,
+        times: npt.ArrayLike,
+        q: npt.ArrayLike,
+        qd: npt.ArrayLike,
+        base: npt.ArrayLike | None = None,
+        twist: npt.ArrayLike | None = None,
+        target: npt.ArrayLike | None = None,
+    ) -> Clear:
+        """Whether a path keeps all margins, cubic between its knots, as the links interpolate it.
+
+        Args:
+            times: (k,) of two knots or more, ascending [s]; base, twist and target are those at
+                the first.
+            q: (k, n) readings there [rad].
+            qd: (k, n) rates there [rad/s].
+            base: pose, see above.
+            twist: see above.
+            target: see above.
+        """
+        times = np.asarray(times, dtype=float)
+        if times.ndim != 1 or times.size < 2 or not (np.diff(times) > 0.0).all():
+            raise ValueError(f"times are {times} s, expected two or more, ascending")
+        shape = (times.size, self.arm.n)
+        q, qd = self._numbers("q", q, *shape), self._numbers("qd", qd, *shape)
+        guards = self.guards(base, target)
+        state = np.full(6, np.nan)
+        if base is not None:
+            state[:3] = self._numbers("base", base, 3)
+            state[3:] = np.nan if twist is None else self._numbers("twist", twist, 3)
+        pairs, goal = self._pairs[guards], self._target(guards, target)
+        contact, time, distance, which, where = sweep(
+            self._p, state, times, q, qd, pairs, self._sizes, goal
+        )
+        if contact:
+            raise self._error(guards, pairs[which], distance, time, where)
+        if which < 0:
+            return Clear(guards, (), inf, time)
+        return Clear(guards, self._names(pairs[which]), distance, time)
+
+    def check_command(
+        self,
+        q: npt.ArrayLike,
+        qd: npt.ArrayLike,
+        horizon: float = 0.0,
+        *,
+        velocity: npt.ArrayLike | None = None,
+        position: npt.ArrayLike | None = None,
+        max_velocity: npt.ArrayLike | None = None,
+        max_acceleration: npt.ArrayLike | None = None,
+        base: npt.ArrayLike | None = None,
+        twist: npt.ArrayLike | None = None,
+        target: npt.ArrayLike | None = None,
+    ) -> Clear:
+        """Whether the arm keeps clear if it follows a command, and then comes to rest.
+
+        A joint with a `position` goes there by a trapezoid of its own, and rests. Any other turns
+        at its `velocity` for the horizon and then brakes, at GuardSettings.braking of the
+        acceleration. Of a torque, only the sign is of use: give the largest velocity that it may
+        lead to. NaN: not commanded.
+
+        Args:
+            q: (n) present readings [rad].
+            qd: (n) present rates [rad/s].
+            horizon: how long the command acts, if no other follows [s].
+            velocity: (n) commanded [rad/s]; where there is none, as it is now.
+            position: (n) commanded [rad].
+            max_velocity: (n) of the trapezoids [rad/s]; the drives' limits by default.
+            max_acceleration: (n) to speed up and brake with [rad/s^2]; the same.
+            base: pose, see above.
+            twist: see above.
+            target: see above.
+        """
+        q, qd = self._numbers("q", q), self._numbers("qd", qd)
+        a = self._numbers("max_acceleration", self._or(max_acceleration, self._gains))
+        if not (a > 0.0).all():
+            raise ValueError(f"max_acceleration is {a.tolist()} rad/s^2, expected more than 0")
+        none = np.full(self.arm.n, np.nan)
+        wanted = np.asarray(self._or(velocity, none), dtype=float)
+        wanted = self._numbers("velocity", np.where(np.isnan(wanted), qd, wanted))
+        goal = np.asarray(self._or(position, none), dtype=float)
+        way = self._numbers("position", np.where(np.isnan(goal), q, goal)) - q
+        top = self._numbers("max_velocity", self._or(max_velocity, self._speeds))
+        turned = turning(qd, wanted, a, self.settings.braking * a, horizon)
+        gone = trapezoids(way, qd, top, a)
+        lasts, gains = (np.where(np.isnan(goal), *both) for both in zip(turned, gone, strict=True))
+        return self.check_path(*moved(q, qd, (lasts, gains), horizon), base, twist, target)
+
+    def drift(
+        self,
+        base: npt.ArrayLike,
+        twist: npt.ArrayLike,
+        q: npt.ArrayLike,
+        qd: npt.ArrayLike | None = None,
+        longest: float = 60.0,
+    ) -> float:
+        """How long until the drifting base brings a body to the edge's margin [s].
+
+        The arm brakes from qd (n), at rest by default, and then is held. Infinite if that takes
+        more than `longest` [s]; 0 if a body is within the margin and comes nearer.
+        """
+        q = self._numbers("q", q)
+        qd = self._numbers("qd", self._or(qd, np.zeros(self.arm.n)))
+        times, q, qd = moved(q, qd, turning(qd, qd, self._brakes, self._brakes, 0.0), longest)
+        state = [*self._numbers("base", base, 3), *self._numbers("twist", twist, 3)]
+        pairs = self._pairs[SELF, EDGE][len(self._pairs[SELF,]) :]
+        contact, time, *_ = sweep(self._p, state, times, q, qd, pairs, self._sizes, np.zeros(4))
+        return time if contact else inf
+
+    def braking(self, qd: npt.ArrayLike) -> float:
+        """How long the drives take at most to come to rest from rates (n) [s]."""
+        return float((np.abs(self._numbers("qd", qd)) / self._brakes).max())
+
+    def _numbers(self, name: str, given: npt.ArrayLike, *shape: int) -> Floats:
+        """As an array, (n) by default; raise ValueError if it is not of this shape, and finite."""
+        array = np.asarray(given, dtype=float)
+        shape = shape or (self.arm.n,)
+        if array.shape != shape:
+            raise ValueError(f"{name} has the shape {array.shape}, expected {shape}")
+        if not np.isfinite(array).all():
+            raise ValueError(f"{name} is {array.tolist()}, expected finite numbers")
+        return array
+
+    @staticmethod
+    def _or(given: npt.ArrayLike | None, default: Floats) -> npt.ArrayLike:
+        return default if given is None else given
+
+    def _target(self, guards: tuple[str, ...], target: npt.ArrayLike | None) -> Floats:
+        """Where the target is and how fast, (4,): x, y [m], vx, vy [m/s]."""
+        if TARGET not in guards or target is None:
+            return np.zeros(4)
+        rows = np.asarray(target, dtype=float).reshape(-1, 3)
+        rows = np.concatenate([rows, np.zeros((2, 3))])[:2] if len(rows) == 1 else rows
+        return self._numbers("target", rows, 2, 3)[:, :2].ravel()
+
+    def _names(self, pair: Floats) -> tuple[str, ...]:
+        return tuple(body_name(int(body), self.arm.n) for body in pair[1::-1])
+
+    def _error(
+        self, guards: tuple[str, ...], pair: Floats, distance: float, time: float, q: Floats
+    ) -> GuardError:
+        return GuardError(
+            self._names(pair), distance, float(pair[2]), time, tuple(q.tolist()), guards
+        )
+
+
+Phases = tuple[Floats, Floats]  # durations [s] and accelerations [rad/s^2], (phases, n) each
+
+
+def turning(qd: Floats, wanted: Floats, a: Floats, brake: Floats, horizon: float) -> Phases:
+    """From rates (n) towards others at a (n), these held until the horizon, and then braking."""
+    change = np.minimum(np.abs(wanted - qd) / a, horizon)
+    speeding = np.sign(wanted - qd) * a
+    reached = qd + speeding * change
+    still = np.zeros_like(qd)
+    times = np.stack([change, horizon - change, np.abs(reached) / brake])
+    return times, np.stack([speeding, still, -np.sign(reached) * brake])
+
+
+def trapezoids(way: Floats, qd: Floats, top: Floats, a: Floats) -> Phases:
+    """By `way` (n) from rates (n), each joint in the least time that speed and acceleration allow.
+
+    Where it cannot stop in time, it comes back.
+    """
+    out = np.sign(way - 0.5 * qd * np.abs(qd) / a)  # 0: braking gets it there
+    out = np.where(out == 0.0, np.sign(qd), out)
+    speed = np.minimum(top, np.sqrt(np.maximum(a * out * way + 0.5 * qd**2, 0.0)))
+    change, back = out * speed - qd, -out * a
+    speeding = np.sign(change) * a
+    begin = np.abs(change) / a
+    end = speed / a
+    rest = out * way - 0.5 * (out * qd + speed) * begin - 0.5 * speed * end
+    held = np.where(speed > 0.0, np.maximum(rest, 0.0) / np.where(speed > 0.0, speed, 1.0), 0.0)
+    return np.stack([begin, held, end]), np.stack([speeding, np.zeros_like(qd), back])
+
+
+def moved(q: Floats, qd: Floats, phases: Phases, longest: float) -> tuple[Floats, Floats, Floats]:
+    """Knots of joints that pass through phases, each on its own time, and then rest.
+
+    Returns:
+        times (k,) from 0, at least until `longest`, readings and rates (k, n).
+    """
+    lasts, a = phases
+    ends = np.cumsum(lasts, axis=0)
+    times = np.sort(np.append(ends, max(longest, BRIEF)))
+    times = np.concatenate([[0.0], times[np.diff(times, prepend=0.0) > BRIEF]])
+    if times.size == 1:
+        times = np.array([0.0, 2.0 * BRIEF])
+    spent = np.clip(times[:, None, None] - (ends - lasts), 0.0, lasts)  # (k, phases, n)
+    gained = a * spent
+    begin = qd + np.cumsum(a * lasts, axis=0) - a * lasts  # rates that phases begin with
+    return (
+        times,
+        q + np.sum(spent * (begin + 0.5 * gained), axis=1),
+        qd + gained.sum(axis=1),
+    )

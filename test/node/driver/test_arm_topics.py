@@ -1,0 +1,376 @@
+"""The topics and actions of the arm's node, its links being ideal."""
+
+import re
+from dataclasses import replace
+from math import atan2, cos, nan, sin
+
+import numpy as np
+import pytest
+from action_msgs.msg import GoalStatus
+from arm_links import ARM, FakeLinks
+from control_msgs.action import FollowJointTrajectory
+from diagnostic_msgs.msg import DiagnosticArray
+from nav_msgs.msg import Odometry
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from sensor_msgs.msg import JointState
+from standard_client import JOINTS, StandardClient
+from std_msgs.msg import Empty, String
+from tf2_msgs.msg import TFMessage
+
+from fss_arm_driver.arm_node import ArmNode
+from fss_arm_model.description import to_yaml
+from fss_arm_model.kinematics import tip_pose
+from fss_arm_model.urdf import urdf
+from fss_arm_msgs.action import MoveArm
+from fss_arm_msgs.msg import KinematicCalibration, LinkCommand
+from fss_arm_ros.convert import SECOND, stamp_ns
+from fss_arm_ros.qos import LATCHED
+
+ENDED = FollowJointTrajectory.Result
+THERE = (0.3, -0.2, 0.25, -0.15)
+
+
+class Bench:
+    """Ideal links, the arm's node, and a client that knows standard messages."""
+
+    def __init__(self, spin, **parameters):
+        parameters = {"rate": 20.0, "time_to_live": 3.0, "lead": 0.3, **parameters}
+        overrides = [Parameter(name, value=value) for name, value in parameters.items()]
+        self.links, self.client, self.spin = FakeLinks(), StandardClient(), spin
+        self.arm = ArmNode(parameter_overrides=overrides)
+        self.health = {}
+        self.client.create_subscription(DiagnosticArray, "/diagnostics", self.on_health, 10)
+        self.until(lambda: len(self.arm.links.states) == 4 and self.client.ready())
+        self.until(lambda: all(p.get_subscription_count() for p in self.links.telemetry))
+        paths = self.arm.links.paths.values()
+        self.until(lambda: all(p.get_subscription_count() for p in paths))
+
+    def on_health(self, message):
+        for status in message.status:
+            self.health = {"": status.message} | {v.key: v.value for v in status.values}
+
+    def until(self, condition, timeout=15.0):
+        return self.spin([self.links, self.arm, self.client], condition, timeout)
+
+    def after(self, future):
+        self.until(future.done)
+        return future.result()
+
+    def begin(self, goal):
+        handle = self.after(self.client.send(goal))
+        assert handle.accepted
+        return handle
+
+    def end(self, handle):
+        return self.after(handle.get_result_async())
+
+    def go(self, goal):
+        return self.end(self.begin(goal))
+
+
+@pytest.fixture
+def bench(spin):
+    bench = Bench(spin)
+    yield bench
+    bench.client.action.destroy()
+
+
+# --- state ---------------------------------------------------------------------------------------
+
+
+def test_all_joints_are_in_one_message_at_one_time(bench):
+    bench.links.q, begun = list(THERE), bench.links.now()
+    bench.until(lambda: bench.client.q and bench.client.near(dict(zip(JOINTS, THERE, strict=True))))
+    message = bench.client.states[-1]
+    assert message.name == list(JOINTS)
+    assert begun < stamp_ns(message.header.stamp) < bench.links.now()
+    torque = ARM.links[0].torque_sensor.gain * 400_000
+    np.testing.assert_allclose(message.effort, 4 * [torque])
+    assert len({stamp_ns(m.header.stamp) for m in bench.client.states}) == len(bench.client.states)
+
+
+def test_joints_are_extrapolated_but_not_for_long(bench):
+    bench.links.silent = {3}
+    bench.until(lambda: bench.health.get("arm/joint_states", "").startswith("link 3 was measured"))
+    count = len(bench.client.states)
+    bench.until(lambda: bench.health[""].startswith("no arm/joint_states: link 3 was measured"))
+    assert len(bench.client.states) == count
+    bench.links.silent = set()
+    bench.until(lambda: len(bench.client.states) > count)
+
+
+def heading(rotation):
+    return 2.0 * atan2(rotation.z, rotation.w)
+
+
+def test_transforms_lead_from_the_base_to_the_tip_as_the_description_does(bench):
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    found = {}
+
+    def take(message):
+        found.update({t.child_frame_id: t for t in message.transforms})
+
+    bench.client.create_subscription(TFMessage, "/tf", take, 10)
+    bench.client.create_subscription(TFMessage, "/tf_static", take, latched)
+    bench.links.q = list(THERE)
+    end = f"link_{ARM.n}"
+    bench.until(lambda: {end, "end_effector", "fss_body"} <= found.keys())
+    bench.until(lambda: abs(heading(found[end].transform.rotation) - ARM.links[-1].theta_0 + 0.15)
+                < 1e-3)  # fmt: skip
+    x, y, theta, frame = 0.0, 0.0, 0.0, "end_effector"
+    chain = []
+    while frame != "fss":
+        chain.append(found[frame])
+        frame = found[frame].header.frame_id
+    for t in reversed(chain):
+        p = t.transform.translation
+        x, y = x + cos(theta) * p.x - sin(theta) * p.y, y + sin(theta) * p.x + cos(theta) * p.y
+        theta += heading(t.transform.rotation)
+    expected = tip_pose(ARM.vector(), np.array([0.0, 0.0, 0.0, *THERE]))
+    np.testing.assert_allclose([x, y, theta], expected, atol=1e-3)
+
+
+def test_without_publish_tf_robot_state_publisher_has_the_transforms(spin):
+    bench = Bench(spin, publish_tf=False)
+    assert bench.arm.count_publishers("/tf") == bench.arm.count_publishers("/tf_static") == 0
+    bench.client.action.destroy()
+
+
+def test_the_description_follows_a_calibration_that_passes(bench):
+    heard = []
+    bench.client.create_subscription(String, "robot_description", heard.append, LATCHED)
+    results = bench.client.create_publisher(KinematicCalibration, "calibration/kinematic", LATCHED)
+    bench.until(lambda: heard and results.get_subscription_count())
+    assert heard[-1].data == urdf(ARM)
+    better = replace(ARM, theta_E=0.1)
+    message = KinematicCalibration()
+    message.calibration.verdict, message.calibration.description = "fail", to_yaml(better)
+    results.publish(message)
+    message.calibration.verdict = "pass"
+    results.publish(message)
+    bench.until(lambda: len(heard) > 1)
+    assert heard[-1].data == urdf(better)
+    assert len(heard) == 2
+    message.calibration.description = to_yaml(replace(ARM, links=ARM.links[:2]))
+    results.publish(message)  # of another arm
+    again = replace(ARM, theta_E=0.2)
+    message.calibration.description = to_yaml(again)
+    results.publish(message)
+    bench.until(lambda: heard[-1].data == urdf(again))
+
+
+# --- streams -------------------------------------------------------------------------------------
+
+
+def test_a_stream_is_passed_on_at_once(spin):
+    bench = Bench(spin, rate=0.5)  # a tick every 2 s
+    begun = bench.links.now()
+    bench.client.command(("joint_4", "joint_2"), effort=(0.4, -0.2))
+    bench.until(lambda: len(bench.links.taken) == 2)
+    assert all(at - begun < SECOND for at, _, _ in bench.links.taken)
+    first, second = bench.links.last(4), bench.links.last(2)
+    assert (first.mode, second.mode) == (LinkCommand.CURRENT, LinkCommand.CURRENT)
+    assert (first.set_point, second.set_point) == (pytest.approx(0.5), pytest.approx(-0.25))
+    assert first.time_to_live == 0.5
+    assert stamp_ns(first.header.stamp) >= begun
+    bench.client.action.destroy()
+
+
+def test_what_is_refused_moves_nothing_and_is_counted(bench):
+    now = bench.client.get_clock().now()
+    bench.client.command(stamp=now - Duration(seconds=2.0), position=THERE)
+    bench.client.command(stamp=now + Duration(seconds=2.0), position=THERE)
+    bench.until(lambda: bench.health.get("commands refused: old") == "1"
+                or bench.health.get("commands refused: future") == "1")  # fmt: skip
+    for fields in ({"position": (nan, 0.0, 0.0, 0.0)}, {"position": THERE, "velocity": THERE}):
+        refused = bench.arm.streams.stream.refused.total()
+        bench.client.command(**fields)
+        bench.until(lambda r=refused: bench.arm.streams.stream.refused.total() > r)
+    bench.until(lambda: bench.health.get("commands refused: fields") == "1")
+    assert bench.health["commands refused: number"] == "1"
+    bench.links.armed[1] = False
+    bench.until(lambda: not bench.arm.links.states[2].armed)
+    bench.client.command(position=THERE)
+    bench.until(lambda: bench.health.get("commands refused: links") == "1")
+    assert not bench.links.taken
+    bench.client.command(("joint_1",), position=(0.1,))  # the others can move
+    bench.until(lambda: bench.links.taken)
+
+
+def test_a_stream_takes_the_turn_of_a_trajectory_and_the_rest_of_the_joints_rest(bench):
+    handle = bench.begin(bench.client.goal([(5.0, THERE)]))
+    bench.until(lambda: bench.links.q[0] > 0.02)
+    bench.client.command(("joint_1",), velocity=(0.1,))
+    ended = bench.end(handle)
+    assert ended.status == GoalStatus.STATUS_ABORTED
+    assert ended.result.error_string == "preempted by arm/joint_commands"
+    bench.until(lambda: all(bench.links.last(i).mode == LinkCommand.VELOCITY for i in (1, 2, 3, 4)))
+    assert bench.links.last(1).set_point == 0.1
+    assert [bench.links.last(i).set_point for i in (2, 3, 4)] == [0.0, 0.0, 0.0]
+
+
+def test_a_move_is_refused_while_a_stream_has_the_turn(bench):
+    mover = standard_action(bench)
+    bench.client.command(("joint_1",), velocity=(0.1,))
+    bench.until(lambda: bench.links.taken)
+    handle = bench.after(mover.send_goal_async(MoveArm.Goal(q=THERE)))
+    result = bench.end(handle).result
+    assert result.message == "arm/joint_commands is under way"
+    bench.until(lambda: not bench.arm.links.turn.holder(bench.arm.links.now()))
+    handle = bench.after(mover.send_goal_async(MoveArm.Goal(q=THERE)))
+    assert bench.end(handle).result.reached
+    mover.destroy()
+
+
+def standard_action(bench):
+    from rclpy.action import ActionClient
+
+    mover = ActionClient(bench.client, MoveArm, "arm/move")
+    bench.until(mover.server_is_ready)
+    return mover
+
+
+# --- trajectories --------------------------------------------------------------------------------
+
+
+def test_all_links_get_one_path_with_one_begin_and_the_commands_to_follow_it(bench):
+    ended = bench.go(bench.client.goal([(1.0, THERE)]))
+    assert (ended.status, ended.result.error_code) == (GoalStatus.STATUS_SUCCEEDED, 0)
+    paths = [paths[1] for paths in bench.links.paths]
+    assert len({(m.path, stamp_ns(m.header.stamp), tuple(m.time)) for m in paths}) == 1
+    assert [m.position[-1] for m in paths] == list(THERE)
+    assert all(m.velocity[-1] == 0.0 for m in paths)
+    commands = [m for _, i, m in bench.links.taken if i == 3]
+    assert len(commands) > 10
+    assert {(m.mode, m.path) for m in commands} == {(LinkCommand.PATH, 1)}
+    bench.go(bench.client.goal([(1.0, (0.0, 0.0, 0.0, 0.0))]))
+    assert bench.links.last(1).path == 2
+
+
+def test_a_number_goes_on_after_those_that_links_still_hold(bench):
+    bench.links.paths[2][65_535] = None
+    bench.until(lambda: bench.arm.links.states[3].path == 65_535)
+    bench.go(bench.client.goal([(0.8, THERE)]))
+    assert bench.links.last(1).path == 1
+
+
+def test_a_joint_off_its_path_ends_it_and_all_come_to_rest(bench):
+    handle = bench.begin(bench.client.goal([(5.0, THERE)], path=[("joint_2", 0.01)]))
+    bench.until(lambda: bench.links.q[0] > 0.02)
+    bench.links.off[1] = 0.02
+    ended = bench.end(handle)
+    assert ended.result.error_code == ENDED.PATH_TOLERANCE_VIOLATED
+    assert ended.result.error_string == "joint_2 is off by 0.0200 rad, at most 0.01"
+    bench.until(lambda: all(bench.links.last(i).mode == LinkCommand.VELOCITY for i in (1, 2, 3, 4)))
+
+
+def test_a_link_that_breaks_off_ends_it(spin):
+    bench = Bench(spin, time_to_live=1.0)
+    handle = bench.begin(bench.client.goal([(5.0, THERE)]))
+    bench.until(lambda: bench.links.q[0] > 0.02)
+    bench.links.broken[3] = True
+    ended = bench.end(handle)
+    assert ended.result.error_code == ENDED.PATH_TOLERANCE_VIOLATED
+    assert ended.result.error_string.startswith("link 4 left its path")
+    bench.client.action.destroy()
+
+
+def test_a_goal_that_is_missed_ends_in_time(bench):
+    bench.links.off[2] = 0.02
+    ended = bench.go(bench.client.goal([(0.8, THERE)], time=0.5))
+    assert ended.result.error_code == ENDED.GOAL_TOLERANCE_VIOLATED
+    assert ended.result.error_string.startswith("joint_3 is off by 0.0200 rad, at most 0.005, 0.5")
+
+
+def test_a_stop_and_a_silent_link_end_it(bench):
+    stopper = bench.client.create_publisher(Empty, "arm/stop", 10)
+    bench.until(stopper.get_subscription_count)
+    handle = bench.begin(bench.client.goal([(5.0, THERE)]))
+    bench.until(lambda: bench.links.q[0] > 0.02)
+    stopper.publish(Empty())
+    ended = bench.end(handle).result
+    assert (ended.error_code, ended.error_string) == (ENDED.INVALID_GOAL, "stopped")
+    assert bench.links.last(1).mode == LinkCommand.PATH  # its driver stops by itself
+    handle = bench.begin(bench.client.goal([(20.0, THERE)]))
+    bench.links.silent = {2}
+    ended = bench.end(handle).result
+    assert ended.error_string == "link 2 is silent"
+
+
+def test_a_new_goal_goes_on_from_where_the_old_one_will_be(bench):
+    first = bench.begin(bench.client.goal([(4.0, THERE)]))
+    bench.until(lambda: bench.links.q[0] > 0.1)
+    second = bench.begin(bench.client.goal([(2.0, (0.0, 0.0, 0.0, 0.0))]))
+    assert bench.end(first).result.error_string == "preempted by a trajectory"
+    old, new = (bench.links.paths[0][k] for k in (1, 2))
+    t = (stamp_ns(new.header.stamp) - stamp_ns(old.header.stamp)) / SECOND
+    s = t / 4.0
+    assert new.position[0] == pytest.approx(0.3 * s * s * (3.0 - 2.0 * s))
+    assert new.velocity[0] == pytest.approx(0.3 * 6.0 * s * (1.0 - s) / 4.0)
+    assert bench.end(second).status == GoalStatus.STATUS_SUCCEEDED
+
+
+def test_a_topic_is_listened_to_by_best_effort_and_reliable_publishers(bench):
+    names = bench.arm.get_subscriptions_info_by_topic("/arm/joint_commands")
+    assert len(names) == 1
+    loose = bench.client.create_publisher(
+        JointState, "arm/joint_commands", QoSProfile(depth=1, reliability=2)
+    )
+    bench.until(loose.get_subscription_count)
+
+
+# --- the guard -----------------------------------------------------------------------------------
+
+FOLDED = (0.0, 1.5, 1.5, 1.5)
+
+
+def test_nothing_folds_the_arm_into_itself_or_the_base(bench):
+    ended = bench.go(bench.client.goal([(9.0, FOLDED)])).result
+    assert ended.error_code == ENDED.INVALID_GOAL
+    assert re.search(
+        r"link \d and \w+.* would be -?0\.\d+ m apart with the joints", ended.error_string
+    )
+    bench.client.command(position=FOLDED)
+    bench.until(lambda: bench.health.get("commands refused: guard") == "1")
+    mover = standard_action(bench)
+    handle = bench.after(mover.send_goal_async(MoveArm.Goal(q=FOLDED)))
+    assert "m apart with the joints at" in bench.end(handle).result.message
+    assert not bench.links.taken
+    assert bench.health["guarded against"] == "self"
+    mover.destroy()
+
+
+def odometry(x, vx=0.0):
+    message = Odometry()
+    message.pose.pose.position.x, message.pose.pose.orientation.w = x, 1.0
+    message.twist.twist.linear.x = vx
+    return message
+
+
+def test_a_path_ends_when_the_base_drifts_to_the_edge(bench):
+    base = bench.client.create_publisher(Odometry, "base/state", 10)
+    bench.until(base.get_subscription_count)
+    bench.client.create_timer(0.05, lambda: base.publish(odometry(**state)))
+    state = {"x": 0.0}
+    bench.until(lambda: bench.health.get("guarded against") == "self, edge")
+    handle = bench.begin(bench.client.goal([(8.0, THERE)]))
+    bench.until(lambda: bench.links.q[0] > 0.02)
+    state = {"x": -1.2, "vx": -0.3}
+    ended = bench.end(handle).result
+    assert ended.error_string.startswith("table edge and ")
+    bench.until(lambda: bench.links.last(1).mode == LinkCommand.VELOCITY)
+
+
+def test_one_process_hosts_the_arm_and_its_links(start, spin):
+    program = start(
+        "fss_arm_driver.driver_node", "--ros-args", "-p", "time_to_live:=2.0",
+        "-p", "urls:=['udp://127.0.0.1:9', 'udp://127.0.0.1:9', 'udp://127.0.0.1:9', "
+        "'udp://127.0.0.1:9']",
+    )  # fmt: skip
+    ears = Node("ears")
+    names = {"arm", "link_1", "link_2", "link_3", "link_4"}
+    spin(ears, lambda: names <= set(ears.get_node_names()), 60.0)
+    assert program.stop() == 0

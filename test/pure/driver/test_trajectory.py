@@ -1,0 +1,306 @@
+"""Trajectories as asked for, the paths made of them, and what is refused."""
+
+import numpy as np
+import pytest
+from control_msgs.action import FollowJointTrajectory
+from control_msgs.msg import JointTolerance
+from rclpy.duration import Duration
+from scipy.interpolate import CubicHermiteSpline, CubicSpline
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from fss_arm_driver.arm.following import Following
+from fss_arm_driver.arm.state import LinkState
+from fss_arm_driver.arm.tolerance import Tolerance, Tolerances
+from fss_arm_driver.arm.trajectory import (
+    MAX_SEGMENT,
+    SECOND,
+    Code,
+    Request,
+    Trajectory,
+    TrajectoryError,
+    check_time,
+    planned,
+    requested,
+    spline_velocities,
+)
+from fss_arm_model.description import paper_arm
+
+ARM = paper_arm()
+JOINTS = [f"joint_{i}" for i in range(1, 5)]
+NOW = 1_000 * SECOND
+
+
+def message(points, names=JOINTS):
+    trajectory = JointTrajectory(joint_names=list(names))
+    for time, q, *qd in points:
+        point = JointTrajectoryPoint(positions=np.asarray(q, dtype=float).tolist())
+        point.velocities = np.asarray(qd[0], dtype=float).tolist() if qd else []
+        point.time_from_start = Duration(seconds=time).to_msg()
+        trajectory.points.append(point)
+    return trajectory
+
+
+def at_rest(*q):
+    return lambda _: (np.array(q or np.zeros(4)), np.zeros(4))
+
+
+def wavy(m=8, seed=1):
+    """Times, positions (m, 4) that the drives can follow."""
+    rng = np.random.default_rng(seed)
+    times = np.cumsum(rng.uniform(0.5, 2.0, m))
+    return times, rng.uniform(-0.2, 0.2, (m, 4))
+
+
+def test_the_codes_are_those_of_control_msgs():
+    result = FollowJointTrajectory.Result
+    assert {code.name: int(code) for code in Code} == {
+        name: getattr(result, name) for name in Code.__members__
+    }
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_velocities_that_lack_are_those_of_the_spline(seed):
+    times, q = wavy(seed=seed)
+    qd = np.full_like(q, np.nan)
+    qd[0], qd[-1] = 0.1, 0.0
+    expected = CubicSpline(times, q, bc_type=((1, qd[0]), (1, qd[-1])))(times, 1)
+    np.testing.assert_allclose(spline_velocities(times, q, qd), expected, atol=1e-12)
+
+
+def test_a_velocity_that_is_given_is_kept_and_parts_the_spline():
+    times, q = wavy()
+    qd = np.full_like(q, np.nan)
+    qd[0], qd[3], qd[-1] = 0.0, 0.2, 0.0
+    found = spline_velocities(times, q, qd)
+    for rows in (slice(0, 4), slice(3, None)):
+        ends = qd[rows][0], qd[rows][-1]
+        spline = CubicSpline(times[rows], q[rows], bc_type=((1, ends[0]), (1, ends[1])))
+        np.testing.assert_allclose(found[rows], spline(times[rows], 1), atol=1e-12)
+
+
+def test_a_path_is_the_cubic_between_its_knots():
+    times, q = wavy()
+    rng = np.random.default_rng(3)
+    path = Trajectory(NOW, times - times[0], q, rng.uniform(-0.2, 0.2, q.shape))
+    other = CubicHermiteSpline(path.times, path.q, path.qd)
+    for t in rng.uniform(0.0, path.times[-1], 50):
+        at = NOW + round(t * SECOND)
+        np.testing.assert_allclose(path.at(at)[0], other(t), atol=1e-8)
+        np.testing.assert_allclose(path.at(at)[1], other(t, 1), atol=1e-7)
+    np.testing.assert_array_equal(path.at(NOW - 1), [path.q[0], np.zeros(4)])
+    np.testing.assert_array_equal(path.at(path.end), [path.q[-1], np.zeros(4)])
+
+
+def test_names_come_in_any_order():
+    times, q = wavy()
+    points = [*list(zip(times, q, -q, strict=True))[:-1], (times[-1], q[-1])]
+    straight = requested(ARM, message(points))
+    turned = [(t, np.asarray(q)[::-1], *(np.asarray(v)[::-1] for v in qd)) for t, q, *qd in points]
+    other = requested(ARM, message(turned, JOINTS[::-1]))
+    np.testing.assert_array_equal(straight.q, other.q)
+    np.testing.assert_array_equal(straight.qd, other.qd)
+    assert np.isnan(straight.qd[-1]).all()
+
+
+def test_a_path_begins_where_the_arm_is_and_reaches_every_point():
+    times, q = wavy()
+    path = planned(ARM, Request(0, times, q, np.full_like(q, np.nan)), NOW, at_rest())
+    assert path.begin == NOW
+    np.testing.assert_array_equal(path.q[0], np.zeros(4))
+    np.testing.assert_allclose([path.at(NOW + round(t * SECOND))[0] for t in times], q, atol=1e-8)
+    np.testing.assert_array_equal(path.qd[[0, -1]], np.zeros((2, 4)))
+
+
+def test_one_that_says_itself_where_it_begins_must_begin_nearby():
+    times, q = wavy()
+    request = Request(0, times - times[0], q, np.full_like(q, np.nan))
+    assert len(planned(ARM, request, NOW, at_rest(*q[0] + 0.2)).times) == len(times)
+    with pytest.raises(TrajectoryError, match=r"joint_1 begins 0.3000 rad from where it is"):
+        planned(ARM, request, NOW, at_rest(*q[0] + 0.3))
+
+
+def test_of_a_trajectory_that_has_begun_the_rest_is_followed():
+    times, q = wavy()
+    request = Request(NOW, times, q, np.full_like(q, np.nan))
+    now = NOW + round(times[3] * SECOND) + SECOND // 10
+    path = planned(ARM, request, now, at_rest(*q[3]))
+    assert path.begin == now
+    np.testing.assert_allclose(path.times[1:], times[4:] - times[3] - 0.1, atol=1e-9)
+    np.testing.assert_array_equal(path.q[1:], q[4:])
+    ended = NOW + round(times[-1] * SECOND)
+    check_time(request, ended - SECOND)
+    with pytest.raises(TrajectoryError, match="ends in the past") as error:
+        check_time(request, ended)
+    assert error.value.code is Code.OLD_HEADER_TIMESTAMP
+
+
+def test_one_in_the_future_begins_when_it_says():
+    times, q = wavy()
+    request = Request(NOW + 5 * SECOND, times, q, np.full_like(q, np.nan))
+    assert planned(ARM, request, NOW, at_rest()).begin == NOW + 5 * SECOND
+    with pytest.raises(TrajectoryError, match=r"begins 120.0 s ahead, expected at most 119"):
+        check_time(request, NOW - 115 * SECOND)
+
+
+def test_long_waits_are_divided_without_a_change():
+    q = np.array([np.zeros(4), np.full(4, 0.5)])
+    request = Request(0, np.array([0.0, 150.0]), q, np.zeros_like(q))
+    path = planned(ARM, request, NOW, at_rest())
+    assert np.diff(path.times).max() <= MAX_SEGMENT
+    whole = Trajectory(NOW, request.times, q, request.qd)
+    for t in np.linspace(0.0, 150.0, 31):
+        at = NOW + round(t * SECOND)
+        np.testing.assert_allclose(path.at(at), whole.at(at), atol=1e-9)
+
+
+REFUSED = {
+    "none of joint_1": (Code.INVALID_JOINTS, [(1.0, np.zeros(4))], ["joint_1", "x", "y", "z"]),
+    "each of joint_1": (Code.INVALID_JOINTS, [(1.0, np.zeros(3))], JOINTS[:3]),
+    "points is empty": (Code.INVALID_GOAL, [], JOINTS),
+    "positions of point 0 are 3": (Code.INVALID_GOAL, [(1.0, np.zeros(3))], JOINTS),
+    "velocities of point 0 are 3": (Code.INVALID_GOAL, [(1.0, np.zeros(4), np.zeros(3))], JOINTS),
+    "does not ascend": (Code.INVALID_GOAL, [(1.0, np.zeros(4))] * 2, JOINTS),
+    "last point are not zero": (Code.INVALID_GOAL, [(1.0, np.zeros(4), np.ones(4))], JOINTS),
+    "not finite": (Code.INVALID_GOAL, [(1.0, np.full(4, np.inf))], JOINTS),
+}
+
+
+@pytest.mark.parametrize("words", REFUSED)
+def test_what_makes_no_sense_is_refused(words):
+    code, points, names = REFUSED[words]
+    with pytest.raises(TrajectoryError, match=words) as error:
+        requested(ARM, message(points, names))
+    assert error.value.code is code
+
+
+@pytest.mark.parametrize(
+    ("q", "times", "words"),
+    [
+        ([1.55, 1.55], [3.0, 6.0], r"joint_2 would be at 1\.\d+ rad, expected -1.5708 to 1.5708"),
+        ([1.0], [1.0], r"joint_2 would turn at 1.5000 rad/s, expected at most 1"),
+        ([0.1, 0.1], [1.0, 1.0005], r"points are 0.000500 s apart"),
+    ],
+)
+def test_what_the_arm_cannot_do_is_refused(q, times, words):
+    points = np.outer(q, [0.0, 1.0, 0.0, 0.0])
+    request = Request(0, np.array(times), points, np.full_like(points, np.nan))
+    with pytest.raises(TrajectoryError, match=words):
+        planned(ARM, request, NOW, at_rest())
+
+
+def test_limits_are_checked_between_the_knots():
+    """Against dense samples, on random paths about the limits."""
+    rng = np.random.default_rng(7)
+    outcomes = set()
+    for _ in range(200):
+        times = np.cumsum(rng.uniform(0.6, 2.0, 4))
+        q = rng.uniform(-0.75, 0.75, (4, 4)) + rng.choice([-0.9, 0.0, 0.9])
+        qd = rng.uniform(-0.9, 0.9, (4, 4))
+        qd[-1] = 0.0
+        try:
+            path = planned(ARM, Request(0, times - times[0], q, qd), 0, at_rest(*q[0]))
+            good, path = True, CubicHermiteSpline(path.times, path.q, path.qd)
+        except TrajectoryError:
+            good, path = False, CubicHermiteSpline(times - times[0], q, qd)
+        dense = np.linspace(0.0, times[-1] - times[0], 4000)
+        most, fastest = np.abs(path(dense)).max() - np.pi / 2, np.abs(path(dense, 1)).max() - 1.1
+        if min(abs(most), abs(fastest)) > 1e-4:
+            assert good == (max(most, fastest) < 0.0)
+            outcomes.add(good)
+    assert outcomes == {True, False}
+
+
+# --- tolerances ----------------------------------------------------------------------------------
+
+DEFAULT = Tolerances((Tolerance(),) * 4, (Tolerance(0.005, 0.01),) * 4, 5.0)
+
+
+def goal(path=(), end=(), time=0.0):
+    given = FollowJointTrajectory.Goal(path_tolerance=list(path), goal_tolerance=list(end))
+    given.goal_time_tolerance = Duration(seconds=time).to_msg()
+    return given
+
+
+def test_a_goal_changes_defaults_and_erases_them():
+    path = [JointTolerance(name="joint_2", position=0.1)]
+    end = [JointTolerance(name="joint_3", position=-1.0), JointTolerance(name="joint_1")]
+    found = DEFAULT.of_goal(goal(path, end, 2.0))
+    assert found.path[1] == Tolerance(0.1, 0.0)
+    assert found.goal == (DEFAULT.goal[0], DEFAULT.goal[1], Tolerance(0.0, 0.01), DEFAULT.goal[3])
+    assert (found.goal_time, DEFAULT.of_goal(goal()).goal_time) == (2.0, 5.0)
+    assert DEFAULT.of_goal(goal(time=-1.0)).goal_time == 0.0
+
+
+@pytest.mark.parametrize(
+    ("tolerance", "words"),
+    [
+        (JointTolerance(name="elbow"), "path_tolerance names 'elbow'"),
+        (JointTolerance(name="joint_1", position=-0.5), "path_tolerance of joint_1 is -0.5"),
+        (JointTolerance(name="joint_1", velocity=float("nan")), "is nan, expected -1, 0 or more"),
+    ],
+)
+def test_tolerances_that_make_no_sense_are_refused(tolerance, words):
+    with pytest.raises(TrajectoryError, match=words):
+        DEFAULT.of_goal(goal([tolerance]))
+
+
+# --- following -----------------------------------------------------------------------------------
+
+PATH = Trajectory(NOW, np.array([0.0, 4.0]), np.array([np.zeros(4), np.full(4, 0.4)]),
+                  np.zeros((2, 4)))  # fmt: skip
+
+
+def links(seconds, off=0.0, **changes):
+    """States measured at a time since the begin, joint 2 off the path."""
+    at = NOW + round(seconds * SECOND)
+    q, qd = PATH.at(at)
+    error = off * np.array([0.0, 1.0, 0.0, 0.0])
+    state = {"effort": 0.0, "armed": True, "referenced": True, "following": True, "path": 1}
+    state |= {"broken": False, **changes}
+    return {
+        i: LinkState(at, at, float(q[i - 1] + error[i - 1]), float(qd[i - 1]), **state)
+        for i in range(1, 5)
+    }
+
+
+def following(**tolerances):
+    path, end = tolerances.get("path", 0.0), tolerances.get("end", 0.005)
+    wanted = Tolerances((Tolerance(path),) * 4, (Tolerance(end, 0.01),) * 4,
+                        tolerances.get("time", 1.0))  # fmt: skip
+    return Following(PATH, wanted, 1.0)
+
+
+def test_errors_are_those_at_the_time_of_the_measurement():
+    found = following().progress(links(1.3, off=0.02))
+    np.testing.assert_allclose(
+        found.actual[0] - found.desired[0], [0.0, 0.02, 0.0, 0.0], atol=1e-12
+    )
+    assert found.time == pytest.approx(1.3)
+
+
+def test_it_is_over_when_all_are_there_and_at_rest():
+    assert not following().reached(links(3.9))
+    assert following().reached(links(4.1))
+    assert not following().reached(links(4.1, off=0.006))
+    assert following(end=0.0).reached(links(4.1, off=0.5))
+    with pytest.raises(TrajectoryError, match=r"joint_2 is off by 0.0060 rad, at most 0.005") as e:
+        following().reached(links(5.1, off=0.006))
+    assert e.value.code is Code.GOAL_TOLERANCE_VIOLATED
+    assert not following(time=0.0).reached(links(1000.0, off=0.006))
+
+
+def test_who_leaves_the_path_ends_it():
+    assert not following(path=0.1).reached(links(2.0, off=0.09))
+    with pytest.raises(TrajectoryError, match=r"joint_2 is off by 0.1100 rad") as error:
+        following(path=0.1).reached(links(2.0, off=0.11))
+    assert error.value.code is Code.PATH_TOLERANCE_VIOLATED
+    assert not following(path=0.1).reached(links(-0.1, off=0.11))  # not begun yet
+
+
+@pytest.mark.parametrize(("broken", "words"), [(True, "left its path"), (False, "does not follow")])
+def test_a_link_that_does_not_follow_ends_it(broken, words):
+    lost = {"following": False, "broken": broken}
+    assert not following().reached(links(0.9, **lost))  # it may not have heard of it
+    assert not following().reached(links(3.95, **lost))  # it may have arrived
+    with pytest.raises(TrajectoryError, match=f"link 1 {words}"):
+        following().reached(links(1.1, **lost))
