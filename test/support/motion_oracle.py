@@ -108,8 +108,14 @@ def looks(flight: Flight, arm: Arm, s: GuardSettings, count: int = 500) -> Itera
     marks, step = np.linspace(begin, end, count), (end - begin) / (count - 1)
     found = slacks(arm, s, flight, marks)
     yield found
+    floor = max(0.0, min((row.min() for row in found.values() if row[0] >= 0.0), default=0.0))
     for _ in range(2):
-        at = {float(marks[row.argmin()]) for row in found.values() if row.min() < 0.05}
+        at = {
+            t
+            for row in found.values()
+            if row.min() < floor + 0.05
+            for t in marks[dips(row)].tolist()
+        }
         if not at:
             return
         fine = np.concatenate([t + step * np.linspace(-1.0, 1.0, 21) for t in at])
@@ -117,6 +123,12 @@ def looks(flight: Flight, arm: Arm, s: GuardSettings, count: int = 500) -> Itera
         marks, step = np.union1d([begin], fine), 0.1 * step
         found = slacks(arm, s, flight, marks)
         yield found
+
+
+def dips(row: np.ndarray) -> np.ndarray:
+    """Where a sampled function has minima that may be its least, (m,) of bool."""
+    ends = np.concatenate([[np.inf], row, [np.inf]])
+    return (row < ends[:-2] - 1e-9) & (row <= ends[2:] + 1e-9) & (row < row.min() + 0.01)
 
 
 def least(flight: Flight, arm: Arm, s: GuardSettings) -> float:

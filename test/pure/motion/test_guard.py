@@ -72,7 +72,7 @@ def test_no_contact_is_missed_and_hardly_any_is_seen_that_is_none(n, paths):
     assert found.nearly < 1e-4
 
 
-@pytest.mark.parametrize("paths", [100, pytest.param(5000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("paths", [100, pytest.param(2000, marks=pytest.mark.slow)])
 def test_what_grazes_a_margin_is_told_from_what_just_passes(paths):
     """Margins are set to the least gap of each path, 0.1 mm more and 0.1 mm less."""
     arm, rng, tried = paper_arm(), np.random.default_rng(7), 0
