@@ -33,6 +33,15 @@ class LimitSettings(Settings):
         0.5, "viscous friction of each joint", unit="N m s/rad", check=NOT_NEGATIVE
     )
     coulomb: float = setting(0.3, "Coulomb friction of each joint", unit="N m", check=NOT_NEGATIVE)
+    base_radius: float = setting(
+        0.19, "radius within which the base lies about its origin", unit="m", check=NOT_NEGATIVE
+    )
+    link_radius: float = setting(
+        0.06, "radius of the links about their lines", unit="m", check=NOT_NEGATIVE
+    )
+    margin: float = setting(
+        0.05, "least gap between bodies that are not neighbours", unit="m", check=NOT_NEGATIVE
+    )
 
 
 @dataclass(frozen=True)
@@ -45,6 +54,8 @@ class Limits:
     torque: Floats  # (n,) of the motors, at the joints, Coulomb friction taken off [N m]
     viscous: float  # [N m s/rad]
     rotor: Floats  # (2,) N^2 J and N J [kg m^2]
+    radii: tuple[float, float]  # of the base and of links [m]
+    margin: float  # between bodies that are not neighbours [m]
 
     @classmethod
     def of(cls, arm: Arm, settings: LimitSettings | None = None) -> "Limits":
@@ -69,6 +80,8 @@ class Limits:
             left,
             s.viscous,
             np.array([s.rotor_inertia, s.rotor_inertia / s.gear_ratio]),
+            (s.base_radius, s.link_radius),
+            s.margin,
         )
 
     @property

@@ -15,6 +15,7 @@ import numpy as np
 
 from fss_arm_model import layout
 from fss_arm_model.base_motion import base_pose_sensitivities, path, sampled
+from fss_arm_model.clearance import clearance
 from fss_arm_model.description import Arm
 from fss_arm_model.kernels import Floats
 from fss_arm_motion.limits import KINDS, Limits
@@ -60,6 +61,11 @@ class Start:
         if wrong := self.limits.outside(q):
             raise PlanError(f"{name}: {wrong}")
         return q
+
+    def gap(self, q: Floats) -> Floats:
+        """The least gap between bodies that are not neighbours at readings (..., n), (...) [m]."""
+        state = np.concatenate([np.zeros((*q.shape[:-1], 3)), q], axis=-1)
+        return clearance(self.arm.vector(), state, *self.limits.radii)
 
     @property
     def L(self) -> float:
@@ -202,5 +208,13 @@ def finished(
         PlanError: a limit cannot be kept.
     """
     times, qd, used = within(start, times, q, qd)
+    angles = probed(times, q, qd)[0]
+    gaps = start.gap(angles)
+    if gaps.min() < min(start.limits.margin, gaps[0]):
+        posture = np.degrees(angles[np.argmin(gaps)]).round(1).tolist()
+        raise PlanError(
+            f"bodies come within {gaps.min():.3f} m of each other with the joints at {posture} "
+            f"deg, expected {start.limits.margin:.3f} m or more"
+        )
     prediction = predicted(start, times, q, qd)
     return Plan(kind, arguments, times, q, qd, prediction, used, notes or {}, ended)
