@@ -24,6 +24,7 @@ STILL = 1e-6  # a way that is none [rad]
 HELD = 0.9  # of the limits, that a first motion takes
 TURN_WEIGHT = 1e4  # of the base's mean square rate beside the accelerations' [s^2]
 INSIDE = (1e-3, 1e-2, 5e-2)  # distances from limits to keep at knots, tried in this order [rad]
+APART = 1.0  # and from bodies that are not neighbours [m/rad]
 
 
 @dataclass(frozen=True)
@@ -85,16 +86,19 @@ def improved(
     """
     low, high = start.limits.bounds.T
     near = np.minimum(q - low, high - q)[[0, -1]].min(axis=0)
+    margin = min(start.limits.margin, float(start.gap(q[[0, -1]]).min()))
     for keep in INSIDE:
         off = np.where(near < 2.0 * keep, 0.0, np.minimum(keep, 0.1 * (high - low)))
         knots = q.copy()
         knots[1:-1] = q[1:-1].clip(low + 2.0 * keep, high - 2.0 * keep)
         found = optimized(
             start.arm.vector(), np.column_stack([low + off, high - off]), start.limits.table,
-            start.limits.rotor, h, knots, qd, momentum=start.L, **options,
+            start.limits.rotor, [*start.limits.radii, margin + APART * keep], h, knots, qd, momentum=start.L, **options,
         )  # fmt: skip
         times = np.append(0.0, np.cumsum(found[0]))
-        if found[3][0] > 0.0 and not start.limits.outside(probed(times, *found[1:3])[0]):
+        angles = probed(times, *found[1:3])[0]
+        clear = start.gap(angles).min() >= margin - 1e-9 and not start.limits.outside(angles)
+        if found[3][0] > 0.0 and clear:
             return found
     return h, q, qd, found[3]
 

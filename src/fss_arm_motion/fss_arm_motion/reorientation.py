@@ -20,7 +20,7 @@ from fss_arm_model.settings import Check, Settings, at_least, setting
 from fss_arm_motion.plan import Plan, PlanError, Start, finished, within
 from fss_arm_motion.point_to_point import LEAST, improved, straight
 
-FAMILIES = ((3, 1), (4, 1), (3, 2), (4, 3))  # corners of a polygon, and how often to go round
+FAMILIES = ((3, 1), (4, 1), (3, 2), (4, 2), (4, 4))  # corners of a polygon, and how often to go round
 PARENTS, CHILDREN, GENERATIONS = 16, 16, 25
 FIRST = 1500  # random polygons of each family
 CHANGE, CALMING = 0.5, 0.93  # of a corner's angles [rad], and from a generation to the next
@@ -29,6 +29,7 @@ SEGMENTS = 3  # of each side
 NODES = 8  # of the quadrature along a side
 ITERATIONS = 100
 INSIDE = 0.02  # distance of corners from joint limits [rad]
+ROOM = 0.03  # that polygons keep clear beyond the margin [m]
 CLOSE = math.radians(0.02)  # to the turn asked for
 
 
@@ -76,7 +77,7 @@ def costs(start: Start, corners: Floats, turn: float) -> Floats:
     size = np.minimum(1.0, np.sqrt(1.0 / np.maximum(turns, 1e-9)))
     spent = (size[:, None] * travel + PAUSE).sum(axis=1)
     spent += np.where(turns < 1.0, 100.0 * (2.0 - turns), 0.0)
-    lack = start.limits.margin - start.gap(along(corners)[0]).min(axis=(1, 2))
+    lack = start.limits.margin + ROOM - start.gap(along(corners)[0]).min(axis=(1, 2))
     return np.asarray(spent + np.where(lack > 0.0, 300.0 * (1.0 + lack), 0.0))
 
 
@@ -132,11 +133,11 @@ def reorientation(start: Start, asked: Reorientation) -> Plan:
     best: Plan | None = None
     most = 0.0
     for corners, rounds in FAMILIES:
+        if best is not None and rounds > best.notes["rounds"]:
+            break
         turn = asked.angle / rounds
         found, cost = polygons(start, turn, corners, rng)
         most = max(most, float((turns_of(start, found) / turn).max()))
-        if best is not None and rounds * cost[0] > 1.5 * best.duration:
-            continue
         if cost[0] < 100.0:
             one = _sized(start, found[0], turn)
             ways = np.concatenate([np.tile(one, (rounds, 1)), one[:1]])

@@ -5,9 +5,10 @@ the links keep it. The inner knots' angles and rates and the times h_k between k
 
     minimize    w_t sum_k h_k + w_r mean(omega^2) / 2 + w_s sum(q''^2) / 2
     subject to  |q'| <= rate, |q''| <= acceleration, q_min <= q <= q_max, h_k >= least,
-                |tau + viscous q'| <= torque, and, if asked for, int omega dt = turn
+                |tau + viscous q'| <= torque, gap >= margin, and, if asked for, int omega dt = turn
 
-where omega is the base's rate and tau the torques of free_floating.py. They are asked for at the
+where omega is the base's rate, tau the torques of free_floating.py and gap the least one between
+two bodies that are not neighbours (fss_arm_model.clearance). They are asked for at the
 four Lobatto points of each segment; what happens between them is for the caller to see. As
 accelerations may jump at knots whose times are free, few knots suffice where the best motion
 switches between limits.
@@ -23,13 +24,19 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from fss_arm_model.clearance import _apart, _to_segment
 from fss_arm_model.free_floating import _free_torques
 from fss_arm_model.kernels import Floats, helper, kernel
+from fss_arm_model.kinematics import _chain
 
 _POINTS = np.array([0.0, 0.5 - 0.5 / math.sqrt(5.0), 0.5 + 0.5 / math.sqrt(5.0), 1.0])
 _WEIGHTS = np.array([1.0, 5.0, 5.0, 1.0]) / 12.0
 _DIFFERENCE = 1e-6  # of angles and rates, for forward differences
 
+SIGMA = 0.4  # by which the barrier falls after a good step
+_FAR = 1e3  # gap of an arm that has no two bodies that may touch, and more than any [m]
+
+# What is limited, of each joint; and GAP, of the arm, as if a joint more had a torque.
 TORQUE, RATE, POSITION, ACCELERATION = range(4)
 
 
@@ -67,20 +74,38 @@ def _by_variables(point, order, h, q, qd, i, out):  # type: ignore[no-untyped-de
 
 
 @helper
-def _is_asked(kind, k, point, segments):  # type: ignore[no-untyped-def]
+def _nearest(p, state, radii, work):  # type: ignore[no-untyped-def]
+    """The least gap between two bodies that are not neighbours, the base at the origin."""
+    d = work[0]
+    _chain(p, state, d, work[1])
+    least, a = _FAR - 1.0, d[0]
+    for i in range(2, d.size):
+        a += d[i - 1]  # where link i begins
+        least = min(least, _to_segment(a, d[i], 0j) - radii[0] - radii[1])
+        b = d[0]
+        for j in range(1, i - 1):
+            least = min(least, _apart(a, d[i], b, d[j]) - 2.0 * radii[1])
+            b += d[j]
+    return least
+
+
+@helper
+def _is_asked(kind, i, n, k, point, segments):  # type: ignore[no-untyped-def]
     """Whether a limit is one at this point: accelerations are largest at a segment's ends."""
+    if i == n and kind != TORQUE:
+        return False
     if kind == ACCELERATION:
         return point == 0 or point == 3
-    if kind == POSITION:
+    if kind == POSITION or i == n:
         return not ((k == 0 and point == 0) or (k == segments - 1 and point == 3))
     return True
 
 
 @helper
 def _values(  # type: ignore[no-untyped-def]
-    p, rotor, L, bounds, limits, h, q, qd, state, rate, gain, work, second, tau, room, omegas,
+    p, rotor, L, bounds, limits, radii, h, q, qd, state, rate, gain, work, second, tau, room, omegas,
 ):  # fmt: skip
-    """Write the room (K, 4, 4, n, 2) below and above within each limit, and the base's rates (K, 4).
+    """Write the room (K, 4, 4, n + 1, 2) below and above within each limit, and the base's rates (K, 4).
 
     Returns the least room.
     """
@@ -89,6 +114,10 @@ def _values(  # type: ignore[no-untyped-def]
         for j in range(4):
             _at(j, h[k], q[k : k + 2], qd[k : k + 2], state, rate, gain)
             omegas[k, j] = _free_torques(p, rotor, L, state, rate, gain, work, second, tau)
+            room[k, j, :, n] = _FAR
+            room[k, j, TORQUE, n, 0] = _nearest(p, state, radii, work) - radii[2]
+            if _is_asked(TORQUE, n, n, k, j, h.size):
+                least = min(least, room[k, j, TORQUE, n, 0])
             for i in range(n):
                 own = room[k, j, :, i]
                 load = tau[3 + i] + limits[i, 3] * rate[3 + i]
@@ -100,7 +129,7 @@ def _values(  # type: ignore[no-untyped-def]
                 own[ACCELERATION, 0] = gain[3 + i] + limits[i, 1]
                 own[ACCELERATION, 1] = limits[i, 1] - gain[3 + i]
                 for kind in range(4):
-                    if _is_asked(kind, k, j, h.size):
+                    if _is_asked(kind, i, n, k, j, h.size):
                         least = min(least, own[kind, 0], own[kind, 1])
     return least
 
@@ -125,9 +154,9 @@ def _merit(weights, mu, least, h, q, qd, room, omegas):  # type: ignore[no-untyp
             total -= mu * math.log(h[k] - least)
         for j in range(4):
             total += 0.5 * weights[1] * _WEIGHTS[j] / h.size * omegas[k, j] ** 2
-            for i in range(n):
+            for i in range(n + 1):
                 for kind in range(4):
-                    if _is_asked(kind, k, j, h.size):
+                    if _is_asked(kind, i, n, k, j, h.size):
                         total -= mu * math.log(room[k, j, kind, i, 0] * room[k, j, kind, i, 1])
         for j in range(0, 4, 3):
             b = _BASIS[j, 2]
@@ -140,15 +169,19 @@ def _merit(weights, mu, least, h, q, qd, room, omegas):  # type: ignore[no-untyp
 
 @helper
 def _torque_rows(  # type: ignore[no-untyped-def]
-    p, rotor, L, limits, point, h, q, qd, state, rate, gain, work, second, tau, other, rows, part,
+    p, rotor, L, limits, radii, point, h, q, qd, state, rate, gain, work, second, tau, other, rows,
+    part,
 ):  # fmt: skip
-    """Write the derivatives of torques and base's rate by a segment's variables, (n + 1, 4 n + 1).
+    """Write the derivatives of torques, gap and base's rate by a segment's variables.
+
+    rows is (n + 2, 4 n + 1).
 
     A segment's variables are q_0, q'_0, h, q_1, q'_1.
     """
     n = q.shape[1]
     _at(point, h, q, qd, state, rate, gain)
     omega = _free_torques(p, rotor, L, state, rate, gain, work, second, tau)
+    gap, near = _nearest(p, state, radii, work), 0.0
     rows[:] = 0.0
     for i in range(n):
         for order in range(3):
@@ -156,6 +189,7 @@ def _torque_rows(  # type: ignore[no-untyped-def]
             if order == 0:
                 state[3 + i] += _DIFFERENCE
                 ahead = _free_torques(p, rotor, L, state, rate, gain, work, second, other)
+                near = _nearest(p, state, radii, work) - gap
                 state[3 + i] -= _DIFFERENCE
             elif order == 1:
                 rate[3 + i] += _DIFFERENCE
@@ -167,10 +201,15 @@ def _torque_rows(  # type: ignore[no-untyped-def]
                 gain[3 + i] -= 1.0
             size = _DIFFERENCE if order < 2 else 1.0
             _by_variables(point, order, h, q, qd, i, part)
-            for r in range(n + 1):
-                slope = (other[3 + r] - tau[3 + r]) / size if r < n else (ahead - omega) / size
-                if r == i and order == 1:
-                    slope += limits[i, 3]
+            for r in range(n + 2):
+                if r < n:
+                    slope = (other[3 + r] - tau[3 + r]) / size
+                    if r == i and order == 1:
+                        slope += limits[i, 3]
+                elif r == n:
+                    slope = near / size if order == 0 else 0.0
+                else:
+                    slope = (ahead - omega) / size
                 rows[r, i] += slope * part[0]
                 rows[r, n + i] += slope * part[1]
                 rows[r, 2 * n] += slope * part[2]
@@ -235,13 +274,13 @@ def _moved(x, step, dx, h, q, qd, x_h, x_q, x_qd):  # type: ignore[no-untyped-de
     return True
 
 
-@kernel("(p),(n,b),(n,l),(r),(o),(s),(m,n),(m,n),(i)->(s),(m,n),(m,n),(i)")
+@kernel("(p),(n,b),(n,l),(r),(u),(o),(s),(m,n),(m,n),(i)->(s),(m,n),(m,n),(i)")
 def _optimized(  # type: ignore[no-untyped-def]
-    p_, bounds_, limits_, rotor_, options, h0, q0, qd0, _i, h_out, q_out, qd_out, report,
+    p_, bounds_, limits_, rotor_, radii_, options, h0, q0, qd0, _i, h_out, q_out, qd_out, report,
 ):  # fmt: skip
     # What is called much is given contiguous arrays: numba takes long to compile it for other ones.
     p, bounds, limits, rotor = p_.copy(), bounds_.copy(), limits_.copy(), rotor_.copy()
-    h, q, qd = h0.copy(), q0.copy(), qd0.copy()
+    h, q, qd, radii = h0.copy(), q0.copy(), qd0.copy(), radii_.copy()
     h_out[:], q_out[:], qd_out[:] = h, q, qd
     n, K = bounds.shape[0], h0.size
     size, wide = (K - 1) * (2 * n + 1) + 1, 4 * n + 1
@@ -250,16 +289,17 @@ def _optimized(  # type: ignore[no-untyped-def]
     turning, timed = not math.isnan(goal), weights[0] > 0.0
     state, rate, gain, tau, other = np.empty((5, 3 + n))
     work, second = np.empty((3, n + 1), np.complex128), np.empty((2, n + 1), np.complex128)
-    room, dual, toward = np.empty((3, K, 4, 4, n, 2))
-    trial = np.empty((K, 4, 4, n, 2))
+    room, dual, toward = np.empty((3, K, 4, 4, n + 1, 2))
+    trial = np.empty((K, 4, 4, n + 1, 2))
     omegas, x_omegas = np.empty((2, K, 4))
-    kept = np.empty((K, 4, n + 1, wide))  # rows of the torques and the base's rate
+    kept = np.empty((K, 4, n + 2, wide))  # rows of torques, gap and base's rate
     A, g, dx, c, z = np.empty((size, wide)), np.empty(size), np.empty(size), np.empty(size), np.empty(size)
     row, part, dual_h = np.empty(wide), np.empty(5), np.empty(K)
     x_h, x_q, x_qd = np.empty(K), np.empty_like(q), np.empty_like(q)
     report[:] = 0.0
     lowest = _values(
-        p, rotor, L, bounds, limits, h, q, qd, state, rate, gain, work, second, tau, room, omegas
+        p, rotor, L, bounds, limits, radii, h, q, qd, state, rate, gain, work, second, tau, room,
+        omegas,
     )  # fmt: skip
     if not lowest > 0.0:
         report[0] = -1.0
@@ -268,26 +308,29 @@ def _optimized(  # type: ignore[no-untyped-def]
     for k in range(K):
         for j in range(4):
             for kind in range(4):
-                count += 2 * n * int(_is_asked(kind, k, j, K))
+                for i in range(n + 1):
+                    count += 2 * int(_is_asked(kind, i, n, k, j, K))
     count += K * int(timed)
     total_time = 0.0
     for k in range(K):
         total_time += h[k]
     mu, penalty, residual = 0.1 * total_time / count, 0.0, 0.0
+    damping = 1e-9
     mark, marked = total_time, 0  # the time some iterations ago
     for k in range(K):
         dual_h[k] = mu / max(h[k] - least, 1e-9)
         for j in range(4):
             for kind in range(4):
-                for i in range(n):
+                for i in range(n + 1):
                     for side in range(2):
-                        dual[k, j, kind, i, side] = mu / room[k, j, kind, i, side] if _is_asked(kind, k, j, K) else 0.0
+                        dual[k, j, kind, i, side] = 0.0
+                        if _is_asked(kind, i, n, k, j, K):
+                            dual[k, j, kind, i, side] = mu / room[k, j, kind, i, side]
     for iteration in range(most):
         report[0] = iteration + 1.0
         A[:], g[:], c[:] = 0.0, 0.0, 0.0
         for k in range(K):
             first, at = (k - 1) * (2 * n + 1) + 1, k * (2 * n + 1)
-            A[at, 0] += 1e-9
             if timed:
                 slack = h[k] - least
                 g[at] += weights[0] - mu / slack
@@ -297,21 +340,20 @@ def _optimized(  # type: ignore[no-untyped-def]
             for j in range(4):
                 rows = kept[k, j]
                 _torque_rows(
-                    p, rotor, L, limits, j, h[k], q[k : k + 2], qd[k : k + 2],
-                    state, rate, gain, work, second, tau, other, rows, part,
+                    p, rotor, L, limits, radii, j, h[k], q[k : k + 2], qd[k : k + 2], state, rate, gain, work, second, tau, other, rows, part,
                 )  # fmt: skip
                 if not timed:
                     rows[:, 2 * n] = 0.0
                 for a in range(max(0, -first), min(wide, size - first)):
-                    c[first + a] += h[k] * _WEIGHTS[j] * rows[n, a]
+                    c[first + a] += h[k] * _WEIGHTS[j] * rows[n + 1, a]
                 if timed:
                     c[at] += _WEIGHTS[j] * omegas[k, j]
                 share = weights[1] * _WEIGHTS[j] / K
                 if share > 0.0:
-                    _add(A, g, first, rows[n], share, share * omegas[k, j])
-                for i in range(n):
+                    _add(A, g, first, rows[n + 1], share, share * omegas[k, j])
+                for i in range(n + 1):
                     for kind in range(4):
-                        if not _is_asked(kind, k, j, K):
+                        if not _is_asked(kind, i, n, k, j, K):
                             continue
                         below, above = room[k, j, kind, i, 0], room[k, j, kind, i, 1]
                         weight = dual[k, j, kind, i, 0] / below + dual[k, j, kind, i, 1] / above
@@ -329,6 +371,7 @@ def _optimized(  # type: ignore[no-untyped-def]
                             weight += weights[2]
                             slope += weights[2] * 0.5 * (below - above)
                         _add(A, g, first, row, weight, slope)
+        A[:, 0] += damping
         _factor(A)
         dx[:] = -g
         _solve(A, dx)
@@ -354,16 +397,16 @@ def _optimized(  # type: ignore[no-untyped-def]
             good = _moved(least if timed else 0.0, step, dx, h, q, qd, x_h, x_q, x_qd)
             if good:
                 _values(
-                    p, rotor, L, bounds, limits, x_h, x_q, x_qd, state, rate, gain, work, second,
-                    tau, trial, x_omegas,
+                    p, rotor, L, bounds, limits, radii, x_h, x_q, x_qd, state, rate, gain, work,
+                    second, tau, trial, x_omegas,
                 )  # fmt: skip
                 for k in range(K):
                     for j in range(4):
                         for kind in range(4):
-                            if _is_asked(kind, k, j, K):
-                                for i in range(n):
-                                    for side in range(2):
-                                        good &= trial[k, j, kind, i, side] > 0.02 * room[k, j, kind, i, side]
+                            for i in range(n + 1):
+                                if _is_asked(kind, i, n, k, j, K):
+                                    now, new = room[k, j, kind, i], trial[k, j, kind, i]
+                                    good &= new[0] > 0.02 * now[0] and new[1] > 0.02 * now[1]
             if good:
                 after = _merit(weights, mu, least, x_h, x_q, x_qd, trial, x_omegas)
                 after += penalty * abs(_turn(x_h, x_omegas) - goal) if turning else 0.0
@@ -379,9 +422,9 @@ def _optimized(  # type: ignore[no-untyped-def]
             for k in range(K):
                 first = (k - 1) * (2 * n + 1) + 1
                 for j in range(4):
-                    for i in range(n):
+                    for i in range(n + 1):
                         for kind in range(4):
-                            if not _is_asked(kind, k, j, K):
+                            if not _is_asked(kind, i, n, k, j, K):
                                 continue
                             if turn == 0:
                                 moves = 0.0
@@ -426,21 +469,28 @@ def _optimized(  # type: ignore[no-untyped-def]
                 gap += dual_h[k] * (h[k] - least)
             for j in range(4):
                 for kind in range(4):
-                    if _is_asked(kind, k, j, K):
-                        for i in range(n):
+                    for i in range(n + 1):
+                        if _is_asked(kind, i, n, k, j, K):
                             for side in range(2):
                                 gap += dual[k, j, kind, i, side] * room[k, j, kind, i, side]
         residual = abs(_turn(h, omegas) - goal) if turning else 0.0
         report[1], report[2] = gap, residual
-        near = residual < 1e-5
-        if near and (gap < tolerance * total_time or total_time < (1.0 + tolerance) * floor):
+        # Little complementarity is left, and it gets no faster.
+        if residual < 1e-5 and total_time < (1.0 + tolerance) * floor:
             break
-        if iteration >= marked + 5:
-            if near and timed and total_time > (1.0 - tolerance) * mark and gap < 0.1 * total_time:
+        if iteration >= marked + 4:
+            slow = not timed or total_time > (1.0 - tolerance) * mark
+            if slow and residual < 1e-5 and gap < 5.0 * tolerance * total_time:
                 break
             mark, marked = total_time, iteration
-        share = 0.15 if step > 0.7 else (0.5 if step > 0.2 else 0.9)
-        mu = share * gap / count
+        if step > 0.7:
+            damping = max(0.2 * damping, 1e-9)
+            mu = SIGMA * gap / count
+        elif step < 0.3:
+            damping = max(4.0 * damping, 1e-3)
+            mu = gap / count
+        else:
+            mu = 0.7 * gap / count
     h_out[:], q_out[:], qd_out[:] = h, q, qd
     report[3] = mu
 
@@ -450,6 +500,7 @@ def optimized(
     bounds: npt.ArrayLike,
     limits: npt.ArrayLike,
     rotor: npt.ArrayLike,
+    radii: npt.ArrayLike,
     h: npt.ArrayLike,
     q: npt.ArrayLike,
     qd: npt.ArrayLike,
@@ -471,6 +522,7 @@ def optimized(
         bounds: (n, 2) lowest and highest joint readings [rad].
         limits: (n, 4) of rates, accelerations and torques, and viscous friction, in SI units.
         rotor: (2,) N^2 J and N J [kg m^2].
+        radii: (3,) of the base and of links, and the margin between bodies [m].
         h: (..., m - 1) times between knots [s].
         q: (..., m, n) angles at the knots [rad]; the first and the last stay.
         qd: (..., m, n) rates; 0 at the first and the last [rad/s].
@@ -491,5 +543,5 @@ def optimized(
     options = [
         momentum, time_weight, turn_weight, smoothness, turn, least, iterations, tolerance, floor,
     ]  # fmt: skip
-    found = _optimized(p, bounds, limits, rotor, np.array(options), h, q, qd, np.empty(4))
+    found = _optimized(p, bounds, limits, rotor, radii, np.array(options), h, q, qd, np.empty(4))
     return found[0], found[1], found[2], found[3]
