@@ -48,7 +48,8 @@ ALLOWED = {
     | {"numpy", "scipy", "yaml", "rich", "matplotlib"},
     "fss_arm_workspace": ROS
     | {"fss_arm_model", "fss_arm_ros", "fss_arm_bags", "numpy", "scipy", "rich", "matplotlib"},
-    "fss_arm_motion": ROS | {"fss_arm_model", "fss_arm_ros", "numpy", "scipy", "rich", "matplotlib"},
+    "fss_arm_motion": ROS
+    | {"fss_arm_model", "fss_arm_ros", "numpy", "scipy", "yaml", "rich", "matplotlib"},
     "fss_gnc": ROS | {"fss_arm_model", "fss_arm_ros", "numpy"},
     "fss_arm_view": ROS
     | {"fss_arm_model", "fss_arm_ros", "fss_gnc.navigation", "fss_gnc.navigation.messages"}
@@ -89,7 +90,7 @@ ROOMS = {
 }  # fmt: skip
 
 # Where the mathematics of a package meets ROS: its nodes, and these.
-EDGES = {"settings", "messages", "kind", "kinds", "from_bag", "design_command", "recompute"}
+EDGES = {"settings", "messages", "kind", "kinds", "from_bag", "design_command", "plan_command", "recompute"}
 MATHEMATICS = ALLOWED.keys() - {"fss_arm_ros", "fss_arm_bags", "fss_sim.rehearsal"}
 PACKAGES = sorted(row for row in ALLOWED if "." not in row)
 
