@@ -53,7 +53,9 @@ def _free_torques(p, rotor, L, state, rate, gain, work, second, tau):  # type: i
     r, before = 0j, alpha
     for k in range(1, n + 1):
         r += d[k - 1]
-        tau[2 + k] += _dot(1j * second[0, k], a) + (second[1, k].real + _dot(r, second[0, k])) * alpha
+        tau[2 + k] += (
+            _dot(1j * second[0, k], a) + (second[1, k].real + _dot(r, second[0, k])) * alpha
+        )
         tau[2 + k] += rotor[0] * gain[2 + k] + rotor[1] * before
         before += gain[2 + k]
     tau[0] = tau[1] = tau[2] = 0.0

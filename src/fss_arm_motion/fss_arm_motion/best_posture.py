@@ -55,7 +55,7 @@ class BestPosture(Settings):
 
 
 def velocity_ratio(arm: Arm, q: npt.ArrayLike, direction: float, base: str = FLOATING) -> Floats:
-    """r of postures (..., n) along a direction [rad], (...) [m]; 0 at singularities.
+    """Ratio r of postures (..., n) along a direction [rad], (...) [m]; 0 at singularities.
 
     Raises:
         ValueError: shapes do not fit.

@@ -105,7 +105,14 @@ def _arm(axes: Any, pose: Floats, places: Floats, color: Any, alpha: float, star
 
     radius = start.limits.radii[0]
     axes.add_patch(
-        Circle(pose[:2], radius, facecolor="none", edgecolor=color, alpha=alpha, linewidth=1.3)
+        Circle(
+            (pose[0], pose[1]),
+            radius,
+            facecolor="none",
+            edgecolor=color,
+            alpha=alpha,
+            linewidth=1.3,
+        )
     )
     nose = pose[:2] + radius * np.array([np.cos(pose[2]), np.sin(pose[2])])
     axes.plot(*np.array([pose[:2], nose]).T, color=color, alpha=alpha, linewidth=1.3)

@@ -90,9 +90,7 @@ class Limits:
         viscous = np.full_like(self.rate, self.viscous)
         return np.column_stack([self.rate, self.acceleration, self.torque, viscous])
 
-    def used(
-        self, p: Floats, q: Floats, qd: Floats, qdd: Floats, momentum: float = 0.0
-    ) -> Floats:
+    def used(self, p: Floats, q: Floats, qd: Floats, qdd: Floats, momentum: float = 0.0) -> Floats:
         """Shares of rates, accelerations and torques that moments of a motion take, (..., 3, n)."""
         tau = free_torques(p, q, qd, qdd, momentum, self.rotor)[0] + self.viscous * qd
         asked = np.stack([qd, qdd, tau], axis=-2)

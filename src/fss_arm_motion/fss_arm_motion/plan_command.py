@@ -21,7 +21,9 @@ from fss_arm_motion.plan import Plan, Start
 from fss_arm_motion.plan_file import written
 from fss_arm_ros.command_line import USER_ERROR, Parser
 
-EPILOG = "Angles are given in degrees, all else in SI units. Exit codes: 0 planned, 1 there is no plan."
+EPILOG = (
+    "Angles are given in degrees, all else in SI units. Exit codes: 0 planned, 1 there is no plan."
+)
 
 
 def parser() -> argparse.ArgumentParser:
@@ -70,8 +72,12 @@ def add_option(p: argparse.ArgumentParser, f: "Field[Any]", hint: Any) -> None:
         p.add_argument(flag, action="store_true", help=about)
         return
     many = bool(get_args(hint))
-    default = f.default if many or not in_degrees(f) else float(np.degrees(f.default))
-    shown = "" if many else f" (default: {default:g})" if hint is float else f" (default: {default})"
+    default: Any = f.default
+    if in_degrees(f) and not many:
+        default = float(np.degrees(default))
+    shown = (
+        "" if many else f" (default: {default:g})" if hint is float else f" (default: {default})"
+    )
     p.add_argument(
         flag, type=float if many else hint, nargs="+" if many else None, default=f.default,
         metavar=f.name.split("_")[-1].upper(), help=f"{about}{shown}",

@@ -14,11 +14,11 @@ import numpy.typing as npt
 from fss_arm_model.base_motion import sampled
 from fss_arm_model.kernels import Floats
 from fss_arm_model.settings import NOT_NEGATIVE, Settings, setting
+from fss_arm_motion.interior_point import optimized
 from fss_arm_motion.plan import Plan, PlanError, Start, finished, probed, within
-from fss_arm_motion.transcription import optimized
 
 SEGMENTS = 6  # of a short move; two for each limit that the best motion switches between
-LEAST = 0.1  # time between knots [s]
+LEAST = 0.125  # time between knots, of which links keep 32 for 4 s [s]
 PER_SECOND = 3.0  # knots of a long move
 STILL = 1e-6  # a way that is none [rad]
 HELD = 0.9  # of the limits, that a first motion takes
@@ -93,7 +93,8 @@ def improved(
         knots[1:-1] = q[1:-1].clip(low + 2.0 * keep, high - 2.0 * keep)
         found = optimized(
             start.arm.vector(), np.column_stack([low + off, high - off]), start.limits.table,
-            start.limits.rotor, [*start.limits.radii, margin + APART * keep], h, knots, qd, momentum=start.L, **options,
+            start.limits.rotor, [*start.limits.radii, margin + APART * keep], h, knots, qd,
+            momentum=start.L, **options,
         )  # fmt: skip
         times = np.append(0.0, np.cumsum(found[0]))
         angles = probed(times, *found[1:3])[0]

@@ -20,7 +20,13 @@ from fss_arm_model.settings import Check, Settings, at_least, setting
 from fss_arm_motion.plan import Plan, PlanError, Start, finished, within
 from fss_arm_motion.point_to_point import LEAST, improved, straight
 
-FAMILIES = ((3, 1), (4, 1), (3, 2), (4, 2), (4, 4))  # corners of a polygon, and how often to go round
+FAMILIES = (
+    (3, 1),
+    (4, 1),
+    (3, 2),
+    (4, 2),
+    (4, 4),
+)  # corners of a polygon, and how often to go round
 PARENTS, CHILDREN, GENERATIONS = 16, 16, 25
 FIRST = 1500  # random polygons of each family
 CHANGE, CALMING = 0.5, 0.93  # of a corner's angles [rad], and from a generation to the next

@@ -198,7 +198,9 @@ def _followed(p_, bounds_, start, momentum_, options_, way_, _m, states, rates, 
     report[0], report[1], report[2] = 0.0, states.shape[0] - 1.0, 0.0
     for step in range(states.shape[0]):
         wish = way[2 * step]
-        off = _law(p, bounds, momentum, options, wish, x, d, e, second, base, tip, C, y, b, z, w, k1)
+        off = _law(
+            p, bounds, momentum, options, wish, x, d, e, second, base, tip, C, y, b, z, w, k1
+        )
         states[step], rates[step] = x, k1
         if report[0] == 0.0 and wish[6] < 0.5 and off > lost:
             report[0], report[1], report[2] = 2.0, step, off
@@ -237,9 +239,7 @@ class Way:
         r = np.linspace(0.0, 1.0, 2 * STEPS + 1)
         s, speed, _ = run_through(r)
         places, slopes = self.curve(end * s), self.curve(end * s, 1)
-        return np.column_stack(
-            [places, slopes * (end * speed / lasts)[:, None], bump(r)]
-        )
+        return np.column_stack([places, slopes * (end * speed / lasts)[:, None], bump(r)])
 
 
 def bump(r: Floats) -> Floats:
