@@ -219,7 +219,7 @@ def _optimized(  # type: ignore[no-untyped-def]
     if not _values(arm, scratch, h, q, qd, room, omegas) > 0.0:
         report[0], most = -1.0, 0
     gap, count = _complementarity(h, least, timed, room, dual, dual_h)
-    time = mark = h.sum()  # now, and some iterations ago
+    time, mark = h.sum(), math.inf  # and the cost some iterations ago
     marked, damping, penalty, residual = 0, 1e-9, 0.0, 0.0
     mu = 0.1 * time / count
     for k in range(K):
@@ -270,14 +270,15 @@ def _optimized(  # type: ignore[no-untyped-def]
         gap, _ = _complementarity(h, least, timed, room, dual, dual_h)
         time, residual = h.sum(), abs(_turn(h, omegas) - goal) if turning else 0.0
         report[1], report[2] = gap, residual
-        # Little complementarity is left, and it gets no faster.
+        # Little complementarity is left, and it gets no better.
         if residual < 1e-5 and time < (1.0 + tolerance) * floor:
             break
         if iteration >= marked + 4:
-            slow = not timed or time > (1.0 - tolerance) * mark
+            cost = time if timed else (omegas * omegas).sum()
+            slow = cost > (1.0 - (tolerance if timed else 0.02)) * mark
             if slow and residual < 1e-5 and gap < 5.0 * tolerance * time:
                 break
-            mark, marked = time, iteration
+            mark, marked = cost, iteration
         if step > 0.7:
             damping, mu = max(0.2 * damping, 1e-9), _FALL * gap / count
         elif step < 0.3:
@@ -336,5 +337,8 @@ def optimized(
     options = [
         momentum, time_weight, turn_weight, smoothness, turn, least, iterations, tolerance, floor,
     ]  # fmt: skip
-    found = _optimized(p, bounds, limits, rotor, radii, np.array(options), h, q, qd, np.empty(4))
+    asked = p, bounds, limits, rotor, radii, np.array(options), h, q, qd
+    # Vectorized, room that is not asked for is divided by, too, and nobody looks at what comes out.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        found = _optimized(*asked, np.empty(4))
     return found[0], found[1], found[2], found[3]

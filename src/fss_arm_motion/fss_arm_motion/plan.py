@@ -21,7 +21,7 @@ from fss_arm_model.kernels import Floats
 from fss_arm_motion.limits import KINDS, Limits
 
 SPACING = 0.05  # of predicted poses [s]
-PROBES = 12  # moments in each segment at which limits are checked
+PROBES = 40  # moments in each segment at which limits are checked
 
 
 class PlanError(ValueError):
@@ -207,6 +207,8 @@ def finished(
     Raises:
         PlanError: a limit cannot be kept.
     """
+    qd = qd.copy()
+    qd[[0, -1]] = 0.0  # but for rounding
     times, qd, used = within(start, times, q, qd)
     angles = probed(times, q, qd)[0]
     gaps = start.gap(angles)

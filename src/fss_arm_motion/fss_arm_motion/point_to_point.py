@@ -119,7 +119,7 @@ def point_to_point(start: Start, asked: PointToPoint) -> Plan:
     if np.abs(goal - start.q).max() < STILL:
         raise PlanError(f"goal is {goal.tolist()} rad, where the arm is")
     least = floor(start, goal)
-    segments = max(SEGMENTS, round(PER_SECOND * least))
+    segments = max(2, min(max(SEGMENTS, round(PER_SECOND * least)), int(least / LEAST)))
     h, q, qd = straight(start, [start.q, goal], segments)
     h, q, qd, _ = improved(start, h, q, qd, least=LEAST, floor=least)
     times, qd, _ = within(start, np.append(0.0, np.cumsum(h)), q, qd)
@@ -136,7 +136,14 @@ def point_to_point(start: Start, asked: PointToPoint) -> Plan:
         q, qd = _resampled(times, q, qd, segments)
         h = np.full(segments, lasts / segments)
         h, q, qd, _ = improved(
-            start, h, q, qd, time_weight=0.0, turn_weight=TURN_WEIGHT, tolerance=1e-5
+            start,
+            h,
+            q,
+            qd,
+            time_weight=0.0,
+            turn_weight=TURN_WEIGHT,
+            tolerance=1e-5,
+            iterations=100,
         )
         times = np.append(0.0, np.cumsum(h))
     notes = {"least_possible": least}

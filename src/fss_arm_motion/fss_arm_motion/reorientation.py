@@ -91,7 +91,8 @@ def polygons(
     start: Start, turn: float, corners: int, rng: np.random.Generator
 ) -> tuple[Floats, Floats]:
     """Closed polygons (k, c, n) from the posture and what they cost (k,), the best first."""
-    low, high = (start.limits.bounds + [INSIDE, -INSIDE]).T
+    low, high = start.limits.bounds.T
+    low, high = low + INSIDE, high - INSIDE
     found = rng.uniform(low, high, (FIRST, corners, start.arm.n))
     found[:, 0] = start.q
     cost = costs(start, found, turn)

@@ -11,9 +11,9 @@ wished twist v_w, the tip's error e and a bump b(t) that is 1 where the motion b
 
 so that the arm begins and ends at rest, in a base that drifts, and in between the tip keeps to its
 way. z pulls joints away from their limits along the self-motions (Liegeois 1977), and the diagonal
-W slows those that go to a limit nearby (Chan and Dubey 1995); mu is 0 but near a singularity (Nakamura
-and Hanafusa 1986). In the base's frame J* is the tip's Jacobian with the
-base held, and v_m is 0.
+W slows those that go to a limit nearby (Chan and Dubey 1995); mu is 0 but near a singularity
+(Nakamura and Hanafusa 1986). In the base's frame J* is the tip's Jacobian with the base held, and
+v_m is 0.
 """
 
 import math
@@ -295,7 +295,7 @@ def tip_path(start: Start, asked: TipPath) -> Plan:
     """
     way = way_of(start, asked)
     end, lasts, ended = 1.0, asked.duration or max(1.0, 2.0 * way.length), ""
-    p, n = start.arm.vector(), start.arm.n
+    p = start.arm.vector()
     for _ in range(30):
         times, states, rates, report = _follow(start, way, end, lasts, asked.tolerance)
         if report[0] != FULL:

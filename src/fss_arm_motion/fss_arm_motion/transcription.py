@@ -131,7 +131,7 @@ def _room(room, value, low, high):  # type: ignore[no-untyped-def]
 
 @helper
 def _values(arm, s, h, q, qd, room, omegas):  # type: ignore[no-untyped-def]
-    """Write the room (K, 4, 4 n + 1, 2) below and above of what is limited, the base's rates (K, 4).
+    """Write the room (K, 4, 4 n + 1, 2) below and above of each, and the base's rates (K, 4).
 
     Returns the least room.
     """

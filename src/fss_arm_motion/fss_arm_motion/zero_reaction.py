@@ -10,8 +10,9 @@ Abiko 2001; the paper's [24]). Along a wished direction u the joints follow the 
     dq/dl = P u / |P u|,   P = 1 - G^T G / |G|^2
 
 as far as limits allow. The constraint G q' = 0 is not integrable for three joints or more: which
-postures such motions reach depends on their path, and a goal is reached by one that is found as
-the motion that turns the base least, given time for the way around.
+postures such motions reach depends on their path. A goal is reached by the motion that turns the
+base least, given time for a way around; it is searched for from the straight one, and not always
+found where there is one.
 """
 
 import math
@@ -33,7 +34,7 @@ from fss_arm_motion.timing import knots, run_through, shortest
 STEP = 5e-3  # of the Runge-Kutta method of 4th order [rad]
 
 STRAIGHTER = 1e-3  # length that counts as none [rad]
-PATIENCE = (2.0, 3.5, 6.0)  # times as long as the fastest motion, tried one after the other
+PATIENCE = (1.5, 4.0, 8.0)  # beyond the fastest motion, tried one after the other [s]
 
 LIMIT, NOTHING_LEFT, LENGTH = range(3)
 
@@ -210,7 +211,9 @@ def _along(start: Start, asked: ZeroReaction) -> Plan:
 def _to_goal(start: Start, asked: ZeroReaction) -> Plan:
     goal = start.posture("goal", asked.goal)
     fastest = point_to_point(start, PointToPoint(tuple(goal)))
-    durations = [asked.duration] if asked.duration else [k * fastest.duration for k in PATIENCE]
+    durations = (
+        [asked.duration] if asked.duration else [fastest.duration + more for more in PATIENCE]
+    )
     arguments = {"goal": goal.tolist(), "duration": asked.duration, "tolerance": asked.tolerance}
     turns = []
     for duration in durations:
@@ -223,6 +226,7 @@ def _to_goal(start: Start, asked: ZeroReaction) -> Plan:
                 plan.used, notes,
             )  # fmt: skip
     raise PlanError(
-        f"goal {goal.tolist()} rad: the base turns by {np.degrees(min(turns)):.2f} deg at least, "
-        f"expected {np.degrees(asked.tolerance):.2f} deg or less, in {max(durations):.1f} s"
+        f"goal {goal.tolist()} rad: no motion found that turns the base by less than "
+        f"{np.degrees(min(turns)):.2f} deg, expected {np.degrees(asked.tolerance):.2f} deg; "
+        f"longer than {max(durations):.1f} s may do"
     )
