@@ -1,5 +1,7 @@
 """What plans are checked against: MuJoCo in open loop, a direct transcription in Pinocchio."""
 
+from itertools import pairwise
+
 import mujoco
 import numpy as np
 import pinocchio as pin
@@ -17,22 +19,24 @@ def open_loop(start, plan, step=5e-4):
     Nothing holds the joints to their paths: what differs adds up.
     """
     model = mujoco_model(start.arm)
-    model.opt.timestep, model.opt.integrator = step, mujoco.mjtIntegrator.mjINT_RK4
+    model.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4
     data, n = mujoco.MjData(model), start.arm.n
     data.qpos[:] = np.concatenate([start.pose, start.q])
     times, states, momenta = [], [], []
-    for k in range(round(plan.duration / step)):
-        at = min((k + 0.5) * step, plan.duration - 1e-9)  # torques as in the step's middle
-        q, qd, qdd = motion(plan, at)
-        tau, _ = free_torques(start.arm.vector(), q, qd, qdd, 0.0)
-        data.qfrc_applied[:] = np.concatenate([np.zeros(3), tau])
-        mujoco.mj_step(model, data)
-        mujoco.mj_subtreeVel(model, data)
-        times.append((k + 1) * step)
-        states.append(data.qpos.copy())
-        body = model.body("base").id
-        mass = model.body_subtreemass[body]
-        momenta.append([*(mass * data.subtree_linvel[body, :2]), data.subtree_angmom[body, 2]])
+    body = model.body("base").id
+    for begin, end in pairwise(plan.times):
+        steps = int(np.ceil((end - begin) / step))  # accelerations may jump at knots
+        model.opt.timestep = (end - begin) / steps
+        for k in range(steps):
+            q, qd, qdd = motion(plan, begin + (k + 0.5) * model.opt.timestep)
+            tau, _ = free_torques(start.arm.vector(), q, qd, qdd, 0.0)
+            data.qfrc_applied[:] = np.concatenate([np.zeros(3), tau])
+            mujoco.mj_step(model, data)
+            mujoco.mj_subtreeVel(model, data)
+            times.append(begin + (k + 1) * model.opt.timestep)
+            states.append(data.qpos.copy())
+            P = model.body_subtreemass[body] * data.subtree_linvel[body, :2]
+            momenta.append([*P, data.subtree_angmom[body, 2]])
     assert data.qpos.size == 3 + n
     return np.array(times), np.array(states), np.array(momenta)
 

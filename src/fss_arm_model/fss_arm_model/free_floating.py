@@ -8,7 +8,7 @@ the whole changes no torque. With S_k and K_k of dynamics.py, c the centre of ma
     K_c = K_0 - M |c|^2
 
 G is the angular coupling. A rotor of inertia J, on each joint, turns N times as fast as it against
-the body before it, and so adds N^2 J q''_k + N J (theta'' + q''_1 + .. + q''_{k-1}) to tau_k.
+the body before it, and so adds N^2 J q''_k + N J (theta'' + sum_j q''_j - q''_k) to tau_k.
 """
 
 import numpy as np
@@ -56,7 +56,8 @@ def _free_torques(p, rotor, L, state, rate, gain, work, second, tau):  # type: i
         tau[2 + k] += (
             _dot(1j * second[0, k], a) + (second[1, k].real + _dot(r, second[0, k])) * alpha
         )
-        tau[2 + k] += rotor[0] * gain[2 + k] + rotor[1] * before
+        sped -= gain[2 + k]
+        tau[2 + k] += rotor[0] * gain[2 + k] + rotor[1] * (before + sped)
         before += gain[2 + k]
     tau[0] = tau[1] = tau[2] = 0.0
     return omega

@@ -34,7 +34,7 @@ from fss_arm_motion.timing import knots, run_through, shortest
 STEP = 5e-3  # of the Runge-Kutta method of 4th order [rad]
 
 STRAIGHTER = 1e-3  # length that counts as none [rad]
-PATIENCE = (1.5, 4.0, 8.0)  # beyond the fastest motion, tried one after the other [s]
+PATIENCE = (2.5, 8.0)  # beyond the fastest motion, tried one after the other [s]
 
 LIMIT, NOTHING_LEFT, LENGTH = range(3)
 
