@@ -47,7 +47,7 @@ def draw(start: Start, plan: Plan, path: str | PathLike[str]) -> None:
         axes.tick_params(labelbottom=False)
     heading.set_xlabel("time [s]")
     figure.suptitle(title(plan), fontsize=11.5, x=0.012, ha="left")
-    figure.savefig(path, dpi=150)
+    figure.savefig(path, dpi=120)
 
 
 def title(plan: Plan) -> str:

@@ -20,6 +20,7 @@ import numpy.typing as npt
 
 from fss_arm_model.kernels import Floats, helper, kernel
 from fss_arm_motion.transcription import (
+    POINTS,
     WEIGHTS,
     Limited,
     _asked,
@@ -40,7 +41,7 @@ def _merit(weights, mu, least, h, room, omegas):  # type: ignore[no-untyped-def]
     for k in range(h.size):
         if weights[0] > 0.0:
             total += weights[0] * h[k] - mu * math.log(h[k] - least)
-        for j in range(4):
+        for j in range(POINTS):
             total += 0.5 * weights[1] * WEIGHTS[j] / h.size * omegas[k, j] ** 2
             for r in range(4 * n + 1):
                 if _asked(r, n, k, j, h.size):
@@ -73,7 +74,7 @@ def _assemble(weights, mu, least, h, room, dual, dual_h, omegas, rows, A, g, c):
         if timed:
             g[at] += weights[0] - mu / (h[k] - least)
             A[at, 0] += dual_h[k] / (h[k] - least)
-        for j in range(4):
+        for j in range(POINTS):
             turn, share = rows[k, j, 4 * n + 1], weights[1] * WEIGHTS[j] / K
             c[at] += WEIGHTS[j] * omegas[k, j] if timed else 0.0
             for a in range(max(0, -first), min(turn.size, g.size - first)):
@@ -139,7 +140,7 @@ def _keeps(room, trial):  # type: ignore[no-untyped-def]
     """Whether each limit keeps a share of its room."""
     K, n = room.shape[0], room.shape[2] // 4
     for k in range(K):
-        for j in range(4):
+        for j in range(POINTS):
             for r in range(4 * n + 1):
                 if _asked(r, n, k, j, K):
                     own, new = room[k, j, r], trial[k, j, r]
@@ -155,7 +156,7 @@ def _dualize(mu, dx, rows, room, trial, dual, toward):  # type: ignore[no-untype
     reach = 1.0
     for k in range(K):
         first = (k - 1) * (2 * n + 1) + 1
-        for j in range(4):
+        for j in range(POINTS):
             for r in range(4 * n + 1):
                 if _asked(r, n, k, j, K):
                     moves, row = 0.0, rows[k, j, r]
@@ -168,7 +169,7 @@ def _dualize(mu, dx, rows, room, trial, dual, toward):  # type: ignore[no-untype
                         if change < -0.98 * reach * own:
                             reach = -0.98 * own / change
     for k in range(K):
-        for j in range(4):
+        for j in range(POINTS):
             for r in range(4 * n + 1):
                 if _asked(r, n, k, j, K):
                     for side in range(2):
@@ -186,7 +187,7 @@ def _complementarity(h, least, timed, room, dual, dual_h):  # type: ignore[no-un
         if timed:
             gap += dual_h[k] * (h[k] - least)
             count += 1
-        for j in range(4):
+        for j in range(POINTS):
             for r in range(4 * n + 1):
                 if _asked(r, n, k, j, K):
                     for side in range(2):
@@ -210,9 +211,9 @@ def _optimized(  # type: ignore[no-untyped-def]
     most, tolerance, floor = int(options[6]), options[7], options[8]
     turning, timed = not math.isnan(goal), weights[0] > 0.0
     scratch = _scratch(n)
-    room, trial, dual, toward = np.zeros((4, K, 4, wide, 2))
-    omegas, x_omegas = np.empty((2, K, 4))
-    rows = np.empty((K, 4, wide + 1, wide))
+    room, trial, dual, toward = np.zeros((4, K, POINTS, wide, 2))
+    omegas, x_omegas = np.empty((2, K, POINTS))
+    rows = np.empty((K, POINTS, wide + 1, wide))
     A, (g, c, dx, z) = np.empty((size, wide)), np.empty((4, size))
     x_h, x_q, x_qd, dual_h = np.empty(K), np.empty_like(q), np.empty_like(q), np.empty(K)
     report[:] = 0.0
@@ -224,14 +225,14 @@ def _optimized(  # type: ignore[no-untyped-def]
     mu = 0.1 * time / count
     for k in range(K):
         dual_h[k] = mu / max(h[k] - least, 1e-9)
-        for j in range(4):
+        for j in range(POINTS):
             for r in range(wide):
                 for side in range(2):
                     dual[k, j, r, side] = mu / max(room[k, j, r, side], 1e-9)
     for iteration in range(most):
         report[0] = iteration + 1.0
         for k in range(K):
-            for j in range(4):
+            for j in range(POINTS):
                 _rows(arm, scratch, j, h[k], q[k : k + 2], qd[k : k + 2], timed, rows[k, j])
         _assemble(weights, mu, least, h, room, dual, dual_h, omegas, rows, A, g, c)
         A[:, 0] += damping

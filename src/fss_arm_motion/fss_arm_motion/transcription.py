@@ -8,7 +8,7 @@ the links keep it. The inner knots' angles and rates and the times h_k between k
                 |tau + viscous q'| <= torque, gap >= margin, and, if asked for, int omega dt = turn
 
 where omega is the base's rate, tau the torques of free_floating.py and gap the least one between
-two bodies that are not neighbours (fss_arm_model.clearance). They are asked for at the four Lobatto
+two bodies that are not neighbours (fss_arm_model.clearance). They are asked for at the five Lobatto
 points of each segment; what happens between them is for the caller to see. As accelerations may
 jump at knots whose times are free, few knots suffice where the best motion switches between limits.
 
@@ -27,15 +27,16 @@ from fss_arm_model.free_floating import _free_torques
 from fss_arm_model.kernels import Complexes, Floats, helper
 from fss_arm_model.kinematics import _chain
 
-_POINTS = np.array([0.0, 0.5 - 0.5 / math.sqrt(5.0), 0.5 + 0.5 / math.sqrt(5.0), 1.0])
-WEIGHTS = np.array([1.0, 5.0, 5.0, 1.0]) / 12.0  # of the points, for integrals
+POINTS = 5  # of a segment; Lobatto's, and their weights for integrals
+_PLACES = 0.5 + 0.5 * np.array([-1.0, -math.sqrt(3.0 / 7.0), 0.0, math.sqrt(3.0 / 7.0), 1.0])
+WEIGHTS = np.array([9.0, 49.0, 64.0, 49.0, 9.0]) / 180.0
 _DIFFERENCE = 1e-6  # of angles and rates, for forward differences
 _FAR = 1e3  # more than any gap [m]
 
 
 def _basis() -> Floats:
-    """Weights of q_0, h q'_0, q_1, h q'_1 in q, h q' and h^2 q'' at each point, (4, 3, 4)."""
-    x = _POINTS
+    """Weights of q_0, h q'_0, q_1, h q'_1 in q, h q' and h^2 q'' at each point, (5, 3, 4)."""
+    x = _PLACES
     value = [1 - 3 * x**2 + 2 * x**3, x - 2 * x**2 + x**3, 3 * x**2 - 2 * x**3, x**3 - x**2]
     rate = [6 * x**2 - 6 * x, 1 - 4 * x + 3 * x**2, 6 * x - 6 * x**2, 3 * x**2 - 2 * x]
     gain = [12 * x - 6, 6 * x - 4, 6 - 12 * x, 6 * x - 2]
@@ -118,9 +119,9 @@ def _asked(r, n, k, point, segments):  # type: ignore[no-untyped-def]
     Accelerations are largest at a segment's ends; the first and last posture are given.
     """
     if r > 3 * n:
-        return point == 0 or point == 3
+        return point == 0 or point == POINTS - 1
     if r == n or r > 2 * n:
-        return not ((k == 0 and point == 0) or (k == segments - 1 and point == 3))
+        return not ((k == 0 and point == 0) or (k == segments - 1 and point == POINTS - 1))
     return True
 
 
@@ -131,13 +132,13 @@ def _room(room, value, low, high):  # type: ignore[no-untyped-def]
 
 @helper
 def _values(arm, s, h, q, qd, room, omegas):  # type: ignore[no-untyped-def]
-    """Write the room (K, 4, 4 n + 1, 2) below and above of each, and the base's rates (K, 4).
+    """Write the room (K, 5, 4 n + 1, 2) below and above of each, and the base's rates (K, 5).
 
     Returns the least room.
     """
     n, least, limits = q.shape[1], math.inf, arm.limits
     for k in range(h.size):
-        for j in range(4):
+        for j in range(POINTS):
             _at(j, h[k], q[k : k + 2], qd[k : k + 2], s)
             omegas[k, j] = _torques(arm, s, s.tau)
             own = room[k, j]
@@ -208,6 +209,6 @@ def _turn(h, omegas):  # type: ignore[no-untyped-def]
     """The integral of the base's rate."""
     total = 0.0
     for k in range(h.size):
-        for j in range(4):
+        for j in range(POINTS):
             total += h[k] * WEIGHTS[j] * omegas[k, j]
     return total
