@@ -67,7 +67,9 @@ class Floating:
         H = pin.crba(self.model, self.data, state)
         H = np.triu(H) + np.triu(H, 1).T
         twist = -np.linalg.solve(H[:3, :3], H[:3, 3:] @ qd)
-        h = pin.rnea(self.model, self.data, state, np.concatenate([twist, qd]), np.zeros(3 + len(q)))
+        h = pin.rnea(
+            self.model, self.data, state, np.concatenate([twist, qd]), np.zeros(3 + len(q))
+        )
         force = -np.linalg.solve(H[:3, :3], H[:3, 3:] @ qdd + h[:3])
         return H[3:, :3] @ force + H[3:, 3:] @ qdd + h[3:]
 
@@ -181,7 +183,7 @@ def direct_transcription(arm, limits, begin, end, nodes=50, rounds=60):
 
 
 def held(start, plan, count=60):
-    """The largest shares of limits, gap and angles along a plan, looked at more finely than it is."""
+    """The largest share of limits, the least gap and what is beyond angles, looked at finely."""
     shares, gaps, outside = [], [], ""
     for t in np.linspace(0.0, plan.duration, count * len(plan.times)):
         q, qd, qdd = motion(plan, t)

@@ -22,7 +22,14 @@ from fss_arm_model.description import Arm
 from fss_arm_model.kernels import Floats
 from fss_arm_model.kinematics import tip_in_base, tip_jacobian
 from fss_arm_model.momentum import generalized_jacobian
-from fss_arm_model.settings import SettingError, Settings, at_least, one_of, setting
+from fss_arm_model.settings import (
+    FINITE,
+    SettingError,
+    Settings,
+    at_least,
+    one_of,
+    setting,
+)
 from fss_arm_motion.plan import Plan, PlanError, Start
 from fss_arm_motion.point_to_point import PointToPoint, point_to_point
 
@@ -41,9 +48,14 @@ class BestPosture(Settings):
         SettingError: a place is not two numbers.
     """
 
-    direction: float = setting(0.0, "direction of the velocity, seen from the base", unit="rad")
+    direction: float = setting(
+        0.0, "direction of the velocity, seen from the base", unit="rad", check=FINITE
+    )
     place: tuple[float, ...] = setting(
-        (), "place of the end effector, seen from the base: x, y; none: anywhere", unit="m"
+        (),
+        "place of the end effector, seen from the base: x, y; none: anywhere",
+        unit="m",
+        check=FINITE,
     )
     base: str = setting(FLOATING, "what the base does", check=one_of(FLOATING, FIXED))
     seed: int = setting(0, "seed of the search", check=at_least(0))

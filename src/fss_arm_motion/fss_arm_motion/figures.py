@@ -83,7 +83,7 @@ def _strobes(figure: Any, axes: Any, start: Start, plan: Plan) -> None:
         way = way_of(start, TipPath(**{**plan.arguments, **_tuples(plan)}))
         line = way.curve(np.linspace(0.0, 1.0, 200))
         axes.plot(line[:, 0], line[:, 1], "k:", linewidth=1.2, zorder=4, label="asked for")
-    axes.set_aspect("equal")
+    axes.set_aspect("equal", adjustable="datalim")
     axes.margins(0.06)
     axes.set_xlabel("x [m], world")
     axes.set_ylabel("y [m]")

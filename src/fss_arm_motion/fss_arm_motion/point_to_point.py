@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from fss_arm_model.base_motion import sampled
 from fss_arm_model.kernels import Floats
-from fss_arm_model.settings import NOT_NEGATIVE, Settings, setting
+from fss_arm_model.settings import FINITE, NOT_NEGATIVE, Settings, setting
 from fss_arm_motion.interior_point import optimized
 from fss_arm_motion.plan import Plan, PlanError, Start, finished, probed, within
 
@@ -31,7 +31,7 @@ APART = 1.0  # and from bodies that are not neighbours [m/rad]
 class PointToPoint(Settings):
     """From the present posture to another."""
 
-    goal: tuple[float, ...] = setting((), "joint readings to arrive at", unit="rad")
+    goal: tuple[float, ...] = setting((), "joint readings to arrive at", unit="rad", check=FINITE)
     duration: float = setting(
         0.0, "time to take; 0: as short as limits allow", unit="s", check=NOT_NEGATIVE
     )

@@ -26,6 +26,7 @@ from fss_arm_model.dynamics import _join
 from fss_arm_model.kernels import Floats, helper, kernel
 from fss_arm_model.kinematics import _chain, _dot, tip_in_base, tip_pose
 from fss_arm_model.settings import (
+    FINITE,
     NOT_NEGATIVE,
     POSITIVE,
     SettingError,
@@ -56,10 +57,12 @@ class TipPath(Settings):
         SettingError: neither a line nor places are given, or both, or headings do not fit.
     """
 
-    by: tuple[float, ...] = setting((), "line to go along: x, y", unit="m")
-    through: tuple[float, ...] = setting((), "places to go through: x, y, x, y, ..", unit="m")
+    by: tuple[float, ...] = setting((), "line to go along: x, y", unit="m", check=FINITE)
+    through: tuple[float, ...] = setting(
+        (), "places to go through: x, y, x, y, ..", unit="m", check=FINITE
+    )
     headings: tuple[float, ...] = setting(
-        (), "headings of the end effector there, one a place; none: any", unit="rad"
+        (), "headings of the end effector at the places; none: any", unit="rad", check=FINITE
     )
     frame: str = setting(WORLD, "frame of the line or the places", check=one_of(WORLD, BASE))
     duration: float = setting(

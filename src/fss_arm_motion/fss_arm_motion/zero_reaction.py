@@ -26,7 +26,7 @@ from fss_arm_model.description import Arm
 from fss_arm_model.kernels import Floats, helper, kernel
 from fss_arm_model.kinematics import _chain
 from fss_arm_model.momentum import _floating, generalized_jacobian
-from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, SettingError, Settings, setting
+from fss_arm_model.settings import FINITE, NOT_NEGATIVE, POSITIVE, SettingError, Settings, setting
 from fss_arm_motion.plan import Plan, PlanError, Start, finished
 from fss_arm_motion.point_to_point import PointToPoint, point_to_point
 from fss_arm_motion.timing import knots, run_through, shortest
@@ -47,8 +47,10 @@ class ZeroReaction(Settings):
         SettingError: neither a direction nor a goal is given, or both.
     """
 
-    direction: tuple[float, ...] = setting((), "joint rates whose direction is wished")
-    goal: tuple[float, ...] = setting((), "joint readings to arrive at", unit="rad")
+    direction: tuple[float, ...] = setting(
+        (), "joint rates whose direction is wished", unit="rad/s", check=FINITE
+    )
+    goal: tuple[float, ...] = setting((), "joint readings to arrive at", unit="rad", check=FINITE)
     length: float = setting(
         0.0, "length along the direction, in joint space; 0: as far as it goes",
         unit="rad", check=NOT_NEGATIVE,

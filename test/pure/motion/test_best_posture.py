@@ -1,12 +1,12 @@
 """The best posture for a velocity, against exhaustive search."""
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from model_oracles import pinocchio_model
 from numpy.testing import assert_allclose
 from workspace_oracle import exhaustive
 
-import pinocchio as pin
 from fss_arm_model.description import paper_arm
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_motion.best_posture import BestPosture, best, velocity_ratio

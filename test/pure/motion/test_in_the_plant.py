@@ -1,9 +1,10 @@
-"""Plans run on the simulated test bed's plant: drives with friction, links as the protocol has them.
+"""Plans run on the simulated test bed's plant: drives with friction, links as in the protocol.
 
-Each link follows its path by itself, 50 times a second, in velocity mode: v = v_path + 4/s (p_path -
-p), with v_path as it is in the middle of the period. (As it is at its begin, links lag where they
-accelerate, all to one side, and the reorientation ends 0.37 deg off instead of 0.12.) The true arm is not the one planned for: masses, inertias and centres of mass are off as the
-covariance says. The links do not begin at quite the same instant.
+Each link follows its path by itself, 50 times a second, in velocity mode: v = v_path + 4/s (p_path
+- p), with v_path as it is in the middle of the period. (As it is at its begin, links lag where they
+accelerate, all to one side, and the reorientation ends 0.37 deg off instead of 0.12.) The true arm
+is not the one planned for: masses, inertias and centres of mass are off as the covariance says. The
+links do not begin at quite the same instant.
 """
 
 from dataclasses import replace

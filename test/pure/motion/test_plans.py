@@ -157,7 +157,7 @@ def test_what_cannot_be_had_is_said_with_joint_value_and_limit(asked, words):
 
 
 def test_a_start_beyond_a_limit_is_refused():
-    with pytest.raises(PlanError, match="q: joint 2 at 2.0000 rad"):
+    with pytest.raises(PlanError, match=r"q: joint 2 at 2\.0000 rad"):
         Start(paper_arm(), np.array([0.0, 2.0, 0.0, 0.0]))
 
 
