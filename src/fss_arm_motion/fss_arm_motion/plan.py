@@ -15,10 +15,10 @@ import numpy as np
 
 from fss_arm_model import layout
 from fss_arm_model.base_motion import base_pose_sensitivities, path, sampled
-from fss_arm_model.clearance import clearance
 from fss_arm_model.description import Arm
 from fss_arm_model.kernels import Floats
 from fss_arm_motion.limits import KINDS, Limits
+from fss_arm_motion.transcription import gaps
 
 SPACING = 0.05  # of predicted poses [s]
 PROBES = 40  # moments in each segment at which limits are checked
@@ -64,8 +64,7 @@ class Start:
 
     def gap(self, q: Floats) -> Floats:
         """The least gap between bodies that are not neighbours at readings (..., n), (...) [m]."""
-        state = np.concatenate([np.zeros((*q.shape[:-1], 3)), q], axis=-1)
-        return clearance(self.arm.vector(), state, *self.limits.radii)
+        return gaps(self.arm.vector(), q, self.limits.radii)
 
     @property
     def L(self) -> float:

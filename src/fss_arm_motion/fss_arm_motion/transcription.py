@@ -21,10 +21,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from fss_arm_model.clearance import _apart, _to_segment
 from fss_arm_model.free_floating import _free_torques
-from fss_arm_model.kernels import Complexes, Floats, helper
+from fss_arm_model.kernels import Complexes, Floats, helper, kernel
 from fss_arm_model.kinematics import _chain
 
 POINTS = 5  # of a segment; Lobatto's, and their weights for integrals
@@ -99,6 +100,25 @@ def _gap(arm, s):  # type: ignore[no-untyped-def]
             least = min(least, _apart(a, d[i], b, d[j]) - 2.0 * radii[1])
             b += d[j]
     return least
+
+
+@kernel("(p),(n),(u)->()")
+def _gaps(p, q_m, radii, out):  # type: ignore[no-untyped-def]
+    scratch, none = _scratch(q_m.size), np.zeros((1, 1))
+    scratch.state[:3] = 0.0
+    scratch.state[3:] = q_m
+    out[0] = _gap(Limited(p.copy(), none[0], 0.0, none, none, radii.copy()), scratch)
+
+
+def gaps(p: npt.ArrayLike, q_m: npt.ArrayLike, radii: npt.ArrayLike) -> Floats:
+    """The least gap between two bodies that are not neighbours, (...) [m]; below 0 they collide.
+
+    Args:
+        p: (..., 8 + 6 n) Arm.vector().
+        q_m: (..., n) joint readings [rad].
+        radii: (2,) of the base and of links [m].
+    """
+    return np.asarray(_gaps(p, q_m, radii))
 
 
 @helper

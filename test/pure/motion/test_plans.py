@@ -9,6 +9,7 @@ from motion_oracles import held, open_loop
 from numpy.testing import assert_allclose
 
 from fss_arm_model.base_motion import base_poses, path, sampled
+from fss_arm_model.clearance import clearance
 from fss_arm_model.description import paper_arm
 from fss_arm_model.kinematics import tip_pose
 from fss_arm_motion.kinds import KINDS
@@ -206,3 +207,10 @@ def test_the_deviation_is_that_of_arms_drawn_from_the_covariance():
     states[:, :6] = rng.standard_normal((4000, 6)) * np.sqrt(np.diag(state))
     ends = base_poses(p + sigma * rng.standard_normal((4000, len(p))), way, states)[:, -1]
     assert_allclose(said.deviation[-1], ends.std(axis=0), rtol=0.06)
+
+
+def test_the_gap_is_the_models_clearance():
+    start, rng = rigid_start(), np.random.default_rng(0)
+    q = rng.uniform(-np.pi / 2, np.pi / 2, (500, 4))
+    state = np.concatenate([np.zeros((500, 3)), q], axis=1)
+    assert_allclose(start.gap(q), clearance(start.arm.vector(), state, *start.limits.radii))
