@@ -34,6 +34,9 @@ PAUSE = 0.6  # that a corner costs, about [s]
 SEGMENTS = 3  # of each side
 NODES = 8  # of the quadrature along a side
 ITERATIONS = 100
+TRIED = 3  # polygons of a family, until one is improved
+GAIN = 0.9  # share of its time that one must be improved to
+IMPOSSIBLE = 100.0  # cost of a polygon that does not do [s]
 INSIDE = 0.02  # distance of corners from joint limits [rad]
 ROOM = 0.03  # that polygons keep clear beyond the margin [m]
 CLOSE = math.radians(0.02)  # to the turn asked for
@@ -82,9 +85,9 @@ def costs(start: Start, corners: Floats, turn: float) -> Floats:
     # The turn grows about as the square of a polygon's size.
     size = np.minimum(1.0, np.sqrt(1.0 / np.maximum(turns, 1e-9)))
     spent = (size[:, None] * travel + PAUSE).sum(axis=1)
-    spent += np.where(turns < 1.0, 100.0 * (2.0 - turns), 0.0)
+    spent += np.where(turns < 1.0, IMPOSSIBLE * (2.0 - turns), 0.0)
     lack = start.limits.margin + ROOM - start.gap(along(corners)[0]).min(axis=(1, 2))
-    return np.asarray(spent + np.where(lack > 0.0, 300.0 * (1.0 + lack), 0.0))
+    return np.asarray(spent + np.where(lack > 0.0, 3.0 * IMPOSSIBLE * (1.0 + lack), 0.0))
 
 
 def polygons(
@@ -145,16 +148,18 @@ def reorientation(start: Start, asked: Reorientation) -> Plan:
         turn = asked.angle / rounds
         found, cost = polygons(start, turn, corners, rng)
         most = max(most, float((turns_of(start, found) / turn).max()))
-        if cost[0] < 100.0:
-            one = _sized(start, found[0], turn)
+        # The best of them, improved; where that fails the next ones, and as it is at the last.
+        for k, improve in (*((k, True) for k in range(TRIED)), (0, False)):
+            if not cost[k] < IMPOSSIBLE:
+                break
+            one = _sized(start, found[k], turn)
             ways = np.concatenate([np.tile(one, (rounds, 1)), one[:1]])
-            for improve in (True, False):
-                try:
-                    plan = _timed(start, ways, asked.angle, arguments, rounds, improve)
-                except PlanError:
-                    continue
-                if best is None or plan.duration < best.duration:
-                    best = plan
+            try:
+                plan = _timed(start, ways, asked.angle, arguments, rounds, improve)
+            except PlanError:
+                continue
+            if plan.duration < GAIN * _spent(start, ways) or not improve:
+                best = plan if best is None or plan.duration < best.duration else best
                 break
     if best is None:
         raise PlanError(
@@ -162,6 +167,11 @@ def reorientation(start: Start, asked: Reorientation) -> Plan:
             f"found that turns the base by more than {np.degrees(most * abs(asked.angle)):.1f} deg"
         )
     return best
+
+
+def _spent(start: Start, ways: Floats) -> float:
+    """How long straight moves take [s]."""
+    return float(straight(start, ways, SEGMENTS)[0].sum())
 
 
 def _timed(
