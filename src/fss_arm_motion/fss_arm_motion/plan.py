@@ -24,6 +24,20 @@ SPACING = 0.05  # of predicted poses [s]
 PROBES = 40  # moments in each segment at which limits are checked
 
 
+#: What a kind may say besides, with its unit.
+NOTES = {
+    "least_possible": ("no joint alone would be faster than", "s"),
+    "fastest_turn": ("turn of the base in the fastest motion", "rad"),
+    "travel": ("length in joint space", "rad"),
+    "length": ("length of the end effector's way", "m"),
+    "error": ("largest distance of the end effector from its way", "m"),
+    "deviation": ("largest deviation of the cubics from the ideal path", "rad"),
+    "ratio": ("velocity ratio there", "m"),
+    "ratio_before": ("velocity ratio where it begins", "m"),
+    "rounds": ("rounds of the loop", ""),
+}
+
+
 class PlanError(ValueError):
     """There is no such plan; the message names the joint, the value and the limit."""
 
@@ -113,7 +127,7 @@ class Plan:
     qd: Floats  # (m, n) [rad/s]; 0 at the first and the last
     prediction: Prediction
     used: Floats  # (3, n) largest share of each joint's rate, acceleration and torque
-    notes: Mapping[str, float] = field(default_factory=dict)  # what else a kind has to say, in SI
+    notes: Mapping[str, float] = field(default_factory=dict)  # by the names of NOTES
     ended: str = ""  # why it went no further, where it could have been asked to
 
     @property

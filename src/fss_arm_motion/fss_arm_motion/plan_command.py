@@ -17,7 +17,7 @@ from fss_arm_model.settings import meaning
 from fss_arm_motion.figures import draw, title
 from fss_arm_motion.kinds import KINDS
 from fss_arm_motion.limits import Limits, LimitSettings
-from fss_arm_motion.plan import Plan, Start
+from fss_arm_motion.plan import NOTES, Plan, Start
 from fss_arm_motion.plan_file import written
 from fss_arm_ros.command_line import USER_ERROR, Parser
 
@@ -140,8 +140,16 @@ def report(plan: Plan) -> str:
         f"{np.degrees(base.pose[-1, 2]):.3f} ± {np.degrees(base.deviation[-1, 2]):.3f} deg",
         f"arm at the end: {np.degrees(plan.q[-1]).round(2).tolist()} deg",
     ]
-    lines += [f"{name.replace('_', ' ')}: {value:.6g}" for name, value in plan.notes.items()]
+    lines += [note(name, value) for name, value in plan.notes.items()]
     return "\n".join(lines)
+
+
+def note(name: str, value: float) -> str:
+    """What a kind says besides; angles in degrees."""
+    about, unit = NOTES[name]
+    if unit == "rad":
+        value, unit = float(np.degrees(value)), "deg"
+    return f"{about}: {value:.3g} {unit}".rstrip()
 
 
 def main(args: Sequence[str] | None = None) -> int:

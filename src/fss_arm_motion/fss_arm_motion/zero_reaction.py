@@ -32,6 +32,7 @@ from fss_arm_motion.point_to_point import PointToPoint, point_to_point
 from fss_arm_motion.timing import knots, run_through, shortest
 
 STEP = 5e-3  # of the Runge-Kutta method of 4th order [rad]
+FAINT = 1e-3  # share of a wish that counts as nothing
 
 STRAIGHTER = 1e-3  # length that counts as none [rad]
 PATIENCE = (2.5, 8.0)  # beyond the fastest motion, tried one after the other [s]
@@ -114,14 +115,13 @@ def _null_path(p, bounds, q0, u0, length, _m, q, slope, report):  # type: ignore
     while True:
         state[3:] = here
         left = _slope(p, u, state, d, e, J, x[0])
-        if count < q.shape[0] and left > 1e-3:
+        if count < q.shape[0] and left > FAINT:
             q[count], slope[count] = here, x[0]
-            report[3] = done
             count += 1
-        if not left > 1e-3:
+        if not left > FAINT:
             report[1] = 1.0
             break
-        h = min(5e-3, length[0] - done)
+        h = min(STEP, length[0] - done)
         if h < 1e-9 or count >= q.shape[0]:
             break
         for stage in range(1, 4):
@@ -206,7 +206,7 @@ def _along(start: Start, asked: ZeroReaction) -> Plan:
     arguments = {
         "direction": list(asked.direction), "length": asked.length, "duration": asked.duration,
     }  # fmt: skip
-    notes = {"length": float(whole), "deviation": deviation}
+    notes = {"travel": float(whole), "deviation": deviation}
     return finished(start, "zero_reaction", arguments, times, at, rate, notes, why)
 
 
