@@ -14,48 +14,70 @@ the body before it, and so adds N^2 J q''_k + N J (theta'' + sum_j q''_j - q''_k
 import numpy as np
 import numpy.typing as npt
 
-from .dynamics import _inverse, _join
+from .dynamics import _join
 from .kernels import Floats, helper, kernel
-from .kinematics import _chain, _cross, _dot, checked
+from .kinematics import _chain, _cross, _dot, _mass, _moment, checked
 
 
 @helper
-def _free_torques(p, rotor, L, state, rate, gain, work, second, tau):  # type: ignore[no-untyped-def]
-    """Write tau (3 + n,), the first three being 0; return the base's angular rate.
+def _geometry(p, state, work, second):  # type: ignore[no-untyped-def]
+    """Write d, e, S_k and K_k at the joints of a state (3 + n,), whose base is put at the origin.
 
-    state, rate and gain (3 + n,) hold the joints' part; of the base's, all is overwritten.
-    work (3, n + 1) and second (2, n + 1) are scratch.
+    Returns:
+        Mass, centre of mass and moment about it, of the whole.
     """
-    n = state.size - 3
     d, e = work[0], work[1]
-    for i in range(3):
-        state[i] = rate[i] = gain[i] = 0.0
+    state[0] = state[1] = state[2] = 0.0
     _chain(p, state, d, e)
-    M, S, K, spun, sped = 0.0, 0j, 0.0, 0.0, 0.0
-    for k in range(n, -1, -1):
+    M, S, K = 0.0, 0j, 0.0
+    for k in range(d.size - 1, -1, -1):
         M, S, K = _join(p, k, d, e, M, S, K)
         second[0, k], second[1, k] = S, complex(K, 0.0)
-        if k > 0:
-            spun += rate[2 + k]
-            sped += gain[2 + k]
-    com = S / M
-    about_com = K - _dot(com, S)
-    omega, r = L - rotor[1] * spun, 0j
+    return M, S / M, K - _dot(S, S) / M
+
+
+@helper
+def _free_torques(p, rotor, L, geometry, rate, gain, work, second, tau):  # type: ignore[no-untyped-def]
+    """Write tau (3 + n,), the first three being 0; return the base's angular rate.
+
+    rate and gain (3 + n,) hold the joints' part, and the base's is overwritten. work (3, n + 1) and
+    second (2, n + 1) are as _geometry left them.
+    """
+    M, com, about_com = geometry
+    d, e, f = work[0], work[1], work[2]
+    n, r, spun, sped = d.size - 1, 0j, 0.0, 0.0
+    for i in range(3):
+        rate[i] = gain[i] = 0.0
+    omega = L
     for k in range(1, n + 1):
         r += d[k - 1]
         omega -= (second[1, k].real + _dot(r - com, second[0, k])) * rate[2 + k]
-    omega /= about_com
+        spun += rate[2 + k]
+        sped += gain[2 + k]
+    omega = (omega - rotor[1] * spun) / about_com
     rate[2] = omega
-    _inverse(p, state, rate, gain, work, tau)
-    F, T = complex(tau[0], tau[1]), tau[2] + rotor[1] * sped
-    alpha = -(T - _cross(com, F)) / about_com
+    # Newton and Euler, the base not accelerating
+    a, turning, alpha = 0j, 0.0, 0.0
+    for k in range(n + 1):
+        turning += rate[2 + k]
+        alpha += gain[2 + k]
+        turn = complex(-turning * turning, alpha)
+        f[k] = _mass(p, k) * (a + turn * e[k])
+        a += turn * d[k]
+        tau[2 + k] = _moment(p, k) * alpha
+    F, T = 0j, 0.0
+    for k in range(n, -1, -1):
+        T += _cross(d[k], F) + _cross(e[k], f[k]) + tau[2 + k]
+        F += f[k]
+        tau[2 + k] = T
+    # and what its acceleration adds
+    alpha = -(T + rotor[1] * sped - _cross(com, F)) / about_com
     a = -F / M - 1j * alpha * com
     r, before = 0j, alpha
     for k in range(1, n + 1):
         r += d[k - 1]
-        tau[2 + k] += (
-            _dot(1j * second[0, k], a) + (second[1, k].real + _dot(r, second[0, k])) * alpha
-        )
+        tau[2 + k] += _dot(1j * second[0, k], a)
+        tau[2 + k] += (second[1, k].real + _dot(r, second[0, k])) * alpha
         sped -= gain[2 + k]
         tau[2 + k] += rotor[0] * gain[2 + k] + rotor[1] * (before + sped)
         before += gain[2 + k]
@@ -69,7 +91,8 @@ def _torques(p, q_m, qd_m, qdd_m, L, rotor, tau_m, omega):  # type: ignore[no-un
     state, rate, gain, tau = np.empty((4, 3 + n))
     work, second = np.empty((3, n + 1), np.complex128), np.empty((2, n + 1), np.complex128)
     state[3:], rate[3:], gain[3:] = q_m, qd_m, qdd_m
-    omega[0] = _free_torques(p, rotor, L[0], state, rate, gain, work, second, tau)
+    geometry = _geometry(p, state, work, second)
+    omega[0] = _free_torques(p, rotor, L[0], geometry, rate, gain, work, second, tau)
     tau_m[:] = tau[3:]
 
 

@@ -143,7 +143,7 @@ def point_to_point(start: Start, asked: PointToPoint) -> Plan:
             time_weight=0.0,
             turn_weight=TURN_WEIGHT,
             tolerance=1e-5,
-            iterations=100,
+            iterations=75,
         )
         times = np.append(0.0, np.cumsum(h))
     notes = {"least_possible": least}

@@ -24,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fss_arm_model.clearance import _apart, _to_segment
-from fss_arm_model.free_floating import _free_torques
+from fss_arm_model.free_floating import _free_torques, _geometry
 from fss_arm_model.kernels import Complexes, Floats, helper, kernel
 from fss_arm_model.kinematics import _chain
 
@@ -79,10 +79,10 @@ def _scratch(n):  # type: ignore[no-untyped-def]
 
 
 @helper
-def _torques(arm, s, tau):  # type: ignore[no-untyped-def]
+def _torques(arm, s, geometry, tau):  # type: ignore[no-untyped-def]
     """Write the torques at the scratch's state; return the base's rate."""
     return _free_torques(
-        arm.p, arm.rotor, arm.momentum, s.state, s.rate, s.gain, s.work, s.second, tau
+        arm.p, arm.rotor, arm.momentum, geometry, s.rate, s.gain, s.work, s.second, tau
     )
 
 
@@ -160,7 +160,8 @@ def _values(arm, s, h, q, qd, room, omegas):  # type: ignore[no-untyped-def]
     for k in range(h.size):
         for j in range(POINTS):
             _at(j, h[k], q[k : k + 2], qd[k : k + 2], s)
-            omegas[k, j] = _torques(arm, s, s.tau)
+            geometry = _geometry(arm.p, s.state, s.work, s.second)
+            omegas[k, j] = _torques(arm, s, geometry, s.tau)
             own = room[k, j]
             _room(own[n], _gap(arm, s), arm.radii[2], 2.0 * _FAR)
             for i in range(n):
@@ -192,16 +193,18 @@ def _rows(arm, s, point, h, q, qd, timed, rows):  # type: ignore[no-untyped-def]
     """
     n, part = q.shape[1], s.part
     _at(point, h, q, qd, s)
-    omega, gap = _torques(arm, s, s.tau), 0.0
-    gap = _gap(arm, s)
+    geometry = _geometry(arm.p, s.state, s.work, s.second)
+    omega, gap = _torques(arm, s, geometry, s.tau), _gap(arm, s)
     rows[:] = 0.0
-    for order in range(3):
+    for order in (1, 2, 0):  # what leaves the geometry alone comes first
         moved = s.state if order == 0 else (s.rate if order == 1 else s.gain)
         own = (2 * n + 1) if order == 0 else ((n + 1) if order == 1 else (3 * n + 1))
         size = 1.0 if order == 2 else _DIFFERENCE  # linear in accelerations
         for i in range(n):
             moved[3 + i] += size
-            ahead = _torques(arm, s, s.other)
+            if order == 0:
+                geometry = _geometry(arm.p, s.state, s.work, s.second)
+            ahead = _torques(arm, s, geometry, s.other)
             nearer = _gap(arm, s) - gap if order == 0 else 0.0
             moved[3 + i] -= size
             _by_variables(point, order, h, q, qd, i, part)
