@@ -157,14 +157,15 @@ def main(args: Sequence[str] | None = None) -> int:
     options = parser().parse_args(args)
     try:
         start, plan = planned(options)
-        print(report(plan))
+        lines = [report(plan)]
         if options.output:
             write_text(options.output, written(start, plan))
-            print(f"path written to {options.output}")
+            lines.append(f"path written to {options.output}")
         if options.figure:
             Path(options.figure).parent.mkdir(parents=True, exist_ok=True)
             draw(start, plan, options.figure)
-            print(f"figure written to {options.figure}")
+            lines.append(f"figure written to {options.figure}")
+        print("\n".join(lines))
     except (ValueError, OSError) as error:
         print(f"plan: {' '.join(str(error).split())}", file=sys.stderr)
         return USER_ERROR
