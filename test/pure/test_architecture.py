@@ -97,7 +97,10 @@ ROOMS = {
 }  # fmt: skip
 
 # Where the mathematics of a package meets ROS: its nodes, their actions and topics, and these.
-EDGES = {"settings", "messages", "kind", "kinds", "from_bag", "design_command", "recompute"}
+EDGES = {
+    *("settings", "messages", "kind", "kinds", "from_bag", "design_command", "plan_command"),
+    "recompute",
+}
 AT_THE_EDGE = ("_node", "_action", "_topic", "_topics")
 MATHEMATICS = ALLOWED.keys() - {"fss_arm_ros", "fss_arm_bags", "fss_sim.rehearsal"}
 PACKAGES = sorted(row for row in ALLOWED if "." not in row)

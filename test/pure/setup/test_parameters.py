@@ -20,6 +20,7 @@ DIMENSIONLESS = {
     *("battery", "corruption", "dead", "dropout", "duplication", "frozen", "loss", "occlusion"),
     *("braking", "reordering", "swap"),
     *("max_condition", "max_relative", "min_probability", "min_redundancy", "outlier"),
+    "LimitSettings.share",
     *("DriftSettings.mass_deviation", "Event.value", "PoseGains.damping", "PoseGains.integral"),
 }
 

@@ -1,0 +1,148 @@
+"""How long planning takes: `python bench/bench_motion.py`.
+
+After the kernels are compiled; medians and the slowest of random requests, in time of this process
+alone, as other programs may run. Beside it, what the verification takes: a direct transcription by
+sequential linear programming (SciPy's HiGHS), and exhaustive search.
+"""
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "test/support"))
+
+from motion_oracles import direct_transcription
+from workspace_oracle import exhaustive
+
+from fss_arm_model.description import paper_arm
+from fss_arm_motion.best_posture import BestPosture, best, velocity_ratio
+from fss_arm_motion.limits import Limits, LimitSettings
+from fss_arm_motion.plan import PlanError, Start
+from fss_arm_motion.point_to_point import PointToPoint, point_to_point
+from fss_arm_motion.reorientation import Reorientation, reorientation
+from fss_arm_motion.tip_path import TipPath, tip_path
+from fss_arm_motion.zero_reaction import ZeroReaction, zero_reaction
+
+RUNS = 20
+ARM = paper_arm()
+POSTURES = np.radians([[-50, 55, 45, 40], [0, 0, 0, 0], [60, -60, -30, 80], [-30, 40, 30, 20]])
+
+
+def timed(work: Callable[[], Any]) -> tuple[float, Any]:
+    """Seconds of the processor, and what came out: None if there is no plan."""
+    begin = time.process_time()
+    try:
+        made = work()
+    except PlanError:
+        made = None
+    return time.process_time() - begin, made
+
+
+def show(name: str, limit: float, works: Iterator[Callable[[], Any]]) -> None:
+    """One line: median and slowest of all, and how many had a plan."""
+    results = [timed(work) for work in works]
+    times = [1e3 * seconds for seconds, _ in results]
+    found = sum(made is not None for _, made in results)
+    print(
+        f"{name}: median {median(times):.1f} ms, slowest {max(times):.1f} ms "
+        f"(to be under {limit:g} ms), {found} of {len(results)} planned"
+    )
+
+
+def main() -> None:
+    rng = np.random.default_rng(0)
+    starts = [Start(ARM, q) for q in POSTURES]
+    for start in starts[:1]:  # loads the kernels
+        point_to_point(start, PointToPoint((0.1, 0.2, 0.3, 0.4)))
+        zero_reaction(start, ZeroReaction(direction=(1.0, 0.0, 0.0, 0.0)))
+        tip_path(start, TipPath(by=(-0.1, 0.0)))
+        reorientation(start, Reorientation(0.1))
+        best(start, BestPosture())
+    goals = rng.uniform(-1.4, 1.4, (RUNS, 4))
+    show(
+        "point to point",
+        20,
+        (lambda g=g, k=k: point_to_point(starts[k % 4], PointToPoint(tuple(g)))
+         for k, g in enumerate(goals)),
+    )  # fmt: skip
+    show(
+        "zero reaction along a direction",
+        200,
+        (lambda u=u, k=k: zero_reaction(starts[k % 4], ZeroReaction(direction=tuple(u)))
+         for k, u in enumerate(rng.standard_normal((RUNS, 4)))),
+    )  # fmt: skip
+    show(
+        "zero reaction to a goal",
+        200,
+        (lambda d=d: zero_reaction(
+            starts[0], ZeroReaction(goal=tuple((POSTURES[0] + d).clip(-1.5, 1.5))))
+         for d in rng.uniform(-0.4, 0.4, (RUNS, 4))),
+    )  # fmt: skip
+    show(
+        "least rotation in 5 s",
+        200,
+        (lambda g=g: point_to_point(starts[0], PointToPoint(tuple(g), 5.0, least_rotation=True))
+         for g in goals),
+    )  # fmt: skip
+    turns = 2 * np.pi * rng.random(RUNS)
+    show(
+        "tip along a line of 0.3 m, or the part of it there is",
+        200,
+        (lambda a=a, k=k: tip_path(
+            starts[3 * (k % 2)],
+            TipPath(by=(0.3 * np.cos(a), 0.3 * np.sin(a)), partial=True))
+         for k, a in enumerate(turns)),
+    )  # fmt: skip
+    show(
+        "reorientation by 30 deg",
+        2000,
+        (lambda k=k: reorientation(starts[k % 4], Reorientation((-1) ** (k // 4) * np.pi / 6))
+         for k in range(8)),
+    )  # fmt: skip
+    compare()
+
+
+def compare() -> None:
+    """Side by side with what verifies: the same request, without rotors and bodies' room."""
+    settings = LimitSettings(
+        share=1.0, rotor_inertia=0.0, base_radius=0.0, link_radius=0.0, margin=0.0
+    )  # fmt: skip
+    limits, rng = Limits.of(ARM, settings), np.random.default_rng(1)
+    ours, theirs, ratios = [], [], []
+    for _ in range(6):
+        begin, end = rng.uniform(-1.3, 1.3, (2, 4))
+        start = Start(ARM, begin, limits=limits)
+        seconds, plan = timed(lambda: point_to_point(start, PointToPoint(tuple(end))))  # noqa: B023
+        taken, reference = timed(lambda: direct_transcription(ARM, limits, begin, end, 40))  # noqa: B023
+        ours.append(seconds)
+        theirs.append(taken)
+        ratios.append(plan.duration / reference)
+    print(
+        f"minimum time: ours {1e3 * median(ours):.1f} ms, direct transcription "
+        f"{1e3 * median(theirs):.0f} ms ({median(theirs) / median(ours):.0f} times as long); "
+        f"ours takes {min(ratios):.4f} to {max(ratios):.4f} of its time"
+    )
+    start, place = Start(ARM, np.zeros(4), limits=limits), (0.9, 0.3)
+    seconds, (_, ratio) = timed(lambda: best(start, BestPosture(0.8, place)))
+    taken, found = timed(
+        lambda: exhaustive(
+            ARM, limits.bounds, complex(*place), lambda q: velocity_ratio(ARM, q, 0.8)
+        )
+    )
+    print(
+        f"best posture at a place: ours {1e3 * seconds:.0f} ms, exhaustive {1e3 * taken:.0f} ms "
+        f"({taken / seconds:.1f} times as long); ratio {ratio:.6f} and {found:.6f} m"
+    )
+
+
+if __name__ == "__main__":
+    main()

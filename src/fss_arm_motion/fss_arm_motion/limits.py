@@ -1,0 +1,109 @@
+"""What the joints can do: angles, rates, accelerations, torques with friction and rotors."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from fss_arm_model.description import Arm
+from fss_arm_model.free_floating import free_torques
+from fss_arm_model.kernels import Floats
+from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, SettingError, Settings, above, setting
+
+KINDS = (("rate", "rad/s"), ("acceleration", "rad/s^2"), ("torque", "N m"))
+
+
+@dataclass(frozen=True)
+class LimitSettings(Settings):
+    """How much of the drives plans may use, and what the joints' mechanics take of it.
+
+    Raises:
+        SettingError: friction leaves no torque.
+    """
+
+    share: float = setting(
+        0.9, "share of the drives' rates, accelerations and torques that plans use",
+        check=above(0.0, 1.0),
+    )  # fmt: skip
+    rotor_inertia: float = setting(
+        0.0026, "inertia of each motor, felt at its joint", unit="kg m^2", check=NOT_NEGATIVE
+    )
+    gear_ratio: float = setting(30.0, "gear ratio of the harmonic drives", check=POSITIVE)
+    viscous: float = setting(
+        0.5, "viscous friction of each joint", unit="N m s/rad", check=NOT_NEGATIVE
+    )
+    coulomb: float = setting(0.3, "Coulomb friction of each joint", unit="N m", check=NOT_NEGATIVE)
+    base_radius: float = setting(
+        0.19, "radius within which the base lies about its origin", unit="m", check=NOT_NEGATIVE
+    )
+    link_radius: float = setting(
+        0.06, "radius of the links about their lines", unit="m", check=NOT_NEGATIVE
+    )
+    margin: float = setting(
+        0.05, "least gap between bodies that are not neighbours", unit="m", check=NOT_NEGATIVE
+    )
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Of n joints."""
+
+    bounds: Floats  # (n, 2) lowest and highest readings [rad]
+    rate: Floats  # (n,) [rad/s]
+    acceleration: Floats  # (n,) [rad/s^2]
+    torque: Floats  # (n,) of the motors, at the joints, Coulomb friction taken off [N m]
+    viscous: float  # [N m s/rad]
+    rotor: Floats  # (2,) N^2 J and N J [kg m^2]
+    radii: tuple[float, float]  # of the base and of links [m]
+    margin: float  # between bodies that are not neighbours [m]
+
+    @classmethod
+    def of(cls, arm: Arm, settings: LimitSettings | None = None) -> "Limits":
+        """The limits that an arm's description gives.
+
+        Raises:
+            SettingError: friction leaves a joint no torque.
+        """
+        s = settings or LimitSettings()
+        drives = [link.drive for link in arm.links]
+        most = np.array([min(k.max_torque, k.torque_constant * k.max_current) for k in drives])
+        if not ((left := s.share * most - s.coulomb) > 0.0).all():
+            i = int(np.argmin(left))
+            raise SettingError(
+                f"coulomb is {s.coulomb:g} N m, expected less than the {s.share * most[i]:.4g} N m "
+                f"that joint {i + 1} may use"
+            )
+        return cls(
+            np.array([[link.q_min, link.q_max] for link in arm.links]),
+            s.share * np.array([k.max_velocity for k in drives]),
+            s.share * np.array([k.max_acceleration for k in drives]),
+            left,
+            s.viscous,
+            np.array([s.rotor_inertia, s.rotor_inertia / s.gear_ratio]),
+            (s.base_radius, s.link_radius),
+            s.margin,
+        )
+
+    @property
+    def table(self) -> Floats:
+        """(n, 4) as transcription.py takes them."""
+        viscous = np.full_like(self.rate, self.viscous)
+        return np.column_stack([self.rate, self.acceleration, self.torque, viscous])
+
+    def used(self, p: Floats, q: Floats, qd: Floats, qdd: Floats, momentum: float = 0.0) -> Floats:
+        """Shares of rates, accelerations and torques that moments of a motion take, (..., 3, n)."""
+        tau = free_torques(p, q, qd, qdd, momentum, self.rotor)[0] + self.viscous * qd
+        asked = np.stack([qd, qdd, tau], axis=-2)
+        return np.abs(asked) / np.stack([self.rate, self.acceleration, self.torque])
+
+    def outside(self, q: npt.ArrayLike, slack: float = 1e-9) -> str:
+        """The first joint beyond its angles, its value and the limits; empty: none."""
+        q = np.atleast_2d(np.asarray(q, dtype=float))
+        low, high = self.bounds.T
+        for i in np.flatnonzero(((q < low - slack) | (q > high + slack)).any(axis=0)):
+            worst = q[np.argmax(np.maximum(low[i] - q[:, i], q[:, i] - high[i])), i]
+            return (
+                f"joint {i + 1} at {worst:.4f} rad ({np.degrees(worst):.2f} deg), "
+                f"expected {low[i]:.4f} to {high[i]:.4f} rad"
+            )
+        return ""

@@ -1,0 +1,235 @@
+"""A plan: joint paths in time, what the base will do under them, and how well that is known.
+
+The base's pose follows from the conservation of momentum (fss_arm_model.base_motion), its standard
+deviation to first order from the covariances C of the arm's parameters p and of the state s that it
+begins from:
+
+    sigma^2 = (dx/dp) C_p (dx/dp)^T + (dx/ds) C_s (dx/ds)^T
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from fss_arm_model import layout
+from fss_arm_model.base_motion import base_pose_sensitivities, path, sampled
+from fss_arm_model.description import Arm
+from fss_arm_model.kernels import Floats
+from fss_arm_motion.limits import KINDS, Limits
+from fss_arm_motion.transcription import gaps
+
+SPACING = 0.05  # of predicted poses [s]
+PROBES = 40  # moments in each segment at which limits are checked
+
+
+#: What a kind may say besides, with its unit.
+NOTES = {
+    "least_possible": ("no joint alone would be faster than", "s"),
+    "fastest_turn": ("turn of the base in the fastest motion", "rad"),
+    "travel": ("length in joint space", "rad"),
+    "length": ("length of the end effector's way", "m"),
+    "error": ("largest distance of the end effector from its way", "m"),
+    "deviation": ("largest deviation of the cubics from the ideal path", "rad"),
+    "ratio": ("velocity ratio there", "m"),
+    "ratio_before": ("velocity ratio where it begins", "m"),
+    "rounds": ("rounds of the loop", ""),
+}
+
+
+class PlanError(ValueError):
+    """There is no such plan; the message names the joint, the value and the limit."""
+
+
+@dataclass(frozen=True)
+class Start:
+    """What a plan begins from, and how well it is known.
+
+    Raises:
+        PlanError: a joint is beyond its limits, or there are not as many as the arm has.
+    """
+
+    arm: Arm
+    q: Floats  # (n,) joint readings, at rest [rad]
+    pose: Floats = field(default_factory=lambda: np.zeros(3))  # of the base [m, m, rad]
+    momentum: Floats = field(default_factory=lambda: np.zeros(3))  # [N s, N s, N m s]
+    limits: Limits = None  # type: ignore[assignment]  # of the arm by default
+    covariance: Floats | None = None  # of Arm.vector(); None: taken as exact
+    state_covariance: Floats | None = None  # (6, 6) of pose and momentum
+
+    def __post_init__(self) -> None:
+        if self.limits is None:
+            object.__setattr__(self, "limits", Limits.of(self.arm))
+        object.__setattr__(self, "q", self.posture("q", self.q))
+
+    def posture(self, name: str, q: Any) -> Floats:
+        """Readings (n,) as an array.
+
+        Raises:
+            PlanError: they are not n, or not within the limits.
+        """
+        q = np.asarray(q, dtype=float)
+        if q.shape != (self.arm.n,) or not np.isfinite(q).all():
+            raise PlanError(f"{name} is {q.tolist()} rad, expected {self.arm.n} finite angles")
+        if wrong := self.limits.outside(q):
+            raise PlanError(f"{name}: {wrong}")
+        return q
+
+    def gap(self, q: Floats) -> Floats:
+        """The least gap between bodies that are not neighbours at readings (..., n), (...) [m]."""
+        return gaps(self.arm.vector(), q, self.limits.radii)
+
+    @property
+    def L(self) -> float:
+        """Angular momentum about the system's centre of mass [N m s]."""
+        return float(self.momentum[2])
+
+    @property
+    def bodies(self) -> Floats:
+        """Arm.vector() as base motion takes it, with the rotors' share in the momentum, N J.
+
+        Rotors carry N J (q'_1 + .. + q'_n), as would an inertia N J that turns with the last link
+        less what the base turns: N J theta', a few 1e-5 of the whole, is not left out.
+        """
+        p = self.arm.vector()
+        p[layout.LINK_SIZE * self.arm.n + layout.LINK_INERTIA] += self.limits.rotor[1]
+        return p
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What the base will do."""
+
+    times: Floats  # (k,) [s]
+    pose: Floats  # (k, 3) x, y [m], heading [rad], which counts turns
+    deviation: Floats  # (k, 3) 1 sigma
+
+    @property
+    def turn(self) -> float:
+        """By how much the base turns in all [rad]."""
+        return float(self.pose[-1, 2] - self.pose[0, 2])
+
+    @property
+    def excursion(self) -> float:
+        """The largest turn away from the first heading [rad]."""
+        return float(np.abs(self.pose[:, 2] - self.pose[0, 2]).max())
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A path in time for n joints, cubic between its m knots, and what it does to the base."""
+
+    kind: str
+    arguments: Mapping[str, Any]
+    times: Floats  # (m,) from 0 [s]
+    q: Floats  # (m, n) [rad]
+    qd: Floats  # (m, n) [rad/s]; 0 at the first and the last
+    prediction: Prediction
+    used: Floats  # (3, n) largest share of each joint's rate, acceleration and torque
+    notes: Mapping[str, float] = field(default_factory=dict)  # by the names of NOTES
+    ended: str = ""  # why it went no further, where it could have been asked to
+
+    @property
+    def duration(self) -> float:
+        """[s]."""
+        return float(self.times[-1])
+
+    @property
+    def bound(self) -> str:
+        """The limit that it comes closest to."""
+        kind, joint = np.unravel_index(np.argmax(self.used), self.used.shape)
+        return f"{KINDS[kind][0]} of joint {joint + 1}, {100 * self.used[kind, joint]:.0f} %"
+
+    def at(self, t: Floats) -> tuple[Floats, Floats]:
+        """Angles and rates at times (k,), each (k, n)."""
+        n = self.q.shape[1]
+        return sampled([self.times] * n, list(self.q.T), list(self.qd.T))[0](t)
+
+
+def probed(times: Floats, q: Floats, qd: Floats) -> tuple[Floats, Floats, Floats]:
+    """Angles, rates and accelerations along a path, both sides of each knot, (k, n) each."""
+    h = np.diff(times)[:, None, None]
+    x = np.linspace(0.0, 1.0, PROBES)[:, None]
+    q0, q1, v0, v1 = q[:-1, None], q[1:, None], h * qd[:-1, None], h * qd[1:, None]
+    b, c = 3.0 * (q1 - q0) - 2.0 * v0 - v1, v0 + v1 - 2.0 * (q1 - q0)
+    parts = (
+        q0 + x * (v0 + x * (b + x * c)),
+        (v0 + x * (2.0 * b + x * 3.0 * c)) / h,
+        (2.0 * b + 6.0 * x * c) / h**2,
+    )
+    joints = q.shape[1]
+    angles, rates, gains = (part.reshape(-1, joints) for part in parts)
+    return angles, rates, gains
+
+
+def within(start: Start, times: Floats, q: Floats, qd: Floats) -> tuple[Floats, Floats, Floats]:
+    """A path as fast as asked for, or as much slower as the limits need: times, qd, shares used.
+
+    Raises:
+        PlanError: a joint would leave its limits between two knots, or none is slow enough, as
+            where friction or the momentum alone ask for more than the drives give.
+    """
+    if wrong := start.limits.outside(q):
+        raise PlanError(wrong)
+    angles, rates, gains = probed(times, q, qd)
+    if wrong := start.limits.outside(angles):
+        raise PlanError(wrong)
+    p, slower = start.arm.vector(), 1.0
+    for _ in range(60):
+        used = start.limits.used(p, angles, rates / slower, gains / slower**2, start.L).max(axis=0)
+        if used.max() <= 1.0:
+            return times * slower, qd / slower, used
+        slower *= 1.0 + 1e-6 + max(used[0].max() - 1.0, 0.5 * (used[1:].max() - 1.0), 0.0)
+    kind, joint = np.unravel_index(np.argmax(used), used.shape)
+    raise PlanError(
+        f"{KINDS[kind][0]} of joint {joint + 1} is {100 * used[kind, joint]:.0f} % of its limit "
+        f"however slow, with an angular momentum of {start.L:g} N m s"
+    )
+
+
+def predicted(start: Start, times: Floats, q: Floats, qd: Floats) -> Prediction:
+    """The base's motion under a path."""
+    n = start.arm.n
+    law, edges = sampled([times] * n, list(q.T), list(qd.T))
+    marks = np.linspace(0.0, times[-1], 1 + min(400, max(2, round(times[-1] / SPACING))))
+    state = np.concatenate([start.pose, start.momentum, np.zeros(2)])
+    poses, J = base_pose_sensitivities(start.bodies, path(law, edges, marks), state)
+    size, total = len(start.arm.vector()), np.zeros((len(marks), 3, 3))
+    if start.covariance is not None:
+        total += J[..., :size] @ start.covariance @ np.swapaxes(J[..., :size], 1, 2)
+    if start.state_covariance is not None:
+        by_state = J[..., size : size + 6]
+        total += by_state @ start.state_covariance @ np.swapaxes(by_state, 1, 2)
+    deviation = np.sqrt(np.diagonal(total, axis1=1, axis2=2))
+    return Prediction(marks, poses, deviation)
+
+
+def finished(
+    start: Start,
+    kind: str,
+    arguments: Mapping[str, Any],
+    times: Floats,
+    q: Floats,
+    qd: Floats,
+    notes: Mapping[str, float] | None = None,
+    ended: str = "",
+) -> Plan:
+    """A plan through knots, slowed down as far as the limits between the knots need.
+
+    Raises:
+        PlanError: a limit cannot be kept.
+    """
+    qd = qd.copy()
+    qd[[0, -1]] = 0.0  # but for rounding
+    times, qd, used = within(start, times, q, qd)
+    angles = probed(times, q, qd)[0]
+    gaps = start.gap(angles)
+    if gaps.min() < min(start.limits.margin, gaps[0]):
+        posture = np.degrees(angles[np.argmin(gaps)]).round(1).tolist()
+        raise PlanError(
+            f"bodies come within {gaps.min():.3f} m of each other with the joints at {posture} "
+            f"deg, expected {start.limits.margin:.3f} m or more"
+        )
+    prediction = predicted(start, times, q, qd)
+    return Plan(kind, arguments, times, q, qd, prediction, used, notes or {}, ended)

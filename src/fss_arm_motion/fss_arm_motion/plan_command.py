@@ -1,0 +1,176 @@
+"""Plan a motion of the arm on its floating base: the command `plan`."""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from dataclasses import Field, fields
+from pathlib import Path
+from typing import Any, get_args, get_type_hints
+
+import numpy as np
+
+from fss_arm_model import layout
+from fss_arm_model.description import Arm, described
+from fss_arm_model.files import write_text
+from fss_arm_model.kernels import Floats
+from fss_arm_model.settings import meaning
+from fss_arm_motion.figures import draw, title
+from fss_arm_motion.kinds import KINDS
+from fss_arm_motion.limits import Limits, LimitSettings
+from fss_arm_motion.plan import NOTES, Plan, Start
+from fss_arm_motion.plan_file import written
+from fss_arm_ros.command_line import USER_ERROR, Parser
+
+EPILOG = (
+    "Angles are given in degrees, all else in SI units. Exit codes: 0 planned, 1 there is no plan."
+)
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line: a sub-command for each kind."""
+    p = Parser("plan", description=__doc__, epilog=EPILOG)
+    kinds = p.add_subparsers(dest="kind", metavar="KIND", required=True, parser_class=Parser)
+    for kind in KINDS.values():
+        own = kinds.add_parser(kind.name, help=kind.about, description=kind.about, epilog=EPILOG)
+        for f in fields(kind.settings):
+            add_option(own, f, get_type_hints(kind.settings)[f.name])
+        add_common(own)
+    return p
+
+
+def add_common(p: argparse.ArgumentParser) -> None:
+    """What all kinds have: where it begins, how well the arm is known, limits, what to write."""
+    p.add_argument(
+        "--arm", default="paper", help="paper, cad, truth or a file (default: %(default)s)"
+    )
+    p.add_argument(
+        "--q", type=float, nargs="+", metavar="DEG", help="where the joints are (default: all 0)"
+    )
+    p.add_argument(
+        "--pose", type=float, nargs=3, metavar=("X", "Y", "DEG"), default=(0.0, 0.0, 0.0),
+        help="of the base in the world (default: 0 0 0)",
+    )  # fmt: skip
+    p.add_argument(
+        "--momentum", type=float, nargs=3, metavar=("PX", "PY", "L"), default=(0.0, 0.0, 0.0),
+        help="of base and arm, L about their centre of mass [N s, N s, N m s] (default: 0 0 0)",
+    )  # fmt: skip
+    p.add_argument(
+        "--deviation", type=float, default=0.01, metavar="SHARE", help="1 sigma of each mass, "
+        "inertia and centre of mass, as a share, for the base's band (default: %(default)s)",
+    )  # fmt: skip
+    for f in fields(LimitSettings):
+        add_option(p, f, float)
+    p.add_argument("--output", metavar="YAML", help="write the path")
+    p.add_argument("--figure", metavar="PNG", help="draw it")
+
+
+def add_option(p: argparse.ArgumentParser, f: "Field[Any]", hint: Any) -> None:
+    """An option for a setting; angles are in degrees."""
+    flag = f"--{f.name.replace('_', '-')}"
+    about = meaning(f).replace("[rad]", "[deg]").replace("%", "%%")
+    if hint is bool:
+        p.add_argument(flag, action="store_true", help=about)
+        return
+    many = bool(get_args(hint))
+    default: Any = f.default
+    if in_degrees(f) and not many:
+        default = float(np.degrees(default))
+    shown = (
+        "" if many else f" (default: {default:g})" if hint is float else f" (default: {default})"
+    )
+    p.add_argument(
+        flag, type=float if many else hint, nargs="+" if many else None, default=f.default,
+        metavar=f.name.split("_")[-1].upper(), help=f"{about}{shown}",
+        action=_Degrees if in_degrees(f) else "store",
+    )  # fmt: skip
+
+
+def in_degrees(f: "Field[Any]") -> bool:
+    """Whether people give a setting in degrees."""
+    return bool(f.metadata["unit"] == "rad")
+
+
+class _Degrees(argparse.Action):
+    """Keeps an angle, or some, in radians."""
+
+    def __call__(self, _: Any, options: argparse.Namespace, given: Any, __: Any = None) -> None:
+        setattr(options, self.dest, np.radians(given).tolist())
+
+
+def uncertain(arm: Arm, share: float) -> Floats:
+    """A covariance of Arm.vector(): masses, inertias and centres of mass known to a share."""
+    p = arm.vector()
+    sigma = np.zeros_like(p)
+    index = np.arange(1, arm.n + 1) * layout.LINK_SIZE
+    for number in (layout.LINK_MASS, layout.LINK_INERTIA, layout.G):
+        sigma[index + number] = share * np.abs(p[index + number])
+    sigma[[layout.MASS, layout.INERTIA]] = share * p[[layout.MASS, layout.INERTIA]]
+    return np.diag(sigma**2)
+
+
+def planned(options: argparse.Namespace) -> tuple[Start, Plan]:
+    """What a command line asks for.
+
+    Raises:
+        ValueError: there is no such plan, or an option is impossible.
+        OSError: the description cannot be read.
+    """
+    kind, arm = KINDS[options.kind], described(options.arm)
+    limits = Limits.of(
+        arm, LimitSettings(**{f.name: getattr(options, f.name) for f in fields(LimitSettings)})
+    )
+    pose = np.array([*options.pose[:2], np.radians(options.pose[2])])
+    start = Start(
+        arm, np.radians(options.q if options.q else np.zeros(arm.n)), pose,
+        np.array(options.momentum), limits, uncertain(arm, options.deviation),
+    )  # fmt: skip
+    asked = {f.name: getattr(options, f.name) for f in fields(kind.settings)}
+    asked = {name: tuple(v) if isinstance(v, list) else v for name, v in asked.items()}
+    return start, kind.plan(start, kind.settings(**asked))
+
+
+def report(plan: Plan) -> str:
+    """What people want to know of a plan."""
+    base = plan.prediction
+    lines = [
+        title(plan).replace("°", " deg"),
+        f"closest to a limit: {plan.bound}",
+        f"base at the end: x {base.pose[-1, 0]:.4f} ± {base.deviation[-1, 0]:.4f} m, "
+        f"y {base.pose[-1, 1]:.4f} ± {base.deviation[-1, 1]:.4f} m, heading "
+        f"{np.degrees(base.pose[-1, 2]):.3f} ± {np.degrees(base.deviation[-1, 2]):.3f} deg",
+        f"arm at the end: {np.degrees(plan.q[-1]).round(2).tolist()} deg",
+    ]
+    lines += [note(name, value) for name, value in plan.notes.items()]
+    return "\n".join(lines)
+
+
+def note(name: str, value: float) -> str:
+    """What a kind says besides; angles in degrees."""
+    about, unit = NOTES[name]
+    if unit == "rad":
+        value, unit = float(np.degrees(value)), "deg"
+    return f"{about}: {value:.3g} {unit}".rstrip()
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run as `ros2 run fss_arm_motion plan`."""
+    options = parser().parse_args(args)
+    try:
+        start, plan = planned(options)
+        lines = [report(plan)]
+        if options.output:
+            write_text(options.output, written(start, plan))
+            lines.append(f"path written to {options.output}")
+        if options.figure:
+            Path(options.figure).parent.mkdir(parents=True, exist_ok=True)
+            draw(start, plan, options.figure)
+            lines.append(f"figure written to {options.figure}")
+        print("\n".join(lines))
+    except (ValueError, OSError) as error:
+        print(f"plan: {' '.join(str(error).split())}", file=sys.stderr)
+        return USER_ERROR
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

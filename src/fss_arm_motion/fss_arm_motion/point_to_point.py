@@ -1,0 +1,161 @@
+"""From one posture to another: as fast as limits allow, or turning the base least in a given time.
+
+No move is shorter than its longest joint alone would take. On a floating base the torques of all
+joints depend on all, so that the others can help it: the path between the postures is free, and
+found as transcription.py says, from a first one that is straight.
+"""
+
+from dataclasses import dataclass
+from math import sqrt
+
+import numpy as np
+import numpy.typing as npt
+
+from fss_arm_model.base_motion import sampled
+from fss_arm_model.kernels import Floats
+from fss_arm_model.settings import FINITE, NOT_NEGATIVE, Settings, setting
+from fss_arm_motion.interior_point import optimized
+from fss_arm_motion.plan import Plan, PlanError, Start, finished, probed, within
+
+SEGMENTS = 6  # of a short move; two for each limit that the best motion switches between
+LEAST = 0.125  # time between knots, of which links keep 32 for 4 s [s]
+PER_SECOND = 3.0  # knots of a long move
+STILL = 1e-6  # a way that is none [rad]
+HELD = 0.9  # of the limits, that a first motion takes
+TURN_WEIGHT = 1e4  # of the base's mean square rate beside the accelerations' [s^2]
+INSIDE = (1e-3, 1e-2, 5e-2)  # distances from limits to keep at knots, tried in this order [rad]
+APART = 1.0  # and from bodies that are not neighbours [m/rad]
+
+
+@dataclass(frozen=True)
+class PointToPoint(Settings):
+    """From the present posture to another."""
+
+    goal: tuple[float, ...] = setting((), "joint readings to arrive at", unit="rad", check=FINITE)
+    duration: float = setting(
+        0.0, "time to take; 0: as short as limits allow", unit="s", check=NOT_NEGATIVE
+    )
+    least_rotation: bool = setting(
+        False, "turn the base as little as possible, in the duration or else in twice the least"
+    )
+
+
+def straight(
+    start: Start, ways: npt.ArrayLike, segments: int, share: float = HELD
+) -> tuple[Floats, Floats, Floats]:
+    """Moves from posture to posture, each straight and from rest to rest: h, q and qd at knots.
+
+    Each is as fast as a share of the limits allows, with a rate that is a parabola over time.
+
+    Raises:
+        PlanError: limits cannot be kept.
+    """
+    x = np.linspace(0.0, 1.0, segments + 1)
+    way, rate = x**2 * (3.0 - 2.0 * x), 6.0 * x * (1.0 - x)
+    h, q, qd = [], [np.asarray(ways, dtype=float)[0][None]], [np.zeros((1, start.arm.n))]
+    for begin, end in zip(np.asarray(ways)[:-1], np.asarray(ways)[1:], strict=True):
+        d = end - begin
+        lasts = max(
+            float((1.5 * np.abs(d) / start.limits.rate).max()),
+            sqrt(float((6.0 * np.abs(d) / start.limits.acceleration).max())),
+            segments * LEAST,
+        )
+        knots, rates = begin + way[:, None] * d, rate[:, None] * d / lasts
+        times = within(start, lasts * x, knots, rates)[0]
+        slower = times[-1] / lasts / share
+        h.append(np.diff(times) / share)
+        q.append(knots[1:])
+        qd.append(rates[1:] / slower)
+    return np.concatenate(h), np.concatenate(q), np.concatenate(qd)
+
+
+def floor(start: Start, goal: Floats) -> float:
+    """The time that no move to the goal can be shorter than [s]: each joint alone, trapezoidal."""
+    way, v, a = np.abs(goal - start.q), start.limits.rate, start.limits.acceleration
+    alone = np.where(way > v**2 / a, way / v + v / a, 2.0 * np.sqrt(way / a))
+    return float(alone.max())
+
+
+def improved(
+    start: Start, h: Floats, q: Floats, qd: Floats, **options: float
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """What transcription.optimized makes of a motion, its cubics within the joints' angles, too.
+
+    Knots keep a little off the limits, as a cubic may pass them in between; farther if that was
+    not enough. A joint that begins or ends at its limit comes from there and is not kept off it.
+    """
+    low, high = start.limits.bounds.T
+    near = np.minimum(q - low, high - q)[[0, -1]].min(axis=0)
+    margin = min(start.limits.margin, float(start.gap(q[[0, -1]]).min()))
+    for keep in INSIDE:
+        off = np.where(near < 2.0 * keep, 0.0, np.minimum(keep, 0.1 * (high - low)))
+        knots = q.copy()
+        knots[1:-1] = q[1:-1].clip(low + 2.0 * keep, high - 2.0 * keep)
+        found = optimized(
+            start.arm.vector(), np.column_stack([low + off, high - off]), start.limits.table,
+            start.limits.rotor, [*start.limits.radii, margin + APART * keep], h, knots, qd,
+            momentum=start.L, **options,
+        )  # fmt: skip
+        times = np.append(0.0, np.cumsum(found[0]))
+        angles = probed(times, *found[1:3])[0]
+        clear = start.gap(angles).min() >= margin - 1e-9 and not start.limits.outside(angles)
+        if found[3][0] > 0.0 and clear:
+            return found
+    return h, q, qd, found[3]
+
+
+def point_to_point(start: Start, asked: PointToPoint) -> Plan:
+    """The motion to a posture.
+
+    Raises:
+        PlanError: the goal is beyond limits, or the duration shorter than they allow.
+    """
+    goal = start.posture("goal", asked.goal)
+    arguments = {
+        "goal": goal.tolist(),
+        "duration": asked.duration,
+        "least_rotation": asked.least_rotation,
+    }
+    if np.abs(goal - start.q).max() < STILL:
+        raise PlanError(f"goal is {goal.tolist()} rad, where the arm is")
+    least = floor(start, goal)
+    segments = max(2, min(max(SEGMENTS, round(PER_SECOND * least)), int(least / LEAST)))
+    h, q, qd = straight(start, [start.q, goal], segments)
+    h, q, qd, _ = improved(start, h, q, qd, least=LEAST, floor=least)
+    times, qd, _ = within(start, np.append(0.0, np.cumsum(h)), q, qd)
+    fastest = float(times[-1])
+    lasts = asked.duration or fastest * (2.0 if asked.least_rotation else 1.0)
+    if lasts < fastest:
+        raise PlanError(
+            f"duration is {lasts:g} s, expected {fastest:.3f} s or more: "
+            f"{_bound(start, times, q, qd)}"
+        )
+    qd, times = qd * (fastest / lasts), times * (lasts / fastest)
+    if asked.least_rotation:
+        segments = max(SEGMENTS, min(round(PER_SECOND * lasts), 24))
+        q, qd = _resampled(times, q, qd, segments)
+        h = np.full(segments, lasts / segments)
+        h, q, qd, _ = improved(
+            start,
+            h,
+            q,
+            qd,
+            time_weight=0.0,
+            turn_weight=TURN_WEIGHT,
+            tolerance=1e-5,
+            iterations=75,
+        )
+        times = np.append(0.0, np.cumsum(h))
+    notes = {"least_possible": least}
+    return finished(start, "point_to_point", arguments, times, q, qd, notes)
+
+
+def _bound(start: Start, times: Floats, q: Floats, qd: Floats) -> str:
+    return finished(start, "", {}, times, q, qd).bound
+
+
+def _resampled(times: Floats, q: Floats, qd: Floats, segments: int) -> tuple[Floats, Floats]:
+    """Evenly spaced knots on a path."""
+    n = q.shape[1]
+    law, _ = sampled([times] * n, list(q.T), list(qd.T))
+    return law(np.linspace(0.0, times[-1], segments + 1))

@@ -1,0 +1,207 @@
+"""The base turned by joints that return to where they were: reorientation without thrusters.
+
+The constraint G q' = omega is not integrable: a closed path in the space of the joints turns the
+base by its integral of G dq, and run backwards by as much the other way. The shortest such motion
+is found in two steps. Closed polygons from the posture evolve, by random changes of their corners,
+towards those that turn the base as asked for and that straight moves run through soonest. Each of
+the best then is what transcription.py begins from, with the turn as an equation, and the fastest
+of what it makes of them is the plan.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from fss_arm_model.base_motion import base_poses, path, sampled
+from fss_arm_model.kernels import Floats
+from fss_arm_model.momentum import generalized_jacobian
+from fss_arm_model.settings import Check, Settings, at_least, setting
+from fss_arm_motion.plan import Plan, PlanError, Start, finished, within
+from fss_arm_motion.point_to_point import LEAST, improved, straight
+
+FAMILIES = (
+    (3, 1),
+    (4, 1),
+    (3, 2),
+    (4, 2),
+    (4, 4),
+)  # corners of a polygon, and how often to go round
+PARENTS, CHILDREN, GENERATIONS = 16, 16, 25
+FIRST = 1500  # random polygons of each family
+CHANGE, CALMING = 0.5, 0.93  # of a corner's angles [rad], and from a generation to the next
+PAUSE = 0.6  # that a corner costs, about [s]
+SEGMENTS = 3  # of each side
+NODES = 8  # of the quadrature along a side
+ITERATIONS = 100
+TRIED = 3  # polygons of a family, until one is improved
+GAIN = 0.9  # share of its time that one must be improved to
+IMPOSSIBLE = 100.0  # cost of a polygon that does not do [s]
+INSIDE = 0.02  # distance of corners from joint limits [rad]
+ROOM = 0.03  # that polygons keep clear beyond the margin [m]
+CLOSE = math.radians(0.02)  # to the turn asked for
+
+
+@dataclass(frozen=True)
+class Reorientation(Settings):
+    """A turn of the base, with the arm back in its posture.
+
+    Raises:
+        SettingError: the turn is 0.
+    """
+
+    angle: float = setting(
+        math.radians(30.0), "turn of the base", unit="rad",
+        check=Check("-pi to pi, and not 0", lambda x: 0.0 < abs(x) <= math.pi, -math.pi, math.pi),
+    )  # fmt: skip
+    seed: int = setting(0, "seed of the search", check=at_least(0))
+
+
+def along(corners: Floats) -> tuple[Floats, Floats, Floats]:
+    """Postures on the sides of closed polygons (k, c, n), the sides, and the nodes' weights."""
+    x, w = np.polynomial.legendre.leggauss(NODES)
+    sides = np.roll(corners, -1, axis=1) - corners
+    q = corners[:, :, None] + (0.5 * x[:, None] + 0.5) * sides[:, :, None]
+    return q, sides, 0.5 * w
+
+
+def turns_of(start: Start, corners: Floats) -> Floats:
+    """Turns of the base by closed polygons, (k,) [rad], for corners (k, c, n) [rad]."""
+    q, sides, w = along(corners)
+    state = np.concatenate([np.zeros((*q.shape[:-1], 3)), q], axis=-1)
+    G = generalized_jacobian(start.bodies, state)[..., 2, :] - 1.0
+    return np.asarray(np.einsum("kcxn,kcn,x->k", G, sides, w))
+
+
+def costs(start: Start, corners: Floats, turn: float) -> Floats:
+    """About how long polygons (k, c, n) take, shrunk to turn the base by `turn`, (k,) [s].
+
+    Those that turn it less, or in which bodies come too near to each other, cost the more the
+    farther they are from that.
+    """
+    sides = np.roll(corners, -1, axis=1) - corners
+    travel = (np.abs(sides) / start.limits.rate).max(axis=2)
+    turns = turns_of(start, corners) / turn
+    # The turn grows about as the square of a polygon's size.
+    size = np.minimum(1.0, np.sqrt(1.0 / np.maximum(turns, 1e-9)))
+    spent = (size[:, None] * travel + PAUSE).sum(axis=1)
+    spent += np.where(turns < 1.0, IMPOSSIBLE * (2.0 - turns), 0.0)
+    lack = start.limits.margin + ROOM - start.gap(along(corners)[0]).min(axis=(1, 2))
+    return np.asarray(spent + np.where(lack > 0.0, 3.0 * IMPOSSIBLE * (1.0 + lack), 0.0))
+
+
+def polygons(
+    start: Start, turn: float, corners: int, rng: np.random.Generator
+) -> tuple[Floats, Floats]:
+    """Closed polygons (k, c, n) from the posture and what they cost (k,), the best first."""
+    low, high = start.limits.bounds.T
+    low, high = low + INSIDE, high - INSIDE
+    found = rng.uniform(low, high, (FIRST, corners, start.arm.n))
+    found[:, 0] = start.q
+    cost = costs(start, found, turn)
+    order = np.argsort(cost)[:PARENTS]
+    found, cost = found[order], cost[order]
+    for generation in range(GENERATIONS):
+        change = CHANGE * CALMING**generation
+        new = np.repeat(found, CHILDREN, axis=0)
+        some = rng.random(new.shape[:2]) < 0.6
+        new += change * rng.standard_normal(new.shape) * some[..., None]
+        new = new.clip(low, high)
+        new[:, 0] = start.q
+        own = costs(start, new, turn).reshape(PARENTS, CHILDREN)
+        best = own.argmin(axis=1)
+        better = own.min(axis=1) < cost
+        found = np.where(
+            better[:, None, None],
+            new.reshape(PARENTS, CHILDREN, corners, -1)[np.arange(PARENTS), best],
+            found,
+        )
+        cost = np.where(better, own.min(axis=1), cost)
+    order = np.argsort(cost)
+    return found[order], cost[order]
+
+
+def _sized(start: Start, corners: Floats, turn: float) -> Floats:
+    """A polygon shrunk towards its first corner until it turns the base by `turn`."""
+    low, high = 0.0, 1.0
+    for _ in range(6):  # each divides by 16
+        sizes = np.linspace(low, high, 17)
+        tried = corners[0] + sizes[:, None, None] * (corners - corners[0])
+        k = int(np.argmax(turns_of(start, tried) / turn >= 1.0))
+        low, high = sizes[max(k - 1, 0)], sizes[k]
+    return np.asarray(corners[0] + high * (corners - corners[0]))
+
+
+def reorientation(start: Start, asked: Reorientation) -> Plan:
+    """The motion.
+
+    Raises:
+        PlanError: no motion found turns the base that far.
+    """
+    rng = np.random.default_rng(asked.seed)
+    arguments = {"angle": asked.angle, "seed": asked.seed}
+    best: Plan | None = None
+    most = 0.0
+    for corners, rounds in FAMILIES:
+        if best is not None and rounds > best.notes["rounds"]:
+            break
+        turn = asked.angle / rounds
+        found, cost = polygons(start, turn, corners, rng)
+        most = max(most, float((turns_of(start, found) / turn).max()))
+        # The best of them, improved; where that fails the next ones, and as it is at the last.
+        for k, improve in (*((k, True) for k in range(TRIED)), (0, False)):
+            if not cost[k] < IMPOSSIBLE:
+                break
+            one = _sized(start, found[k], turn)
+            ways = np.concatenate([np.tile(one, (rounds, 1)), one[:1]])
+            try:
+                plan = _timed(start, ways, asked.angle, arguments, rounds, improve)
+            except PlanError:
+                continue
+            if plan.duration < GAIN * _spent(start, ways) or not improve:
+                best = plan if best is None or plan.duration < best.duration else best
+                break
+    if best is None:
+        raise PlanError(
+            f"angle is {np.degrees(asked.angle):.1f} deg: no closed motion from this posture was "
+            f"found that turns the base by more than {np.degrees(most * abs(asked.angle)):.1f} deg"
+        )
+    return best
+
+
+def _spent(start: Start, ways: Floats) -> float:
+    """How long straight moves take [s]."""
+    return float(straight(start, ways, SEGMENTS)[0].sum())
+
+
+def _timed(
+    start: Start, ways: Floats, angle: float, arguments: dict[str, float], rounds: int,
+    improve: bool,
+) -> Plan:  # fmt: skip
+    """The motion along a closed polygon, or the best near it.
+
+    Raises:
+        PlanError: limits cannot be kept, or the turn is not the one asked for.
+    """
+    h, q, qd = straight(start, ways, SEGMENTS)
+    turn, times = angle, np.append(0.0, np.cumsum(h))
+    for _ in range(3):  # what limits between knots make slower changes what momentum adds
+        if improve:
+            h, q, qd, _ = improved(
+                start, h, q, qd, least=LEAST, turn=turn, iterations=ITERATIONS, tolerance=5e-3
+            )
+        times, qd, _ = within(start, np.append(0.0, np.cumsum(h)), q, qd)
+        h = np.diff(times)
+        missing = angle - _turn(start, times, q, qd)
+        turn += missing
+        if abs(missing) < CLOSE:
+            return finished(start, "reorientation", arguments, times, q, qd, {"rounds": rounds})
+    raise PlanError(f"the base turns by {np.degrees(angle - missing):.2f} deg")
+
+
+def _turn(start: Start, times: Floats, q: Floats, qd: Floats) -> float:
+    n = start.arm.n
+    law, edges = sampled([times] * n, list(q.T), list(qd.T))
+    state = np.concatenate([np.zeros(3), start.momentum, np.zeros(2)])
+    poses = base_poses(start.bodies, path(law, edges, times[[0, -1]]), state)
+    return float(poses[-1, 2])

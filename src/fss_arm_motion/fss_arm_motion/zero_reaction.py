@@ -1,0 +1,234 @@
+"""Arm motions that leave the base's heading alone: zero-reaction maneuvers.
+
+Without momentum the base turns at the rate
+
+    omega = G(q) q',    G the base's angular rate per joint rate (the angular coupling)
+
+so that joint rates in the null space of G, n - 1 of them, do not turn it (Yoshida, Hashizume and
+Abiko 2001; the paper's [24]). Along a wished direction u the joints follow the nearest of them,
+
+    dq/dl = P u / |P u|,   P = 1 - G^T G / |G|^2
+
+as far as limits allow. The constraint G q' = 0 is not integrable for three joints or more: which
+postures such motions reach depends on their path. A goal is reached by the motion that turns the
+base least, given time for a way around; it is searched for from the straight one, and not always
+found where there is one.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.interpolate import CubicHermiteSpline
+
+from fss_arm_model.description import Arm
+from fss_arm_model.kernels import Floats, helper, kernel
+from fss_arm_model.kinematics import _chain
+from fss_arm_model.momentum import _floating, generalized_jacobian
+from fss_arm_model.settings import FINITE, NOT_NEGATIVE, POSITIVE, SettingError, Settings, setting
+from fss_arm_motion.plan import Plan, PlanError, Start, finished
+from fss_arm_motion.point_to_point import PointToPoint, point_to_point
+from fss_arm_motion.timing import knots, run_through, shortest
+
+STEP = 5e-3  # of the Runge-Kutta method of 4th order [rad]
+FAINT = 1e-3  # share of a wish that counts as nothing
+
+STRAIGHTER = 1e-3  # length that counts as none [rad]
+PATIENCE = (2.5, 8.0)  # beyond the fastest motion, tried one after the other [s]
+
+LIMIT, NOTHING_LEFT, LENGTH = range(3)
+
+
+@dataclass(frozen=True)
+class ZeroReaction(Settings):
+    """A motion that does not turn the base: along a direction, or to a goal.
+
+    Raises:
+        SettingError: neither a direction nor a goal is given, or both.
+    """
+
+    direction: tuple[float, ...] = setting(
+        (), "joint rates whose direction is wished", unit="rad/s", check=FINITE
+    )
+    goal: tuple[float, ...] = setting((), "joint readings to arrive at", unit="rad", check=FINITE)
+    length: float = setting(
+        0.0, "length along the direction, in joint space; 0: as far as it goes",
+        unit="rad", check=NOT_NEGATIVE,
+    )  # fmt: skip
+    duration: float = setting(
+        0.0, "time to take; 0: as short as limits allow", unit="s", check=NOT_NEGATIVE
+    )
+    tolerance: float = setting(
+        math.radians(0.1), "turn of the base that counts as none", unit="rad", check=POSITIVE
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if bool(self.direction) == bool(self.goal):
+            given = "both" if self.goal else "neither"
+            raise SettingError(f"direction and goal: {given} given, expected one of them")
+
+
+def angular_coupling(arm: Arm, q: npt.ArrayLike) -> Floats:
+    """G of states q (..., 3 + n), (..., n): the base's angular rate per joint rate.
+
+    Raises:
+        ValueError: shapes do not fit.
+    """
+    return np.asarray(generalized_jacobian(arm.vector(), q)[..., 2, :] - 1.0)
+
+
+@helper
+def _slope(p, u, q, d, e, J, x):  # type: ignore[no-untyped-def]
+    """Write the wish's part that does not turn the base, of length 1; return its length."""
+    _chain(p, q, d, e)
+    _floating(p, d, e, J)
+    along = size = 0.0
+    for k in range(u.size):
+        G = J[2, k] - 1.0
+        along += G * u[k]
+        size += G * G
+    length = 0.0
+    for k in range(u.size):
+        x[k] = u[k] - (J[2, k] - 1.0) * along / size
+        length += x[k] * x[k]
+    length = math.sqrt(length)
+    for k in range(u.size):
+        x[k] /= max(length, 1e-12)
+    return length
+
+
+@kernel("(p),(n,b),(n),(n),(),(m)->(m,n),(m,n),(m)")
+def _null_path(p, bounds, q0, u0, length, _m, q, slope, report):  # type: ignore[no-untyped-def]
+    p, n = p.copy(), q0.size
+    d, e = np.empty((2, n + 1), np.complex128)
+    J, state, x, u = np.empty((3, n)), np.zeros(3 + n), np.empty((4, n)), u0.copy()
+    size = 0.0
+    for k in range(n):
+        size += u[k] * u[k]
+    for k in range(n):
+        u[k] /= math.sqrt(size)
+    q[:], slope[:], report[:] = math.nan, math.nan, 0.0
+    here, done, count = q0.copy(), 0.0, 0
+    report[1] = 2.0
+    while True:
+        state[3:] = here
+        left = _slope(p, u, state, d, e, J, x[0])
+        if count < q.shape[0] and left > FAINT:
+            q[count], slope[count] = here, x[0]
+            count += 1
+        if not left > FAINT:
+            report[1] = 1.0
+            break
+        h = min(STEP, length[0] - done)
+        if h < 1e-9 or count >= q.shape[0]:
+            break
+        for stage in range(1, 4):
+            state[3:] = here + (h if stage == 3 else 0.5 * h) * x[stage - 1]
+            _slope(p, u, state, d, e, J, x[stage])
+        share = 1.0
+        for k in range(n):
+            move = h / 6.0 * (x[0, k] + 2.0 * x[1, k] + 2.0 * x[2, k] + x[3, k])
+            beyond = bounds[k, 1] - here[k] if move > 0.0 else bounds[k, 0] - here[k]
+            if abs(move) > abs(beyond) and abs(beyond / move) < share:
+                share = abs(beyond / move)
+                report[1], report[2] = 0.0, k + 1.0
+            state[3 + k] = move
+        if share < 1.0:
+            break
+        here += state[3:]
+        done += h
+    report[0] = count
+
+
+def null_path(
+    start: Start, direction: npt.ArrayLike, length: float
+) -> tuple[Floats, Floats, Floats, str]:
+    """The motion that follows wished joint rates as closely as it can without turning the base.
+
+    Args:
+        start: posture to begin from, and limits.
+        direction: joint rates u, (n,), of which the direction counts.
+        length: of the path in the space of the joints [rad].
+
+    Returns:
+        Lengths (m,) [rad], postures (m, n), their derivatives by the length (m, n), and why it
+        went no further, empty if it went all the length.
+
+    Raises:
+        PlanError: the direction is no direction.
+    """
+    u = np.asarray(direction, dtype=float)
+    if u.shape != start.q.shape or not (np.isfinite(u).all() and np.linalg.norm(u) > 0.0):
+        raise PlanError(f"direction is {u.tolist()}, expected {start.arm.n} numbers, not all 0")
+    room = np.empty(2 + int(length / STEP) + 4)
+    q, slope, report = _null_path(start.bodies, start.limits.bounds, start.q, u, length, room)
+    count = int(report[0])
+    why = ""
+    if report[1] == LIMIT:
+        i = int(report[2]) - 1
+        limit = start.limits.bounds[i, int(slope[count - 1, i] > 0.0)]
+        why = f"joint {i + 1} is at its limit of {limit:.4f} rad ({np.degrees(limit):.1f} deg)"
+    elif report[1] == NOTHING_LEFT:
+        why = "of the wished direction nothing is left that does not turn the base"
+    lengths = np.minimum(np.arange(count) * STEP, length)
+    return lengths, q[:count], slope[:count], why
+
+
+def zero_reaction(start: Start, asked: ZeroReaction) -> Plan:
+    """The motion, with the time that limits need.
+
+    Raises:
+        PlanError: it does not even begin, limits cannot be kept, or a goal is not reached without
+            turning the base.
+    """
+    return _to_goal(start, asked) if asked.goal else _along(start, asked)
+
+
+def _along(start: Start, asked: ZeroReaction) -> Plan:
+    length = asked.length or 2.0 * float(np.ptp(start.limits.bounds, axis=1).sum())
+    lengths, q, slope, why = null_path(start, asked.direction, length)
+    if not len(lengths) or lengths[-1] < STRAIGHTER:
+        raise PlanError(f"no motion along {list(asked.direction)}: {why}")
+    whole = lengths[-1]
+    spline = CubicHermiteSpline(lengths / whole, q, whole * slope)
+    least = shortest(start, lambda s: (spline(s), spline(s, 1), spline(s, 2)))
+    if asked.duration and asked.duration < least:
+        raise PlanError(f"duration is {asked.duration:g} s, expected {least:.3f} s or more")
+    lasts = asked.duration or least
+
+    def law(t: Floats) -> tuple[Floats, Floats]:
+        s, speed, _ = run_through(np.clip(t / lasts, 0.0, 1.0))
+        return spline(s), spline(s, 1) * speed[:, None] / lasts
+
+    times, at, rate, deviation = knots(law, lasts)
+    arguments = {
+        "direction": list(asked.direction), "length": asked.length, "duration": asked.duration,
+    }  # fmt: skip
+    notes = {"travel": float(whole), "deviation": deviation}
+    return finished(start, "zero_reaction", arguments, times, at, rate, notes, why)
+
+
+def _to_goal(start: Start, asked: ZeroReaction) -> Plan:
+    goal = start.posture("goal", asked.goal)
+    fastest = point_to_point(start, PointToPoint(tuple(goal)))
+    durations = (
+        [asked.duration] if asked.duration else [fastest.duration + more for more in PATIENCE]
+    )
+    arguments = {"goal": goal.tolist(), "duration": asked.duration, "tolerance": asked.tolerance}
+    turns = []
+    for duration in durations:
+        plan = point_to_point(start, PointToPoint(tuple(goal), duration, least_rotation=True))
+        turns.append(plan.prediction.excursion)
+        if turns[-1] <= asked.tolerance:
+            notes = {"fastest_turn": fastest.prediction.excursion}
+            return Plan(
+                "zero_reaction", arguments, plan.times, plan.q, plan.qd, plan.prediction,
+                plan.used, notes,
+            )  # fmt: skip
+    raise PlanError(
+        f"goal {goal.tolist()} rad: no motion found that turns the base by less than "
+        f"{np.degrees(min(turns)):.2f} deg, expected {np.degrees(asked.tolerance):.2f} deg; "
+        f"longer than {max(durations):.1f} s may do"
+    )

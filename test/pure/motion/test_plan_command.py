@@ -1,0 +1,104 @@
+"""The command `plan`, and the files it writes."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from fss_arm_model.description import paper_arm
+from fss_arm_model.files import ContentError
+from fss_arm_motion.kinds import KINDS
+from fss_arm_motion.plan import Start
+from fss_arm_motion.plan_command import main
+from fss_arm_motion.plan_file import digest, parsed, written
+from fss_arm_motion.point_to_point import PointToPoint, point_to_point
+
+
+def text():
+    start = Start(paper_arm(), np.zeros(4), covariance=np.eye(32) * 1e-6)
+    return written(start, point_to_point(start, PointToPoint((0.3, -0.2, 0.1, 0.4))))
+
+
+def test_what_is_written_is_read_back():
+    start = Start(paper_arm(), np.zeros(4), covariance=np.eye(32) * 1e-6)
+    plan = point_to_point(start, PointToPoint((0.3, -0.2, 0.1, 0.4)))
+    stored = parsed(written(start, plan))
+    assert (stored.arm, stored.digest) == ("paper", digest(start.arm))
+    assert stored.plan.kind == "point_to_point"
+    assert stored.plan.arguments["goal"] == [0.3, -0.2, 0.1, 0.4]
+    for name in ("times", "q", "qd", "used"):
+        assert_allclose(getattr(stored.plan, name), getattr(plan, name), rtol=1e-8, atol=1e-12)
+    for name in ("times", "pose", "deviation"):
+        ours = getattr(stored.plan.prediction, name)
+        assert_allclose(ours, getattr(plan.prediction, name), rtol=1e-8, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("was", "becomes", "words"),
+    [
+        ("version: 1", "version: 2", "version is 2, expected 1"),
+        ("kind: point_to_point", "kind: [1]", r"kind is \[1\], expected a kind of plan"),
+        ("time: [0.0,", "time: [0.1,", "knots: time is .*, expected two or more, ascending from 0"),
+        ("  qd:", "  rates:", "knots: qd is missing"),
+        ("- [0.0, 0.0, 0.0, 0.0]", "- [0.0, 0.0, 0.0]", "knots: q.* expected finite numbers"),
+        ("- [0.0, 0.0, 0.0, 0.0]", "- [.nan, 0.0, 0.0, 0.0]", "knots: q.* expected finite numbers"),
+        ("arm: {name: paper", "arm: {title: paper", "arm: name is missing"),
+    ],
+)
+def test_a_damaged_file_is_refused_in_one_line_that_names_the_entry(was, becomes, words):
+    given = text()
+    assert was in given
+    with pytest.raises(ContentError, match=words) as error:
+        parsed(given.replace(was, becomes, 1))
+    assert "\n" not in str(error.value)
+
+
+EXAMPLES = {
+    "point_to_point": "--goal 20 -30 10 40",
+    "zero_reaction": "--q -30 40 30 20 --direction 1 0 0 0",
+    "reorientation": "--angle 15",
+    "tip_path": "--q -50 55 45 40 --by -0.2 -0.1",
+    "best_posture": "--direction 45 --place 0.9 0.3",
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_each_kind_writes_its_path_and_its_figure(kind, tmp_path, capsys):
+    path, figure = tmp_path / "path.yaml", tmp_path / "new" / "plan.png"
+    args = f"{kind} {EXAMPLES[kind]} --output {path} --figure {figure}"
+    assert main(args.split()) == 0
+    assert kind.replace("_", " ") in capsys.readouterr().out
+    assert parsed(path).plan.kind == kind
+    assert figure.read_bytes().startswith(b"\x89PNG")
+
+
+def test_angles_are_degrees(tmp_path):
+    path = tmp_path / "path.yaml"
+    assert main(["point_to_point", "--goal", "90", "0", "0", "0", "--output", str(path)]) == 0
+    assert_allclose(parsed(path).plan.q[-1], [np.pi / 2, 0, 0, 0])
+
+
+@pytest.mark.parametrize(
+    ("args", "words"),
+    [
+        ("point_to_point --goal 0 0 0 100", "joint 4 at 1.7453 rad (100.00 deg)"),
+        ("point_to_point --goal 10 0 0 0 --share 0", "share is 0.0, expected above 0, at most 1"),
+        ("point_to_point --goal 10 0 0 0 --arm nobody", "arm is 'nobody'"),
+        ("tip_path", "by and through: neither given"),
+        ("zero_reaction --direction 0 0 0 0", "expected 4 numbers, not all 0"),
+        ("reorientation --angle 0", "angle is 0.0 rad, expected -pi to pi, and not 0"),
+        ("best_posture --place 5 5", "place is [5.0, 5.0] m"),
+    ],
+)
+def test_a_wrong_wish_ends_with_one_line(args, words, capsys):
+    assert main(args.split()) == 1
+    error = capsys.readouterr().err
+    assert words in error
+    assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize("args", ["", "dance", "point_to_point --goal north"])
+def test_a_wrong_command_line_ends_with_one_line(args, capsys):
+    with pytest.raises(SystemExit) as end:
+        main(args.split())
+    assert end.value.code == 1
+    assert capsys.readouterr().err.count("\n") == 1
