@@ -8,7 +8,16 @@ import numpy.typing as npt
 from fss_arm_model.description import Arm
 from fss_arm_model.free_floating import free_torques
 from fss_arm_model.kernels import Floats
-from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, SettingError, Settings, above, setting
+from fss_arm_model.settings import (
+    NOT_NEGATIVE,
+    POSITIVE,
+    SettingError,
+    Settings,
+    above,
+    like,
+    setting,
+)
+from fss_arm_motion.guard_settings import GuardSettings
 
 KINDS = (("rate", "rad/s"), ("acceleration", "rad/s^2"), ("torque", "N m"))
 
@@ -33,15 +42,9 @@ class LimitSettings(Settings):
         0.5, "viscous friction of each joint", unit="N m s/rad", check=NOT_NEGATIVE
     )
     coulomb: float = setting(0.3, "Coulomb friction of each joint", unit="N m", check=NOT_NEGATIVE)
-    base_radius: float = setting(
-        0.19, "radius within which the base lies about its origin", unit="m", check=NOT_NEGATIVE
-    )
-    link_radius: float = setting(
-        0.06, "radius of the links about their lines", unit="m", check=NOT_NEGATIVE
-    )
-    margin: float = setting(
-        0.05, "least gap between bodies that are not neighbours", unit="m", check=NOT_NEGATIVE
-    )
+    base_radius: float = like(GuardSettings, "base_radius")
+    link_radius: float = like(GuardSettings, "link_radius")
+    margin: float = like(GuardSettings, "margin")
 
 
 @dataclass(frozen=True)

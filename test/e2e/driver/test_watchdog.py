@@ -58,6 +58,7 @@ class Person(Node):
     def __init__(self):
         super().__init__("person")
         self.joint, self.positions, self.health = None, [], {}
+        self.commanded = 0.0
         subscribe_sensor(self, JointState, "joint_states", self.see)
         self.create_subscription(DiagnosticArray, "/diagnostics", self.look, 10)
         self.arming = self.create_client(SetBool, "link_1/arm")
@@ -72,7 +73,13 @@ class Person(Node):
         self.health[status.hardware_id] = status
 
     def turn(self):
-        """To the end of the range, slowly; in force for longer than that takes."""
+        """To the end of the range, slowly; in force for longer than that takes.
+
+        Now and again: a driver that sends much takes no notice of a few refused datagrams.
+        """
+        if time.monotonic() < self.commanded + 0.2:
+            return
+        self.commanded = time.monotonic()
         command = LinkCommand(mode=LinkCommand.POSITION, set_point=1.5)
         command.max_velocity, command.time_to_live = 0.2, 60.0
         self.commands.publish(command)
