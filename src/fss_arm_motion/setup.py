@@ -15,5 +15,10 @@ setup(
     maintainer_email="fss-arm@example.org",
     license="Apache-2.0",
     extras_require={"test": ["pytest"]},
-    entry_points={"console_scripts": ["plan = fss_arm_motion.plan_command:main"]},
+    entry_points={
+        "console_scripts": [
+            "motion = fss_arm_motion.motion_node:main",
+            "plan = fss_arm_motion.plan_command:main",
+        ],
+    },
 )

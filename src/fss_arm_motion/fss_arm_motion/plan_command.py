@@ -15,7 +15,7 @@ from fss_arm_model.files import write_text
 from fss_arm_model.kernels import Floats
 from fss_arm_model.settings import meaning
 from fss_arm_motion.figures import draw, title
-from fss_arm_motion.kinds import KINDS
+from fss_arm_motion.kinds import KINDS, Kind
 from fss_arm_motion.limits import Limits, LimitSettings
 from fss_arm_motion.plan import NOTES, Plan, Start
 from fss_arm_motion.plan_file import written
@@ -115,7 +115,7 @@ def planned(options: argparse.Namespace) -> tuple[Start, Plan]:
         ValueError: there is no such plan, or an option is impossible.
         OSError: the description cannot be read.
     """
-    kind, arm = KINDS[options.kind], described(options.arm)
+    arm = described(options.arm)
     limits = Limits.of(
         arm, LimitSettings(**{f.name: getattr(options, f.name) for f in fields(LimitSettings)})
     )
@@ -124,9 +124,16 @@ def planned(options: argparse.Namespace) -> tuple[Start, Plan]:
         arm, np.radians(options.q if options.q else np.zeros(arm.n)), pose,
         np.array(options.momentum), limits, uncertain(arm, options.deviation),
     )  # fmt: skip
-    asked = {f.name: getattr(options, f.name) for f in fields(kind.settings)}
-    asked = {name: tuple(v) if isinstance(v, list) else v for name, v in asked.items()}
-    return start, kind.plan(start, kind.settings(**asked))
+    kind, settings = asked(options)
+    return start, kind.plan(start, settings)
+
+
+def asked(options: argparse.Namespace) -> tuple[Kind, Any]:
+    """The kind of plan that a command line asks for, and its settings."""
+    kind = KINDS[options.kind]
+    given = {f.name: getattr(options, f.name) for f in fields(kind.settings)}
+    values = {name: tuple(v) if isinstance(v, list) else v for name, v in given.items()}
+    return kind, kind.settings(**values)
 
 
 def report(plan: Plan) -> str:

@@ -1,0 +1,309 @@
+"""The node `motion`: plans from where arm and base are, runs them, and says what the base did."""
+
+import io
+import sys
+from collections.abc import Sequence
+from contextlib import redirect_stderr
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from action_msgs.msg import GoalStatus
+from control_msgs.action import FollowJointTrajectory
+from nav_msgs.msg import Odometry
+from rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
+from rclpy.action.server import ServerGoalHandle
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.task import Future
+from sensor_msgs.msg import JointState
+from trajectory_msgs.msg import JointTrajectoryPoint
+
+from fss_arm_model.description import described
+from fss_arm_model.kernels import Floats
+from fss_arm_model.momentum import momentum
+from fss_arm_motion.base_track import BaseTrack
+from fss_arm_motion.plan import Plan, PlanError, Start, predicted
+from fss_arm_motion.plan_command import asked, parser
+from fss_arm_motion.plan_file import parsed
+from fss_arm_motion.settings import MotionSettings
+from fss_arm_msgs.action import ExecuteMotion
+from fss_arm_msgs.msg import DynamicCalibration, KinematicCalibration, MotionReport
+from fss_arm_ros.calibrated import Calibrated
+from fss_arm_ros.convert import SECOND, joint_readings, planar_pose, stamp_ns, to_time
+from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
+from fss_arm_ros.pace import pace
+from fss_arm_ros.parameters import declare
+from fss_arm_ros.qos import LATCHED, subscribe_sensor
+from fss_arm_ros.run import run
+
+CONTROLLER = "arm_controller/follow_joint_trajectory"
+CALIBRATIONS = {
+    "calibration/kinematic": KinematicCalibration,
+    "calibration/dynamic": DynamicCalibration,
+}
+
+
+class MotionError(ValueError):
+    """A motion cannot begin, or ended early; the message says why."""
+
+
+@dataclass(frozen=True)
+class Joints:
+    """All joints at one time."""
+
+    t: int  # [ns]
+    q: Floats  # (n,) [rad]
+    qd: Floats  # (n,) [rad/s]
+
+
+class MotionNode(Node):
+    """Executes `arm/execute`: plans, has the links follow, reports on `arm/motion`."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__("motion", **options)
+        self.settings = declare(self, MotionSettings)
+        self.known = Calibrated(described(self.settings.arm))
+        self.joints = Joints(0, np.zeros(0), np.zeros(0))
+        self.base = BaseTrack()
+        self.moved = 0  # when a joint last did [ns]
+        self.busy = False
+        self.following: Any = None  # the trajectory that the arm's node follows for us
+        self.ticked: Future = Future()
+        subscribe_sensor(self, JointState, "arm/joint_states", self.on_joints)
+        subscribe_sensor(self, Odometry, "base/state", self.on_base)
+        for topic, kind in CALIBRATIONS.items():
+            self.create_subscription(kind, topic, partial(self.on_calibration, topic), LATCHED)
+        group = ReentrantCallbackGroup()  # a motion takes its time; all else goes on
+        self.controller = ActionClient(
+            self, FollowJointTrajectory, CONTROLLER, callback_group=group
+        )
+        self.report = self.create_publisher(MotionReport, "arm/motion", LATCHED)
+        self.server = ActionServer(
+            self, ExecuteMotion, "arm/execute", self.on_execute, callback_group=group,
+            goal_callback=self.on_goal, cancel_callback=self.on_cancel,
+        )  # fmt: skip
+        self.create_timer(0.1, self.tick, clock=pace(self))
+        self.diagnostics = Diagnostics(self, self.health)
+
+    def now(self) -> int:
+        """The node's clock [ns]."""
+        return int(self.get_clock().now().nanoseconds)
+
+    def tick(self) -> None:
+        """Let who waits for the arm to rest look again."""
+        self.ticked, ticked = Future(), self.ticked
+        ticked.set_result(None)
+
+    def on_joints(self, message: JointState) -> None:
+        """Where all joints are."""
+        readings = sorted(joint_readings(message))
+        q, qd = (np.array([row[k] for row in readings]) for k in (1, 2))
+        self.joints = Joints(stamp_ns(message.header.stamp), q, qd)
+        if np.abs(qd).max(initial=0.0) > self.settings.motion_threshold:
+            self.moved = self.joints.t
+
+    def on_base(self, message: Odometry) -> None:
+        """Where the base is."""
+        self.base.add(stamp_ns(message.header.stamp), planar_pose(message.pose.pose))
+
+    def on_calibration(self, topic: str, message: Any) -> None:
+        """Plan with it from now on, if it passed."""
+        try:
+            self.known = self.known.with_message(topic, message)
+        except ValueError as error:
+            self.get_logger().warning(f"{topic} is left out: {error}")
+
+    def on_goal(self, _: Any) -> GoalResponse:
+        """One motion at a time."""
+        return GoalResponse.REJECT if self.busy else GoalResponse.ACCEPT
+
+    def on_cancel(self, _: Any) -> CancelResponse:
+        """Have the arm come to rest."""
+        if self.following is not None:
+            self.following.cancel_goal_async()
+        return CancelResponse.ACCEPT
+
+    async def on_execute(self, handle: ServerGoalHandle) -> ExecuteMotion.Result:
+        """Plan and run."""
+        self.busy, result = True, ExecuteMotion.Result()
+        try:
+            await self.rest(handle)
+            start = self.start()
+            plan = self.plan(start, handle.request)
+            result.report, result.message = await self.follow(plan, handle)
+            self.report.publish(result.report)
+        except (ValueError, OSError) as error:
+            result.message = " ".join(str(error).split())
+        finally:
+            self.busy, self.following = False, None
+        result.reached = not result.message
+        if result.reached:
+            handle.succeed()
+        elif handle.is_cancel_requested:
+            handle.canceled()
+        else:
+            self.get_logger().warning(f"motion ended: {result.message}")
+            handle.abort()
+        return result
+
+    async def rest(self, handle: ServerGoalHandle) -> None:
+        """Wait until the base's drift since the last motion is known; not for an arm that moves.
+
+        Raises:
+            MotionError: cancelled meanwhile.
+        """
+        window = round(self.settings.rest_window * SECOND)
+        patience = self.now() + 2 * window
+        while self.joints.t < self.moved + window and self.now() < patience:
+            if handle.is_cancel_requested:
+                raise MotionError("cancelled")
+            await self.ticked
+
+    def start(self) -> Start:
+        """Where a plan begins now; a base that is not seen is taken to be at rest.
+
+        Raises:
+            MotionError: the arm is not heard, or moves.
+        """
+        s, joints, n = self.settings, self.joints, self.known.arm.n
+        if (age := (self.now() - joints.t) / SECOND) > s.max_age or joints.q.shape != (n,):
+            what = f"is {age:.1f} s old" if joints.t else "was not heard yet"
+            raise MotionError(f"arm/joint_states {what}: is the node arm there, and every link?")
+        if (fast := np.abs(joints.qd)).max() > s.motion_threshold:
+            i = int(fast.argmax())
+            raise MotionError(f"joint {i + 1} moves with {joints.qd[i]:.3f} rad/s, expected rest")
+        drift = self.base.drift(joints.t, s.rest_window)
+        pose, twist = drift or (np.zeros(3), np.zeros(3))
+        state = np.concatenate([pose, joints.q]), np.concatenate([twist, np.zeros(n)])
+        p = self.known.arm.vector()
+        return Start(
+            self.known.arm, joints.q, pose, momentum(p, *state), covariance=self.known.covariance
+        )
+
+    def plan(self, start: Start, goal: ExecuteMotion.Goal) -> Plan:
+        """The motion that a goal asks for.
+
+        Raises:
+            ValueError: there is none.
+            OSError: its file cannot be read.
+        """
+        if bool(goal.kind) == bool(goal.file):
+            raise MotionError("expected a kind or a file, and not both")
+        if goal.file:
+            return self.from_file(start, Path(goal.file))
+        kind, settings = options_of(goal.kind, goal.arguments)
+        return kind.plan(start, settings)
+
+    def from_file(self, start: Start, path: Path) -> Plan:
+        """A plan that was made before, with what the base will do from where it is now."""
+        plan = parsed(path).plan
+        if plan.q.shape[1] != len(start.q):
+            raise MotionError(f"{path} is for {plan.q.shape[1]} joints, the arm has {len(start.q)}")
+        off = np.abs(plan.q[0] - start.q)
+        if off.max() > self.settings.tolerance:
+            i = int(off.argmax())
+            raise MotionError(
+                f"joint {i + 1} is at {np.degrees(start.q[i]):.2f} deg, {path} begins at "
+                f"{np.degrees(plan.q[0][i]):.2f} deg"
+            )
+        base = predicted(start, plan.times, plan.q, plan.qd)
+        return Plan(plan.kind, plan.arguments, plan.times, plan.q, plan.qd, base, plan.used)
+
+    async def follow(self, plan: Plan, handle: ServerGoalHandle) -> tuple[MotionReport, str]:
+        """Have the arm follow; what came of it, and why it ended early, if it did.
+
+        Raises:
+            MotionError: the arm's node is not there, or rejects it.
+        """
+        if not self.controller.server_is_ready():
+            raise MotionError(f"nobody offers {CONTROLLER}: is the node arm there?")
+        begin = self.now() + round(self.settings.lead * SECOND)
+        end = begin + round(plan.duration * SECOND)
+
+        def feedback(_: Any) -> None:
+            left = max(0.0, (end - self.now()) / SECOND)
+            handle.publish_feedback(ExecuteMotion.Feedback(remaining=left))
+
+        following = await self.controller.send_goal_async(trajectory(plan, begin), feedback)
+        if not following.accepted:
+            raise MotionError("the arm's node rejected the path: its log says why")
+        self.following = following
+        if handle.is_cancel_requested:  # before there was anything to cancel
+            following.cancel_goal_async()
+        ended = await following.get_result_async()
+        reached = ended.status == GoalStatus.STATUS_SUCCEEDED
+        report = self.reported(plan, handle.request, begin, end if reached else self.now())
+        return report, "" if reached else ended.result.error_string
+
+    def reported(self, plan: Plan, goal: ExecuteMotion.Goal, begin: int, end: int) -> MotionReport:
+        """What the base was to do and did."""
+        base = plan.prediction
+        moved, excursion = self.base.moved(begin, end)
+        known = self.known.covariance.any()
+        report = MotionReport(
+            kind=plan.kind,
+            arguments=list(goal.arguments),
+            arm=self.known.arm.name,
+            duration=plan.duration,
+            predicted=base.pose[-1] - base.pose[0],
+            predicted_deviation=base.deviation[-1] if known else np.full(3, np.nan),
+            measured=moved,
+            predicted_excursion=base.excursion,
+            measured_excursion=excursion,
+        )
+        report.header.stamp, report.header.frame_id = to_time(begin), "world"
+        return report
+
+    def health(self) -> Health:
+        """For diagnostics."""
+        try:
+            self.start()
+        except ValueError as error:
+            return Health(OK, "moving") if self.busy else Health(WARN, str(error))
+        seen = self.base.drift(self.joints.t, self.settings.rest_window) is not None
+        words = "ready" if seen else "ready, but the base is not seen: taken to be at rest"
+        return Health(OK if seen else WARN, words)
+
+
+def options_of(kind: str, arguments: Sequence[str]) -> tuple[Any, Any]:
+    """The kind of plan that a command line asks for, and its settings.
+
+    Raises:
+        PlanError: the line is wrong.
+    """
+    said = io.StringIO()
+    try:
+        with redirect_stderr(said):
+            options = parser().parse_args([kind, *arguments])
+    except SystemExit:
+        raise PlanError(said.getvalue().strip() or "--help is for the command line") from None
+    return asked(options)
+
+
+def trajectory(plan: Plan, begin: int) -> FollowJointTrajectory.Goal:
+    """A plan as the arm's node takes it, beginning at a time [ns]."""
+    goal = FollowJointTrajectory.Goal()
+    goal.trajectory.header.stamp = to_time(begin)
+    goal.trajectory.joint_names = [f"joint_{i + 1}" for i in range(plan.q.shape[1])]
+    goal.trajectory.points = [
+        JointTrajectoryPoint(
+            positions=q.tolist(),
+            velocities=qd.tolist(),
+            time_from_start=Duration(seconds=float(t)).to_msg(),
+        )
+        for t, q, qd in zip(plan.times, plan.q, plan.qd, strict=True)
+    ]
+    return goal
+
+
+def main() -> int:
+    """Run as `ros2 run fss_arm_motion motion`."""
+    return run(MotionNode, MotionSettings)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

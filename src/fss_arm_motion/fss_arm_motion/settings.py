@@ -1,0 +1,31 @@
+"""The parameters of the node `motion`."""
+
+from dataclasses import dataclass
+
+from fss_arm_model.settings import POSITIVE, Settings, between, setting
+
+
+@dataclass(frozen=True)
+class MotionSettings(Settings):
+    """The parameters of a MotionNode."""
+
+    arm: str = setting("", "arm to begin with: paper, cad, truth or a file; empty: paper")
+    lead: float = setting(
+        1.0, "time from a plan to the beginning of its motion, for the links to hear of it",
+        unit="s", check=between(0.0, 60.0),
+    )  # fmt: skip
+    motion_threshold: float = setting(
+        0.01, "joint rate above which the arm moves, and no plan is made", unit="rad/s",
+        check=POSITIVE,
+    )  # fmt: skip
+    max_age: float = setting(
+        1.0, "age above which what was heard of arm and base is not planned from", unit="s",
+        check=POSITIVE,
+    )  # fmt: skip
+    rest_window: float = setting(
+        2.0, "time before a plan over which the base's drift is averaged", unit="s", check=POSITIVE
+    )
+    tolerance: float = setting(
+        0.02, "farthest that a path from a file may begin from where a joint is", unit="rad",
+        check=POSITIVE,
+    )  # fmt: skip

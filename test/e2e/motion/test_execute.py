@@ -1,0 +1,122 @@
+"""Planned motions on the whole graph: the base does what was predicted, within its errors."""
+
+from time import monotonic
+
+import numpy as np
+import pytest
+from action_msgs.msg import GoalStatus
+from nav_msgs.msg import Odometry
+from rclpy.action import ActionClient
+from rclpy.node import Node
+from running import OWN
+from std_srvs.srv import SetBool
+
+from fss_arm_msgs.action import ExecuteMotion
+from fss_arm_msgs.msg import MotionReport
+from fss_arm_ros.qos import LATCHED, subscribe_sensor
+from fss_sim.rehearsal.processes import Nodes
+
+
+@pytest.fixture(scope="module")
+def nodes(tmp_path_factory):
+    with Nodes(tmp_path_factory.mktemp("nodes"), print, OWN) as nodes:
+        nodes.start("testbed", "fss_sim", "testbed", ports=OWN.ports(4))
+        slack = {"timeout": 4.0, "watchdog": 6.0}  # of a busy computer
+        nodes.start("link_1", "fss_arm_driver", "link", urls=OWN.urls(4), **slack)
+        nodes.start("arm", "fss_arm_driver", "arm", time_to_live=4.0)
+        nodes.start("base_reaction", "fss_arm_view", "base_reaction")
+        nodes.start("motion", "fss_arm_motion", "motion")
+        yield nodes
+
+
+class Person(Node):
+    """Arms the links and has motions executed."""
+
+    def __init__(self, spin):
+        super().__init__("person")
+        self.spin, self.seen, self.reports, self.feedback = spin, 0, [], []
+        self.armer = self.create_client(SetBool, "arm/enable")
+        self.mover = ActionClient(self, ExecuteMotion, "arm/execute")
+        self.create_subscription(MotionReport, "arm/motion", self.reports.append, LATCHED)
+        subscribe_sensor(self, Odometry, "base/state", self.see)
+
+    def see(self, _):
+        self.seen += 1
+
+    def after(self, future, timeout=60.0):
+        self.spin(self, future.done, timeout)
+        return future.result()
+
+    def begin(self):
+        self.spin(
+            self, lambda: self.armer.service_is_ready() and self.mover.server_is_ready(), 60.0
+        )
+        deadline = monotonic() + 40.0
+        while not self.after(self.armer.call_async(SetBool.Request(data=True))).success:
+            assert monotonic() < deadline
+        self.spin(self, lambda: self.seen > 300, 60.0)  # longer than the drift is averaged over
+
+    def send(self, **goal):
+        sent = self.mover.send_goal_async(ExecuteMotion.Goal(**goal), self.feedback.append)
+        handle = self.after(sent)
+        assert handle.accepted
+        return handle
+
+    def execute(self, **goal):
+        return self.after(self.send(**goal).get_result_async())
+
+
+@pytest.fixture
+def person(spin, nodes):
+    person = Person(spin)
+    person.begin()
+    yield person
+    person.mover.destroy()
+
+
+def test_the_base_turns_as_predicted_or_not_at_all(person):
+    ended = person.execute(kind="reorientation", arguments=["--angle", "15"])
+    assert ended.result.reached, ended.result.message
+    report = ended.result.report
+    assert report.predicted[2] == pytest.approx(np.radians(15.0), abs=1e-3)  # and a little drift
+    # Motion capture, the links' tracking, and joints that are stiff but not rigid.
+    assert abs(report.measured[2] - report.predicted[2]) < np.radians(0.5)
+    np.testing.assert_allclose(report.measured[:2], report.predicted[:2], atol=0.01)
+    assert report.measured_excursion == pytest.approx(report.predicted_excursion, abs=0.01)
+    print(report)
+    person.spin(person, lambda: person.reports and person.reports[-1].header == report.header)
+    assert person.feedback
+
+    ended = person.execute(kind="zero_reaction", arguments=["--direction", "1", "0", "0", "0"])
+    assert ended.result.reached, ended.result.message
+    report = ended.result.report
+    print(report)
+    assert report.predicted_excursion < np.radians(0.2)  # by what drift there is
+    assert report.measured_excursion < np.radians(0.5)
+    back = person.execute(kind="point_to_point", arguments=["--goal", "0", "0", "0", "0"])
+    assert back.result.reached, back.result.message
+
+
+def test_what_cannot_be_done_says_why(person, tmp_path):
+    def why(**goal):
+        ended = person.execute(**goal)
+        assert ended.status == GoalStatus.STATUS_ABORTED
+        assert not ended.result.reached
+        return ended.result.message
+
+    assert why() == "expected a kind or a file, and not both"
+    assert "invalid choice: 'dance'" in why(kind="dance")
+    assert "unrecognized arguments: --speed" in why(kind="reorientation", arguments=["--speed"])
+    assert "joint 1" in why(kind="point_to_point", arguments=["--goal", "120", "0", "0", "0"])
+    assert "No such file" in why(file=str(tmp_path / "none.yaml"))
+
+
+def test_a_cancelled_motion_comes_to_rest(person):
+    handle = person.send(kind="point_to_point", arguments=["--goal", "60", "0", "0", "0",
+                                                           "--duration", "20"])  # fmt: skip
+    person.feedback.clear()
+    person.spin(person, lambda: person.feedback, 20.0)
+    person.after(handle.cancel_goal_async())
+    ended = person.after(handle.get_result_async())
+    assert ended.status == GoalStatus.STATUS_CANCELED
+    assert ended.result.message == "cancelled"
