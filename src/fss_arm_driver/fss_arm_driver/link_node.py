@@ -165,6 +165,10 @@ class LinkNode(Node):
         """Send the command of the moment, and say what has become of earlier ones."""
         self.transmit()
         self.answer()
+        self.complain()
+
+    def complain(self) -> None:
+        """Log what is wrong, once each time that it begins."""
         session, trouble = self.session, self.transport.trouble
         self.warn("trouble", trouble and f"{self.settings.url}: {trouble}")
         self.warn("rival", session.rival)
@@ -312,7 +316,8 @@ class LinkNode(Node):
             self.waiting.pop().set_result(None)
 
     def health(self) -> Health:
-        """For diagnostics."""
+        """For diagnostics; it comes also while a stream of commands leaves the beat no turn."""
+        self.complain()
         with self.lock:
             return self.link_health(self.now())
 

@@ -25,9 +25,9 @@ from trajectory_msgs.msg import JointTrajectoryPoint
 from fss_arm_model.description import described
 from fss_arm_model.kernels import Floats
 from fss_arm_model.momentum import momentum
+from fss_arm_motion import plan_command
 from fss_arm_motion.base_track import BaseTrack
 from fss_arm_motion.plan import Plan, PlanError, Start, predicted
-from fss_arm_motion.plan_command import asked, parser
 from fss_arm_motion.plan_file import parsed
 from fss_arm_motion.settings import MotionSettings
 from fss_arm_msgs.action import ExecuteMotion
@@ -278,10 +278,10 @@ def options_of(kind: str, arguments: Sequence[str]) -> tuple[Any, Any]:
     said = io.StringIO()
     try:
         with redirect_stderr(said):
-            options = parser().parse_args([kind, *arguments])
+            options = plan_command.parser().parse_args([kind, *arguments])
     except SystemExit:
         raise PlanError(said.getvalue().strip() or "--help is for the command line") from None
-    return asked(options)
+    return plan_command.request_of(options)
 
 
 def trajectory(plan: Plan, begin: int) -> FollowJointTrajectory.Goal:

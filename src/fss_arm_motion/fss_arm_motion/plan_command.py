@@ -124,11 +124,11 @@ def planned(options: argparse.Namespace) -> tuple[Start, Plan]:
         arm, np.radians(options.q if options.q else np.zeros(arm.n)), pose,
         np.array(options.momentum), limits, uncertain(arm, options.deviation),
     )  # fmt: skip
-    kind, settings = asked(options)
+    kind, settings = request_of(options)
     return start, kind.plan(start, settings)
 
 
-def asked(options: argparse.Namespace) -> tuple[Kind, Any]:
+def request_of(options: argparse.Namespace) -> tuple[Kind, Any]:
     """The kind of plan that a command line asks for, and its settings."""
     kind = KINDS[options.kind]
     given = {f.name: getattr(options, f.name) for f in fields(kind.settings)}
