@@ -118,7 +118,9 @@ class MotionNode(Node):
             self.get_logger().warning(f"{topic} is left out: {error}")
 
     def on_goal(self, _: Any) -> GoalResponse:
-        """One motion at a time."""
+        """One motion at a time; why a goal is rejected only the log can say."""
+        if self.busy:
+            self.get_logger().warning("goal rejected: a motion is under way")
         return GoalResponse.REJECT if self.busy else GoalResponse.ACCEPT
 
     def on_cancel(self, _: Any) -> CancelResponse:

@@ -70,8 +70,10 @@ class Start:
             PlanError: they are not n, or not within the limits.
         """
         q = np.asarray(q, dtype=float)
-        if q.shape != (self.arm.n,) or not np.isfinite(q).all():
-            raise PlanError(f"{name} is {q.tolist()} rad, expected {self.arm.n} finite angles")
+        if q.shape != (self.arm.n,):
+            raise PlanError(f"{name} has {q.size} angles, expected {self.arm.n}")
+        if not np.isfinite(q).all():
+            raise PlanError(f"{name} is {np.degrees(q).tolist()} deg, expected finite angles")
         if wrong := self.limits.outside(q):
             raise PlanError(f"{name}: {wrong}")
         return q

@@ -34,8 +34,8 @@ class MocapNode(Node):
         self.topics, self.poses = s.topics(), dict[str, Publisher]()
         self.waiting = [relay.rpartition("=")[::2] for relay in s.relays]
         self.lock = Lock()  # frames come in a thread of their own
-        self.frames, self.heard, self.by_header = 0, 0, False
-        self.trouble = ""
+        self.frames, self.heard, self.by_header = 0, time.monotonic_ns(), False
+        self.trouble = ""  # until a frame comes
         self.create_service(Trigger, "mocap/accept", self.on_accept)
         self.create_timer(0.5, self.look_for_relays, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.diagnostics = Diagnostics(self, self.health, s.host)
@@ -91,7 +91,7 @@ class MocapNode(Node):
                     self.on_end(f"{topic}: {error}")
 
     def on_end(self, why: str) -> None:
-        """The receiving process has ended; it is started again."""
+        """Log, once, why no frames come: the receiving process has ended, or hears nothing."""
         if why != self.trouble and self.context.ok():
             self.get_logger().error(why)
         self.trouble = why
@@ -113,11 +113,12 @@ class MocapNode(Node):
             doubts, silent = self.subjects.doubts(now), self.subjects.silent(now, timeout)
             counts = {name: dict(s.counts) for name, s in self.subjects.subjects.items()}
         values = {"frames": self.frames, "time": STAMPS[self.by_header], **counts}
+        if silence > timeout and not self.trouble:
+            places = ", ".join(self.settings.relays)
+            origin = f"{self.settings.system} {self.settings.host}".strip() or places
+            self.on_end(f"no frame {'any more' if self.frames else 'yet'} from {origin}")
         if self.trouble:
-            return Health(ERROR, self.trouble, values)
-        if silence > timeout:
-            what = f"no frame for {silence:.1f} s" if self.heard else "no frame yet"
-            return Health(ERROR, what, values)
+            return Health(ERROR, f"{self.trouble} ({silence:.1f} s)", values)
         words = [f"{name} {why}" for name, why in doubts.items()]
         words += [f"{name} not seen anew for {age:.1f} s" for name, age in silent.items()]
         return Health(WARN if words else OK, "; ".join(words) or "receiving", values)

@@ -115,7 +115,7 @@ def test_a_datagram_that_kills_the_library_kills_not_the_node(spin, served):
 
 def test_a_server_that_falls_silent_is_reported(spin, served):
     _, node, _, nodes = served
-    spin(nodes, lambda: node.health().message.startswith("no frame for "))
+    spin(nodes, lambda: node.health().message.startswith("no frame any more from "))
 
 
 def test_the_librarys_mock_and_only_the_subjects_asked_for(spin):
