@@ -1,15 +1,19 @@
 """Speed of the dynamics beside that of MuJoCo and Pinocchio (python bench/bench_plant.py).
 
 RK4 at 1 ms, the whole trajectory kept. Each figure is the median over interleaved runs, so that
-what else the machine does touches all alike; ratios are medians of the runs' own ratios.
+what else the machine does touches all alike; ratios are medians of the runs' own ratios. The share
+of peak is that of the multiplications and additions that one core makes in the same run, in
+registers and without waiting; those of a step are counted from fss_arm_model.lanes.
 """
 
 import os
 import sys
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 
 import mujoco
+import numba
 import numpy as np
 import pinocchio as pin
 from mujoco import rollout as mujoco_rollout
@@ -68,40 +72,80 @@ def in_pinocchio(arm, tau):
     return run
 
 
-def compare(name, peer, ours, peer_steps, our_steps, required):
-    times = np.array([[seconds(peer) / peer_steps, seconds(ours) / our_steps] for _ in range(RUNS)])
-    theirs, mine = 1e6 * np.median(times, axis=0)
+def compare(name, peer, ours, peer_steps, our_steps, required, n=4, threads=1):
+    runs = [(seconds(peer), seconds(ours), seconds(multiply_and_add)) for _ in range(RUNS)]
+    times = np.array(runs) / (peer_steps, our_steps, PEAK_OPERATIONS)
+    theirs, mine, _ = 1e6 * np.median(times, axis=0)
     ratio = np.median(times[:, 0] / times[:, 1])
+    share = np.median(operations(n) * times[:, 2] / times[:, 1]) / threads
     print(
         f"{name:34} {mine:8.3f} us/step  peer {theirs:8.3f} us/step  ratio {ratio:5.1f}"
-        f"  (at least {required})"
+        f"  (at least {required}), {100.0 * share:.0f}% of peak"
     )
 
 
-def main():
-    arm, rng = paper_arm(), np.random.default_rng(1)
-    p, rest = arm.vector(), np.zeros(3 + arm.n)
-    tau = np.zeros((STEPS, 3 + arm.n))
-    tau[:, 3:] = 0.1 * rng.standard_normal(arm.n)
-    rollout(p, rest, rest, tau[:1])  # compiled
+ROWS, TIMES = 96, 4000  # numbers that go on independently of each other, which fill the registers
+PEAK_OPERATIONS = 16 * ROWS * TIMES
+
+
+@numba.njit(error_model="numpy")
+def _multiply_and_add(a, b):
+    x = np.full(ROWS, a)
+    for _ in range(TIMES):
+        for j in range(ROWS):
+            y = x[j] * a + b
+            y = y * a + b
+            y = y * a + b
+            y = y * a + b
+            y = y * a + b
+            y = y * a + b
+            y = y * a + b
+            x[j] = y * a + b
+    return x.sum()
+
+
+def multiply_and_add():
+    _multiply_and_add(0.5, 0.1)
+
+
+def operations(n):
+    """Of a step: by body in a stage turning 31, rate 100, sums 8; beside, turning and origin."""
+    bodies = n + 1
+    return 4 * (139 * bodies + 40) + 43 * bodies + 20
+
+
+def beside_peers(arm, rng, required, required_of_batch):
+    """One rollout, and many; at least so many times as fast as MuJoCo."""
+    p, rest, n = arm.vector(), np.zeros(3 + arm.n), arm.n
+    tau = np.zeros((STEPS, 3 + n))
+    tau[:, 3:] = 0.1 * rng.standard_normal(n)
+    cores = os.cpu_count() or 1
+    many = np.broadcast_to(tau[:500], (64 * cores, 500, 3 + n)).copy()
+    steps = many.shape[0] * many.shape[1]
 
     def ours():
-        rollout(p, rest, rest, tau)
+        return rollout(p, rest, rest, tau)
 
-    print(f"four links, one rollout of {STEPS} steps, one thread, {RUNS} runs")
-    compare("mujoco.rollout", in_mujoco(arm, tau[None]), ours, STEPS, STEPS, 7)
-    compare("pinocchio.aba, RK4 in Python", in_pinocchio(arm, tau[:500]), ours, 500, STEPS, 15)
+    def ours_many(threads=1):
+        return rollout(p, rest, rest, many[: 64 * threads], threads=threads)
 
-    cores = os.cpu_count() or 1
-    many = np.broadcast_to(tau[:500], (32 * cores, 500, 3 + arm.n)).copy()
+    ours()  # compiled
+    ours_many()
+    print(f"{n} links, one rollout of {STEPS} steps, one thread, {RUNS} runs")
+    compare("mujoco.rollout", in_mujoco(arm, tau[None]), ours, STEPS, STEPS, required, n)
+    compare("pinocchio.aba, RK4 in Python", in_pinocchio(arm, tau[:500]), ours, 500, STEPS, 15, n)
+    for threads in sorted({1, cores}):
+        print(f"{n} links, {64 * threads} rollouts of 500 steps over {threads} threads")
+        peer, mine = in_mujoco(arm, many[: 64 * threads], threads), partial(ours_many, threads)
+        share = steps * threads // cores
+        compare("mujoco.rollout", peer, mine, share, share, required_of_batch, n, threads)
 
-    def ours_in_parallel():
-        rollout(p, rest, rest, many, threads=cores)
 
-    steps = many.shape[0] * many.shape[1]
-    print(f"{many.shape[0]} rollouts of 500 steps over {cores} threads")
-    compare("mujoco.rollout", in_mujoco(arm, many, cores), ours_in_parallel, steps, steps, 5)
-
+def main():
+    rng = np.random.default_rng(1)
+    multiply_and_add()  # compiled
+    beside_peers(paper_arm(), rng, 8, 25)
+    beside_peers(random_arm(12, rng), rng, 15, 25)
     print("cost of a step by the number of links (one thread)")
     for n in (1, 2, 3, 4, 6, 8, 12, 16, 24, 32):
         links = [random_arm(2, rng).vector()[14:] for _ in range(n - 1)]

@@ -1,43 +1,30 @@
 """The floating arm under given forces, many steps in one call: one rollout or a batch of them."""
 
+import math
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import numpy.typing as npt
 
-from .centroidal import _bodies, _from_centroidal, _rate, _to_centroidal
-from .integration import STEP, classical
-from .kernels import Floats, inlined, kernel
+from .integration import STEP
+from .kernels import Floats, kernel
 from .kinematics import checked
+from .lanes import _roll
+
+LANES = 16  # two rows of the widest vectors, so that one is computed while the other waits
+LAYOUT = "(l,p),(l,m),(l,m),(l,t,m),(r),(a),()->(l,t,m),(l,t,m)"
+FEW = 4  # rollouts that are faster one after the other than as a row of lanes
+FREE = (0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-@inlined
-def _act(bodies, forces, turned, z, work, dz):  # type: ignore[no-untyped-def]
-    """Under a force on the base's origin and torques on the bodies."""
-    force, torques = forces
-    _rate(bodies, turned, force, torques, z, work, dz)
+@kernel(LAYOUT)
+def _rollout(p, q0, qd0, tau, rotor, around, step, q, qd):  # type: ignore[no-untyped-def]
+    _roll(1, p, q0, qd0, tau, rotor, around, step, q, qd)
 
 
-_classical = classical(_act)
-
-
-@kernel("(p),(m),(m),(t,m),(r),()->(t,m),(t,m)")
-def _rollout(p, q0, qd0, tau, rotor, step, q, qd):  # type: ignore[no-untyped-def]
-    # The dynamics are given contiguous arrays: numba takes long to compile them for other ones.
-    m, kind = q0.size - 2, np.complex128
-    bodies, z, k = _bodies(p.copy(), rotor.copy()), np.empty((2, 2 + m)), np.empty((3, 2, 2 + m))
-    begin, turned, work = np.empty((3, m), kind), np.empty((3, m), kind), np.empty((2, m), kind)
-    held = np.empty(m)
-    x, xd = q0.copy(), qd0.copy()
-    _to_centroidal(bodies, x, xd, begin, z)
-    for t in range(tau.shape[0]):
-        for i in range(m):
-            held[i] = tau[t, 2 + i] - (tau[t, 3 + i] if i + 1 < m else 0.0)
-        forces = complex(tau[t, 0], tau[t, 1]), held
-        _classical(bodies, forces, step[0], z, begin, turned, work, k)
-        _from_centroidal(bodies, begin, z, x, xd)
-        for i in range(2 + m):
-            q[t, i], qd[t, i] = x[i], xd[i]
+@kernel(LAYOUT)
+def _rollouts(p, q0, qd0, tau, rotor, around, step, q, qd):  # type: ignore[no-untyped-def]
+    _roll(LANES, p, q0, qd0, tau, rotor, around, step, q, qd)
 
 
 def rollout(
@@ -47,6 +34,7 @@ def rollout(
     tau: npt.ArrayLike,
     step: float = STEP,
     rotor: tuple[float, float] = (0.0, 0.0),
+    around: npt.ArrayLike = FREE,
     threads: int = 1,
 ) -> tuple[Floats, Floats]:
     """The floating arm's motion under given forces, by the classical Runge-Kutta method.
@@ -59,7 +47,10 @@ def rollout(
             origin, in world axes [N], torque on the base and joint torques [N m].
         step: [s].
         rotor: N^2 J and N J [kg m^2] of each joint's rotor of inertia J that turns N times as fast.
-        threads: that share the first dimension of a batch.
+        around: (5,) what acts on the whole: acceleration down the table's slope along x and y
+            [m/s^2], shear of the air film by mass carried and velocity [1/s], drag of the hose on
+            the base's origin [N s/m] and against its turning [N m s].
+        threads: that share a batch.
 
     Returns:
         q and qd, (..., steps, 3 + n), after each step. Leading dimensions broadcast.
@@ -68,23 +59,38 @@ def rollout(
         ValueError: shapes do not fit, or step or threads is not positive.
     """
     p, q, n = checked(p, q)
-    qd, tau = np.asarray(qd, dtype=float), np.asarray(tau, dtype=float)
+    qd, tau, around = np.asarray(qd, float), np.asarray(tau, float), np.asarray(around, float)
     if qd.shape[-1:] != (3 + n,) or tau.ndim < 2 or tau.shape[-1] != 3 + n:
         raise ValueError(f"qd and tau have the shapes {qd.shape} and {tau.shape}, n is {n}")
+    if around.shape != (5,):
+        raise ValueError(f"around has the shape {around.shape}, expected (5,)")
     if not step > 0.0 or threads < 1:
         raise ValueError(f"step is {step} and threads {threads}, expected more than 0")
     batch = np.broadcast_shapes(p.shape[:-1], q.shape[:-1], qd.shape[:-1], tau.shape[:-2])
-    p, q, qd = (np.broadcast_to(x, (*batch, x.shape[-1])) for x in (p, q, qd))
-    tau = np.broadcast_to(tau, (*batch, *tau.shape[-2:]))
-    out = np.empty(tau.shape), np.empty(tau.shape)
+    steps, count = tau.shape[-2], math.prod(batch)
+    given = [
+        np.broadcast_to(x, (*batch, *x.shape[-core:])).reshape(count, *x.shape[-core:])
+        for x, core in ((p, 1), (q, 1), (qd, 1), (tau, 2))
+    ]
+    out = np.empty((count, steps, 3 + n)), np.empty((count, steps, 3 + n))
 
-    def part(i: int) -> None:
-        cut = ... if threads == 1 or not batch else slice(i, None, threads)
-        _rollout(p[cut], q[cut], qd[cut], tau[cut], rotor, step, out[0][cut], out[1][cut])
+    def roll(begin: int) -> None:
+        one = [x[begin : begin + LANES] for x in given]
+        compiled = _rollouts
+        if len(one[0]) < FEW:
+            one, compiled = [x[:, None] for x in one], _rollout
+        elif len(one[0]) < LANES:
+            one = [np.concatenate([x, np.repeat(x[-1:], LANES - len(x), axis=0)]) for x in one]
+        found = compiled(*one, rotor, around, step)
+        for whole, part in zip(out, found, strict=True):
+            ours = whole[begin : begin + LANES]
+            ours[...] = part.reshape(-1, steps, 3 + n)[: len(ours)]
 
-    if threads == 1 or not batch:
-        part(0)
+    begins = range(0, count, LANES)
+    if threads == 1:
+        list(map(roll, begins))
     else:
         with ThreadPoolExecutor(threads) as pool:  # a compiled kernel runs without Python's lock
-            list(pool.map(part, range(threads)))
-    return out
+            list(pool.map(roll, begins))
+    q, qd = (x.reshape(*batch, steps, 3 + n) for x in out)
+    return q, qd

@@ -148,7 +148,53 @@ def test_a_batch_is_its_rollouts_whatever_the_threads():
     assert batch[0].shape == batch[1].shape == (7, 50, 6)
     for threads in (2, 8):
         assert_allclose(rollout(p, q, qd, tau, threads=threads), batch, rtol=0, atol=0)
-    assert_allclose(rollout(p, q[4], qd[4], tau), [x[4] for x in batch], rtol=0, atol=0)
+    alone = rollout(p, q[4], qd[4], tau)
+    assert_allclose(alone, [x[4] for x in batch], rtol=0, atol=1e-15)  # compiled apart
+
+
+@pytest.mark.parametrize("count", [1, 3, 4, 5, 15, 16, 17, 37])
+def test_arms_of_a_batch_may_differ_and_lanes_may_be_left_over(count):
+    rng = np.random.default_rng(count)
+    p = np.array([random_arm(5, rng).vector() for _ in range(count)])
+    q, qd, _ = random_states(5, count, rng)
+    tau = rng.standard_normal((count, 40, 8))
+    batch = rollout(p, q, qd, tau, threads=2)
+    each = [rollout(*one) for one in zip(p, q, qd, tau, strict=True)]
+    assert_allclose(batch, np.swapaxes(each, 0, 1), rtol=0, atol=1e-13)
+
+
+def test_a_lane_that_turns_far_leaves_the_others_as_they_are():
+    rng = np.random.default_rng(5)
+    arm, q, qd, tau = driven(4, rng, steps=200)
+    fast = qd + np.array([0.0, 0.0, 400.0, 0.0, 0.0, 0.0, 0.0])  # 0.4 rad a step
+    rates = np.array([*8 * [qd], fast, *7 * [qd]])
+    together = rollout(arm.vector(), q, rates, tau)
+    assert_allclose([x[0] for x in together], rollout(arm.vector(), q, qd, tau), rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("n", [1, 4, 12])
+def test_what_acts_from_around_acts_as_in_pinocchio(n):
+    """A slope as gravity, an air film that takes from each mass element, a hose on the base."""
+    arm, q, qd, tau = driven(n, np.random.default_rng(n), steps=500)
+    slope, film, drag, twist = np.array([0.03, -0.02]), 0.4, 0.8, 0.05
+    model = pinocchio_model(arm)
+    model.gravity.linear = np.array([*slope, 0.0])
+    data = model.createData()
+
+    def rate(q, v, tau):
+        pin.crba(model, data, q)
+        H = np.triu(data.M) + np.triu(data.M, 1).T
+        forces = tau - film * H @ v
+        forces[:2] -= drag * v[:2]
+        forces[2] -= twist * v[2]
+        return pin.aba(model, data, q, v, forces)
+
+    theirs = runge_kutta(rate, q, qd, tau)
+    around = (*slope, film, drag, twist)
+    ours = rollout(arm.vector(), q, qd, tau, around=around)
+    assert_allclose([x[-1] for x in ours], theirs, rtol=0, atol=1e-11)
+    many = rollout(arm.vector(), np.tile(q, (16, 1)), qd, tau, around=around)
+    assert_allclose([x[7] for x in many], ours, rtol=0, atol=1e-13)
 
 
 def test_large_turns_within_a_step_are_as_exact():
@@ -168,6 +214,7 @@ def test_large_turns_within_a_step_are_as_exact():
         ({"tau": np.zeros(7)}, "qd and tau have the shapes"),
         ({"step": 0.0}, "step is 0.0"),
         ({"threads": 0}, "threads 0"),
+        ({"around": (0.0, 0.0)}, "around has the shape"),
     ],
 )
 def test_what_does_not_fit_is_refused(change, words):
