@@ -36,6 +36,7 @@ from fss_arm_driver.transport import Transport, open_transport
 from fss_arm_msgs.msg import CommandStatus, LinkCommand, LinkPath, LinkTelemetry
 from fss_arm_ros.convert import SECOND, stamp_ns
 from fss_arm_ros.diagnostics import Diagnostics, Health
+from fss_arm_ros.door import subscribe
 from fss_arm_ros.ear import Ear
 from fss_arm_ros.pace import pace
 from fss_arm_ros.parameters import declare
@@ -104,7 +105,7 @@ class LinkNode(Node):
         self.telemetry = self.create_publisher(LinkTelemetry, f"{self.name}/telemetry", SENSOR)
         self.battery = self.create_publisher(BatteryState, f"{self.name}/battery", SENSOR)
         self.status = self.create_publisher(CommandStatus, f"{self.name}/command_status", SENSOR)
-        self.create_subscription(LinkPath, f"{self.name}/path", self.on_path, 10)
+        subscribe(self, LinkPath, f"{self.name}/path", self.on_path, 10)
         self.create_subscription(Empty, "arm/stop", self.on_stop, 10)
         group = ReentrantCallbackGroup()  # the answer waits for the link's; all else goes on
         self.create_service(SetBool, f"{self.name}/arm", self.on_arm, callback_group=group)

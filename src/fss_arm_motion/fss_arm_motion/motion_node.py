@@ -35,6 +35,7 @@ from fss_arm_msgs.msg import DynamicCalibration, KinematicCalibration, MotionRep
 from fss_arm_ros.calibrated import Calibrated
 from fss_arm_ros.convert import SECOND, joint_readings, planar_pose, stamp_ns, to_time
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
+from fss_arm_ros.door import subscribe
 from fss_arm_ros.pace import pace
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED, subscribe_sensor
@@ -76,7 +77,7 @@ class MotionNode(Node):
         subscribe_sensor(self, JointState, "arm/joint_states", self.on_joints)
         subscribe_sensor(self, Odometry, "base/state", self.on_base)
         for topic, kind in CALIBRATIONS.items():
-            self.create_subscription(kind, topic, partial(self.on_calibration, topic), LATCHED)
+            subscribe(self, kind, topic, partial(self.on_calibration, topic), LATCHED)
         group = ReentrantCallbackGroup()  # a motion takes its time; all else goes on
         self.controller = ActionClient(
             self, FollowJointTrajectory, CONTROLLER, callback_group=group

@@ -8,6 +8,8 @@ from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
 
+from fss_arm_ros.door import refusals
+
 OK = DiagnosticStatus.OK
 WARN = DiagnosticStatus.WARN
 ERROR = DiagnosticStatus.ERROR
@@ -39,6 +41,7 @@ class Diagnostics:
     def publish(self) -> None:
         """Publish now, out of turn."""
         level, message, values = self.health()
+        values = {**values, **refusals(self.node)}
         status = DiagnosticStatus(
             level=level,
             name=self.node.get_name(),

@@ -14,6 +14,8 @@ from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
+from fss_arm_ros.door import Door
+
 # rclpy keeps these classes in its extension and offers no public names for them.
 from rclpy._rclpy_pybind11 import RCLError, WaitSet  # isort: skip
 
@@ -52,6 +54,7 @@ class Ear(Thread):
     ) -> None:
         super().__init__()  # no daemon: one that waits in C++ must end before Python does
         self._context, self._kind, self._take = node.context, kind, take
+        self._door = Door(node, kind, topic)
         self._failed = node.create_guard_condition(self._raise)
         self._subscription = node.create_subscription(
             kind, topic, take, qos, callback_group=OutsideExecutors()
@@ -72,7 +75,8 @@ class Ear(Thread):
                     waiting.add_subscription(handle)
                     waiting.wait(AWAKE)
                     while (taken := handle.take_message(self._kind, False)) and self._goes_on():
-                        self._take(taken[0])
+                        if self._door.lets_in(taken[0]):
+                            self._take(taken[0])
         except RCLError:
             if self._context.ok():  # else it was shut down meanwhile
                 raise

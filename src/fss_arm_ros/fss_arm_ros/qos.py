@@ -8,6 +8,8 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
 
+from fss_arm_ros.door import subscribe
+
 #: Publishers of measurements: bursts must not be lost, and a stalled reader must not stall them.
 SENSOR = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
 
@@ -59,9 +61,10 @@ def subscribe_sensor(
             return
         node.get_logger().info(f"{topic} is published best effort: messages may get lost")
         node.destroy_subscription(reliable)
-        node.create_subscription(kind, topic, callback, sensor(keep_all=keep_all, best_effort=True))
+        subscribe(node, kind, topic, callback, sensor(keep_all=keep_all, best_effort=True))
 
-    reliable = node.create_subscription(
+    reliable = subscribe(
+        node,
         kind,
         topic,
         callback,

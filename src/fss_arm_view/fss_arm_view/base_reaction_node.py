@@ -26,6 +26,7 @@ from fss_arm_ros.convert import (
     to_time,
 )
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
+from fss_arm_ros.door import subscribe
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED, SENSOR, subscribe_sensor
 from fss_arm_ros.run import run
@@ -67,7 +68,7 @@ class BaseReactionNode(Node):
             (KinematicCalibration, KINEMATIC),
             (DynamicCalibration, DYNAMIC),
         ):
-            self.create_subscription(kind, topic, partial(self.on_calibration, topic), LATCHED)
+            subscribe(self, kind, topic, partial(self.on_calibration, topic), LATCHED)
         self.diagnostics = Diagnostics(self, self.health)
 
     def begin(self) -> None:

@@ -31,6 +31,7 @@ from fss_arm_msgs.msg import (
 from fss_arm_ros.calibrated import Calibrated
 from fss_arm_ros.convert import SECOND, PoseError, joint_readings, planar_pose, stamp_ns
 from fss_arm_ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
+from fss_arm_ros.door import subscribe
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED, sensor
 from fss_arm_ros.run import run
@@ -109,18 +110,18 @@ class ViewNode(Node):
             (BaseReaction, "base_reaction", self.on_reaction),
             (DiagnosticArray, "/diagnostics", self.on_diagnostics),
         ):
-            self.create_subscription(kind, topic, take, quick)
+            subscribe(self, kind, topic, take, quick)
         for i in range(1, self.known.arm.n + 1):
-            self.create_subscription(LinkTelemetry, f"link_{i}/telemetry", self.on_telemetry, quick)
+            subscribe(self, LinkTelemetry, f"link_{i}/telemetry", self.on_telemetry, quick)
         self.create_subscription(Empty, "arm/stop", self.on_stop, 10)
         for of, topic in (
             (KinematicCalibration, "calibration/kinematic"),
             (DynamicCalibration, "calibration/dynamic"),
         ):
-            self.create_subscription(of, topic, partial(self.on_calibration, topic), LATCHED)
+            subscribe(self, of, topic, partial(self.on_calibration, topic), LATCHED)
         for topic in s.outline_topics:
             take = partial(self.on_outlines, topic)
-            self.create_subscription(MarkerArray, topic, take, LATCHED)
+            subscribe(self, MarkerArray, topic, take, LATCHED)
 
     def _say_where(self) -> None:
         s, log = self.settings, self.get_logger()

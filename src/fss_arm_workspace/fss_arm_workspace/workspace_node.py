@@ -25,6 +25,7 @@ from fss_arm_msgs.msg import (
 from fss_arm_ros.calibrated import Calibrated
 from fss_arm_ros.convert import PoseError, joint_readings, planar_pose
 from fss_arm_ros.diagnostics import ERROR, OK, Diagnostics, Health
+from fss_arm_ros.door import subscribe
 from fss_arm_ros.pace import pace
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED, subscribe_sensor
@@ -76,7 +77,7 @@ class WorkspaceNode(Node):
             ("calibration/kinematic", KinematicCalibration),
             ("calibration/dynamic", DynamicCalibration),
         ):
-            self.create_subscription(kind, topic, partial(self.on_calibration, topic), LATCHED)
+            subscribe(self, kind, topic, partial(self.on_calibration, topic), LATCHED)
         subscribe_sensor(self, JointState, s.joints_topic, self.on_joints)
         subscribe_sensor(self, PoseStamped, s.base_topic, self.on_pose)
         self.create_timer(1.0 / s.rate, self.on_timer, clock=pace(self))

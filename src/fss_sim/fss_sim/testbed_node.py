@@ -23,6 +23,7 @@ from fss_arm_msgs.msg import GripperState, SimFaults, SimTruth, ThrusterCommand
 from fss_arm_msgs.srv import ResetTestbed, StepTime
 from fss_arm_ros.convert import SECOND, to_time
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
+from fss_arm_ros.door import subscribe
 from fss_arm_ros.parameters import declare, declare_live
 from fss_arm_ros.qos import COMMAND, LATCHED, SENSOR
 from fss_arm_ros.run import run
@@ -69,7 +70,7 @@ class TestbedNode(Node):
         self.set_faults: dict[tuple[str, str], float] = {}
         self.begin(settings.begin(arm.n))
         declare_live(self, kinds(arm.n), self.on_fault)
-        self.create_subscription(ThrusterCommand, "thrusters/command", self.on_thrust, COMMAND)
+        subscribe(self, ThrusterCommand, "thrusters/command", self.on_thrust, COMMAND)
         self.create_subscription(Bool, "gripper/command", self.on_grip, COMMAND)
         self.create_service(SetBool, "sim/pause", self.on_pause)
         self.create_service(StepTime, "sim/step", self.on_step)

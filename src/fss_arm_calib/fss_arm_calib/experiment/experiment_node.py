@@ -28,6 +28,7 @@ from fss_arm_msgs.action import MoveArm
 from fss_arm_msgs.msg import KinematicObservations, Maneuvers
 from fss_arm_ros.convert import SECOND, stamp_ns
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
+from fss_arm_ros.door import subscribe
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED
 from fss_arm_ros.run import run
@@ -120,10 +121,10 @@ class ExperimentNode(Node):
         self.seen: list[tuple[int, str]] = []  # maneuvers' ends [ns], and why rejected
         self.departed = 0  # end of the last pause, or when it began [ns]
         self.way_back: deque[Stop] = deque()  # to where a maneuver began that is to be repeated
-        self.create_subscription(
-            KinematicObservations, "calibration/observations", self.on_observations, LATCHED
+        subscribe(
+            self, KinematicObservations, "calibration/observations", self.on_observations, LATCHED
         )
-        self.create_subscription(Maneuvers, "calibration/maneuvers", self.on_maneuvers, LATCHED)
+        subscribe(self, Maneuvers, "calibration/maneuvers", self.on_maneuvers, LATCHED)
         self.phase: Callable[[int], None] = self.go
         self.since = 0  # start of the phase, or of the last sign of life in it [ns]
         self.goal, self.outcome = Future(), Future()

@@ -17,6 +17,7 @@ from fss_arm_motion.guard import GuardError
 from fss_arm_msgs.action import MoveArm
 from fss_arm_msgs.msg import LinkCommand
 from fss_arm_ros.convert import SECOND
+from fss_arm_ros.door import subscribe
 
 ASKING = "arm/move/_action/get_result"  # the service that whoever asked for a move is a client of
 
@@ -28,7 +29,7 @@ class MoveAction:
         self.links, self.guard, node = links, guard, links.node
         self.moving = b""  # the goal's id
         self.asker = Asker(0.0, 0.0)
-        node.create_subscription(UUID, "arm/move/alive", self.on_alive, 10)
+        subscribe(node, UUID, "arm/move/alive", self.on_alive, 10)
         self.server = ActionServer(
             node,
             MoveArm,

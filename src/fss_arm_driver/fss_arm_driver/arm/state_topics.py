@@ -1,5 +1,6 @@
 """What the arm's node says of the arm: all joints in one message, transforms, the description."""
 
+from functools import partial
 from math import cos, sin
 from typing import Any
 
@@ -14,6 +15,7 @@ from fss_arm_model.urdf import Frame, frames, urdf
 from fss_arm_msgs.msg import DynamicCalibration, KinematicCalibration
 from fss_arm_ros.calibrated import Calibrated
 from fss_arm_ros.convert import to_time
+from fss_arm_ros.door import subscribe
 from fss_arm_ros.qos import LATCHED, SENSOR
 
 CALIBRATIONS = (
@@ -36,10 +38,7 @@ class StateTopics:
             self.tf = node.create_publisher(TFMessage, "/tf", 100)
             self.tf_static = node.create_publisher(TFMessage, "/tf_static", LATCHED)
         for topic, kind in CALIBRATIONS:
-            node.create_subscription(
-                kind, topic, lambda message, topic=topic: self.on_calibration(topic, message),
-                LATCHED,
-            )  # fmt: skip
+            subscribe(node, kind, topic, partial(self.on_calibration, topic), LATCHED)
         node.create_timer(1.0 / s.state_rate, self.publish, clock=links.clock)
         self.describe()
 

@@ -28,6 +28,7 @@ from fss_arm_driver.arm.trajectory import (
 from fss_arm_driver.arm.turn import Motion
 from fss_arm_motion.guard import GuardError
 from fss_arm_ros.convert import SECOND, to_time
+from fss_arm_ros.door import subscribe
 
 CONTROLLER = "arm_controller"
 CANCELLED = "cancelled"
@@ -53,7 +54,7 @@ class TrajectoryAction:
             callback_group=ReentrantCallbackGroup(),  # they take their time; all else goes on
         )
         topic = f"{CONTROLLER}/joint_trajectory"
-        node.create_subscription(JointTrajectory, topic, self.on_message, 1)
+        subscribe(node, JointTrajectory, topic, self.on_message, 1)
 
     @property
     def earliest(self) -> int:

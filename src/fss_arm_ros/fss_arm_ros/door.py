@@ -1,0 +1,246 @@
+"""What comes from outside is looked at before a node's callbacks see it.
+
+Anybody on the network may publish anything. A rule for each type of message, declared in RULES,
+says what its consumers rely on: how large it is, which numbers may be missing, which arrays go
+together. What is not declared holds for all: numbers are finite and of a size that arithmetic
+survives, times are from 1970 on. What does not conform is refused, counted (diagnostics
+tell) and logged once in a row; the node goes on with the next.
+"""
+
+from collections.abc import Callable, Iterator
+from functools import cache
+from importlib import import_module
+from math import isfinite, isnan
+from typing import Any, NamedTuple
+from weakref import WeakKeyDictionary
+
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from rclpy.serialization import deserialize_message
+
+from fss_arm_ros.convert import PoseError, planar_pose
+
+MAGNITUDE = 1e12  # of any number: its square and cube are far from the largest
+ALL = frozenset({"*"})
+
+Check = Callable[[Any], str]
+
+
+class Rule(NamedTuple):
+    """What is particular to a type of message."""
+
+    unknown: frozenset[str] = frozenset()  # what may be NaN or infinite, by field
+    alike: tuple[tuple[str, ...], ...] = ()  # arrays as long as the first of each, or empty
+    square: tuple[tuple[str, str], ...] = ()  # matrices row by row, of the second's length
+    size: int = 65_536  # most bytes as sent
+    also: tuple[Check, ...] = ()
+
+
+def _is_pose(message: Any) -> str:
+    """An estimate is a pose; motion capture may see none."""
+    try:
+        planar_pose(message.pose.pose)
+    except PoseError as error:
+        return str(error)
+    return ""
+
+
+RESULT = Rule(ALL, size=1_000_000)
+ESTIMATES = ("names", "units", "values", "initial", "deviations")
+
+RULES = {
+    "fss_arm_msgs/BaseReaction": Rule(ALL),
+    "fss_arm_msgs/BaseTelemetry": Rule(frozenset({"clock_deviation", "round_trip"})),
+    "fss_arm_msgs/Calibration": Rule(ALL, (ESTIMATES,), (("covariance", "names"),)),
+    "fss_arm_msgs/DriftCalibration": RESULT,
+    "fss_arm_msgs/DynamicCalibration": RESULT,
+    "fss_arm_msgs/GripperState": Rule(ALL),
+    "fss_arm_msgs/KinematicCalibration": RESULT,
+    "fss_arm_msgs/KinematicObservations": RESULT,
+    "fss_arm_msgs/LinkCommand": Rule(ALL),  # the driver answers what it refuses
+    "fss_arm_msgs/LinkPath": Rule(ALL),
+    "fss_arm_msgs/LinkTelemetry": Rule(frozenset({"clock_deviation", "round_trip"})),
+    "fss_arm_msgs/Maneuvers": RESULT,
+    "fss_arm_msgs/MissionState": Rule(ALL),
+    "fss_arm_msgs/ThrusterCommand": Rule(ALL),
+    "geometry_msgs/PoseStamped": Rule(ALL),  # motion capture does not always see its subjects
+    "nav_msgs/Odometry": Rule(also=(_is_pose,)),
+    "sensor_msgs/BatteryState": Rule(ALL),
+    "sensor_msgs/JointState": Rule(
+        frozenset({"position", "velocity", "effort"}),
+        (("name", "position"), ("name", "velocity"), ("name", "effort")),
+    ),
+    "trajectory_msgs/JointTrajectory": Rule(size=1_000_000),
+    "visualization_msgs/MarkerArray": RESULT,
+}
+
+
+@cache
+def check(kind: type, may_lack: bool = False) -> Check:
+    """The rule of a type of message as a function: why a message is refused; empty: it is not.
+
+    Args:
+        kind: of message.
+        may_lack: whether any number may be NaN or infinite.
+    """
+    if kind.__name__ == "Time" and kind.__module__.startswith("builtin_interfaces"):
+        return _time
+    name = f"{kind.__module__.partition('.')[0]}/{kind.__name__}"
+    rule = RULES.get(name, Rule())
+    rule = rule._replace(unknown=ALL) if may_lack else rule
+    checks = [*_lengths(rule), *_numbers(kind, rule), *_members(kind, rule), *rule.also]
+
+    def why(message: Any) -> str:
+        for one in checks:
+            if reason := one(message):
+                return reason
+        return ""
+
+    return why
+
+
+def _time(time: Any) -> str:
+    if time.sec >= 0 and time.nanosec < 1_000_000_000:
+        return ""
+    return f"a time is {time.sec} s and {time.nanosec} ns, expected one from 1970 on"
+
+
+def _lengths(rule: Rule) -> Iterator[Check]:
+    for first, *others in rule.alike:
+        yield from (_length(name, first, 1) for name in others)
+    yield from (_length(matrix, of, 2) for matrix, of in rule.square)
+
+
+def _length(name: str, of: str, power: int) -> Check:
+    def why(message: Any) -> str:
+        count, expected = len(getattr(message, name)), len(getattr(message, of)) ** power
+        if count in (0, expected):
+            return ""
+        return f"{name} has {count} elements, expected {expected}, or none"
+
+    return why
+
+
+def _numbers(kind: Any, rule: Rule) -> Iterator[Check]:
+    for name, of in kind.get_fields_and_field_types().items():
+        if of.partition("[")[0].removeprefix("sequence<").rstrip(">") not in _FLOATS:
+            continue
+        make = _number if of in _FLOATS else _array
+        yield make(name, _may_lack(rule, name))
+
+
+def _may_lack(rule: Rule, name: str) -> bool:
+    return "*" in rule.unknown or name in rule.unknown
+
+
+_FLOATS = ("double", "float")
+
+
+def _number(name: str, may_lack: bool) -> Check:
+    def why(message: Any) -> str:
+        value = getattr(message, name)
+        return "" if -MAGNITUDE <= value <= MAGNITUDE else _refused(name, value, may_lack)
+
+    return why
+
+
+def _array(name: str, may_lack: bool) -> Check:
+    def why(message: Any) -> str:
+        for value in getattr(message, name).tolist():  # of rclpy's arrays and numpy's alike
+            if not -MAGNITUDE <= value <= MAGNITUDE and (why := _refused(name, value, may_lack)):
+                return why
+        return ""
+
+    return why
+
+
+def _refused(name: str, value: float, may_lack: bool) -> str:
+    if may_lack and not isfinite(value):
+        return ""
+    kind = "a number" if isnan(value) else f"at most {MAGNITUDE:g} in size"
+    return f"{name} is {value:g}, expected {kind}"
+
+
+def _members(kind: Any, rule: Rule) -> Iterator[Check]:
+    """The checks of messages in the message."""
+    for name, slot in zip(kind.get_fields_and_field_types(), kind.SLOT_TYPES, strict=True):
+        inner = getattr(slot, "value_type", slot)  # of an array's elements
+        if hasattr(inner, "namespaces"):
+            module = import_module(".".join(inner.namespaces))
+            one = check(getattr(module, inner.name), _may_lack(rule, name))
+            yield _member(name, one, inner is not slot)
+
+
+def _member(name: str, one: Check, many: bool) -> Check:
+    def of_one(message: Any) -> str:
+        return one(getattr(message, name))
+
+    def of_many(message: Any) -> str:
+        return next(filter(None, map(one, getattr(message, name))), "")
+
+    return of_many if many else of_one
+
+
+class Door:
+    """Counts what is refused on one topic of a node.
+
+    Args:
+        node: who listens.
+        kind: of message.
+        topic: its name.
+    """
+
+    def __init__(self, node: Node, kind: type, topic: str) -> None:
+        self._node, self._kind, self.topic = node, kind, topic
+        self._check, self.refused, self.reason = check(kind), 0, ""
+        name = f"{kind.__module__.partition('.')[0]}/{kind.__name__}"
+        self.most = RULES.get(name, Rule()).size
+        _DOORS.setdefault(node, []).append(self)
+
+    def lets_in(self, message: Any) -> bool:
+        """Whether the rule allows a message."""
+        why = self._check(message)
+        if why:
+            self.refuse(why)
+        else:
+            self.reason = ""
+        return not why
+
+    def opened(self, data: bytes) -> Any:
+        """The message that these bytes are, or None: they are too many, or the rule forbids it."""
+        if len(data) > self.most:
+            self.refuse(f"it has {len(data)} bytes, expected at most {self.most}")
+            return None
+        message = deserialize_message(data, self._kind)
+        return message if self.lets_in(message) else None
+
+    def refuse(self, why: str) -> None:
+        """Count, and log the first of a row."""
+        if not self.reason:
+            self._node.get_logger().warning(f"a message on {self.topic} is refused: {why}")
+        self.refused, self.reason = self.refused + 1, why
+
+
+_DOORS: "WeakKeyDictionary[Node, list[Door]]" = WeakKeyDictionary()
+
+
+def refusals(node: Node) -> dict[str, int]:
+    """How many messages a node has refused, by topic."""
+    return {
+        f"refused on {door.topic}": door.refused for door in _DOORS.get(node, ()) if door.refused
+    }
+
+
+def subscribe(
+    node: Node, kind: type, topic: str, callback: Callable[[Any], None],
+    qos: QoSProfile | int, **options: Any,
+) -> Any:  # fmt: skip
+    """A subscription whose callback gets what the rule of its type allows."""
+    door = Door(node, kind, topic)
+
+    def take(data: bytes) -> None:
+        message = door.opened(data)
+        if message is not None:
+            callback(message)
+
+    return node.create_subscription(kind, topic, take, qos, raw=True, **options)

@@ -1,0 +1,192 @@
+"""Every field of every message that a node hears, at its extremes: no node ends by it."""
+
+from copy import deepcopy
+from importlib import import_module
+from time import monotonic
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from running import OWN
+
+from fss_arm_model.description import paper_arm, to_yaml
+from fss_arm_ros.qos import LATCHED
+from fss_sim.rehearsal.processes import Nodes
+
+NODES = {
+    "link_1": ("fss_arm_driver", "link", {"url": "udp://127.0.0.1:9"}),
+    "arm": ("fss_arm_driver", "arm", {}),
+    "motion": ("fss_arm_motion", "motion", {}),
+    "base_reaction": ("fss_arm_view", "base_reaction", {}),
+    "workspace": ("fss_arm_workspace", "workspace", {}),
+    "kinematic": ("fss_arm_calib", "kinematic", {}),
+    "dynamic": ("fss_arm_calib", "dynamic", {}),
+    "drift": ("fss_arm_calib", "drift", {}),
+    "testbed": ("fss_sim", "testbed", {"ports": [0, 0, 0, 0]}),
+}
+THEIRS = ("/parameter_events", "/clock", "/rosout")  # not the node's own to read
+NUMBERS = (float("nan"), float("inf"), -float("inf"), 1e308, -1e308, 0.0, 5e-324)
+WORDS = ("", "joint_", "joint_" + 5000 * "9", "joint_0", "link_\u0664", 100_000 * "x")
+MANY = 300_000
+RESULTS = ("calibration/", "workspace/")
+
+
+@pytest.fixture(scope="module")
+def nodes(tmp_path_factory):
+    with Nodes(tmp_path_factory.mktemp("nodes"), print, OWN) as nodes:
+        for name, (package, executable, given) in NODES.items():
+            nodes.start(name, package, executable, **given)
+        yield nodes
+
+
+def plausible(kind):
+    """A message as its publisher would send it, as far as types tell."""
+    message = kind()
+    name = kind.__name__
+    if name == "JointState":
+        message.name = [f"joint_{i}" for i in (1, 2, 3, 4)]
+        message.position, message.velocity, message.effort = [0.1] * 4, [0.0] * 4, [0.0] * 4
+    elif name == "PoseStamped":
+        message.pose.orientation.w = 1.0
+    elif name.endswith("Calibration"):
+        found = message.calibration
+        found.kind, found.verdict = name.removesuffix("Calibration").lower(), "pass"
+        found.description = to_yaml(paper_arm())
+        found.names = ["a_1", "a_2"]
+        found.units, found.values, found.initial = ["m", "m"], [0.3, 0.3], [0.3, 0.3]
+        found.deviations, found.covariance = [1e-3, 1e-3], [1e-6, 0.0, 0.0, 1e-6]
+    return message
+
+
+def extremes(message, path=()):
+    """(path, value) for each field of a message, those of messages in it too."""
+    for field, kind in message.get_fields_and_field_types().items():
+        value, here = getattr(message, field), (*path, field)
+        if hasattr(value, "get_fields_and_field_types"):
+            yield from extremes(value, here)
+        elif kind.startswith("sequence<"):
+            yield from ((here, one) for one in sequences(value, kind[9:-1]))
+        elif "[" in kind:
+            yield from ((here, [number] * len(value)) for number in numbers(kind.split("[")[0]))
+        elif kind == "string":
+            yield from ((here, word) for word in WORDS)
+        else:
+            yield from ((here, number) for number in numbers(kind))
+
+
+def numbers(kind):
+    """The extremes of a type of number."""
+    if kind in ("double", "float"):
+        return [x for x in NUMBERS if kind == "double" or not abs(x) > 3e38 or np.isinf(x)]
+    if kind == "boolean":
+        return [False, True]
+    if not kind.startswith(("int", "uint")):
+        return []
+    limits = np.iinfo(kind)
+    return [int(limits.min), int(limits.max), 0]
+
+
+def sequences(value, kind):
+    """Of a sequence: nothing, one too many, one too few, and extremes in one place."""
+    value = list(value)
+    yield []
+    if "/" in kind:
+        package, name = kind.split("/")
+        one = getattr(import_module(f"{package}.msg"), name)()
+        yield [*value, one]
+        for path, extreme in extremes(one):
+            yield [changed(one, path, extreme)]
+        return
+    if kind == "string":
+        yield from ([*value[:-1], word] for word in WORDS)
+        yield [*value, "one too many"]
+        yield ["many"] * 100_000
+        return
+    one = 1 if "int" in kind else 1.0
+    yield [*value, one]
+    yield value[:-1]
+    yield from ([*value[:-1], number] for number in numbers(kind))
+    yield [one] * MANY
+
+
+def changed(message, path, value):
+    """A copy with another value at a path."""
+    copy = deepcopy(message)
+    *parts, last = path
+    inner = copy
+    for part in parts:
+        inner = getattr(inner, part)
+    setattr(inner, last, value)
+    return copy
+
+
+class Stranger(Node):
+    """Publishes anything, and hears who still lives."""
+
+    def __init__(self, spin):
+        super().__init__("stranger")
+        self.spin, self.alive = spin, {}
+        self.create_subscription(DiagnosticArray, "/diagnostics", self.hear, 100)
+
+    def hear(self, message):
+        for status in message.status:
+            self.alive[status.name] = monotonic(), {v.key: v.value for v in status.values}
+
+    def topics(self, name):
+        """What a node listens to."""
+        found = self.get_subscriber_names_and_types_by_node(name, "/")
+        heard = [(topic, kinds[0]) for topic, kinds in found if topic not in THEIRS]
+        return [one for one in heard if "/_action/" not in one[0]]  # an action client's
+
+    def see(self, nodes, names, since, what):
+        """Wait until all of these have said how they are, after a time, or one has ended."""
+
+        def seen():
+            for name in names:
+                code = nodes.processes[name].poll()
+                assert code is None, f"{what} ended {name}: {nodes.last_words(name)}"
+            return all(self.alive.get(name, (0.0,))[0] > since for name in names)
+
+        self.spin(self, seen, timeout=90.0)
+
+
+def resident(pid):
+    """Memory of a process [MB]."""
+    with open(f"/proc/{pid}/statm") as file:
+        return int(file.read().split()[1]) * 4096 / 1e6
+
+
+def test_no_message_ends_a_node(spin, nodes):
+    stranger = Stranger(spin)
+    stranger.see(nodes, NODES, 0.0, "nothing")
+    processes = {name: nodes.processes[name] for name in NODES}
+    before = {name: resident(process.pid) for name, process in processes.items()}
+    topics = sorted({one for name in NODES for one in stranger.topics(name)})
+    sent = 0
+    for topic, kind in topics:
+        package, _, name = kind.split("/")
+        of = getattr(import_module(f"{package}.msg"), name)
+        latched = topic.lstrip("/").startswith(RESULTS)
+        publisher = stranger.create_publisher(
+            of, topic, LATCHED if latched else QoSProfile(depth=5)
+        )
+        spin(stranger, publisher.get_subscription_count, timeout=20.0)
+        good, begun = plausible(of), monotonic()
+        for path, value in extremes(good):
+            message = changed(good, path, value)
+            if "stamp" not in path and hasattr(message, "header"):
+                message.header.stamp = stranger.get_clock().now().to_msg()
+            publisher.publish(message)
+            sent += 1
+            spin(stranger, lambda: True)
+        stranger.see(nodes, NODES, begun, topic)
+        stranger.destroy_publisher(publisher)
+    print(f"{sent} messages on {len(topics)} topics")
+    for name, process in processes.items():
+        assert process.poll() is None, name
+        refused = {k: v for k, v in stranger.alive[name][1].items() if k.startswith("refused on")}
+        print(name, f"{before[name]:.0f} -> {resident(process.pid):.0f} MB", refused)
+        assert resident(process.pid) < before[name] + 60.0, name
+    assert sent > 1000
