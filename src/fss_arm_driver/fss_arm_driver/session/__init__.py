@@ -18,6 +18,7 @@ The rules and their reasons are in docs/reference/protocol.md.
 
 from fss_arm_driver.scale import CommandError
 from fss_arm_driver.session.arming import RELEASE_TIMEOUT, Arming
+from fss_arm_driver.session.clock import SECOND
 from fss_arm_driver.session.link import COUNTS, LinkSession, Sample
 from fss_arm_driver.session.progress import Progress, Status
 from fss_arm_driver.session.session import TROUBLES, Partner, Session
@@ -25,6 +26,7 @@ from fss_arm_driver.session.session import TROUBLES, Partner, Session
 __all__ = [
     "COUNTS",
     "RELEASE_TIMEOUT",
+    "SECOND",
     "TROUBLES",
     "Arming",
     "CommandError",

@@ -159,7 +159,7 @@ class LinkSession(Session[Telemetry]):
         """
         self.tick(now)
         try:
-            self._require_armed()
+            self.require_armed()
             if expiry <= now:
                 raise CommandError(f"the command expired {1e-9 * (now - expiry):.3f} s ago")
             if faults := self.faults:
@@ -203,7 +203,7 @@ class LinkSession(Session[Telemetry]):
         """
         self.tick(now)
         try:
-            self._require_armed()
+            self.require_armed()
             self._require_reference()
             self._paths.give(self._path(number, begin, knots(self.scale, time, position, velocity)))
         except CommandError:

@@ -268,7 +268,8 @@ class Session(Generic[T]):
         self._end(why)
         self._arming.drop()
 
-    def _require_armed(self) -> None:
+    def require_armed(self) -> None:
+        """Raise CommandError if it is not armed."""
         if not self.armed:
             raise CommandError(f"{self.partner.name} is {self.arming.value}, not armed")
 
