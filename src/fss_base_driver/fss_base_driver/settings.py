@@ -14,10 +14,12 @@ from fss_arm_model.settings import (
     SettingError,
     Settings,
     between,
+    like,
     one_of,
     setting,
 )
 from fss_arm_model.thrusters import layout
+from fss_base_driver.dsp3000 import BAUD
 from fss_base_driver.protocol import BOARD, VALVES
 
 SYSTEMS = ("vicon", "vrpn", "optitrack", "qualisys", "mock")
@@ -212,3 +214,25 @@ class GyroSettings(Settings):
 def live_kinds() -> dict[str, type]:
     """The parameters of a BaseNode that may be set while it runs, by prefix."""
     return {**{f"valve_{i}": ValveSettings for i in range(1, VALVES + 1)}, "gyro": GyroSettings}
+
+
+@dataclass(frozen=True)
+class FogSettings(Settings):
+    """The parameters of a FogNode."""
+
+    device: str = setting("/dev/ttyUSB0", "serial port that the gyro is on")
+    baud: int = setting(BAUD, "rate of the serial port", unit="1/s", check=between(300, 4_000_000))
+    base_frame: str = like(BaseSettings, "base_frame")
+    gyro_noise: float = like(BaseSettings, "gyro_noise")
+    latency: float = setting(
+        0.009, "from the middle of a rate's averaging to the end of its line", unit="s",
+        check=NOT_NEGATIVE,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class FogCorrection(Settings):
+    """Of the gyro's rates, while the node runs."""
+
+    scale: float = setting(1.0, "factor of its rates; -1 turns the gyro over", check=FINITE)
+    bias: float = like(GyroSettings, "bias")

@@ -328,3 +328,11 @@ def test_wrong_parameters_are_named(ros, parameters, words):
     overrides = [Parameter(name, value=value) for name, value in parameters.items()]
     with pytest.raises(ValueError, match=words):
         BaseNode(transport, parameter_overrides=overrides)
+
+
+def test_a_node_that_ends_closes_the_valves(armed):
+    armed.user.open(1.0)
+    armed.until(lambda: armed.board.valves(armed.transport.clock()))
+    armed.node.close()
+    assert not armed.board.valves(armed.transport.clock())
+    assert armed.board.state.flags() == 0
