@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from fss_arm_model.kernels import Floats, kernel
 
-from .settings import SensorErrors
+from .settings import Bounds, SensorErrors
 
 Pose = tuple[float, float, float]  # x [m], y [m], heading [rad]
 
@@ -202,6 +202,7 @@ class BodyFilter:
         inputs: what is known to accelerate it; nothing by default.
         elsewhere: the name of another body that is at a pose at a time [ns] and nearer than so
             much [m]; empty: none is.
+        bounds: beyond which its state is not known.
     """
 
     def __init__(
@@ -209,9 +210,10 @@ class BodyFilter:
         errors: SensorErrors | None = None,
         inputs: Inputs | None = None,
         elsewhere: Callable[[int, Pose, float], str] | None = None,
+        bounds: Bounds | None = None,
     ) -> None:
         self.errors = e = errors or SensorErrors()
-        self.inputs = inputs or Free(e)
+        self.inputs, self.bounds = inputs or Free(e), bounds or Bounds()
         self.elsewhere = elsewhere or (lambda t, pose, within: "")
         self.rejected: Counter[str] = Counter()
         self.begun = 0  # times
@@ -285,18 +287,18 @@ class BodyFilter:
 
     def lost(self, t: int) -> str:
         """Why the body's state is not known at t [ns]; empty: it is."""
-        e = self.errors
+        most = self.bounds
         if not self.events:
             return "not seen yet"
-        if (silence := (t - self.seen) / SECOND) > e.max_outage:
+        if (silence := (t - self.seen) / SECOND) > most.max_outage:
             return f"not seen for {silence:.1f} s"
         P = self.events[-1].P
-        for what, variance, most, unit in (
-            ("position", max(P[0, 0], P[1, 1]), e.max_position_deviation, "m"),
-            ("heading", P[2, 2], e.max_heading_deviation, "rad"),
-            ("speed", max(P[3, 3], P[4, 4]), e.max_speed_deviation, "m/s"),
+        for what, variance, bound, unit in (
+            ("position", max(P[0, 0], P[1, 1]), most.max_position_deviation, "m"),
+            ("heading", P[2, 2], most.max_heading_deviation, "rad"),
+            ("speed", max(P[3, 3], P[4, 4]), most.max_speed_deviation, "m/s"),
         ):
-            if variance > most**2:
+            if variance > bound**2:
                 return f"{what} known to {variance**0.5:.2g} {unit} only"
         return ""
 

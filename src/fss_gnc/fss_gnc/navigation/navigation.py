@@ -59,10 +59,10 @@ class Navigation:
         self.settings, self.body = settings or EstimatorSettings(), body or Target()
         self.p = arm.vector()
         self.inputs = KnownInputs(self.p, self.settings)
-        self.base = BodyFilter(self.settings, self.inputs, partial(self._other, "target"))
-        errors = of_target or TargetErrors()
+        errors, s = of_target or TargetErrors(), self.settings
         self._carried = _Carried(errors)
-        self.target = BodyFilter(errors, self._carried, partial(self._other, "base"))
+        self.base = BodyFilter(s, self.inputs, partial(self._other, "target"), s)
+        self.target = BodyFilter(errors, self._carried, partial(self._other, "base"), s)
         self.place: Floats | None = None  # of the target in the gripper; None: it is not held
 
     @property

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from fss_arm_model.held import Target
 from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, Settings, between, like, setting
 
 
@@ -45,6 +46,12 @@ class SensorErrors(Settings):
         0.5, "highest speed at which rejected poses count as those of one body", unit="m/s",
         check=POSITIVE,
     )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Bounds(Settings):
+    """Beyond which where a body is counts as unknown."""
+
     max_outage: float = setting(
         2.0, "time without a pose after which where a body is counts as unknown", unit="s",
         check=POSITIVE,
@@ -74,7 +81,7 @@ class TargetErrors(SensorErrors):
 
 
 @dataclass(frozen=True)
-class EstimatorSettings(SensorErrors):
+class EstimatorSettings(SensorErrors, Bounds):
     """Errors of the base's sensors, and of what is known to accelerate it."""
 
     position_error: float = like(SensorErrors, "position_error", 0.0003)
@@ -106,3 +113,46 @@ class EstimatorSettings(SensorErrors):
         0.05, "random walk of the rate of a joint that is not heard", unit="rad/s/sqrt(s)",
         check=NOT_NEGATIVE,
     )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class NavigationSettings(EstimatorSettings):
+    """The parameters of a NavigationNode."""
+
+    latency: float = setting(
+        0.0, "age of motion capture's poses at their stamps, which is taken off", unit="s",
+        check=between(0.0, 0.5),
+    )  # fmt: skip
+    target_acceleration: float = setting(
+        5e-4, "random walk of the target's velocity", unit="m/s/sqrt(s)", check=POSITIVE
+    )
+    target_angular_acceleration: float = setting(
+        5e-4, "random walk of the target's turn rate", unit="rad/s/sqrt(s)", check=POSITIVE
+    )
+    target_mass: float = like(Target, "mass")
+    target_inertia: float = like(Target, "inertia")
+    rate: float = setting(
+        20.0, "rate of base/state and target/state while no poses come", unit="Hz",
+        check=between(1.0, 100.0),
+    )  # fmt: skip
+    arm: str = setting("", "arm to begin with: paper, cad, truth or a file; empty: paper")
+    base_topic: str = setting("vicon/fss/fss", "topic of the base's poses")
+    target_topic: str = setting("vicon/target/target", "topic of the target's poses")
+    gyro_topic: str = setting("fog/imu", "topic of the base's rate")
+    joints_topic: str = setting("joint_states", "topic of the joints' readings")
+    world_frame: str = setting("world", "frame id of what is published")
+    base_frame: str = setting("fss", "child frame id of base/state and /tf")
+    target_frame: str = setting("target", "child frame id of target/state")
+
+    def of_target(self) -> TargetErrors:
+        """Errors of the target's poses, which are as the base's, and what accelerates it."""
+        return TargetErrors(
+            position_error=self.position_error,
+            heading_error=self.heading_error,
+            acceleration=self.target_acceleration,
+            angular_acceleration=self.target_angular_acceleration,
+        )
+
+    def body(self) -> Target:
+        """The target."""
+        return Target(mass=self.target_mass, inertia=self.target_inertia)
