@@ -54,7 +54,7 @@ ALLOWED = {
     | {"fss_arm_model", "fss_arm_ros", "numpy", "scipy", "yaml", "rich", "matplotlib"},
     "fss_base_driver": ROS
     | {"fss_arm_model.settings", "fss_arm_ros", "numpy", "rich", "motioncapture"},
-    "fss_gnc": ROS | {"fss_arm_model", "fss_arm_ros", "numpy", "scipy"},
+    "fss_gnc": ROS | {"fss_arm_model", "fss_arm_motion", "fss_arm_ros", "numpy", "scipy"},
     "fss_arm_view": ROS
     | {"fss_arm_model", "fss_arm_ros", "fss_gnc.navigation", "fss_gnc.navigation.messages"}
     | {"numpy", "rerun", "rerun_cli"},
@@ -88,7 +88,10 @@ ROOMS = {
     "fss_arm_calib.segments": {"fss_arm_model", "fss_arm_calib.estimation"},
     **{wing: {"fss_arm_model", "fss_arm_msgs", "fss_arm_ros", *SHARED} for wing in WINGS},
     "fss_gnc.navigation": {"fss_arm_model", "fss_arm_ros.convert"},
-    "fss_gnc.control": {"fss_arm_model"},
+    "fss_gnc.control": {"fss_arm_model", "fss_gnc.reference"},
+    "fss_gnc.guidance": {
+        "fss_arm_model", "fss_arm_motion", "fss_gnc.reference", "fss_arm_msgs.action",
+    },
     REGIONS: {"fss_arm_model.description", "fss_arm_model.layout"},
     "fss_arm_workspace.manipulability": {"fss_arm_model", REGIONS},
     "fss_arm_workspace.straight_path": {

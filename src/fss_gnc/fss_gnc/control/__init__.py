@@ -3,4 +3,3 @@
 from .allocation import Allocation as Allocation
 from .pose import PoseControl as PoseControl
 from .pose import PoseGains as PoseGains
-from .pose import Reference as Reference
