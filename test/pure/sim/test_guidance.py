@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from fss_arm_model.description import paper_arm
+from fss_arm_model.held import Target
 from fss_arm_model.kinematics import tip_pose
 from fss_sim.guidance import PERIOD, Guidance, Track, pulses
 from fss_sim.plant.drives import VELOCITY
 from fss_sim.plant.plant import Demand, Plant, World
-from fss_sim.plant.target import Target
 from fss_sim.plant.thrusters import layout
 
 LATE = 18  # frames that the joints' angles are behind: telemetry at 5 Hz
