@@ -53,8 +53,9 @@ ALLOWED = {
     "fss_arm_motion": ROS
     | {"fss_arm_model", "fss_arm_ros", "numpy", "scipy", "yaml", "rich", "matplotlib"},
     "fss_base_driver": ROS
-    | {"fss_arm_model.settings", "fss_arm_ros", "numpy", "rich", "motioncapture"},
-    "fss_gnc": ROS | {"fss_arm_model", "fss_arm_ros", "numpy", "scipy"},
+    | {"fss_arm_model", "fss_arm_ros", "numpy", "scipy", "rich", "motioncapture"}
+    | {f"fss_arm_driver.{room}" for room in ("protocol", "session", "transport", "receiver")},
+    "fss_gnc": ROS | {"fss_arm_model", "fss_arm_motion", "fss_arm_ros", "numpy", "scipy"},
     "fss_arm_view": ROS
     | {"fss_arm_model", "fss_arm_ros", "fss_gnc.navigation", "fss_gnc.navigation.messages"}
     | {"numpy", "rerun", "rerun_cli"},
@@ -63,6 +64,7 @@ ALLOWED = {
 # What of the workspace a room of a package may import beside itself.
 REGIONS = "fss_arm_workspace.regions"
 PROTOCOL = "fss_arm_driver.protocol"
+BOARD = "fss_base_driver.protocol"
 WINGS = [f"fss_arm_calib.{kind}" for kind in ("kinematic", "dynamic", "drift")]
 SHARED = [
     f"fss_arm_calib.{room}"
@@ -79,6 +81,7 @@ ROOMS = {
     },
     "fss_arm_driver.copley": {PROTOCOL, "fss_arm_driver.faults"},
     "fss_arm_driver.transport": {PROTOCOL, "fss_arm_driver.copley"},
+    BOARD: {PROTOCOL},
     "fss_sim.plant": {"fss_arm_model"},
     "fss_sim.link": {
         "fss_arm_model", "fss_arm_driver.protocol", "fss_sim.plant", "fss_sim.faults",
@@ -88,7 +91,10 @@ ROOMS = {
     "fss_arm_calib.segments": {"fss_arm_model", "fss_arm_calib.estimation"},
     **{wing: {"fss_arm_model", "fss_arm_msgs", "fss_arm_ros", *SHARED} for wing in WINGS},
     "fss_gnc.navigation": {"fss_arm_model", "fss_arm_ros.convert"},
-    "fss_gnc.control": {"fss_arm_model"},
+    "fss_gnc.control": {"fss_arm_model", "fss_gnc.reference"},
+    "fss_gnc.guidance": {
+        "fss_arm_model", "fss_arm_motion", "fss_gnc.reference", "fss_arm_msgs.action",
+    },
     REGIONS: {"fss_arm_model.description", "fss_arm_model.layout"},
     "fss_arm_workspace.manipulability": {"fss_arm_model", REGIONS},
     "fss_arm_workspace.straight_path": {

@@ -7,8 +7,9 @@ from holding import Motion, hold
 from fss_arm_calib.experiment.postures import default
 from fss_arm_model.description import paper_arm
 from fss_arm_model.dynamics import forward_dynamics, inverse_dynamics
-from fss_gnc.control import PoseControl, Reference
+from fss_gnc.control import PoseControl
 from fss_gnc.navigation import KnownInputs
+from fss_gnc.reference import Reference
 from fss_sim.plant.drives import POSITION
 from fss_sim.plant.plant import Demand, Plant
 
