@@ -18,6 +18,7 @@ setup(
     entry_points={
         "console_scripts": [
             "guidance = fss_gnc.guidance_node:main",
+            "navigation = fss_gnc.navigation_node:main",
         ],
     },
 )
