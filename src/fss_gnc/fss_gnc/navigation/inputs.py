@@ -9,6 +9,7 @@ come, and the filter takes what followed the last one again. Until then they are
 plan is heard; and a joint may change beside it as it did of late, which is noise.
 """
 
+from bisect import bisect_right
 from collections import deque
 from collections.abc import Sequence
 from math import isfinite
@@ -26,6 +27,7 @@ from .settings import EstimatorSettings
 SECOND = 1_000_000_000
 KEPT = 2 * SECOND  # of pulses, for measurements that come late
 UNHEARD = SECOND // 2  # a joint that is silent for longer may do anything
+FOLLOWS = 0.2  # how long a joint may be off from its plan in the same way [s]
 FOREVER = 1 << 62  # [ns]
 RESTS = 1e-4  # change of a joint's rate that the base does not feel [rad/s]
 
@@ -73,7 +75,7 @@ class _Plan(NamedTuple):
     """What the joints are to do."""
 
     t: list[int]  # [ns]
-    qd: Floats  # (k, n) rates, straight between these times
+    qdd: Floats  # (k - 1, n) accelerations between these times
 
 
 class KnownInputs:
@@ -143,20 +145,26 @@ class KnownInputs:
     def plan(self, times: Sequence[int], rates: npt.ArrayLike) -> bool:
         """The joints are to have rates (k, n) [rad/s] at times [ns]; False: that is no plan."""
         t, qd = list(times), np.asarray(rates, dtype=float)
-        if qd.shape != (len(t), len(self.joints)) or not np.isfinite(qd).all() or t != sorted(t):
+        if (
+            qd.shape != (len(t), len(self.joints))
+            or not np.isfinite(qd).all()
+            or t != sorted(set(t))
+        ):
             return False
-        self._plan = _Plan(t, qd) if len(t) > 1 else None
+        steps = np.diff(t)[:, None] * 1e-9
+        self._plan = _Plan(t, np.diff(qd, axis=0) / steps) if len(t) > 1 else None
         return True
 
     def _planned(self, begin: int, end: int) -> Floats | None:
         """By how much the joints' rates are to change meanwhile; None: nothing is planned."""
         if self._plan is None or not self._plan.t[0] <= begin < end <= self._plan.t[-1]:
             return None
-        t, qd = self._plan
-        first, last = (
-            np.array([np.interp(at, t, column) for column in qd.T]) for at in (begin, end)
-        )
-        return last - first
+        t, change, k = self._plan.t, np.zeros(len(self.joints)), bisect_right(self._plan.t, begin)
+        while begin < end:
+            until = min(t[k], end)
+            change += (until - begin) * 1e-9 * self._plan.qdd[k - 1]
+            begin, k = until, k + 1
+        return change
 
     @property
     def heard(self) -> bool:
@@ -213,7 +221,9 @@ class KnownInputs:
             # Of joints that were not read since; a reading within counts up to its time.
             unread = [joint.t[-1] <= begin if joint.t else True for joint in self.joints]
             planned = planned * unread
-            off = self.settings.joint_change_error**2 * planned**2 / ((end - begin) * 1e-9)
+            off = (
+                self.settings.joint_change_error**2 * FOLLOWS * (planned * 1e9 / (end - begin)) ** 2
+            )
             noise = noise + self._by_joint * off @ self._by_joint.T
             changes = planned if changes is None else planned + changes
         if changes is not None:
@@ -223,8 +233,8 @@ class KnownInputs:
             thrust = self.mobility @ wrench
             a = a + thrust
             off = self.settings.thrust_error**2
-            line, turn = off * (thrust[0] ** 2 + thrust[1] ** 2), off * thrust[2] ** 2
-            noise = noise + np.diag([line, line, turn])
+            line, turn = thrust[0] ** 2 + thrust[1] ** 2, thrust[2] ** 2
+            noise = noise + off * np.diag([line, line, turn])
         return a, noise
 
     def _wrench(self, begin: int, end: int) -> list[float] | None:
