@@ -7,7 +7,7 @@ degrees of freedom k NEES is chi-square with k d (Bar-Shalom, Li, Kirubarajan, s
 import numpy as np
 import pytest
 from scipy.stats import chi2
-from tracking import RATE, track
+from tracking import track
 
 from fss_arm_model.description import load
 from fss_gnc.navigation import EstimatorSettings, Navigation
