@@ -35,7 +35,6 @@ from fss_gnc.guidance.account import Account
 from fss_gnc.guidance.activity import (
     Activity,
     ActivityError,
-    Body,
     Craft,
     Ended,
     Floats,
@@ -45,6 +44,7 @@ from fss_gnc.guidance.activity import (
 from fss_gnc.guidance.kinds import KINDS, Kind
 from fss_gnc.guidance.settings import GuidanceSettings
 from fss_gnc.latest import Latest
+from fss_gnc.reference import Body
 
 STEP = 0.25  # between points of base/trajectory [s]
 PICTURED = 32  # most poses of a path in mission/state
@@ -115,7 +115,7 @@ class GuidanceNode(Node):
     def on_body(self, topic: Latest[Body], message: Odometry) -> None:
         """Where base or target is; nothing if that is no number."""
         try:
-            topic.take(stamp_ns(message.header.stamp), Body(*messages.body(message)))
+            topic.take(stamp_ns(message.header.stamp), messages.body(message))
         except ValueError as error:
             self.get_logger().warning(f"{topic.name}: {error}", throttle_duration_sec=1.0)
 
@@ -146,7 +146,7 @@ class GuidanceNode(Node):
 
         def moved(topic: Latest[Body]) -> Body | None:
             found = topic.at(now)
-            return found and Body(found.pose + topic.age(now) * found.twist, found.twist)
+            return found and found.after(topic.age(now))
 
         joints, left = self.joints.at(now), self.propellant.at(now)
         q, qd, effort = (None,) * 3 if joints is None else joints

@@ -7,11 +7,23 @@ known at both: poses (linear), twists too (cubic), accelerations too (quintic).
 from dataclasses import dataclass
 from functools import cache
 from math import factorial, pi
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 Floats = npt.NDArray[np.float64]
+
+
+class Body(NamedTuple):
+    """Base or target as they are, in the world."""
+
+    pose: Floats  # (3,) x, y [m], heading [rad]
+    twist: Floats  # (3,) [m/s, m/s, rad/s]
+
+    def after(self, dt: float) -> "Body":
+        """The same motion a little later [s]."""
+        return Body(self.pose + dt * self.twist, self.twist)
 
 
 @dataclass(frozen=True)
