@@ -30,7 +30,7 @@ from fss_gnc.control.planned import PlannedRates
 from fss_gnc.control.pose import PoseControl
 from fss_gnc.control.settings import ControlSettings
 from fss_gnc.latest import Latest
-from fss_gnc.reference import Body, Floats, Path
+from fss_gnc.reference import Body, Floats, Path, Reference
 
 
 class ControlNode(Node):
@@ -42,6 +42,8 @@ class ControlNode(Node):
         self.arm = described(s.arm)
         self.held = Target(s.target_mass, s.target_inertia)
         self.control, self.planned = PoseControl(self.arm, s), PlannedRates()
+        zero = np.zeros(3 + self.arm.n)  # loads the kernels, which takes long
+        self.control.wrench(zero, zero, Reference.at_rest(zero[:3]), 1.0, zero[3:])
         self.base = Latest[Body]("base/state", s.max_age)
         self.target = Latest[Body]("target/state", s.max_age)
         self.joints = Latest[Floats]("arm/joint_states", s.max_age)

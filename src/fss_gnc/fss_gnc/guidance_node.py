@@ -71,6 +71,7 @@ class GuidanceNode(Node):
         super().__init__("guidance", **options)
         self.settings = s = declare(self, GuidanceSettings)
         self.craft = Craft(described(s.arm), s)
+        Account(self.craft).update(at_rest(self.craft.arm.n))  # loads the kernels: that takes long
         self.flight: Flight | None = None
         self.base = Latest[Body]("base/state", s.max_age)
         self.target = Latest[Body]("target/state", s.max_age)
@@ -289,6 +290,12 @@ class GuidanceNode(Node):
             return Health(OK, self.flight.kind.name)
         why = self.trouble()
         return Health(WARN if why else OK, why or "ready")
+
+
+def at_rest(n: int) -> Seen:
+    """Base, target and n joints, all at zero."""
+    body, zero = Body(np.zeros(3), np.zeros(3)), np.zeros(n)
+    return Seen(0.0, body, body, zero, zero)
 
 
 def main() -> int:
