@@ -5,6 +5,7 @@ a trajectory without points asks it to coast.
 """
 
 import sys
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -20,9 +21,10 @@ from fss_arm_model.held import Target, hold
 from fss_arm_msgs.msg import GripperState
 from fss_arm_ros.convert import SECOND, stamp_ns, to_time
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
+from fss_arm_ros.inbox import Inbox
 from fss_arm_ros.pace import pace
 from fss_arm_ros.parameters import declare
-from fss_arm_ros.qos import command, subscribe_sensor
+from fss_arm_ros.qos import command
 from fss_arm_ros.run import run
 from fss_gnc import messages
 from fss_gnc.control.mass import present
@@ -51,21 +53,17 @@ class ControlNode(Node):
         self.used, self.holds = 0.0, False
         self.place: Floats | None = None  # of what is held, in the last link's frame
         self.trouble, self.acting = "", False
+        self.inbox = Inbox(self)
         for topic in (self.base, self.target):
             self.listen(Odometry, topic, messages.body)
         self.listen(JointState, self.joints, lambda message: messages.joints(message, self.arm.n))
-        subscribe_sensor(self, MultiDOFJointTrajectory, "base/trajectory", self.on_trajectory)
-        subscribe_sensor(self, JointTrajectory, "arm/planned", self.on_planned)
-        subscribe_sensor(self, GripperState, "gripper/state", self.on_gripper)
-        subscribe_sensor(self, Float64, "base/propellant", self.on_propellant)
+        self.inbox.listen(MultiDOFJointTrajectory, "base/trajectory", self.on_trajectory)
+        self.inbox.listen(JointTrajectory, "arm/planned", self.on_planned)
+        self.inbox.listen(GripperState, "gripper/state", self.on_gripper)
+        self.inbox.listen(Float64, "base/propellant", self.on_propellant)
         self.wrench = self.create_publisher(WrenchStamped, "base/wrench", command(0.3))
         self.create_timer(1.0 / s.rate, self.tick, clock=pace(self))
         self.diagnostics = Diagnostics(self, self.health)
-
-    def close(self) -> None:
-        """Leave the valves closed."""
-        if self.acting:
-            self.publish(np.zeros(3))
 
     def now(self) -> int:
         """The node's clock [ns]."""
@@ -80,7 +78,7 @@ class ControlNode(Node):
             except ValueError as error:
                 self.warn(topic.name, error)
 
-        subscribe_sensor(self, kind, topic.name, take)
+        self.inbox.listen(kind, topic.name, take)
 
     def warn(self, topic: str, error: ValueError) -> None:
         """Say that a message is left out, now and then."""
@@ -104,7 +102,8 @@ class ControlNode(Node):
 
     def on_propellant(self, message: Float64) -> None:
         """What is left of it."""
-        self.used = self.settings.full_tank - message.data
+        if isfinite(message.data):
+            self.used = self.settings.full_tank - message.data
 
     def on_gripper(self, message: GripperState) -> None:
         """Whether the target is part of the arm."""
@@ -113,6 +112,7 @@ class ControlNode(Node):
 
     def tick(self) -> None:
         """Publish the wrench for the next period; none to act: once zero, then nothing."""
+        self.inbox.take()
         wrench = self.following()
         if wrench is not None:
             self.publish(wrench)

@@ -103,9 +103,7 @@ class GuidanceNode(Node):
         self.diagnostics = Diagnostics(self, self.health)
 
     def close(self) -> None:
-        """Leave valves closed; give back what a node does not destroy by itself."""
-        if self.flight:
-            self.end(self.flight, Ended(False, "the guidance was ended"))
+        """Give back what a node does not destroy by itself."""
         for server in self.servers:
             server.destroy()
 

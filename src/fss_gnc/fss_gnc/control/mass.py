@@ -14,10 +14,10 @@ def present(p: Floats, used: float, target: Target, place: Floats | None) -> Flo
 
     Args:
         p: (8 + 6 n,) as described.
-        used: propellant that the base has no more [kg]; NaN: not known, and taken as none.
+        used: propellant that the base has no more [kg].
         target: what the gripper may hold.
         place: (3,) of it in the last link's frame (held.py); None: it holds nothing.
     """
     found = p.copy()
-    found[layout.MASS] -= np.nan_to_num(used)
+    found[layout.MASS] -= used
     return found if place is None else with_held(found, target, place)
