@@ -19,6 +19,7 @@ setup(
         "console_scripts": [
             "control = fss_gnc.control_node:main",
             "guidance = fss_gnc.guidance_node:main",
+            "navigation = fss_gnc.navigation_node:main",
         ],
     },
 )

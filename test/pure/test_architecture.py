@@ -90,7 +90,7 @@ ROOMS = {
     "fss_arm_calib.estimation": set(),
     "fss_arm_calib.segments": {"fss_arm_model", "fss_arm_calib.estimation"},
     **{wing: {"fss_arm_model", "fss_arm_msgs", "fss_arm_ros", *SHARED} for wing in WINGS},
-    "fss_gnc.navigation": {"fss_arm_model", "fss_arm_ros.convert"},
+    "fss_gnc.navigation": {"fss_arm_model", "fss_arm_ros.image"},
     "fss_gnc.control": {"fss_arm_model", "fss_gnc.reference"},
     "fss_gnc.guidance": {
         "fss_arm_model", "fss_arm_motion", "fss_gnc.reference", "fss_arm_msgs.action",
