@@ -20,6 +20,7 @@ MESSAGES = {
 }
 ROS = MESSAGES | {"rclpy", "ament_index_python"}
 MODEL = {"numpy", "scipy", "numba", "yaml"}
+PROTOCOL, BOARD = "fss_arm_driver.protocol", "fss_base_driver.protocol"
 GUARD = {"fss_arm_motion.guard", "fss_arm_motion.guard_settings"}
 
 # Beside itself and the standard library, a package, or a folder in one, may import these; a
@@ -33,7 +34,7 @@ ALLOWED = {
     "fss_arm_driver": ROS
     | {"fss_arm_model.description", "fss_arm_model.settings", "fss_arm_model.urdf"}
     | {"fss_arm_model.files", *GUARD, "fss_arm_ros", "numpy", "serial"},
-    "fss_sim": ROS | {"fss_arm_model", "fss_arm_ros", "fss_arm_driver.protocol", "numpy"},
+    "fss_sim": ROS | {"fss_arm_model", "fss_arm_ros", PROTOCOL, BOARD, "numpy"},
     "fss_sim.rehearsal": ROS
     | {
         "fss_sim",
@@ -64,8 +65,6 @@ ALLOWED = {
 
 # What of the workspace a room of a package may import beside itself.
 REGIONS = "fss_arm_workspace.regions"
-PROTOCOL = "fss_arm_driver.protocol"
-BOARD = "fss_base_driver.protocol"
 WINGS = [f"fss_arm_calib.{kind}" for kind in ("kinematic", "dynamic", "drift")]
 SHARED = [
     f"fss_arm_calib.{room}"
@@ -87,6 +86,10 @@ ROOMS = {
     "fss_sim.link": {
         "fss_arm_model", "fss_arm_driver.protocol", "fss_sim.plant", "fss_sim.faults",
         "fss_sim.noise",
+    },
+    "fss_sim.board": {
+        "fss_arm_model", BOARD, "fss_sim.plant", "fss_sim.faults", "fss_sim.noise",
+        "fss_sim.link.channel",
     },
     "fss_arm_calib.estimation": set(),
     "fss_arm_calib.segments": {"fss_arm_model", "fss_arm_calib.estimation"},
