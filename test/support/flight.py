@@ -14,7 +14,6 @@ from fss_arm_msgs.action import FollowPoses, GoToPose, HoldBase, MoveArm
 from fss_arm_msgs.msg import MissionState, SimTruth
 from fss_arm_ros.convert import stamp_ns
 from fss_arm_ros.qos import LATCHED, SENSOR, subscribe_sensor
-from fss_sim.rehearsal.processes import Nodes
 
 ACTIONS = {
     "base/hold": HoldBase, "base/go_to": GoToPose, "base/follow": FollowPoses, "arm/move": MoveArm,
@@ -102,11 +101,16 @@ class Flyer(Node):
     def does(self, name, timeout=300.0, **goal):
         return self.end(self.send(name, **goal), timeout)
 
-    def holding(self):
-        """Hold where the base is; once it does."""
-        handle = self.send("base/hold")
-        self.until(lambda: self.states and self.states[-1].phase == "hold")
-        return handle
+    def holding(self, timeout=120.0):
+        """Hold where the base is; once it does. A graph that has just begun may refuse it."""
+        deadline = monotonic() + timeout
+        while monotonic() < deadline:
+            handle = self.send("base/hold")
+            ended = handle.get_result_async()
+            self.until(lambda e=ended: e.done() or self.states[-1].phase == "hold")
+            if not ended.done():
+                return handle
+        raise TimeoutError(ended.result().result.message)
 
     def open_valves(self):
         """Whether a valve is open, in truth."""
