@@ -24,6 +24,7 @@ from .settings import Bounds, SensorErrors
 Pose = tuple[float, float, float]  # x [m], y [m], heading [rad]
 
 SECOND = 1_000_000_000
+FORGOTTEN = 60 * SECOND  # without a measurement: what was is of no use
 FAR = 1e4  # from the world's origin no body is [m]
 MEMORY = 600_000_000  # [ns]
 STRIDE = 20_000_000  # of a prediction, within which the heading counts as constant [ns]
@@ -237,7 +238,7 @@ class BodyFilter:
         if not hypot(x, y) < FAR:
             self.rejected["pose far away"] += 1
             return False
-        if not self.events:
+        if not self.events or t > self.t + FORGOTTEN:
             return self._begin(t, pose)
         if self.lost(t) and self._other(t, pose):  # whose pose may be within so wide a gate
             return False
@@ -322,7 +323,7 @@ class BodyFilter:
 
     def _insert(self, t: int, what: float, z: Pose) -> bool:
         """Take a measurement at its time, and those after it again."""
-        if t <= self.events[0].t:
+        if not self.events[0].t < t <= self.t + FORGOTTEN:
             self.rejected["late"] += 1
             return False
         later = self._since(t) if t < self.t else ()

@@ -180,7 +180,7 @@ class KnownInputs:
 
     def heard_at(self, t: int) -> bool:
         """Whether every joint was within UNHEARD before t [ns]."""
-        return bool((self._read_at[:, -1] > self._seconds(t) - UNHEARD).all())
+        return self.heard and bool((self._read_at[:, -1] > self._seconds(t) - UNHEARD).all())
 
     def joints_at(self, t: int) -> tuple[Floats, Floats]:
         """Angles and rates of the joints at t [ns], (n,) each, by their newest readings."""
