@@ -15,4 +15,11 @@ setup(
     maintainer_email="fss-arm@example.org",
     license="Apache-2.0",
     extras_require={"test": ["pytest"]},
+    entry_points={
+        "console_scripts": [
+            "control = fss_gnc.control_node:main",
+            "guidance = fss_gnc.guidance_node:main",
+            "navigation = fss_gnc.navigation_node:main",
+        ],
+    },
 )

@@ -20,9 +20,9 @@ import numpy.typing as npt
 
 from fss_arm_model.description import Arm
 from fss_arm_model.dynamics import inertia_matrix
+from fss_arm_model.held import Target, hold, with_held
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_model.momentum import generalized_jacobian, momentum, system_com
-from fss_sim.plant.target import Target, hold, with_held
 
 Floats = npt.NDArray[np.float64]
 

@@ -6,6 +6,7 @@ from typing import Any
 
 from fss_arm_model.description import Arm, described
 from fss_arm_model.files import read_text
+from fss_arm_model.held import Target
 from fss_arm_model.settings import (
     FINITE,
     NOT_NEGATIVE,
@@ -24,7 +25,7 @@ from fss_sim.link.udp import LinkSocket
 from fss_sim.noise import PRESETS, Noise
 from fss_sim.plant.plant import Joints, World
 from fss_sim.plant.surroundings import Surroundings
-from fss_sim.plant.target import Gripper, Target
+from fss_sim.plant.target import Gripper
 from fss_sim.plant.thrusters import Propulsion
 from fss_sim.sensors import RATE
 from fss_sim.testbed import State

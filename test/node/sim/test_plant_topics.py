@@ -9,13 +9,13 @@ from rclpy.serialization import deserialize_message, serialize_message
 from std_msgs.msg import Bool
 
 from fss_arm_model.description import paper_arm
+from fss_arm_model.held import Target
 from fss_arm_model.kinematics import tip_pose
 from fss_arm_msgs.msg import GripperState, SimTruth, ThrusterCommand
 from fss_arm_ros.convert import planar_pose
 from fss_arm_ros.qos import COMMAND, sensor
 from fss_sim import messages, settings, testbed_node
 from fss_sim.plant.plant import Plant, World
-from fss_sim.plant.target import Target
 
 STEPPED = {"ports": [0, 0, 0, 0], "keep_clock": True, "speed": 20.0, "preset": "ideal"}
 

@@ -5,10 +5,11 @@ import pytest
 from model_arms import random_arm
 
 from fss_arm_model.description import paper_arm
+from fss_arm_model.held import Approach, Target
 from fss_arm_model.kinematics import tip_pose
 from fss_sim.plant.plant import Joints, Plant, World
 from fss_sim.plant.surroundings import Surroundings
-from fss_sim.plant.target import Approach, Gripper, Target
+from fss_sim.plant.target import Gripper
 
 SURROUNDINGS = Surroundings(table=(20.0, 20.0))
 ANY = Gripper(reach=0.05, angle=3.2, speed=10.0)
@@ -84,8 +85,8 @@ def test_the_capture_is_the_least_change_that_makes_the_velocities_alike():
 
 
 def test_a_gripper_holds_nothing_askew():
-    assert Approach(0.0, -0.4, 0.0).within(Gripper())
-    assert not Approach(0.0, -0.6, 0.0).within(Gripper())
+    assert Gripper().takes(Approach(0.0, -0.4, 0.0))
+    assert not Gripper().takes(Approach(0.0, -0.6, 0.0))
 
 
 @pytest.mark.parametrize("gripper", [Gripper(0.005, 3.2, 10.0), Gripper(0.05, 3.2, 0.001)])

@@ -2,4 +2,3 @@
 
 from .pose import PoseControl as PoseControl
 from .pose import PoseGains as PoseGains
-from .pose import Reference as Reference

@@ -14,7 +14,6 @@ balances what is not modelled: the table's slope, the hose.
 """
 
 from dataclasses import dataclass
-from math import pi
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +21,7 @@ import numpy.typing as npt
 from fss_arm_model.description import Arm
 from fss_arm_model.dynamics import inertia_matrix, inverse_dynamics
 from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, Settings, setting
+from fss_gnc.reference import Reference, off
 
 Floats = npt.NDArray[np.float64]
 
@@ -47,25 +47,15 @@ class PoseGains(Settings):
     )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Reference:
-    """Where the base is to be: pose, twist and acceleration in the world, (3,) each."""
-
-    pose: Floats
-    twist: Floats
-    acceleration: Floats
-
-    @staticmethod
-    def at_rest(pose: npt.ArrayLike) -> "Reference":
-        """A pose to hold."""
-        return Reference(np.array(pose, dtype=float), np.zeros(3), np.zeros(3))
-
-
 class PoseControl:
     """From where base and arm are to the wrench on the base."""
 
     def __init__(self, arm: Arm, gains: PoseGains | None = None) -> None:
-        self.p, self.gains = arm.vector(), gains or PoseGains()
+        self.p, self.gains = arm.vector(), gains or PoseGains()  # p as it is now
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the steady disturbance."""
         self._disturbance = np.zeros(3)
 
     def wrench(
@@ -87,14 +77,13 @@ class PoseControl:
                 left to be felt.
         """
         q, qd, g = np.asarray(q, float), np.asarray(qd, float), self.gains
-        off = reference.pose - q[:3]
-        off[2] = (off[2] + pi) % (2.0 * pi) - pi
-        off[:2] *= min(1.0, g.max_offset / max(float(np.hypot(*off[:2])), 1e-9))
+        apart = off(reference.pose, q[:3])
+        apart[:2] *= min(1.0, g.max_offset / max(float(np.hypot(*apart[:2])), 1e-9))
         w_n = g.bandwidth
-        self._disturbance += period * g.integral * w_n**3 * off
+        self._disturbance += period * g.integral * w_n**3 * apart
         np.clip(self._disturbance, -g.max_disturbance, g.max_disturbance, out=self._disturbance)
         slow = 2.0 * g.damping * w_n * (reference.twist - qd[:3])
-        a = reference.acceleration + slow + w_n**2 * off + self._disturbance
+        a = reference.acceleration + slow + w_n**2 * apart + self._disturbance
         wrench = inertia_matrix(self.p, q)[:3, :3] @ a
         if qdd_m is not None:
             still = np.concatenate([np.zeros(3), qdd_m])

@@ -1,66 +1,234 @@
-"""What is known to accelerate the base: the valves that are open, and the arm as it is planned.
+"""What is known to accelerate the base: the valves that are open, and the arm's motion.
 
-    H_bb a = w - [H_bm qdd_m + h(q, qd)]_b
+    a = M (w - [h(q, qd)]_b) + B qdd_m,   M = H_bb^-1,  B = -M H_bm
 
-with the wrench w of the valves. The base filter predicts with the mean of a over each step.
+in the base's axes, with the wrench w of the valves. The joints' accelerations are those that their
+readings show, change of rate by time: whoever moves the arm, and however its drives follow, the
+base feels what the joints do and not what was planned. So they are known when the next reading has
+come, and the filter takes what followed the last one again. Until then they are those planned, if a
+plan is heard; and a joint may change beside it as it did of late, which is noise.
 """
 
-from collections import deque
+from collections.abc import Sequence
+from math import isfinite
 
 import numpy as np
 import numpy.typing as npt
 
 from fss_arm_model.dynamics import inertia_matrix, inverse_dynamics
+from fss_arm_model.kernels import Floats, kernel
+from fss_arm_model.layout import count
+from fss_arm_model.thrusters import COUNT, layout
 
-Floats = npt.NDArray[np.float64]
+from .settings import EstimatorSettings
 
-KEPT = 5_000_000_000  # [ns], for measurements that come late
+SECOND = 1_000_000_000
+UNHEARD = 0.5  # a joint that is silent for longer may do anything [s]
+FOLLOWS = 0.2  # how long a joint may be off from its plan in the same way [s]
+RESTS = 1e-4  # change of a joint's rate that the base does not feel [rad/s]
+READINGS, PULSES, POINTS = 8, 32, 16  # kept of each joint, of commands to the valves, of a plan
+NEVER, FOREVER = -np.inf, np.inf
+
+
+@kernel(
+    "(n,k),(n,k),(p),(p,v),(v,w),(w,w),(w,n),(w),(w,w),(q),(q,n),(c)->(w),(w,w)"
+)  # fmt: skip
+def _over(  # type: ignore[no-untyped-def]
+    read_at, rates, opened, closed, valves, mobility, by_joint, still, sure, planned_at, planned,
+    control, acceleration, noise,
+):  # fmt: skip
+    """Mean acceleration (3,) and noise (3, 3) of the base from begin to end, in its own axes.
+
+    Newest entries stand last, times never used are NEVER. The control: begin, end, relative
+    variance of the thrust, variance of a plan's acceleration by its square.
+    """
+    begin, end = control[0], control[1]
+    span = end - begin
+    for i in range(3):
+        acceleration[i] = still[i]
+        for j in range(3):
+            noise[i, j] = sure[i, j]
+    if span <= 0.0:
+        return
+    for joint in range(read_at.shape[0]):
+        gained = loose = 0.0
+        for k in range(read_at.shape[1] - 1, 0, -1):
+            first, last = read_at[joint, k - 1], read_at[joint, k]
+            if first == NEVER or last <= begin:
+                break
+            overlap = min(end, last) - max(begin, first)
+            if overlap > 0.0:
+                gained += (rates[joint, k] - rates[joint, k - 1]) * overlap / (last - first)
+        if read_at[joint, -1] <= begin:
+            for k in range(planned_at.shape[0] - 1):
+                overlap = min(end, planned_at[k + 1]) - max(begin, planned_at[k])
+                if overlap > 0.0:
+                    gained += planned[k, joint] * overlap
+            loose = control[3] * (gained / span) ** 2
+        for i in range(3):
+            acceleration[i] += by_joint[i, joint] * gained / span
+            for j in range(3):
+                noise[i, j] += by_joint[i, joint] * loose * by_joint[j, joint]
+    wrench, following = np.zeros(3), end
+    for k in range(opened.shape[0] - 1, -1, -1):
+        since = max(begin, opened[k])
+        for valve in range(valves.shape[0]):
+            lasts = min(closed[k, valve], following) - since
+            if lasts > 0.0:
+                for i in range(3):
+                    wrench[i] += valves[valve, i] * lasts / span
+        following = min(following, opened[k])
+        if opened[k] <= begin:
+            break
+    thrust = np.zeros(3)
+    for i in range(3):
+        for j in range(3):
+            thrust[i] += mobility[i, j] * wrench[j]
+        acceleration[i] += thrust[i]
+    for i in range(3):
+        square = thrust[2] ** 2 if i == 2 else thrust[0] ** 2 + thrust[1] ** 2
+        noise[i, i] += control[2] * square
 
 
 class KnownInputs:
-    """Remembers commands to the valves, and the arm's reaction at their times.
+    """Remembers pulses of the valves and readings of the joints, and the newest plan for them.
 
     Args:
         p: (8 + 6 n,) Arm.vector().
-        valves: (k, 3) force in the base's axes [N] and torque about its origin [N m] of each.
-        delay: from a command to the thrust [s].
+        settings: thrusters, and how well thrust and joints are known.
     """
 
-    def __init__(self, p: npt.ArrayLike, valves: npt.ArrayLike, delay: float) -> None:
-        self.p, self.valves, self.delay = np.asarray(p), np.asarray(valves), round(1e9 * delay)
-        self._commands: deque[tuple[int, Floats, Floats, Floats]] = deque()
+    def __init__(self, p: npt.ArrayLike, settings: EstimatorSettings | None = None) -> None:
+        self.settings = s = settings or EstimatorSettings()
+        self.valves = layout(s.thrust, s.thruster_lever)
+        self._quiet = np.diag(np.square([s.acceleration, s.acceleration, s.angular_acceleration]))
+        self._opened, self._closed = np.full(PULSES, NEVER), np.zeros((PULSES, COUNT))
+        self._control = [0.0, 0.0, s.thrust_error**2, s.joint_change_error**2 * FOLLOWS]
+        self._origin: int | None = None  # what times in arrays count from [ns]
+        self._joints(count(np.asarray(p)))
+        self.describe(p)
 
-    def command(
-        self, t: int, on_times: npt.ArrayLike, q: npt.ArrayLike, qd: npt.ArrayLike,
-        qdd_m: npt.ArrayLike,
-    ) -> None:  # fmt: skip
-        """The valves were commanded at t [ns], later than all before.
+    def _joints(self, n: int) -> None:
+        """There are n, of which nothing is known."""
+        self.n = n
+        self._read_at, self._rates = np.full((n, READINGS), NEVER), np.zeros((n, READINGS))
+        self._angles = np.zeros(n)
+        self._planned_at, self._planned = np.full(POINTS, NEVER), np.zeros((POINTS, n))
 
-        Args:
-            t: time of the command [ns].
-            on_times: (k,) how long each opens from then on [s]; they replace those before.
-            q: (3 + n,) state then.
-            qd: (3 + n,) its rate.
-            qdd_m: (n,) accelerations of the joints, planned, until the next command [rad/s^2].
+    def _seconds(self, t: int) -> float:
+        """A time [ns] as in the arrays [s]."""
+        if self._origin is None:
+            self._origin = t
+        return (t - self._origin) * 1e-9
+
+    def describe(self, p: npt.ArrayLike) -> None:
+        """The arm is another: a calibration passed, or the gripper holds something."""
+        self.p = np.asarray(p, dtype=float)
+        if count(self.p) != self.n:
+            self._joints(count(self.p))
+        self._model(NEVER, 0.0)
+
+    def pulses(self, t: int, on_times: npt.ArrayLike) -> bool:
+        """Valves open for a time each [s], from t [ns] on; these replace those before."""
+        times = np.asarray(on_times, dtype=float)
+        if times.shape != (COUNT,) or not (np.isfinite(times) & (times >= 0.0)).all():
+            return False
+        begin = self._seconds(t) + self.settings.valve_delay
+        if begin <= self._opened[-1]:
+            return False
+        self._opened[:-1], self._closed[:-1] = self._opened[1:], self._closed[1:]
+        self._opened[-1], self._closed[-1] = begin, begin + times
+        return True
+
+    def joint(self, i: int, t: int, q: float, qd: float, omega: float) -> int | None:
+        """Take a reading of joint i, from 0, at t [ns], the base turning at omega [rad/s].
+
+        Returns:
+            Since when what is known is another than it was [ns]; None: it is as it was.
         """
-        ends = t + self.delay + 1e9 * np.asarray(on_times, dtype=float)
-        mobility = np.linalg.inv(inertia_matrix(self.p, q)[:3, :3])
-        planned = np.concatenate([np.zeros(3), qdd_m])
-        reaction = -mobility @ inverse_dynamics(self.p, q, qd, planned)[:3]
-        c, s = np.cos(np.asarray(q)[2]), np.sin(np.asarray(q)[2])
-        world = self.valves @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-        self._commands.append((t, ends, world @ mobility.T, reaction))
-        while self._commands[0][0] < t - KEPT:
-            self._commands.popleft()
+        at, rates = self._read_at[i], self._rates[i]
+        now = self._seconds(t)
+        if not (isfinite(q) and isfinite(qd)) or now <= at[-1]:
+            return None
+        before = float(at[-1])
+        if now - before > UNHEARD:  # what it did meanwhile is not known
+            at[:], before, rates[-1] = NEVER, now, qd
+        changed = abs(qd - rates[-1]) > RESTS
+        at[:-1], rates[:-1] = at[1:], rates[1:]
+        at[-1], rates[-1], self._angles[i] = now, qd, q
+        self._model(max(now, self._newest), omega)
+        return t - round((now - before) * SECOND) if changed else None
 
-    def acceleration(self, begin: int, end: int) -> Floats:
-        """The mean acceleration of the base in the world from `begin` to `end` [ns], (3,)."""
-        total, following = np.zeros(3), end
-        for t, ends, per_valve, reaction in reversed(self._commands):
-            total += max(following - max(begin, t), 0) * reaction
-            closed = np.minimum(ends, min(end, following + self.delay))
-            total += np.maximum(closed - max(begin, t + self.delay), 0.0) @ per_valve
-            following = min(following, t)
-            if t + self.delay <= begin:
-                break
-        return total / (end - begin) if end > begin else total
+    def plan(self, times: Sequence[int], rates: npt.ArrayLike) -> bool:
+        """The joints are to have rates (k, n) [rad/s] at times [ns]; False: that is no plan."""
+        t, qd = np.array([self._seconds(at) for at in times]), np.asarray(rates, dtype=float)
+        k = len(t)
+        if qd.shape != (k, self.n) or not np.isfinite(qd).all() or (np.diff(t) <= 0.0).any():
+            return False
+        if k > POINTS:
+            t, qd, k = t[:POINTS], qd[:POINTS], POINTS
+        self._planned_at[:], self._planned[:] = NEVER, 0.0
+        if k > 1:
+            self._planned_at[-k:] = t
+            self._planned[-k:-1] = np.diff(qd, axis=0) / np.diff(t)[:, None]
+        return True
+
+    @property
+    def heard(self) -> bool:
+        """Whether every joint was."""
+        return bool((self._read_at[:, -1] > NEVER).all())
+
+    def heard_at(self, t: int) -> bool:
+        """Whether every joint was within UNHEARD before t [ns]."""
+        return self.heard and bool((self._read_at[:, -1] > self._seconds(t) - UNHEARD).all())
+
+    def joints_at(self, t: int) -> tuple[Floats, Floats]:
+        """Angles and rates of the joints at t [ns], (n,) each, by their newest readings."""
+        return self._extrapolated(self._seconds(t))
+
+    def _extrapolated(self, t: float) -> tuple[Floats, Floats]:
+        age = t - self._read_at[:, -1]
+        qd = np.where(age <= UNHEARD, self._rates[:, -1], 0.0)
+        return self._angles + qd * np.where(age <= UNHEARD, age, 0.0), qd
+
+    def _late(self) -> Floats:
+        """Squares of the changes between two readings, by time: the larger of the last two."""
+        t, qd = self._read_at[:, -3:], self._rates[:, -3:]
+        known = t[:, :-1] > NEVER
+        spans = np.where(known, t[:, 1:] - np.where(known, t[:, :-1], 0.0), 1.0)
+        found: Floats = (np.where(known, np.diff(qd), 0.0) ** 2 / spans).max(axis=1)
+        return found
+
+    def _model(self, t: float, omega: float) -> None:
+        """Linearize about the joints as they are at t [s], the base turning at omega [rad/s]."""
+        self._newest, self._omega, s = t, omega, self.settings
+        angles, rates = self._extrapolated(t) if t > NEVER else (self._angles, 0.0 * self._angles)
+        q, qd = np.append(np.zeros(3), angles), np.append([0.0, 0.0, omega], rates)
+        H = inertia_matrix(self.p, q)
+        self.mobility = np.linalg.inv(H[:3, :3])
+        self._by_joint = -self.mobility @ H[:3, 3:]
+        still = np.zeros(len(q))
+        self._still = -self.mobility @ inverse_dynamics(self.p, q, qd, still)[:3]
+        step = 2.0 * (s.joint_rate_error * rates) ** 2 / FOLLOWS  # from one reading to the next
+        late, read_at = self._late(), self._read_at[:, -1]
+        heard = t - read_at <= UNHEARD if t > NEVER else np.zeros(self.n, bool)
+        even = step + s.joint_change_error**2 * late
+        loose = np.where(heard, step + late, s.unheard_change**2)
+        self._read = self._quiet + self._by_joint * even @ self._by_joint.T
+        self._tail = self._quiet + self._by_joint * loose @ self._by_joint.T
+        self._from = float(read_at.min())
+        # When the next one falls silent.
+        self._silent = float(read_at[heard].min()) + UNHEARD if heard.any() else FOREVER
+
+    def over(self, begin: int, end: int) -> tuple[Floats, Floats]:
+        """The mean acceleration of the base and its noise, in its own axes; see Inputs."""
+        control = self._control
+        control[0], control[1] = self._seconds(begin), self._seconds(end)
+        if control[1] > max(self._silent, self._newest):
+            self._model(control[1], self._omega)
+        found = _over(
+            self._read_at, self._rates, self._opened, self._closed, self.valves, self.mobility,
+            self._by_joint, self._still, self._tail if control[1] > self._from else self._read,
+            self._planned_at, self._planned, control,
+        )  # fmt: skip
+        return found[0], found[1]

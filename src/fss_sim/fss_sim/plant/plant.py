@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from fss_arm_model.clearance import clearance, edge_clearance
 from fss_arm_model.description import Arm
+from fss_arm_model.held import Approach, Target, approach, held, hold, with_held
 from fss_arm_model.integration import STEP
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_model.layout import BASE_SIZE, MASS
@@ -17,7 +18,7 @@ from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, Settings, setting
 from fss_sim.plant.drives import CURRENT, OFF
 from fss_sim.plant.simulation import advance
 from fss_sim.plant.surroundings import Surroundings
-from fss_sim.plant.target import Approach, Gripper, Target, approach, caught, held, hold, with_held
+from fss_sim.plant.target import Gripper, caught
 from fss_sim.plant.thrusters import Propulsion, Thrusters
 
 Floats = npt.NDArray[np.float64]
@@ -172,7 +173,7 @@ class Plant:
 
     def advance(self, seconds: float) -> None:
         """Let time pass, in whole steps of the drives."""
-        if self.closed and not self.holds and self.approach.within(self.world.gripper):
+        if self.closed and not self.holds and self.world.gripper.takes(self.approach):
             self._catch()
         elif not self.closed and self.holds:
             self._release()

@@ -1,0 +1,105 @@
+"""A body in the gripper, which then is part of the last link; and how the end effector meets it.
+
+Everywhere: p (8 + 6 n,) is Arm.vector(), q and qd (3 + n,) the state and its rate. The notation is
+kinematics.py's.
+"""
+
+from dataclasses import dataclass
+from math import pi
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from . import layout
+from .kinematics import tip_jacobian, tip_pose
+from .settings import FINITE, POSITIVE, Settings, setting
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Target(Settings):
+    """The target as a body; its frame's origin is its centre of mass."""
+
+    mass: float = setting(10.0, "mass of the target", unit="kg", check=POSITIVE)
+    inertia: float = setting(
+        0.25, "inertia of the target about its centre of mass", unit="kg m^2", check=POSITIVE
+    )
+    fixture: tuple[float, ...] = setting(
+        (0.19, 0.0, 0.0), "place to grip the target at, in its frame: x, y, outward heading",
+        unit="m, m, rad", check=FINITE, size=3,
+    )  # fmt: skip
+
+    def vector(self) -> Floats:
+        """As a base without an arm, for the kernel: (8,)."""
+        p = np.zeros(layout.BASE_SIZE)
+        p[layout.MASS], p[layout.INERTIA] = self.mass, self.inertia
+        return p
+
+
+class Approach(NamedTuple):
+    """The end effector as seen from the fixture."""
+
+    distance: float  # [m]
+    angle: float  # [rad], 0: straight into the fixture
+    speed: float  # [m/s]
+
+
+def approach(p: Floats, q: Floats, qd: Floats, target: Target, state: Floats) -> Approach:
+    """Of the arm p in the state q, qd to the target at `state`, (2, 3) pose and twist."""
+    x, y, heading = tip_pose(p, q)
+    vx, vy, _ = tip_jacobian(p, q) @ qd
+    out = complex(*target.fixture[:2]) * np.exp(1j * state[0, 2])
+    apart = complex(*state[0, :2]) + out - complex(x, y)
+    moving = complex(*state[1, :2]) + 1j * state[1, 2] * out - complex(vx, vy)
+    angle = heading - (state[0, 2] + target.fixture[2] + pi)
+    return Approach(abs(apart), float((angle + pi) % (2.0 * pi) - pi), abs(moving))
+
+
+def hold(p: Floats, q: Floats, pose: npt.ArrayLike) -> Floats:
+    """The pose of a body in the frame of the last link: x, y [m], heading [rad]."""
+    x, y, heading = tip_pose(p, q)
+    heading -= p[layout.TIP_ANGLE]
+    body_x, body_y, body_heading = np.asarray(pose)
+    apart = (complex(body_x, body_y) - complex(x, y)) * np.exp(-1j * heading)
+    return np.array([apart.real + _length(p), apart.imag, body_heading - heading])
+
+
+def held(p: Floats, q: Floats, qd: Floats, place: Floats) -> Floats:
+    """Pose and twist (2, 3) of a body held at `place` in the frame of the last link."""
+    x, y, heading = tip_pose(p, q)
+    heading -= p[layout.TIP_ANGLE]
+    apart = complex(place[0] - _length(p), place[1]) * np.exp(1j * heading)
+    twist = held_jacobian(p, q, place) @ qd
+    return np.array([[x + apart.real, y + apart.imag, heading + place[2]], twist])
+
+
+def held_jacobian(p: Floats, q: Floats, place: Floats) -> Floats:
+    """(3, 3 + n): the twist of a body held at `place`, by qd."""
+    J = tip_jacobian(p, q)
+    heading = tip_pose(p, q)[2] - p[layout.TIP_ANGLE]
+    apart = complex(place[0] - _length(p), place[1]) * np.exp(1j * heading)
+    J[0] -= apart.imag * J[2]
+    J[1] += apart.real * J[2]
+    return J
+
+
+def with_held(p: Floats, target: Target, place: Floats) -> Floats:
+    """The arm's parameters with the target at `place` made part of the last link."""
+    n = layout.count(p)
+    mass, moment, at = layout.mass(p, n), layout.inertia(p, n), layout.com(p, n)
+    body = complex(place[0], place[1])
+    whole = mass + target.mass
+    middle = (mass * at + target.mass * body) / whole
+    moment += target.inertia + mass * abs(at - middle) ** 2 + target.mass * abs(body - middle) ** 2
+    p = p.copy()
+    link = p[layout.LINK_SIZE * n :]
+    link[layout.LINK_MASS], link[layout.LINK_INERTIA] = whole, moment
+    link[layout.G], link[layout.LATERAL] = middle.real, middle.imag
+    return p
+
+
+def _length(p: Floats) -> float:
+    """Of the last link [m]."""
+    return float(layout.each(p, layout.LENGTH)[-1])

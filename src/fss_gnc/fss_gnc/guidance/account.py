@@ -1,0 +1,46 @@
+"""What an activity has taken so far, and how near bodies are: for results and mission/state."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from fss_arm_model.clearance import gaps, sizes, with_edge, with_target
+from fss_arm_model.momentum import momentum
+from fss_gnc.guidance.activity import Craft, Floats, Seen
+
+
+def _unknown() -> Floats:
+    return np.full(3, np.nan)
+
+
+@dataclass
+class Account:
+    """Of one activity; NaN: not known."""
+
+    craft: Craft
+    elapsed: float = 0.0  # [s]
+    before: float = np.nan  # propellant at the begin [kg]
+    propellant: float = np.nan  # used since [kg]
+    largest_torque: float = np.nan  # at a joint [N m]
+    momentum: Floats = field(default_factory=_unknown)  # [N s, N s, N m s]
+    edge: float = np.nan  # from bodies to the table's edge [m]
+    target: float = np.nan  # from base and arm, but for the gripper, to the target [m]
+
+    def update(self, seen: Seen) -> None:
+        """Take what is seen now."""
+        self.elapsed = seen.t
+        self.before = seen.propellant if np.isnan(self.before) else self.before
+        self.propellant = self.before - seen.propellant
+        if seen.effort is not None:
+            self.largest_torque = float(np.fmax(self.largest_torque, np.abs(seen.effort).max()))
+        self.momentum, self.edge, self.target = _unknown(), np.nan, np.nan
+        if seen.base is None or seen.q is None:
+            return
+        q, qd = seen.floating
+        p, n, s = self.craft.arm.vector(), self.craft.arm.n, self.craft.settings
+        around = sizes(s, s.target_radius, s.gripper_length)
+        self.momentum = momentum(p, q, qd)
+        self.edge = float(gaps(p, q, list(with_edge(n)), around).min())
+        if seen.target is not None:
+            pairs = list(with_target(n))[:-1]
+            self.target = float(gaps(p, q, pairs, around, seen.target.pose[:2]).min())

@@ -1,0 +1,88 @@
+"""What the guidance can do, one thing at a time: from what is seen to orders. No ROS, no clock.
+
+An activity is stepped at the guidance's rate with what is seen, and answers with orders, until one
+of its orders says how it ended. Who steps it coasts after that, and whenever the base is not known.
+"""
+
+from dataclasses import dataclass, field
+from typing import NamedTuple, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from fss_arm_model.description import Arm
+from fss_gnc.guidance.settings import GuidanceSettings
+from fss_gnc.reference import Body, Path
+
+Floats = npt.NDArray[np.float64]
+
+
+class ActivityError(ValueError):
+    """An activity cannot begin, or go on; the message says why."""
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What is known at a moment."""
+
+    t: float  # since the activity began [s]
+    base: Body | None = None  # None: not known now
+    target: Body | None = None
+    q: Floats | None = None  # (n,) [rad]; None: not all joints are known
+    qd: Floats | None = None  # (n,) [rad/s]
+    effort: Floats | None = None  # (n,) [N m]
+    holds: bool | None = None  # the gripper the target; None: not known
+    propellant: float = np.nan  # left [kg]; NaN: not known
+
+    @property
+    def floating(self) -> tuple[Floats, Floats]:
+        """State of base and arm and its rate, (3 + n,) each.
+
+        Raises:
+            ActivityError: base or joints are not known.
+        """
+        if self.base is None:
+            raise ActivityError("base/state is not known")
+        if self.q is None or self.qd is None:
+            raise ActivityError("arm/joint_states are not known")
+        return np.concatenate([self.base.pose, self.q]), np.concatenate([self.base.twist, self.qd])
+
+
+class Ended(NamedTuple):
+    """How an activity ended."""
+
+    well: bool
+    message: str = ""  # why not, if not
+
+
+@dataclass(frozen=True)
+class Orders:
+    """What an activity wants until the next step; the default: valves closed, arm left alone."""
+
+    phase: str
+    path: Path | None = None  # of the base, by the activity's time; None: coast
+    rates: Floats | None = None  # (n,) of the joints [rad/s]; None: nobody moves the arm for us
+    close: bool | None = None  # the gripper; None: as it is
+    keep_out: float = 0.0  # radius about the target that it keeps off [m]
+    fixture_distance: float = np.nan  # from the end effector to the target's fixture [m]
+    ended: Ended | None = None
+
+
+class Activity(Protocol):
+    """Something that the guidance does."""
+
+    blind: bool  # it goes on while base or joints are not known
+
+    def step(self, seen: Seen) -> Orders:
+        """What to do now; an end that ActivityError is raised for is one that failed."""
+
+    def cancel(self, reason: str) -> None:
+        """Nobody wants it any more: its next steps come to an end."""
+
+
+@dataclass(frozen=True)
+class Craft:
+    """The spacecraft as the guidance knows it."""
+
+    arm: Arm
+    settings: GuidanceSettings = field(default_factory=GuidanceSettings)

@@ -1,0 +1,278 @@
+"""What the guidance does with the base alone: hold it, take it to a pose, along a path."""
+
+from math import inf
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.interpolate import CubicSpline
+
+from fss_gnc.guidance.activity import ActivityError, Craft, Ended, Floats, Orders, Seen
+from fss_gnc.guidance.room import Room
+from fss_gnc.guidance.settings import GuidanceSettings
+from fss_gnc.reference import Body, Path, Reference, off
+
+MOST_KNOTS = 10_000
+SHORTEST = 1.0  # time of a motion [s]
+
+
+class AlongPath:
+    """The base along a path, and then at its last pose for a while.
+
+    It brakes, and then fails, where the rest of the way is no longer free; cancelled on the way it
+    brakes before it ends.
+
+    Args:
+        craft: whose base.
+        phase: name of it while it is on its way.
+        path: begins at time 0.
+        hold: how long to hold at the end [s]; inf: until it is cancelled.
+        patience: time after the path's end by which the base must be at rest there [s]; None: that
+            it is near to its reference is enough.
+    """
+
+    blind = False
+
+    def __init__(
+        self, craft: Craft, phase: str, path: Path, hold: float, patience: float | None
+    ) -> None:
+        self.settings, self.room = craft.settings, Room(craft)
+        self.phase, self.path, self.hold, self.patience = phase, path, hold, patience
+        self.reached: float | None = None  # when it was [s]
+        self.offset, self.largest_offset = np.zeros(3), np.zeros(3)  # from the reference
+        self.remaining = inf  # [s]
+        self.cancelled = ""  # why it brakes, or holds no more
+        self.well = False  # to be cancelled now is no failure
+
+    def step(self, seen: Seen) -> Orders:
+        """Orders now."""
+        q, qd = seen.floating
+        base = Body(q[:3], qd[:3])
+        self._measure(seen.t, base)
+        if seen.t < self.path.end and not self.cancelled and self.patience is not None:
+            try:
+                self.room.check(self.path, seen.t, q[3:], None if seen.holds else seen.target)
+            except ActivityError as error:
+                self.cancel(str(error))
+        if self.cancelled and not self.well and self.phase != "brake":
+            self.phase, self.path = "brake", braking(self.settings, base, seen.t)
+        return Orders(
+            self.phase if seen.t < self.path.end or self.cancelled else "hold", self.path,
+            keep_out=self.settings.keep_out, ended=self._end(seen.t, base),
+        )  # fmt: skip
+
+    def cancel(self, reason: str) -> None:
+        """Hold no more, or brake."""
+        self.cancelled = self.cancelled or reason
+        self.well = self.well or self.reached is not None
+
+    def _measure(self, t: float, base: Body) -> None:
+        self.offset = off(base.pose, self.path.at(t).pose)
+        self.largest_offset = np.maximum(self.largest_offset, np.abs(self.offset))
+        end = self.path.end if self.reached is None else self.reached
+        self.remaining = max(0.0, end + self.hold - t)
+
+    def _end(self, t: float, base: Body) -> Ended | None:
+        s = self.settings
+        distance, turn = float(np.hypot(*self.offset[:2])), abs(float(self.offset[2]))
+        if distance > s.max_offset or turn > s.max_turn:
+            return Ended(False, f"the base is {distance:.3f} m and {np.degrees(turn):.1f} deg off")
+        if self.cancelled:
+            over = self.well or t >= self.path.end
+            return Ended(self.well, "" if self.well else self.cancelled) if over else None
+        if self.reached is None and t >= self.path.end and self._is_there(base, distance, turn):
+            self.reached = t
+        if self.reached is not None:
+            return Ended(True) if t >= self.reached + self.hold else None
+        if self.patience is not None and t > self.path.end + self.patience:
+            late = f"{self.patience:g} s after the planned time"
+            return Ended(
+                False, f"the base is {distance:.3f} m and {np.degrees(turn):.1f} deg off {late}"
+            )
+        return None
+
+    def _is_there(self, base: Body, distance: float, turn: float) -> bool:
+        s = self.settings
+        near = distance <= s.tolerance and turn <= s.heading_tolerance
+        speed, turning = float(np.hypot(*base.twist[:2])), abs(float(base.twist[2]))
+        return self.patience is None or (near and speed <= s.still and turning <= s.turning_still)
+
+
+def hold(craft: Craft, seen: Seen, pose: npt.ArrayLike, duration: float) -> AlongPath:
+    """Keep the base at a pose near to where it is, (3,), or where it comes to rest, ().
+
+    Args:
+        craft: whose base.
+        seen: at the begin.
+        pose: to keep [m, m, rad].
+        duration: how long [s]; 0: until it is cancelled.
+
+    Raises:
+        ActivityError: it makes no sense, or the pose is too far.
+    """
+    q, qd = seen.floating
+    pose, lasts = np.asarray(pose, dtype=float), _duration(duration) or inf
+    if not pose.size:
+        return AlongPath(craft, "hold", braking(craft.settings, Body(q[:3], qd[:3])), lasts, None)
+    _check_near(craft.settings, "pose", _pose(pose), q[:3], "; base/go_to goes there")
+    return AlongPath(craft, "hold", Path(np.zeros(1), pose.reshape(1, 1, 3)), lasts, None)
+
+
+def go_to(
+    craft: Craft, seen: Seen, pose: npt.ArrayLike, duration: float, hold_duration: float
+) -> AlongPath:
+    """Take the base to a pose, (3,), on the straight way, and hold it there.
+
+    Args:
+        craft: whose base.
+        seen: at the begin.
+        pose: to go to [m, m, rad]; the heading the shorter way.
+        duration: on the way [s]; 0: as short as the limits allow.
+        hold_duration: at the end [s].
+
+    Raises:
+        ActivityError: it makes no sense, the limits do not allow it, or the way is not free.
+    """
+    q, qd = seen.floating
+    begin = Reference(q[:3], qd[:3], np.zeros(3))
+    goal = q[:3] + off(_pose(pose), q[:3])
+    shortest = least_duration(craft.settings, begin, goal)
+    lasts = _duration(duration) or shortest
+    if lasts < shortest - 1e-6:
+        raise ActivityError(
+            f"duration is {lasts:g} s, expected at least {shortest:.1f} s for the limits"
+        )
+    path = Path.between(begin, goal, 0.0, lasts)
+    return _along(craft, seen, "go_to", path, _duration(hold_duration, "hold_duration"))
+
+
+def follow(
+    craft: Craft, seen: Seen, times: npt.ArrayLike, poses: npt.ArrayLike, twists: npt.ArrayLike
+) -> AlongPath:
+    """Take the base along knots of a path.
+
+    Args:
+        craft: whose base.
+        seen: at the begin.
+        times: (k,) rising from 0 [s].
+        poses: (3 k,) [m, m, rad]; the first near to where the base is, headings the shorter way.
+        twists: (3 k,) in the world; (): those of the cubic spline that rests at both ends.
+
+    Raises:
+        ActivityError: it makes no sense, the limits do not allow it, or the way is not free.
+    """
+    t, x = np.asarray(times, dtype=float), np.asarray(poses, dtype=float)
+    v = np.asarray(twists, dtype=float)
+    if not 2 <= len(t) <= MOST_KNOTS:
+        raise ActivityError(f"time has {len(t)} knots, expected 2 to {MOST_KNOTS}")
+    if len(x) != 3 * len(t) or len(v) not in (0, 3 * len(t)):
+        raise ActivityError(f"{len(t)} knots have {len(x)} numbers of pose and {len(v)} of twist, "
+                      f"expected {3 * len(t)}, and as many or none")  # fmt: skip
+    if t[0] != 0.0:
+        raise ActivityError(f"time begins with {t[0]:g} s, expected 0")
+    x = x.reshape(-1, 3)
+    try:
+        path = Path(t, x[:, None])  # checks times and numbers
+        x[:, 2] = np.unwrap(x[:, 2])
+        rates = v.reshape(-1, 3) if len(v) else CubicSpline(t, x, bc_type="clamped")(t, 1)
+        path = Path(t, np.stack([x, rates], axis=1))
+    except ValueError as error:
+        raise ActivityError(str(error)) from None
+    _check_near(craft.settings, "the first pose", x[0], seen.floating[0][:3])
+    _check_limits(craft.settings, path)
+    return _along(craft, seen, "follow", path, 0.0)
+
+
+def _along(craft: Craft, seen: Seen, phase: str, path: Path, hold: float) -> AlongPath:
+    found = AlongPath(craft, phase, path, hold, craft.settings.max_overrun)
+    found.room.check(path, 0.0, seen.floating[0][3:], None if seen.holds else seen.target)
+    return found
+
+
+def braking(settings: GuidanceSettings, base: Body, start: float = 0.0) -> Path:
+    """To rest from where the base is at the time `start` [s], within the limits."""
+    v, omega = float(np.hypot(*base.twist[:2])), abs(float(base.twist[2]))
+    lasts = 1.5 * max(v / settings.acceleration, omega / settings.turn_acceleration)
+    lasts = max(SHORTEST, lasts)
+    begin = Reference(base.pose, base.twist, np.zeros(3))
+    return Path.between(begin, base.pose + 0.5 * lasts * base.twist, start, lasts)
+
+
+class Peak(NamedTuple):
+    """What of the limits a path needs most."""
+
+    share: float
+    words: str
+
+
+def peak(settings: GuidanceSettings, path: Path, slack: Floats | None = None) -> Peak:
+    """The largest share of a limit that a path takes.
+
+    Args:
+        settings: the limits.
+        path: of the base.
+        slack: (3,) twist that is allowed whatever the limits say, as the base has it already.
+    """
+    s, t = settings, np.zeros(3) if slack is None else slack
+    times, found = path.sampled(path.times[0], max(65, 8 * len(path.times)))
+    speed, gain = np.hypot(*found[:, 1, :2].T), np.hypot(*found[:, 2, :2].T)
+    turning, spin_up = np.abs(found[:, 1:, 2]).T
+    rows = (
+        ("moves with", "m/s", speed, max(s.speed, 1.05 * float(np.hypot(*t[:2])))),
+        ("turns with", "rad/s", turning, max(s.turn_rate, 1.05 * abs(float(t[2])))),
+        ("accelerates with", "m/s^2", gain, s.acceleration),
+        ("accelerates with", "rad/s^2", spin_up, s.turn_acceleration),
+    )
+    shares = [float(values.max()) / most for _, _, values, most in rows]
+    verb, unit, values, most = rows[int(np.argmax(shares))]
+    k = int(values.argmax())
+    words = f"{verb} {values[k]:.4f} {unit} after {times[k]:.1f} s, expected at most {most:g}"
+    return Peak(max(shares), f"the path {words}")
+
+
+def least_duration(settings: GuidanceSettings, begin: Reference, goal: Floats) -> float:
+    """Least time within the limits from a state to a pose at rest [s]."""
+
+    def allowed(lasts: float) -> bool:
+        path = Path.between(begin, goal, 0.0, lasts)
+        return peak(settings, path, begin.twist).share <= 1.0
+
+    long = SHORTEST
+    while not allowed(long):
+        long *= 2.0
+    short = SHORTEST if long == SHORTEST else 0.5 * long
+    while long - short > 0.01 * long:
+        middle = 0.5 * (short + long)
+        short, long = (short, middle) if allowed(middle) else (middle, long)
+    return long
+
+
+def _check_limits(settings: GuidanceSettings, path: Path) -> None:
+    if (most := peak(settings, path)).share > 1.0 + 1e-3:
+        raise ActivityError(most.words)
+
+
+def _check_near(
+    settings: GuidanceSettings, what: str, pose: Floats, here: Floats, hint: str = ""
+) -> None:
+    apart = off(pose, here)
+    distance, turn = float(np.hypot(*apart[:2])), abs(float(apart[2]))
+    if distance > settings.max_offset or turn > settings.max_turn:
+        raise ActivityError(
+            f"{what} is {distance:.3f} m and {np.degrees(turn):.1f} deg from where the base is, "
+            f"expected at most {settings.max_offset:g} m and "
+            f"{np.degrees(settings.max_turn):.0f} deg{hint}"
+        )
+
+
+def _pose(pose: npt.ArrayLike) -> Floats:
+    found = np.asarray(pose, dtype=float)
+    if found.shape != (3,) or not np.isfinite(found).all():
+        raise ActivityError(f"pose is {found.tolist()}, expected x, y [m] and heading [rad]")
+    return found
+
+
+def _duration(value: float, name: str = "duration") -> float:
+    if not value >= 0.0:
+        raise ActivityError(f"{name} is {value} s, expected 0 or more")
+    return float(value)

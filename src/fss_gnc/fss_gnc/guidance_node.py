@@ -1,0 +1,304 @@
+"""The node `guidance`: one activity at a time, from actions to what base and arm are to do.
+
+It ends whatever goes on, valves closed and joints at rest, on base/stop and arm/stop, and when it
+does not know any more where the base or the joints are. If it dies itself, control and arm forget
+what it wanted.
+"""
+
+import sys
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+import numpy as np
+from nav_msgs.msg import Odometry
+from rclpy.action import ActionServer, CancelResponse
+from rclpy.action.server import ServerGoalHandle
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.node import Node
+from rclpy.task import Future
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool, Empty, Float64
+from trajectory_msgs.msg import MultiDOFJointTrajectory
+
+from fss_arm_model.description import described
+from fss_arm_msgs.msg import GripperState, MissionState
+from fss_arm_ros.convert import SECOND, stamp_ns, to_time
+from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
+from fss_arm_ros.pace import pace
+from fss_arm_ros.parameters import declare
+from fss_arm_ros.qos import COMMAND, LATCHED, command, subscribe_sensor
+from fss_arm_ros.run import run
+from fss_gnc import messages
+from fss_gnc.guidance.account import Account
+from fss_gnc.guidance.activity import (
+    Activity,
+    ActivityError,
+    Craft,
+    Ended,
+    Floats,
+    Orders,
+    Seen,
+)
+from fss_gnc.guidance.kinds import KINDS, Kind
+from fss_gnc.guidance.settings import GuidanceSettings
+from fss_gnc.latest import Latest
+from fss_gnc.reference import Body
+
+STEP = 0.25  # between points of base/trajectory [s]
+PICTURED = 32  # most poses of a path in mission/state
+FORGETFUL = 5.0  # age at which gripper and tank are not known any more [s]
+
+
+@dataclass
+class Flight:
+    """An activity under way."""
+
+    kind: Kind
+    handle: ServerGoalHandle
+    activity: Activity
+    begun: int  # [ns]
+    account: Account
+    over: Future = field(default_factory=Future)  # how it ended
+    rates: bool = False  # whether it has moved the arm
+
+
+class GuidanceNode(Node):
+    """Does what base/* and mission/* actions ask for, one at a time."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__("guidance", **options)
+        self.settings = s = declare(self, GuidanceSettings)
+        self.craft = Craft(described(s.arm), s)
+        Account(self.craft).update(at_rest(self.craft.arm.n))  # loads the kernels: that takes long
+        self.flight: Flight | None = None
+        self.base = Latest[Body]("base/state", s.max_age)
+        self.target = Latest[Body]("target/state", s.max_age)
+        self.joints = Latest[Floats]("arm/joint_states", s.max_age)
+        self.holds = Latest[bool]("gripper/state", FORGETFUL)
+        self.propellant = Latest[float]("base/propellant", FORGETFUL)
+        for topic in (self.base, self.target):
+            subscribe_sensor(self, Odometry, topic.name, partial(self.on_body, topic))
+        subscribe_sensor(self, JointState, self.joints.name, self.on_joints)
+        subscribe_sensor(self, GripperState, self.holds.name, self.on_gripper)
+        subscribe_sensor(self, Float64, self.propellant.name, self.on_propellant)
+        for name in ("base/stop", "arm/stop"):
+            self.create_subscription(Empty, name, partial(self.on_stop, name), 10)
+        lives = command(0.5)
+        self.trajectory = self.create_publisher(MultiDOFJointTrajectory, "base/trajectory", lives)
+        self.rates = self.create_publisher(JointState, "arm/joint_commands", lives)
+        self.grip = self.create_publisher(Bool, "gripper/command", COMMAND)
+        self.state = self.create_publisher(MissionState, "mission/state", LATCHED)
+        group = ReentrantCallbackGroup()  # activities take their time; all else goes on
+        self.servers = [
+            ActionServer(
+                self, kind.action, kind.name, partial(self.on_execute, kind),
+                cancel_callback=lambda _: CancelResponse.ACCEPT, callback_group=group,
+            )
+            for kind in KINDS
+        ]  # fmt: skip
+        self.state.publish(self.mission(None, Orders("idle")))
+        self.create_timer(1.0 / s.rate, self.tick, clock=pace(self))
+        self.diagnostics = Diagnostics(self, self.health)
+
+    def close(self) -> None:
+        """Give back what a node does not destroy by itself."""
+        for server in self.servers:
+            server.destroy()
+
+    def now(self) -> int:
+        """The node's clock [ns]."""
+        return int(self.get_clock().now().nanoseconds)
+
+    def on_body(self, topic: Latest[Body], message: Odometry) -> None:
+        """Where base or target is; nothing if that is no number."""
+        try:
+            topic.take(stamp_ns(message.header.stamp), messages.body(message))
+        except ValueError as error:
+            self.get_logger().warning(f"{topic.name}: {error}", throttle_duration_sec=1.0)
+
+    def on_joints(self, message: JointState) -> None:
+        """Where all joints are."""
+        try:
+            found = messages.joints(message, self.craft.arm.n)
+            self.joints.take(stamp_ns(message.header.stamp), found)
+        except ValueError as error:
+            self.get_logger().warning(f"arm/joint_states: {error}", throttle_duration_sec=1.0)
+
+    def on_gripper(self, message: GripperState) -> None:
+        """Whether the gripper holds the target."""
+        self.holds.take(self.now(), message.holds)
+
+    def on_propellant(self, message: Float64) -> None:
+        """What is left."""
+        self.propellant.take(self.now(), message.data)
+
+    def on_stop(self, name: str, _: Empty) -> None:
+        """Whatever goes on ends at once."""
+        if self.flight:
+            self.end(self.flight, Ended(False, f"stopped by {name}"))
+
+    def seen(self, begun: int) -> Seen:
+        """What is known now, base and target moved on to it."""
+        now = self.now()
+
+        def moved(topic: Latest[Body]) -> Body | None:
+            found = topic.at(now)
+            return found and found.after(topic.age(now))
+
+        joints, left = self.joints.at(now), self.propellant.at(now)
+        q, qd, effort = (None,) * 3 if joints is None else joints
+        if q is not None and qd is not None:
+            q = q + self.joints.age(now) * qd
+        return Seen(
+            (now - begun) / SECOND, moved(self.base), moved(self.target), q, qd, effort,
+            self.holds.at(now), np.nan if left is None else left,
+        )  # fmt: skip
+
+    def trouble(self) -> str:
+        """What of base and joints is not known, in words; empty: all is."""
+        now = self.now()
+        return self.base.trouble(now) or self.joints.trouble(now)
+
+    async def on_execute(self, kind: Kind, handle: ServerGoalHandle) -> Any:
+        """Begin what a goal asks for, and wait for its end; one that is refused is aborted."""
+        try:
+            flight = self.begin(kind, handle)
+        except ActivityError as error:
+            self.get_logger().warning(f"{kind.name} refused: {error}")
+            handle.abort()
+            return kind.action.Result(message=str(error))
+        ended = await flight.over
+        if handle.is_cancel_requested:
+            handle.canceled()
+        elif ended.well:
+            handle.succeed()
+        else:
+            handle.abort()
+        fields = kind.result(flight.activity, flight.account, ended)
+        return kind.action.Result(message=ended.message, **fields)
+
+    def begin(self, kind: Kind, handle: ServerGoalHandle) -> Flight:
+        """Begin an activity, in the place of one that it preempts.
+
+        Raises:
+            ActivityError: it cannot be begun; what is under way goes on.
+        """
+        other = self.flight
+        if other and not other.kind.name.startswith(kind.preempts):
+            raise ActivityError(f"{other.kind.name} is under way")
+        begun = self.now()
+        seen = self.seen(begun)
+        try:
+            activity = kind.begin(self.craft, seen, handle.request)
+        except ActivityError as error:
+            raise ActivityError(self.trouble() or str(error)) from None
+        if other:
+            self.end(other, Ended(False, f"preempted by {kind.name}"), coast=False)
+        self.flight = Flight(kind, handle, activity, begun, Account(self.craft))
+        self.get_logger().info(f"{kind.name} begins")
+        return self.flight
+
+    def tick(self) -> None:
+        """Step what is under way."""
+        if not (flight := self.flight):
+            return
+        seen = self.seen(flight.begun)
+        flight.account.update(seen)
+        orders = self.step(flight, seen)
+        if orders.ended:
+            self.end(flight, orders.ended)
+            return
+        self.order(flight, orders, seen)
+        flight.handle.publish_feedback(
+            flight.kind.action.Feedback(**flight.kind.feedback(flight.activity, orders))
+        )
+
+    def step(self, flight: Flight, seen: Seen) -> Orders:
+        """An activity's orders; its end if it cannot go on."""
+        if seen.t < 0.0:
+            return Orders("abort", ended=Ended(False, "the clock was set back"))
+        if flight.handle.is_cancel_requested:
+            flight.activity.cancel("cancelled")
+        if not flight.activity.blind and (why := self.trouble()):
+            return Orders("abort", ended=Ended(False, why))
+        try:
+            return flight.activity.step(seen)
+        except ActivityError as error:
+            return Orders("abort", ended=Ended(False, str(error)))
+
+    def order(self, flight: Flight, orders: Orders, seen: Seen) -> None:
+        """Publish what an activity wants."""
+        now = self.now()
+        self.trajectory.publish(
+            messages.trajectory(orders.path, seen.t, now, self.settings.horizon, STEP)
+        )
+        if orders.rates is not None:
+            flight.rates = True
+            self.rates.publish(self.joint_rates(orders.rates, now))
+        if orders.close is not None:
+            self.grip.publish(Bool(data=orders.close))
+        self.state.publish(self.mission(flight, orders))
+
+    def end(self, flight: Flight, ended: Ended, coast: bool = True) -> None:
+        """An activity is over: valves closed, joints at rest, unless another one goes on."""
+        self.flight = None
+        now = self.now()
+        if coast:
+            self.trajectory.publish(messages.trajectory(None, 0.0, now, 0.0, STEP))
+        if flight.rates:
+            self.rates.publish(self.joint_rates(np.zeros(self.craft.arm.n), now))
+        phase = "done" if ended.well else "abort"
+        self.state.publish(self.mission(flight, Orders(phase, ended=ended)))
+        if ended.well:
+            self.get_logger().info(f"{flight.kind.name} ended")
+        else:
+            self.get_logger().warning(f"{flight.kind.name} ended: {ended.message}")
+        flight.over.set_result(ended)
+
+    def joint_rates(self, rates: Floats, now: int) -> JointState:
+        """Rates of all joints [rad/s] as a command."""
+        names = [f"joint_{i + 1}" for i in range(len(rates))]
+        message = JointState(name=names, velocity=np.asarray(rates, dtype=float).tolist())
+        message.header.stamp = to_time(now)
+        return message
+
+    def mission(self, flight: Flight | None, orders: Orders) -> MissionState:
+        """What goes on, and what it has taken so far."""
+        account = flight.account if flight else Account(self.craft)
+        state = MissionState(
+            mission=flight.kind.name.partition("/")[2] if flight else "",
+            phase=orders.phase, reason=orders.ended.message if orders.ended else "",
+            elapsed=account.elapsed, reference=np.full(3, np.nan),
+            keep_out=orders.keep_out, fixture_distance=orders.fixture_distance,
+            edge_clearance=account.edge, target_clearance=account.target,
+            propellant=account.propellant, momentum=account.momentum,
+            largest_torque=account.largest_torque,
+        )  # fmt: skip
+        state.header.stamp, state.header.frame_id = to_time(self.now()), "world"
+        if orders.path is not None:
+            ahead = orders.path.sampled(account.elapsed, PICTURED)[1]
+            state.reference, state.path = ahead[0, 0], ahead[:, 0].ravel().tolist()
+        return state
+
+    def health(self) -> Health:
+        """For diagnostics."""
+        if self.flight:
+            return Health(OK, self.flight.kind.name)
+        why = self.trouble()
+        return Health(WARN if why else OK, why or "ready")
+
+
+def at_rest(n: int) -> Seen:
+    """Base, target and n joints, all at zero."""
+    body, zero = Body(np.zeros(3), np.zeros(3)), np.zeros(n)
+    return Seen(0.0, body, body, zero, zero)
+
+
+def main() -> int:
+    """Run as `ros2 run fss_gnc guidance`."""
+    return run(GuidanceNode, GuidanceSettings)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

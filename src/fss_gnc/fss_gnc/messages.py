@@ -1,0 +1,123 @@
+"""What control and guidance hear and say, as messages."""
+
+from math import cos, isfinite, sin
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import Quaternion, Transform, Twist, Vector3
+from rclpy.duration import Duration
+from trajectory_msgs.msg import MultiDOFJointTrajectory, MultiDOFJointTrajectoryPoint
+
+from fss_arm_ros.convert import SECOND, PoseError, joint_readings, planar_pose, stamp_ns, to_time
+from fss_gnc.reference import Body, Floats, Path
+
+BASE = "fss"  # the one "joint" of a base's trajectory: the base's frame
+
+
+def body(message: Any) -> Body:
+    """Pose and twist in the world of an Odometry, whose twist is along its own axes.
+
+    Raises:
+        PoseError: a number is not finite, or the pose says nothing.
+    """
+    pose = np.array(planar_pose(message.pose.pose))
+    v, c, s = message.twist.twist, cos(pose[2]), sin(pose[2])
+    twist = c * v.linear.x - s * v.linear.y, s * v.linear.x + c * v.linear.y, v.angular.z
+    if not all(map(isfinite, twist)):
+        raise PoseError(f"twist is not finite: {twist}")
+    return Body(pose, np.array(twist))
+
+
+def joints(message: Any, n: int) -> Floats:
+    """Angles, rates and efforts (3, n) of a JointState that has all joints; efforts may be NaN.
+
+    Raises:
+        ValueError: joints are missing, or a number is not finite.
+    """
+    rows = sorted(joint_readings(message))
+    if [row[0] for row in rows] != list(range(1, n + 1)):
+        raise ValueError(f"joints are {[row[0] for row in rows]}, expected 1 to {n}")
+    found = np.array([row[1:] for row in rows]).T
+    if not np.isfinite(found[:2]).all():
+        raise ValueError("an angle or a rate is not finite")
+    return found
+
+
+def planned_rates(message: Any, n: int) -> tuple[int, Floats, Floats]:
+    """Stamp [ns], times since (k,) [s] and rates (k, n) [rad/s] of a JointTrajectory.
+
+    Raises:
+        ValueError: it is not understood.
+    """
+    names, points = [f"joint_{i}" for i in range(1, n + 1)], message.points
+    if list(message.joint_names) != names or not points:
+        raise ValueError(f"joint_names is {list(message.joint_names)}, expected {names} and points")
+    if any(len(point.velocities) != n for point in points):
+        raise ValueError(f"each point must have {n} velocities")
+    ahead = np.array([stamp_ns(point.time_from_start) for point in points]) / SECOND
+    rates = np.array([point.velocities for point in points])
+    if not np.isfinite(rates).all() or (np.diff(ahead) <= 0.0).any():
+        raise ValueError("a rate is not finite, or time_from_start does not rise")
+    return stamp_ns(message.header.stamp), ahead, rates
+
+
+def trajectory(path: Path | None, t: float, stamp: int, horizon: float, step: float) -> Any:
+    """A path from its time t on, for `horizon` [s], as said at `stamp` [ns]; None: no points."""
+    message = MultiDOFJointTrajectory(joint_names=[BASE])
+    message.header.stamp, message.header.frame_id = to_time(stamp), "world"
+    if path is not None:
+        ahead = min(horizon, max(0.0, path.end - t))
+        count = int(np.ceil(ahead / step - 1e-9)) + 1
+        message.points = [_point(path, t, step * k) for k in range(count)]
+    return message
+
+
+def _point(path: Path, t: float, ahead: float) -> MultiDOFJointTrajectoryPoint:
+    r = path.at(t + ahead)
+    x, y, heading = map(float, r.pose)
+    turn = Quaternion(z=sin(0.5 * heading), w=cos(0.5 * heading))
+    return MultiDOFJointTrajectoryPoint(
+        transforms=[Transform(translation=Vector3(x=x, y=y), rotation=turn)],
+        velocities=[_planar(r.twist)],
+        accelerations=[_planar(r.acceleration)],
+        time_from_start=Duration(seconds=ahead).to_msg(),
+    )
+
+
+def _planar(values: Floats) -> Twist:
+    x, y, turn = map(float, values)
+    return Twist(linear=Vector3(x=x, y=y), angular=Vector3(z=turn))
+
+
+def path(message: Any) -> Path | None:
+    """A MultiDOFJointTrajectory of the base as a path by seconds since its stamp; None: no points.
+
+    Raises:
+        ValueError: it is not understood.
+    """
+    if list(message.joint_names) != [BASE]:
+        raise ValueError(f"joint_names is {list(message.joint_names)}, expected ['{BASE}']")
+    if not message.points:
+        return None
+    given = [(p.transforms, p.velocities, p.accelerations) for p in message.points]
+    counts = {tuple(len(part) for part in parts) for parts in given}
+    if counts not in ({(1, 0, 0)}, {(1, 1, 0)}, {(1, 1, 1)}):
+        raise ValueError(
+            "each point must have one transform, and all or none of them a velocity, and those an "
+            "acceleration"
+        )
+    times = [stamp_ns(point.time_from_start) / SECOND for point in message.points]
+    knots = np.array([[_pose(x[0]), *(_twist(one) for one in (*v, *a))] for x, v, a in given])
+    knots[:, 0, 2] = np.unwrap(knots[:, 0, 2])
+    return Path(np.array(times), knots)
+
+
+def _pose(transform: Any) -> tuple[float, float, float]:
+    class Pose:
+        position, orientation = transform.translation, transform.rotation
+
+    return planar_pose(Pose)
+
+
+def _twist(twist: Any) -> tuple[float, float, float]:
+    return twist.linear.x, twist.linear.y, twist.angular.z

@@ -1,0 +1,128 @@
+"""Where the base is to be, at a moment and along a path in time.
+
+Between two knots a path is, in each coordinate, the polynomial of least degree that has what is
+known at both: poses (linear), twists too (cubic), accelerations too (quintic).
+"""
+
+from dataclasses import dataclass
+from functools import cache, cached_property
+from math import factorial, pi
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float64]
+
+
+class Body(NamedTuple):
+    """Base or target as they are, in the world."""
+
+    pose: Floats  # (3,) x, y [m], heading [rad]
+    twist: Floats  # (3,) [m/s, m/s, rad/s]
+
+    def after(self, dt: float) -> "Body":
+        """The same motion a little later [s]."""
+        return Body(self.pose + dt * self.twist, self.twist)
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Where the base is to be: pose, twist and acceleration in the world, (3,) each."""
+
+    pose: Floats
+    twist: Floats
+    acceleration: Floats
+
+    @staticmethod
+    def at_rest(pose: npt.ArrayLike) -> "Reference":
+        """A pose to hold."""
+        return Reference(np.array(pose, dtype=float), np.zeros(3), np.zeros(3))
+
+
+@dataclass(frozen=True)
+class Path:
+    """Knots of a path of the base; at rest before the first and after the last.
+
+    Raises:
+        ValueError: there is no knot, times do not rise, or a number is not finite.
+    """
+
+    times: Floats  # (k,) rising [s]
+    knots: Floats  # (k, d, 3) the first d of pose, twist and acceleration at each, in the world
+
+    def __post_init__(self) -> None:
+        if not len(self.times):
+            raise ValueError("the path has no points")
+        if not (np.isfinite(self.times).all() and np.isfinite(self.knots).all()):
+            raise ValueError("the path has a number that is not finite")
+        if (late := np.flatnonzero(np.diff(self.times) <= 0.0)).size:
+            k = int(late[0])
+            raise ValueError(
+                f"time of point {k + 1} is {self.times[k + 1]:g} s, expected more than "
+                f"{self.times[k]:g} s"
+            )
+
+    @staticmethod
+    def between(begin: Reference, end: npt.ArrayLike, start: float, duration: float) -> "Path":
+        """From a state at the time `start` [s] to a pose at rest."""
+        first = [begin.pose, begin.twist, begin.acceleration]
+        last = [np.asarray(end), np.zeros(3), np.zeros(3)]
+        return Path(np.array([start, start + duration]), np.array([first, last]))
+
+    @property
+    def end(self) -> float:
+        """When the last knot is reached [s]."""
+        return float(self.times[-1])
+
+    def at(self, t: float) -> Reference:
+        """Where the base is to be at a time [s]."""
+        if not self.times[0] <= t < self.times[-1]:
+            return Reference.at_rest(self.knots[0 if t < self.times[0] else -1, 0])
+        k = int(np.searchsorted(self.times, t, side="right")) - 1
+        h, c = self.times[k + 1] - self.times[k], self._coefficients[k]
+        s = np.power((t - self.times[k]) / h, _POWERS[: len(c)])
+        slope, bend = _POWERS[1 : len(c)] * s[:-1], _BENDS[: len(c) - 2] * s[:-2]
+        return Reference(s @ c, slope @ c[1:] / h, bend @ c[2:] / h**2)
+
+    @cached_property
+    def _coefficients(self) -> Floats:
+        """(k - 1, 2 d, 3) of the polynomials, each in s from 0 to 1."""
+        steps, depth = np.diff(self.times), self.knots.shape[1]
+        scale = steps[:, None] ** np.arange(depth)  # from time to s
+        ends = np.stack([self.knots[:-1], self.knots[1:]], axis=1) * scale[:, None, :, None]
+        return _solved(depth) @ ends.reshape(len(steps), 2 * depth, 3)
+
+    def sampled(self, begin: float, count: int = 65) -> tuple[Floats, Floats]:
+        """Times from `begin` to the end, (count,), and pose, twist, acceleration, (count, 3, 3)."""
+        times = np.linspace(min(begin, self.end), self.end, count)
+        found = [self.at(t) for t in times]
+        return times, np.array([[r.pose, r.twist, r.acceleration] for r in found])
+
+
+_POWERS = np.arange(6.0)
+_BENDS = _POWERS[2:] * _POWERS[1:-1]
+
+
+@cache
+def _solved(depth: int) -> Floats:
+    """From what is known at s = 0 and s = 1 to the coefficients of the polynomial in s."""
+    size = 2 * depth
+    rows = [
+        [factorial(j) / factorial(j - d) * s ** (j - d) if j >= d else 0.0 for j in range(size)]
+        for s in (0.0, 1.0)
+        for d in range(depth)
+    ]
+    return np.asarray(np.linalg.inv(rows), dtype=float)
+
+
+def wrapped(angle: float) -> float:
+    """The angle from -pi on and below pi."""
+    return float((angle + pi) % (2.0 * pi) - pi)
+
+
+def off(pose: npt.ArrayLike, wanted: npt.ArrayLike) -> Floats:
+    """A pose less another, (3,), the heading the shorter way."""
+    apart = np.asarray(pose, dtype=float) - np.asarray(wanted, dtype=float)
+    apart[2] = wrapped(apart[2])
+    return apart

@@ -1,0 +1,46 @@
+"""A body in the gripper: where it is, how it moves, and what it adds to the last link."""
+
+import numpy as np
+import pytest
+from model_arms import random_arm
+
+from fss_arm_model.dynamics import inertia_matrix
+from fss_arm_model.held import Target, approach, held, held_jacobian, hold, with_held
+from fss_arm_model.kinematics import tip_pose
+
+TARGET = Target(mass=9.0, inertia=0.2, fixture=(0.15, 0.05, 0.3))
+
+
+def drawn(n):
+    rng = np.random.default_rng(n)
+    p = random_arm(n, rng).vector()
+    q, qd = rng.uniform(-0.7, 0.7, (2, 3 + n))
+    return p, q, qd, hold(p, q, rng.uniform(-1.0, 1.0, 3))
+
+
+@pytest.mark.parametrize("n", [1, 4, 7])
+def test_its_jacobian_is_the_derivative_of_its_pose(n):
+    p, q, qd, place = drawn(n)
+    step = 1e-6
+    ahead, behind = (held(p, q + sign * step * qd, qd, place)[0] for sign in (1.0, -1.0))
+    moved = (ahead - behind) / (2.0 * step)
+    np.testing.assert_allclose(held_jacobian(p, q, place) @ qd, moved, atol=1e-8)
+
+
+@pytest.mark.parametrize("n", [1, 4, 7])
+def test_arm_and_body_together_have_the_inertia_of_both(n):
+    p, q, _, place = drawn(n)
+    J = held_jacobian(p, q, place)
+    M = np.diag([TARGET.mass, TARGET.mass, TARGET.inertia])
+    whole = inertia_matrix(with_held(p, TARGET, place), q)
+    np.testing.assert_allclose(whole, inertia_matrix(p, q) + J.T @ M @ J, rtol=1e-10, atol=1e-10)
+
+
+def test_the_fixture_is_met_straight_and_at_rest():
+    p, q, qd, _ = drawn(4)
+    x, y, heading = tip_pose(p, q)
+    theta = heading + np.pi - TARGET.fixture[2]
+    out = complex(*TARGET.fixture[:2]) * np.exp(1j * theta)
+    place = hold(p, q, [x - out.real, y - out.imag, theta])
+    met = approach(p, q, qd, TARGET, held(p, q, qd, place))
+    np.testing.assert_allclose(met, 0.0, atol=1e-12)
