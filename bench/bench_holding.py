@@ -1,5 +1,6 @@
-"""The vehicle held fixed: the base kept at a pose by its thrusters while the arm goes through 13
-postures, by nodes alone on the simulated test bed with its default errors.
+"""The vehicle held fixed: its thrusters keep the base in place while the arm goes through postures.
+
+By nodes alone, on the simulated test bed with its default errors.
 
     . scripts/env.sh; python bench/bench_holding.py             # --no-feed-forward beside it
 
@@ -68,9 +69,7 @@ def main() -> int:
     rclpy.init()
     logs = Path(mkdtemp(prefix="bench_holding_"))
     with Nodes(logs, print, OWN) as nodes:
-        start(
-            nodes, given.speed, base=PATIENT, control={"feed_forward": not given.no_feed_forward}
-        )
+        start(nodes, given.speed, base=PATIENT, control={"feed_forward": not given.no_feed_forward})
         flyer = Flyer(nodes)
         try:
             held = fly(flyer, given.duration, given.rest, given.postures)
