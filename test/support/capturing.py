@@ -1,0 +1,255 @@
+"""A mission flown on the plant with the errors of the sensors: navigation, control, guidance."""
+
+from collections import deque
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from fss_arm_model.clearance import gaps, links_and_base, sizes, with_edge, with_target
+from fss_arm_model.description import paper_arm
+from fss_arm_model.momentum import momentum
+from fss_gnc.control import Allocation, PoseControl
+from fss_gnc.guidance.activity import ActivityError, Body, Craft, Ended, Orders, Seen
+from fss_gnc.guidance.capture import Capture
+from fss_gnc.guidance.mission_settings import MissionSettings
+from fss_gnc.navigation import BaseFilter, KnownInputs, SensorErrors
+from fss_sim.noise import PRESETS
+from fss_sim.plant.drives import OFF, VELOCITY
+from fss_sim.plant.plant import Demand, Plant, World
+from fss_sim.sensors import RATE, Sensors
+
+PERIOD = 0.1  # of guidance and control [s]
+FRAMES = round(PERIOD * RATE)
+LOOK = 4  # frames from one look of the navigation to the next
+LATE = 10  # frames that the joints' readings are behind, and commands to them
+PREDICTS, MAX_AGE = 1.0, 0.5  # of the navigation, and of what is used of it [s]
+KNOWN = 0.5  # until a valve's failure is known [s]
+AFTER = 30.0  # for which it is looked at what comes of a failure [s]
+SECOND = 1_000_000_000
+DEPTH = 0.04  # that the gripper may reach into the target's disc: its own reach, and a little [m]
+BASE = SensorErrors(
+    position_error=0.0003, heading_error=8.7e-4, rate_error=1.75e-4, acceleration=0.001,
+    angular_acceleration=0.003,
+)  # fmt: skip
+TARGET = SensorErrors(
+    position_error=0.0003, heading_error=8.7e-4, acceleration=2e-4, angular_acceleration=5e-4
+)
+POSTURE = 0.9, -1.4, 1.2, -0.6
+SETTINGS = MissionSettings(posture=(0.58, -1.09, 0.75, -0.16))
+
+
+@dataclass(frozen=True)
+class Case:
+    """What is flown."""
+
+    spin: float = 0.15  # of the target [rad/s]
+    heading: float = -0.3
+    distance: float = 1.8  # of the base from it [m]
+    seed: int = 1
+    drift: tuple[float, float] = (-0.006, 0.004)  # of it [m/s]
+    fault: str = ""  # outage, open, closed, gyro, link
+    phase: str = ""  # at whose begin it happens
+    lasts: float = 0.0  # of an outage [s]
+
+
+@dataclass
+class Flown:
+    """What came of it."""
+
+    case: Case
+    phases: list[str] = field(default_factory=list)
+    message: str = ""
+    well: bool = False
+    captured: bool = False
+    time: float = 0.0  # [s]
+    grip: float = np.nan  # when [s]
+    propellant: float = 0.0  # [kg]
+    torque: float = 0.0  # largest at a joint [N m]
+    momentum: float = np.nan  # angular, at the grip [N m s]
+    contact: str = ""  # of what with what; empty: none
+    edge: float = np.inf  # least [m]
+    spin: float = 0.0  # of the target at the end [rad/s]
+    wall: float = 0.0  # [s]
+
+    @property
+    def safe(self):
+        return not self.contact
+
+
+class Flight:
+    """One run."""
+
+    def __init__(self, case, activity=None, settings=SETTINGS):
+        self.case, self.settings = case, settings
+        self.arm = arm = paper_arm()
+        side = np.exp(1j * np.radians(-145.0))
+        centre = 0.30 + 0.22j
+        at = centre + case.distance * side
+        q = np.array([at.real, at.imag, 0.3, *POSTURE])
+        target = [[centre.real, centre.imag, case.heading], [*case.drift, case.spin]]
+        self.plant = Plant(arm, q, None, World(target=settings.target), target)
+        self.craft = Craft(arm)
+        self.activity = activity or Capture(self.craft, settings)
+        propulsion, self.valves = self.plant.world.propulsion, self.plant.thrusters.layout
+        self.least = propulsion.minimum_on_time
+        self.allocation = Allocation(self.valves, PERIOD, self.least)
+        self.inputs = KnownInputs(arm.vector(), self.valves, propulsion.valve_delay)
+        self.control = PoseControl(arm)
+        self.base = BaseFilter(BASE, self.inputs.acceleration)
+        self.target = BaseFilter(TARGET)
+        self.sensors, self.states = Sensors(PRESETS["default"], case.seed), [None, None]
+        rng = np.random.default_rng(case.seed)
+        self.encoders = rng.uniform(-7e-4, 7e-4, arm.n)
+        self.joints, self.demands = deque(maxlen=LATE + 1), deque()
+        self.frame, self.faulted = 0, np.inf
+        self.flown = Flown(case)
+        self.around = sizes(settings, settings.target_radius, settings.gripper_length)
+
+    @property
+    def t(self):
+        return self.frame / RATE
+
+    def struck(self, kind):
+        """Whether this has failed now."""
+        since = self.t - self.faulted
+        lasts = self.case.lasts or np.inf
+        return self.case.fault == kind and 0.0 <= since < lasts
+
+    def fly(self, longest=600.0):
+        """To its end, and what comes of it."""
+        flown, orders = self.flown, None
+        while self.t < longest:
+            orders = self.order()
+            if orders.phase not in flown.phases:
+                flown.phases.append(orders.phase)
+                if orders.phase == self.case.phase and np.isinf(self.faulted):
+                    self.faulted = self.t + PERIOD
+            if orders.ended:
+                break
+            self.obey(orders)
+            self.pass_time()
+        flown.time, flown.propellant = self.t, self.plant.thrusters.used
+        ended = orders.ended or Ended(False, "it took too long")
+        flown.well, flown.message = ended.well, ended.message
+        flown.spin = float(self.plant.target[1, 2])
+        if not flown.well:
+            until = self.t + AFTER
+            while self.t < until:
+                self.obey(Orders("idle", rates=np.zeros(self.arm.n)))
+                self.pass_time()
+        return flown
+
+    def seen(self):
+        now = round(self.t * SECOND)
+        known = []
+        for state in self.states:
+            fresh = state is not None and now - state.t <= (PREDICTS + MAX_AGE) * SECOND
+            known.append(Body(state.at(now).pose, state.twist) if fresh else None)
+        q = qd = effort = None
+        if self.joints and not self.struck("link"):
+            q, qd, effort, then = self.joints[0]
+            q = q + self.encoders + (self.t - then) * qd
+        left = self.plant.thrusters.tank - self.plant.thrusters.used
+        return Seen(self.t, *known, q, qd, effort, self.plant.holds, left)
+
+    def order(self):
+        self.now = seen = self.seen()
+        try:
+            return self.activity.step(seen)
+        except ActivityError as error:
+            return Orders("abort", ended=Ended(False, str(error)))
+
+    def obey(self, orders):
+        """Base by control and valves, joints late, gripper at once."""
+        seen, times = self.now, np.zeros(len(self.valves))
+        if orders.path is not None and seen.base is not None and seen.q is not None:
+            q, qd = seen.floating
+            if seen.holds and not getattr(self, "heavy", False) and seen.target is not None:
+                from fss_arm_model.held import hold, with_held
+                self.heavy, p = True, self.arm.vector()
+                place = hold(p, q, seen.target.pose)
+                self.control.p = with_held(p, self.settings.target, place)
+                self.inputs.p = self.control.p
+            wrench = self.control.wrench(q, qd, orders.path.at(self.t), PERIOD, np.zeros(self.arm.n))
+            times = self.share(wrench)
+            self.inputs.command(round(self.t * SECOND), times, q, qd, np.zeros(self.arm.n))
+        self.command(times)
+        if orders.close is not None:
+            self.plant.closed = bool(orders.close)
+        if orders.rates is not None:
+            self.demands.append((self.frame + LATE, orders.rates))
+
+    def share(self, wrench):
+        """By the allocation, told of a failure once it is known."""
+        if self.case.fault in ("open", "closed") and self.t > self.faulted + KNOWN:
+            stuck = {f"stuck_{self.case.fault}": (2,)}
+            self.allocation = Allocation(self.valves, PERIOD, self.least, **stuck)
+            self.faulted_known, self.share = True, self.allocation.on_times
+        return self.allocation.on_times(wrench)
+
+    def command(self, times):
+        times = np.array(times)
+        if self.struck("open"):
+            times[2] = 2.0 * PERIOD
+        elif self.struck("closed"):
+            times[2] = 0.0
+        self.plant.thrust(times)
+
+    def pass_time(self):
+        """A period."""
+        for _ in range(FRAMES):
+            while self.demands and self.demands[0][0] <= self.frame:
+                _, rates = self.demands.popleft()
+                for i, rate in enumerate(rates):
+                    demand = Demand(VELOCITY, float(rate), abs(float(rate)), 2.0)
+                    lost = self.struck("link") and i == 1
+                    self.plant.command(i, Demand(OFF) if lost else demand)
+            self.plant.advance(1.0 / RATE)
+            self.frame += 1
+            self.look()
+        self.judge()
+
+    def look(self):
+        plant = self.plant
+        motions = plant.motions()
+        effort = np.array([m.torque for m in motions])
+        self.flown.torque = max(self.flown.torque, float(np.abs(effort).max()))
+        self.joints.append((plant.q[3:].copy(), plant.qd[3:].copy(), effort, self.t))
+        if self.frame % LOOK:
+            return
+        now = round(self.t * SECOND)
+        sight = self.sensors.observe(
+            self.frame, plant.base, plant.tip, float(plant.qd[2]), plant.qd[3:],
+            target=plant.target[0].tolist(),
+        )  # fmt: skip
+        found = [[], []]
+        if not self.struck("gyro"):
+            found[0] += self.base.rate(now, sight.rate)
+        if not self.struck("outage"):
+            found[0] += self.base.pose(now, *sight.base.pose)
+            found[1] += self.target.pose(now, *sight.target.pose)
+        for i, some in enumerate(found):
+            self.states[i] = some[-1] if some else self.states[i]
+
+    def judge(self):
+        """Who touches whom."""
+        plant, flown, n = self.plant, self.flown, self.arm.n
+        p, q = self.arm.vector(), plant.q
+        edge = float(gaps(p, q, list(with_edge(n)), self.around).min())
+        flown.edge = min(flown.edge, edge)
+        own = float(gaps(p, q, list(links_and_base(n)), self.around).min())
+        pairs = list(with_target(n))
+        apart = gaps(p, q, pairs, self.around, plant.target[0, :2])
+        apart[-1] += DEPTH
+        if plant.holds:
+            apart[-2:] = np.inf
+            if not flown.captured:
+                flown.captured, flown.grip = True, self.t
+                flown.momentum = float(momentum(plant._p, plant.q, plant.qd)[2])
+        half = 2.0 - 0.19
+        out = np.abs(plant.target[0, :2]).max() > half and plant.holds
+        for name, gap in (("edge", edge), ("itself", own), ("target", float(apart.min()))):
+            if gap < 0.0 and not flown.contact:
+                flown.contact = f"{name} at {self.t:.1f} s ({flown.phases[-1]})"
+        if out and not flown.contact:
+            flown.contact = f"held target with edge at {self.t:.1f} s"
