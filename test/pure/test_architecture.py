@@ -53,7 +53,8 @@ ALLOWED = {
     "fss_arm_motion": ROS
     | {"fss_arm_model", "fss_arm_ros", "numpy", "scipy", "yaml", "rich", "matplotlib"},
     "fss_base_driver": ROS
-    | {"fss_arm_model.settings", "fss_arm_ros", "numpy", "rich", "motioncapture"},
+    | {"fss_arm_model", "fss_arm_ros", "numpy", "scipy", "rich", "motioncapture"}
+    | {f"fss_arm_driver.{room}" for room in ("protocol", "session", "transport", "receiver")},
     "fss_gnc": ROS | {"fss_arm_model", "fss_arm_motion", "fss_arm_ros", "numpy", "scipy"},
     "fss_arm_view": ROS
     | {"fss_arm_model", "fss_arm_ros", "fss_gnc.navigation", "fss_gnc.navigation.messages"}
@@ -63,6 +64,7 @@ ALLOWED = {
 # What of the workspace a room of a package may import beside itself.
 REGIONS = "fss_arm_workspace.regions"
 PROTOCOL = "fss_arm_driver.protocol"
+BOARD = "fss_base_driver.protocol"
 WINGS = [f"fss_arm_calib.{kind}" for kind in ("kinematic", "dynamic", "drift")]
 SHARED = [
     f"fss_arm_calib.{room}"
@@ -79,6 +81,7 @@ ROOMS = {
     },
     "fss_arm_driver.copley": {PROTOCOL, "fss_arm_driver.faults"},
     "fss_arm_driver.transport": {PROTOCOL, "fss_arm_driver.copley"},
+    BOARD: {PROTOCOL},
     "fss_sim.plant": {"fss_arm_model"},
     "fss_sim.link": {
         "fss_arm_model", "fss_arm_driver.protocol", "fss_sim.plant", "fss_sim.faults",

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from fss_arm_model.description import paper_arm
-from fss_gnc.control import Allocation, PoseControl, PoseGains
+from fss_base_driver.allocation import Allocation
+from fss_gnc.control import PoseControl, PoseGains
 from fss_gnc.navigation import BaseFilter, KnownInputs, SensorErrors
 from fss_gnc.reference import Reference
 from fss_sim.noise import PRESETS

@@ -9,7 +9,7 @@ faster than its part, to a velocity with which it still arrives with the others.
 """
 
 from dataclasses import dataclass
-from math import ceil, sqrt
+from math import ceil, copysign, sqrt
 
 from fss_arm_driver.scale import Scale
 from fss_arm_model.description import Arm, Link
@@ -31,13 +31,36 @@ class Profile:
     velocity: float  # [rad/s]
     acceleration: float  # [rad/s^2]
 
+    def at(self, start: float, t: float) -> tuple[float, float]:
+        """Angle [rad] and rate [rad/s] at a time since it began at rest at `start` [s]."""
+        way = self.target - start
+        if not self.velocity or abs(way) <= MIN_TRAVEL:
+            return self.target, 0.0
+        a, d = self.acceleration, abs(way)
+        v = min(self.velocity, sqrt(a * d))
+        lasts = d / v + v / a
+        t = min(max(t, 0.0), lasts)
+        left = lasts - t
+        rate = min(a * t, v, a * left)
+        if t > lasts - v / a:
+            gone = d - 0.5 * a * left**2
+        else:
+            gone = 0.5 * a * t**2 if t < v / a else v * (t - 0.5 * v / a)
+        return start + copysign(gone, way), copysign(rate, way)
+
 
 @dataclass(frozen=True)
 class Move:
     """A planned move."""
 
+    start: tuple[float, ...]  # [rad]
     profiles: tuple[Profile, ...]
     duration: float  # [s]
+
+    def at(self, t: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Angles [rad] and rates [rad/s] of all joints at a time since its begin [s]."""
+        states = [p.at(q, t) for p, q in zip(self.profiles, self.start, strict=True)]
+        return tuple(q for q, _ in states), tuple(qd for _, qd in states)
 
 
 def plan(arm: Arm, q: tuple[float, ...], goal: tuple[float, ...], duration: float = 0.0) -> Move:
@@ -66,7 +89,7 @@ def plan(arm: Arm, q: tuple[float, ...], goal: tuple[float, ...], duration: floa
     way = [d if (d := abs(b - a)) > MIN_TRAVEL else 0.0 for a, b in zip(q, goal, strict=True)]
     drives = [link.drive for link in arm.links]
     if not any(way):
-        return Move(tuple(Profile(angle, 0.0, 0.0) for angle in goal), 0.0)
+        return Move(q, tuple(Profile(angle, 0.0, 0.0) for angle in goal), 0.0)
     gain = min(k.max_acceleration / d for k, d in zip(drives, way, strict=True) if d)
     rate = min(k.max_velocity / d for k, d in zip(drives, way, strict=True) if d)
     rate = min(rate, sqrt(gain))  # a short way ends before its limit is reached
@@ -77,7 +100,7 @@ def plan(arm: Arm, q: tuple[float, ...], goal: tuple[float, ...], duration: floa
         _profile(link, angle, d, d * gain, lasts)
         for link, angle, d in zip(arm.links, goal, way, strict=True)
     )
-    return Move(profiles, lasts)
+    return Move(q, profiles, lasts)
 
 
 def _profile(link: Link, target: float, way: float, acceleration: float, lasts: float) -> Profile:

@@ -30,8 +30,8 @@ from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED, SENSOR, subscribe_sensor
 from fss_arm_ros.run import run
 from fss_arm_ros.stamps import Stamps
-from fss_gnc.navigation import BaseFilter, BaseState
-from fss_gnc.navigation.messages import odometry, transform
+from fss_gnc.navigation import BodyFilter
+from fss_gnc.navigation.messages import StateImage, TransformImage
 
 from .base_reaction import BaseReaction, Reaction
 from .settings import BaseReactionSettings
@@ -57,8 +57,12 @@ class BaseReactionNode(Node):
         self.begin()
         self.occluded = 0
         self.published = monotonic()  # when the last reaction was
-        self.state = self.create_publisher(Odometry, "base/state", SENSOR)
-        self.transform = self.create_publisher(TFMessage, "/tf", SENSOR)
+        frames = s.world_frame, s.base_frame
+        self.images = StateImage(*frames), TransformImage(*frames)
+        self.state = self.transform = None
+        if s.publish_state:
+            self.state = self.create_publisher(Odometry, "base/state", SENSOR)
+            self.transform = self.create_publisher(TFMessage, "/tf", SENSOR)
         self.reacted = self.create_publisher(BaseReactionMessage, "base_reaction", SENSOR)
         subscribe_sensor(self, JointState, s.joints_topic, self.on_joints)
         subscribe_sensor(self, PoseStamped, s.base_topic, self.on_pose)
@@ -73,7 +77,7 @@ class BaseReactionNode(Node):
     def begin(self) -> None:
         """Follow base and joints from nothing but what is known of the arm."""
         self.stamps: dict[str, Stamps] = defaultdict(Stamps)  # by topic
-        self.filter = BaseFilter(self.settings)
+        self.filter = BodyFilter(self.settings)
         self.reaction = BaseReaction(self.known.arm, self.known.covariance, self.settings)
         self.pose: tuple[float, float, float] | None = None  # the last one
 
@@ -106,12 +110,13 @@ class BaseReactionNode(Node):
             self.filter.rejected["frozen"] += 1  # a receiver repeats its last pose
             return
         self.pose = pose
-        self.take(self.filter.pose(t, *pose))
+        if self.filter.pose(t, *pose):
+            self.take()
 
     def on_gyro(self, message: Imu) -> None:
         """A sample of the base's rate."""
         t = self.stamp(self.settings.gyro_topic, message) - self.offsets.get(DYNAMIC, 0)
-        self.take(self.filter.rate(t, message.angular_velocity.z))
+        self.filter.rate(t, message.angular_velocity.z)
 
     def on_calibration(self, topic: str, message: Any) -> None:
         """Predict with it from the next rest on, if it passed."""
@@ -129,13 +134,14 @@ class BaseReactionNode(Node):
                 self.offsets[topic] = round(offset * SECOND)
             self.get_logger().info(f"predicts with {topic} of {known.arm.name}")
 
-    def take(self, states: list[BaseState]) -> None:
-        """Publish the base's motion and keep it."""
-        frames = self.settings.world_frame, self.settings.base_frame
-        for state in states:
-            self.reaction.base(state)
-            self.state.publish(odometry(state, *frames))
-            self.transform.publish(transform(state, *frames))
+    def take(self) -> None:
+        """Keep the base's motion, and publish it."""
+        state = self.filter.state()
+        self.reaction.base(state)
+        if self.state and self.transform:
+            of_state, of_transform = self.images
+            self.state.publish(of_state.of(state))
+            self.transform.publish(of_transform.of(state))
 
     def advance(self) -> None:
         """Publish the reaction, `rate` times a second."""

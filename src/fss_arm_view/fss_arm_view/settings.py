@@ -66,6 +66,9 @@ class BaseReactionSettings(ReactionSettings):
     gyro_topic: str = setting("fog/imu", "topic of the base's rate")
     world_frame: str = setting("world", "frame id of what is published")
     base_frame: str = setting("fss", "child frame id of base/state and /tf")
+    publish_state: bool = setting(
+        True, "whether base/state and /tf are published; false beside the node navigation"
+    )
     rate: float = setting(10.0, "rate of base_reaction", unit="Hz", check=POSITIVE)
 
 

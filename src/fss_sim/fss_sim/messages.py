@@ -1,52 +1,15 @@
-"""Messages of the test bed. Those published often are serialized but once, then filled in.
-
-To make and serialize a message takes many times as long as to hand it over, and the test bed is to
-run many times as fast as real time.
-"""
+"""Messages of the test bed, which is to run many times as fast as real time."""
 
 from math import cos, sin
-from struct import pack_into
-from typing import Any
 
-from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu
 
 from fss_arm_msgs.msg import GripperState, SimTruth
-from fss_arm_ros.convert import SECOND, pose_stamped, to_time
+from fss_arm_ros.convert import pose_stamped, to_time
+from fss_arm_ros.image import Image
 from fss_sim.plant.plant import Plant
 from fss_sim.sensors import Seen
-
-STAMP = 4  # where it is: after the encapsulation's header
-DOUBLE = 8  # bytes
-
-
-class Image:
-    """A serialized message (CDR, little-endian) that begins with a stamp and ends with doubles.
-
-    Args:
-        message: without numbers in it.
-        doubles: how many it ends with.
-    """
-
-    def __init__(self, message: Any, doubles: int) -> None:
-        data = serialize_message(message)
-        if data[:2] != b"\0\1":
-            raise NotImplementedError(f"CDR of kind {data[:2].hex()}, expected 0001")
-        self._data, self._doubles = bytearray(data), len(data) - DOUBLE * doubles
-
-    def stamped(self, stamp: int) -> None:
-        """Put the stamp [ns] in place."""
-        pack_into("<iI", self._data, STAMP, *divmod(stamp, SECOND))
-
-    def put(self, first: int, *values: float) -> None:
-        """Put doubles in place, from the `first` on."""
-        pack_into(f"<{len(values)}d", self._data, self._doubles + DOUBLE * first, *values)
-
-    def bytes(self) -> bytes:
-        """What to publish."""
-        return bytes(self._data)
-
 
 class PoseImage(Image):
     """A PoseStamped as the common VICON receivers publish it."""

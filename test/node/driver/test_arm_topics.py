@@ -19,6 +19,7 @@ from sensor_msgs.msg import JointState
 from standard_client import JOINTS, StandardClient
 from std_msgs.msg import Empty, String
 from tf2_msgs.msg import TFMessage
+from trajectory_msgs.msg import JointTrajectory
 
 from fss_arm_driver.arm_node import ArmNode
 from fss_arm_model.description import to_yaml
@@ -100,6 +101,44 @@ def test_joints_are_extrapolated_but_not_for_long(bench):
     assert len(bench.client.states) == count
     bench.links.silent = set()
     bench.until(lambda: len(bench.client.states) > count)
+
+
+def planned(bench):
+    heard = []
+    bench.client.create_subscription(JointTrajectory, "arm/planned", heard.append, 10)
+    bench.until(lambda: heard)
+    return heard
+
+
+def moving(message):
+    return len(message.points) > 1 and max(map(abs, message.points[0].velocities)) > 0.05
+
+
+def since(message, point):
+    return stamp_ns(message.header.stamp) + stamp_ns(point.time_from_start)
+
+
+@pytest.mark.parametrize("by", ["trajectory", "move"])
+def test_what_is_planned_is_told_before_the_joints_do_it(bench, by):
+    heard = planned(bench)
+    assert [list(p.velocities) for p in heard[-1].points] == [[0.0] * 4]
+    if by == "move":
+        bench.links.deaf = {1, 2, 3, 4}  # else they would be there at once
+        mover = standard_action(bench)
+        mover.send_goal_async(MoveArm.Goal(q=THERE, duration=3.0))
+    else:
+        bench.begin(bench.client.goal([(1.0, THERE, (0.1, 0.0, 0.0, 0.0)), (3.0, (0.0,) * 4)]))
+    bench.until(lambda: moving(heard[-1]))
+    early = heard[-1]
+    for point in early.points:  # what was told ahead is what is told then
+        bench.until(lambda p=point: stamp_ns(heard[-1].header.stamp) > since(early, p))
+        late = heard[-1]
+        ahead = (stamp_ns(late.header.stamp) - since(early, point)) / SECOND
+        moved = np.array(point.positions) + ahead * np.array(point.velocities)
+        np.testing.assert_allclose(late.points[0].positions, moved, atol=0.02)
+    bench.until(lambda: len(heard[-1].points) == 1 and not any(heard[-1].points[0].velocities))
+    if by == "move":
+        mover.destroy()
 
 
 def heading(rotation):

@@ -56,6 +56,19 @@ def test_long_and_short_ways_arrive_together(duration):
     assert times == pytest.approx([move.duration] * 3, rel=0.01)
 
 
+@given(st.tuples(*[ANGLE] * 4), st.tuples(*[ANGLE] * 4), st.floats(0.0, 60.0))
+def test_where_the_joints_are_to_be_in_between(q, goal, duration):
+    move, h = plan(ARM, q, goal, duration), 1e-3
+    assert move.at(-1.0) == (pytest.approx(q, abs=1e-9), (0.0,) * 4)
+    assert move.at(move.duration + 1.0)[0] == pytest.approx(goal, abs=1e-9)
+    for share in (0.1, 0.4, 0.5, 0.9):
+        t = share * move.duration
+        (here, rates), after = move.at(t), move.at(t + h)[0]
+        for a, b, rate, part in zip(here, after, rates, move.profiles, strict=True):
+            assert abs(rate) <= part.velocity + 1e-12
+            assert abs((b - a) / h - rate) <= part.acceleration * h + 1e-9
+
+
 def test_the_slowest_joint_sets_the_pace():
     links = (replace(ARM.links[0], drive=Drive(max_velocity=0.1)), *ARM.links[1:])
     move = plan(replace(ARM, links=links), (0.0,) * 4, (0.5, 1.0, -1.5, 0.0))

@@ -188,7 +188,9 @@ def test_noise_with_a_good_head_and_crc_is_refused_or_encodes_to_itself(noise, k
         (encode(SAMPLE) + b"\0", Refusal.LENGTH),
         (patched(SAMPLE, 0, b"FS"), Refusal.MAGIC),
         (patched(SAMPLE, 2, b"\1"), Refusal.VERSION),
-        (patched(SAMPLE, 3, b"\4"), Refusal.KIND),
+        (patched(SAMPLE, 3, b"\0"), Refusal.KIND),
+        (patched(SAMPLE, 3, b"\4"), Refusal.KIND),  # the base's board's
+        (patched(ORDER, 3, b"\5"), Refusal.KIND),
         (encode(SAMPLE)[:52] + bytes(20), Refusal.CRC),
         (encode(SAMPLE)[:-1] + b"\1", Refusal.SIGNATURE),
         (patched(SAMPLE, 4, b"\0"), Refusal.FIELD),  # link
@@ -279,15 +281,14 @@ def test_the_signature_is_keyed_blake2s():
 
 
 def test_keys_are_read_by_link():
-    text = f"# keys\n1 {'0a' * 16}\n\n 12\t{'FF' * 32}  # the last\n"
-    assert parse_keys(text) == {1: b"\x0a" * 16, 12: b"\xff" * 32}
+    text = f"# keys\n0 {'0a' * 16}\n\n 12\t{'FF' * 32}  # the last\n"
+    assert parse_keys(text) == {0: b"\x0a" * 16, 12: b"\xff" * 32}
 
 
 @pytest.mark.parametrize(
     ("line", "words"),
     [
-        (f"0 {'0a' * 16}", "expected a link from 1 to 255 and 32 to 64 hex digits"),
-        (f"256 {'0a' * 16}", "expected a link"),
+        (f"256 {'0a' * 16}", "expected a link from 0 to 255 and 32 to 64 hex digits"),
         (f"2 {'0a' * 15}", "expected a link"),
         (f"2 {'0a' * 33}", "expected a link"),
         (f"2 {'0a' * 16}0", "expected a link"),

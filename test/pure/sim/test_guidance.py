@@ -6,10 +6,10 @@ import pytest
 from fss_arm_model.description import paper_arm
 from fss_arm_model.held import Target
 from fss_arm_model.kinematics import tip_pose
+from fss_arm_model.thrusters import layout
 from fss_sim.guidance import PERIOD, Guidance, Track, pulses
 from fss_sim.plant.drives import VELOCITY
 from fss_sim.plant.plant import Demand, Plant, World
-from fss_sim.plant.thrusters import layout
 
 LATE = 18  # frames that the joints' angles are behind: telemetry at 5 Hz
 NOISE = np.array([3e-4, 3e-4, 1e-3])

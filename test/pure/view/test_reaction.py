@@ -13,7 +13,7 @@ from fss_arm_model.units import GRAVITY
 from fss_arm_ros.calibrated import vector_covariance
 from fss_arm_view.base_reaction import BaseReaction
 from fss_arm_view.settings import ReactionSettings
-from fss_gnc.navigation import BaseState
+from fss_gnc.navigation import BodyState
 
 
 def follow(reaction, flight, every, step=100):
@@ -29,8 +29,8 @@ def follow(reaction, flight, every, step=100):
             if (k - i) % every == 0:
                 reaction.joint(i, t, flight.q[k, i], flight.qd[k, i], 0.1)
         if k % 10 == 0:
-            still = np.full(3, 1e-6)
-            reaction.base(BaseState(t, flight.pose[k], flight.twist[k], still, still))
+            still = 1e-6 * np.eye(6)
+            reaction.base(BodyState(t, flight.pose[k], flight.twist[k], still))
         if k % step == 0 and (until := reaction.known_until()) > reaction.t:
             got = reaction.advance(until)
             if got:

@@ -97,7 +97,7 @@ class MoveAction:
     async def go(self, handle: ServerGoalHandle, move: Move, motion: Motion) -> None:
         """Repeat the commands until all joints are there."""
         links, begun = self.links, self.links.now()
-        given = begun
+        given, motion.plan = begun, lambda at: move.at((at - begun) / SECOND)
         while not self.reached(move):
             elapsed = (links.now() - begun) / SECOND
             if elapsed > move.duration + links.settings.max_overrun:

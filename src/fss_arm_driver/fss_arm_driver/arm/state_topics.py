@@ -4,12 +4,14 @@ from math import cos, sin
 from typing import Any
 
 from geometry_msgs.msg import TransformStamped
+from rclpy.duration import Duration
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from fss_arm_driver.arm.link_topics import LinkTopics
-from fss_arm_driver.arm.state import together
+from fss_arm_driver.arm.state import Joints, together
 from fss_arm_model.urdf import Frame, frames, urdf
 from fss_arm_msgs.msg import DynamicCalibration, KinematicCalibration
 from fss_arm_ros.calibrated import Calibrated
@@ -21,15 +23,18 @@ CALIBRATIONS = (
     ("calibration/dynamic", DynamicCalibration),
 )
 
+STEP, PLANNED = 100_000_000, 6  # between points of arm/planned [ns], and how many there are
+
 
 class StateTopics:
-    """Publishes `arm/joint_states`, /tf, /tf_static and `robot_description`."""
+    """Publishes `arm/joint_states`, `arm/planned`, /tf, /tf_static and `robot_description`."""
 
     def __init__(self, links: LinkTopics) -> None:
         self.links, node, s = links, links.node, links.settings
         self.calibrated = Calibrated(links.arm)
         self.withheld = ""  # why there are no joint states, in words
         self.joint_states = node.create_publisher(JointState, "arm/joint_states", SENSOR)
+        self.planned = node.create_publisher(JointTrajectory, "arm/planned", SENSOR)
         self.description = node.create_publisher(String, "robot_description", LATCHED)
         self.tf = self.tf_static = None
         if s.publish_tf:
@@ -79,9 +84,23 @@ class StateTopics:
         )  # fmt: skip
         message.header.stamp = to_time(now)
         self.joint_states.publish(message)
+        self.planned.publish(self.ahead(joints, now))
         if self.tf:
             moving = [transform(f, joints.q[f.joint - 1], now) for f in self.frames if f.joint]
             self.tf.publish(TFMessage(transforms=moving))
+
+    def ahead(self, joints: Joints, now: int) -> JointTrajectory:
+        """What is planned for the joints from now on; without a plan, what they do now."""
+        message = JointTrajectory(joint_names=[f"joint_{i}" for i in self.links.numbers])
+        message.header.stamp = to_time(now)
+        plan = self.links.turn.planned(now)
+        for k in range(PLANNED if plan else 1):
+            q, qd = plan(now + k * STEP) if plan else (joints.q, joints.qd)
+            since = Duration(nanoseconds=k * STEP).to_msg()
+            message.points.append(
+                JointTrajectoryPoint(positions=list(q), velocities=list(qd), time_from_start=since)
+            )
+        return message
 
 
 def transform(frame: Frame, q: float, at: int) -> TransformStamped:

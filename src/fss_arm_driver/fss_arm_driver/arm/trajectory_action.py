@@ -127,7 +127,7 @@ class TrajectoryAction:
         except (MotionError, GuardError) as error:
             raise TrajectoryError(Code.INVALID_GOAL, str(error)) from None
         motion = self.motion = links.turn.take("a trajectory", links.now())
-        self.trajectory = trajectory
+        self.trajectory, motion.plan = trajectory, trajectory.at
         links.wake()  # what it takes the place of ends
         try:
             await self.keep_on(Following(trajectory, tolerances, self.patience), motion, handle)

@@ -4,8 +4,10 @@ A trajectory or a stream that begins takes the turn from whatever has it; a move
 it is refused. A stop ends whatever there is.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from threading import RLock
+from typing import Any
 
 
 @dataclass(eq=False)
@@ -15,6 +17,7 @@ class Motion:
     name: str
     until: int | None = None  # it is over by itself then [ns]
     ended: str = ""  # why it must end, in words
+    plan: Callable[[int], tuple[Any, Any]] | None = None  # angles and rates (n) at a time [ns]
 
 
 class Turn:
@@ -32,6 +35,11 @@ class Turn:
         motion = self._motion
         over = motion is None or (motion.until is not None and now > motion.until)
         return "" if motion is None or over or motion.ended else motion.name
+
+    def planned(self, now: int) -> Callable[[int], tuple[Any, Any]] | None:
+        """The plan of the motion under way; None: there is none."""
+        motion = self._motion
+        return motion.plan if motion and self.holder(now) else None
 
     def has(self, motion: Motion | None, now: int) -> bool:
         """Whether this motion is under way."""

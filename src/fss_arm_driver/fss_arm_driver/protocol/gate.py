@@ -1,19 +1,14 @@
-"""Which commands and segments a link takes, for whatever plays a link."""
+"""Which commands and segments a link takes, for whatever plays a link or the base's board."""
 
 from collections import Counter
+from collections.abc import Callable
 from enum import Enum
+from typing import Generic, NamedTuple, TypeVar
 
-from fss_arm_driver.protocol.frames import (
-    Command,
-    FrameError,
-    Order,
-    Segment,
-    Telemetry,
-    decode,
-    newer,
-)
+from fss_arm_driver.protocol.envelope import FrameError, Head, Ordered, newer
+from fss_arm_driver.protocol.frames import Command, Order, Segment, decode
 
-WATCHDOG = 2_000_000  # until a command says otherwise [us]
+C = TypeVar("C", bound=Ordered)
 
 
 class Refused(Enum):
@@ -31,22 +26,40 @@ class Refused(Enum):
     CONTRADICTION = "a segment that does not fit those that are kept"
 
 
-class Gate:
+class Language(NamedTuple, Generic[C]):
+    """What one kind of electronics is told."""
+
+    command: type[C]
+    decode: Callable[[bytes, bytes | None], Head]  # or FrameError
+    watchdog: int  # silence after which it disarms itself until a command says otherwise [us]
+
+
+LINK = Language(Command, decode, 2_000_000)
+
+
+class Gate(Generic[C]):
     """Lets through each command once, in order and in time, from the start of a link on.
 
-    Of segments it knows whether they are meant for this start of this link; how they fit what
-    came before is the path's to judge.
+    Of all else, as segments, it knows whether it is meant for this start of this link; how it fits
+    what came before is for others to judge.
 
     Args:
         number: of the link.
         boot: which start this is, 1 to 65535.
         key: that commands must be signed under; None: they must not be signed.
+        language: that it understands.
     """
 
-    def __init__(self, number: int, boot: int, key: bytes | None = None) -> None:
-        self.number, self.boot, self.key = number, boot, key
+    def __init__(
+        self,
+        number: int,
+        boot: int,
+        key: bytes | None = None,
+        language: "Language[C]" = LINK,  # type: ignore[assignment]
+    ) -> None:
+        self.number, self.boot, self.key, self._language = number, boot, key, language
         self.refused: Counter[Refused] = Counter()
-        self.command: Command | None = None  # the last one taken
+        self.command: C | None = None  # the last one taken
         self.arrival = 0  # of that command, by the link's clock [us]
         self._newest = 0  # sequence
         self._latest = -1  # stamp of the computer [us]
@@ -55,15 +68,15 @@ class Gate:
     @property
     def watchdog(self) -> int:
         """Silence after which the link disarms itself [us]."""
-        return 1000 * self.command.watchdog if self.command else WATCHDOG
+        return 1000 * self.command.watchdog if self.command else self._language.watchdog
 
-    def take(self, data: bytes, clock: int) -> Command | Segment | None:
+    def take(self, data: bytes, clock: int) -> C | Segment | None:
         """What these bytes are, come at `clock` [us]; None if they are not taken."""
         frame = self._judge(data, clock)
         if isinstance(frame, Refused):
             self.refuse(frame)
             return None
-        if isinstance(frame, Command):
+        if not isinstance(frame, Segment):  # so a command
             self._remember(frame, clock)
         return frame
 
@@ -71,23 +84,23 @@ class Gate:
         """Count a datagram that is not taken."""
         self.refused[reason] += 1
 
-    def _judge(self, data: bytes, clock: int) -> Command | Segment | Refused:
+    def _judge(self, data: bytes, clock: int) -> C | Segment | Refused:
         try:
-            frame = decode(data, self.key)
+            frame = self._language.decode(data, self.key)
         except FrameError:
             return Refused.FRAME
-        if isinstance(frame, Telemetry) or frame.link != self.number:
-            return Refused.OTHER
-        if isinstance(frame, Segment):
+        if frame.link == self.number and isinstance(frame, Segment):
             return self._segment_obstacle(frame) or frame
-        return self._command_obstacle(frame, clock) or frame
+        if frame.link == self.number and isinstance(frame, self._language.command):
+            return self._command_obstacle(frame, clock) or frame
+        return Refused.OTHER
 
     def _segment_obstacle(self, segment: Segment) -> Refused | None:
         if segment.boot != self.boot:
             return Refused.BOOT
         return Refused.SEQUENCE if self.key and segment.clock <= self._disarming else None
 
-    def _command_obstacle(self, command: Command, clock: int) -> Refused | None:
+    def _command_obstacle(self, command: C, clock: int) -> Refused | None:
         stop = command.flags & Order.STOP
         if not stop and command.boot not in (0, self.boot):
             return Refused.BOOT
@@ -95,7 +108,7 @@ class Gate:
             return Refused.SEQUENCE
         return Refused.EXPIRED if command.expiry and command.expiry < clock else None
 
-    def _remember(self, command: Command, clock: int) -> None:
+    def _remember(self, command: C, clock: int) -> None:
         if self._follows(command, clock):
             self._newest = command.sequence
         self._latest = max(self._latest, command.clock)
@@ -103,12 +116,12 @@ class Gate:
             self._disarming = command.clock
         self.command, self.arrival = command, clock
 
-    def _follows(self, command: Command, clock: int) -> bool:
+    def _follows(self, command: C, clock: int) -> bool:
         """Whether it is newer than the last command, or may begin a session."""
         if self.command is None or clock - self.arrival > self.watchdog:
             return not command.flags & Order.ARM
         return newer(command.sequence, self._newest)
 
-    def _is_replayed(self, command: Command) -> bool:
+    def _is_replayed(self, command: C) -> bool:
         """Whether a signed command is not later than all that were taken."""
         return bool(self.key) and command.clock <= self._latest

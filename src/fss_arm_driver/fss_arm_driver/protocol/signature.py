@@ -1,4 +1,4 @@
-"""Signatures of frames, and the file that the links' keys are kept in.
+"""Signatures of frames, and the file that the keys are kept in.
 
 A signature is BLAKE2s (RFC 7693) under the link's key, cut to 16 bytes, over the 56 bytes before
 it. It says that a holder of the key made the frame; that it is not made up of old ones is for
@@ -32,7 +32,7 @@ def is_signed(data: bytes, signature: bytes, key: bytes | None) -> bool:
 
 
 def parse_keys(text: str, name: str = "keys") -> Mapping[int, bytes]:
-    """Keys by link: one line each, the link's number and 32 to 64 hexadecimal digits.
+    """Keys by link: one line each, its number (0: the base's board), 32 to 64 hexadecimal digits.
 
     Raises:
         KeyFileError: a line says something else, or a link or a key stands twice.
@@ -41,9 +41,9 @@ def parse_keys(text: str, name: str = "keys") -> Mapping[int, bytes]:
     for number, line in enumerate(text.splitlines(), 1):
         if not (entry := line.partition("#")[0].strip()):
             continue
-        if not (match := _LINE.fullmatch(entry)) or not 1 <= (link := int(match[1])) <= 255:
+        if not (match := _LINE.fullmatch(entry)) or (link := int(match[1])) > 255:
             raise KeyFileError(
-                f"{name}, line {number}: expected a link from 1 to 255 and 32 to 64 hex digits"
+                f"{name}, line {number}: expected a link from 0 to 255 and 32 to 64 hex digits"
             )
         key = bytes.fromhex(match[2])
         if link in keys or key in keys.values():

@@ -32,7 +32,7 @@ class LinkState:
         gate: that commands come through.
     """
 
-    def __init__(self, gate: Gate) -> None:
+    def __init__(self, gate: Gate[Command]) -> None:
         self.gate = gate
         self.armed = self.stopped = self.watchdog_tripped = False
         self.paths = PathFollower()

@@ -4,7 +4,7 @@ Consistent overhead byte stuffing (Cheshire and Baker 1999): a zero byte stands 
 each frame and nowhere within, as each zero of the frame is replaced by the distance to the next.
 """
 
-from fss_arm_driver.protocol.frames import FRAME_SIZE
+from fss_arm_driver.protocol.envelope import FRAME_SIZE
 
 _STUFFED = FRAME_SIZE + 1  # a frame is shorter than 254 bytes, so stuffing adds one byte to it
 

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from fss_arm_model.description import Arm
 from fss_arm_model.dynamics import bias, inertia_matrix, inverse_dynamics, kinetic_energy
 from fss_arm_model.momentum import momentum, system_com
-from fss_gnc.navigation import BaseState
+from fss_gnc.navigation import BodyState
 
 from ..settings import ReactionSettings
 from .joints import Joint, JointMotion, joint_motion
@@ -61,7 +61,7 @@ class BaseReaction:
         self.tilt = np.array(self.settings.tilt)
         self.half = int(self.settings.half_difference * _SECOND)
         self.joints = [Joint() for _ in range(arm.n)]
-        self.past: deque[BaseState] = deque()
+        self.past: deque[BodyState] = deque()
         self.momenta: deque[tuple[float, Floats]] = deque()
         self.t = -1
         self.resting_since = -1
@@ -83,7 +83,7 @@ class BaseReaction:
             self.joints[i].forget(t - _KEPT)
         return self.joints[i].add(t, q, qd, effort)
 
-    def base(self, state: BaseState) -> None:
+    def base(self, state: BodyState) -> None:
         """Take the base's measured motion."""
         self.past.append(state)
         while self.past[0].t < state.t - _KEPT:
@@ -123,7 +123,7 @@ class BaseReaction:
             joint.forget(t - max(_SECOND, self.half))
         return self._reaction(measured, motion, self.prediction)
 
-    def _measured(self, t: int) -> BaseState | None:
+    def _measured(self, t: int) -> BodyState | None:
         """The motion at t, between the states around it."""
         k = bisect_right(self.past, t, key=lambda e: e.t) - 1
         if k < 0:
@@ -145,7 +145,7 @@ class BaseReaction:
         return fit_drift(self.p, t, times, np.array([e.pose for e in drift]), q, s, self.tilt)
 
     def _reaction(
-        self, measured: BaseState, motion: JointMotion, prediction: Prediction
+        self, measured: BodyState, motion: JointMotion, prediction: Prediction
     ) -> Reaction:
         s, p, t, n = self.settings, self.p, measured.t, len(self.joints)
         q, qd = motion.at(t - self.half, t, t + self.half)

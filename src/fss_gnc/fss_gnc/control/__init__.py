@@ -1,5 +1,4 @@
-"""Control of the base: a wrench that holds or leads it, and the valves that give the wrench."""
+"""Control of the base: a wrench that holds or leads it."""
 
-from .allocation import Allocation as Allocation
 from .pose import PoseControl as PoseControl
 from .pose import PoseGains as PoseGains

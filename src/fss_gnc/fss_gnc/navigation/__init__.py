@@ -1,7 +1,18 @@
-"""Where the base is and how it moves, from what its sensors measure. No ROS but in `messages`."""
+"""Where base and target are and how they move, from what is measured of them.
 
-from .base_filter import BaseFilter, BaseState
+No ROS but in `messages`.
+"""
+
+from .body_filter import BodyFilter, BodyState
 from .inputs import KnownInputs
-from .settings import SensorErrors
+from .navigation import Navigation
+from .settings import EstimatorSettings, SensorErrors
 
-__all__ = ["BaseFilter", "BaseState", "KnownInputs", "SensorErrors"]
+__all__ = [
+    "BodyFilter",
+    "BodyState",
+    "EstimatorSettings",
+    "KnownInputs",
+    "Navigation",
+    "SensorErrors",
+]

@@ -1,66 +1,216 @@
-"""What is known to accelerate the base: the valves that are open, and the arm as it is planned.
+"""What is known to accelerate the base: the valves that are open, and the arm's motion.
 
-    H_bb a = w - [H_bm qdd_m + h(q, qd)]_b
+    a = M (w - [h(q, qd)]_b) + B qdd_m,   M = H_bb^-1,  B = -M H_bm
 
-with the wrench w of the valves. The base filter predicts with the mean of a over each step.
+in the base's axes, with the wrench w of the valves. The joints' accelerations are those that their
+readings show, change of rate by time: whoever moves the arm, and however its drives follow, the
+base feels what the joints do and not what was planned. So they are known when the next reading has
+come, and the filter takes what followed the last one again; until then a joint may change as it
+did of late, which is noise.
 """
 
 from collections import deque
+from math import isfinite
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from fss_arm_model.dynamics import inertia_matrix, inverse_dynamics
+from fss_arm_model.kernels import Floats
 
-Floats = npt.NDArray[np.float64]
+from .settings import EstimatorSettings
 
-KEPT = 5_000_000_000  # [ns], for measurements that come late
+SECOND = 1_000_000_000
+KEPT = 2 * SECOND  # of pulses, for measurements that come late
+UNHEARD = SECOND // 2  # a joint that is silent for longer may do anything
+FOREVER = 1 << 62  # [ns]
+RESTS = 1e-4  # change of a joint's rate that the base does not feel [rad/s]
+CORNERS = ((1, 1), (-1, 1), (-1, -1), (1, -1))  # of the square, in the base's axes
+
+
+def valve_wrenches(thrust: float, lever: float) -> Floats:
+    """Force on the base in its own axes [N] and torque about its origin [N m], (8, 3).
+
+    Numbered as in ThrusterCommand: at each corner the one along x first; each pushes away.
+    """
+    rows = []
+    for x, y in CORNERS:
+        rows += [(-x * thrust, 0.0, x * y * thrust * lever)]
+        rows += [(0.0, -y * thrust, -x * y * thrust * lever)]
+    return np.array(rows)
+
+
+class _Pulses(NamedTuple):
+    """The valves from one command to the next."""
+
+    begin: int  # [ns]
+    ends: tuple[int, ...]  # of each valve that is to open
+    wrenches: tuple[tuple[float, float, float], ...]  # of each
+
+
+class _Joint:
+    """One joint's newest readings."""
+
+    def __init__(self) -> None:
+        self.t: deque[int] = deque(maxlen=8)
+        self.qd: deque[float] = deque(maxlen=8)
+        self.q = 0.0
+
+    def changed(self, begin: int, end: int) -> float:
+        """By how much its rate changes from one time to another, straight between readings."""
+        t, qd, change = self.t, self.qd, 0.0
+        for k in range(len(t) - 1, 0, -1):
+            if t[k] <= begin:
+                break
+            overlap = min(end, t[k]) - max(begin, t[k - 1])
+            if overlap > 0:
+                change += (qd[k] - qd[k - 1]) * overlap / (t[k] - t[k - 1])
+        return change
+
+    def density(self) -> float:
+        """The square of its change between two readings, by time: the larger of the last two."""
+        t, qd = self.t, self.qd
+        return max(
+            (
+                (qd[k] - qd[k - 1]) ** 2 / ((t[k] - t[k - 1]) * 1e-9)
+                for k in range(len(t) - 1, max(len(t) - 3, 0), -1)
+            ),
+            default=0.0,
+        )
 
 
 class KnownInputs:
-    """Remembers commands to the valves, and the arm's reaction at their times.
+    """Remembers pulses of the valves and readings of the joints.
 
     Args:
         p: (8 + 6 n,) Arm.vector().
-        valves: (k, 3) force in the base's axes [N] and torque about its origin [N m] of each.
-        delay: from a command to the thrust [s].
+        settings: thrusters, and how well thrust and joints are known.
     """
 
-    def __init__(self, p: npt.ArrayLike, valves: npt.ArrayLike, delay: float) -> None:
-        self.p, self.valves, self.delay = np.asarray(p), np.asarray(valves), round(1e9 * delay)
-        self._commands: deque[tuple[int, Floats, Floats, Floats]] = deque()
+    def __init__(self, p: npt.ArrayLike, settings: EstimatorSettings | None = None) -> None:
+        self.settings = s = settings or EstimatorSettings()
+        self.valves = valve_wrenches(s.thrust, s.thruster_lever)
+        self.delay = round(SECOND * s.valve_delay)
+        self._pulses: deque[_Pulses] = deque()
+        self._quiet = np.diag(np.square([s.acceleration, s.acceleration, s.angular_acceleration]))
+        self.describe(p)
 
-    def command(
-        self, t: int, on_times: npt.ArrayLike, q: npt.ArrayLike, qd: npt.ArrayLike,
-        qdd_m: npt.ArrayLike,
-    ) -> None:  # fmt: skip
-        """The valves were commanded at t [ns], later than all before.
+    def describe(self, p: npt.ArrayLike) -> None:
+        """The arm is another: a calibration passed, or the gripper holds something."""
+        self.p = np.asarray(p, dtype=float)
+        n = (len(self.p) - 8) // 6
+        if n != len(getattr(self, "joints", ())):
+            self.joints = [_Joint() for _ in range(n)]
+        self._model(-1, 0.0)
 
-        Args:
-            t: time of the command [ns].
-            on_times: (k,) how long each opens from then on [s]; they replace those before.
-            q: (3 + n,) state then.
-            qd: (3 + n,) its rate.
-            qdd_m: (n,) accelerations of the joints, planned, until the next command [rad/s^2].
+    def pulses(self, t: int, on_times: npt.ArrayLike) -> bool:
+        """Valves open for a time each [s], from t [ns] on; these replace those before."""
+        times = np.asarray(on_times, dtype=float)
+        if times.shape != (len(self.valves),) or not (np.isfinite(times) & (times >= 0.0)).all():
+            return False
+        if self._pulses and t <= self._pulses[-1].begin - self.delay:
+            return False
+        opened = np.flatnonzero(times)
+        begin = t + self.delay
+        self._pulses.append(
+            _Pulses(
+                begin,
+                tuple(begin + int(SECOND * times[k]) for k in opened),
+                tuple(map(tuple, self.valves[opened].tolist())),
+            )
+        )
+        while self._pulses[0].begin < t - KEPT and len(self._pulses) > 1:
+            self._pulses.popleft()
+        return True
+
+    def joint(self, i: int, t: int, q: float, qd: float, omega: float) -> int | None:
+        """Take a reading of joint i, from 0, at t [ns], the base turning at omega [rad/s].
+
+        Returns:
+            Since when what is known is another than it was [ns]; None: it is as it was.
         """
-        ends = t + self.delay + 1e9 * np.asarray(on_times, dtype=float)
-        mobility = np.linalg.inv(inertia_matrix(self.p, q)[:3, :3])
-        planned = np.concatenate([np.zeros(3), qdd_m])
-        reaction = -mobility @ inverse_dynamics(self.p, q, qd, planned)[:3]
-        c, s = np.cos(np.asarray(q)[2]), np.sin(np.asarray(q)[2])
-        world = self.valves @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-        self._commands.append((t, ends, world @ mobility.T, reaction))
-        while self._commands[0][0] < t - KEPT:
-            self._commands.popleft()
+        joint = self.joints[i]
+        if not (isfinite(q) and isfinite(qd)) or (joint.t and t <= joint.t[-1]):
+            return None
+        if joint.t and t - joint.t[-1] > UNHEARD:
+            joint.t.clear()
+            joint.qd.clear()
+        before, was = (joint.t[-1], joint.qd[-1]) if joint.t else (t, qd)
+        joint.t.append(t)
+        joint.qd.append(qd)
+        joint.q = q
+        self._model(max(t, self._newest), omega)
+        return before if abs(qd - was) > RESTS else None
 
-    def acceleration(self, begin: int, end: int) -> Floats:
-        """The mean acceleration of the base in the world from `begin` to `end` [ns], (3,)."""
-        total, following = np.zeros(3), end
-        for t, ends, per_valve, reaction in reversed(self._commands):
-            total += max(following - max(begin, t), 0) * reaction
-            closed = np.minimum(ends, min(end, following + self.delay))
-            total += np.maximum(closed - max(begin, t + self.delay), 0.0) @ per_valve
-            following = min(following, t)
-            if t + self.delay <= begin:
+    @property
+    def heard(self) -> bool:
+        """Whether every joint was."""
+        return all(joint.t for joint in self.joints)
+
+    def joints_at(self, t: int) -> tuple[Floats, Floats]:
+        """Angles and rates of the joints at t [ns], (n,) each, by their newest readings."""
+        q, qd = np.zeros((2, len(self.joints)))
+        for i, joint in enumerate(self.joints):
+            q[i] = joint.q
+            if joint.t and t - joint.t[-1] <= UNHEARD:
+                qd[i] = joint.qd[-1]
+                q[i] += qd[i] * (t - joint.t[-1]) * 1e-9
+        return q, qd
+
+    def _model(self, t: int, omega: float) -> None:
+        """Linearize about the joints as they are at t [ns], the base turning at omega [rad/s]."""
+        self._newest, self._omega, s = t, omega, self.settings
+        heard = [bool(joint.t) and t - joint.t[-1] <= UNHEARD for joint in self.joints]
+        angles, rates = self.joints_at(t)
+        q, qd = np.append(np.zeros(3), angles), np.append([0.0, 0.0, omega], rates)
+        H = inertia_matrix(self.p, q)
+        self.mobility = np.linalg.inv(H[:3, :3])
+        self._by_joint = -self.mobility @ H[:3, 3:]
+        still = np.zeros(len(q))
+        self._still = -self.mobility @ inverse_dynamics(self.p, q, qd, still)[:3]
+        step = 2.0 * (s.joint_rate_error * qd[3:]) ** 2 / 0.2  # by readings, each 0.2 s or so
+        late = np.array([joint.density() for joint in self.joints])
+        even = step + s.joint_change_error**2 * late
+        loose = np.where(heard, step + late, s.unheard_change**2)
+        self._read = self._quiet + self._by_joint * even @ self._by_joint.T
+        self._tail = self._quiet + self._by_joint * loose @ self._by_joint.T
+        newest = [joint.t[-1] if joint.t else -1 for joint in self.joints]
+        self._from, self._until = min(newest), max(newest)
+        self._silent = min((last for last, h in zip(newest, heard, strict=True) if h), default=FOREVER)
+        self._silent += UNHEARD  # when the next one falls silent
+
+    def over(self, begin: int, end: int) -> tuple[Floats, Floats]:
+        """The mean acceleration of the base and its noise, in its own axes; see Inputs."""
+        if end > max(self._silent, self._newest):
+            self._model(end, self._omega)
+        a, noise = self._still, self._tail if end > self._from else self._read
+        if begin < self._until and end > begin:
+            changes = [joint.changed(begin, end) for joint in self.joints]
+            a = a + self._by_joint @ changes / ((end - begin) * 1e-9)
+        wrench = self._wrench(begin, end)
+        if wrench is not None:
+            thrust = self.mobility @ wrench
+            a = a + thrust
+            off = self.settings.thrust_error**2
+            line, turn = off * (thrust[0] ** 2 + thrust[1] ** 2), off * thrust[2] ** 2
+            noise = noise + np.diag([line, line, turn])
+        return a, noise
+
+    def _wrench(self, begin: int, end: int) -> list[float] | None:
+        """The mean wrench of the valves; None: none is open."""
+        if end <= begin:
+            return None
+        x = y = turn = 0.0
+        following = end
+        for pulses in reversed(self._pulses):
+            since = max(begin, pulses.begin)
+            for close, (fx, fy, torque) in zip(pulses.ends, pulses.wrenches, strict=True):
+                if (open_for := min(close, following) - since) > 0:
+                    x, y, turn = x + open_for * fx, y + open_for * fy, turn + open_for * torque
+            following = min(following, pulses.begin)
+            if pulses.begin <= begin:
                 break
-        return total / (end - begin) if end > begin else total
+        if x == y == turn == 0.0:
+            return None
+        return [x / (end - begin), y / (end - begin), turn / (end - begin)]

@@ -1,42 +1,55 @@
-"""The base's estimated state as messages."""
+"""The estimated state of a body as messages."""
 
 from math import cos, sin
 
+import numpy as np
 from geometry_msgs.msg import TransformStamped
 from nav_msgs.msg import Odometry
 from tf2_msgs.msg import TFMessage
 
-from fss_arm_ros.convert import to_time
+from fss_arm_ros.image import Image
 
-from .base_filter import BaseState
+from .body_filter import BodyState
 
-
-def odometry(state: BaseState, world_frame: str, base_frame: str) -> Odometry:
-    """Pose in the world, twist along the base's own axes, as the type has it."""
-    message = Odometry()
-    message.header.stamp = to_time(state.t)
-    message.header.frame_id, message.child_frame_id = world_frame, base_frame
-    x, y, heading = map(float, state.pose)
-    vx, vy, omega = map(float, state.twist)
-    message.pose.pose.position.x, message.pose.pose.position.y = x, y
-    message.pose.pose.orientation.z = sin(0.5 * heading)
-    message.pose.pose.orientation.w = cos(0.5 * heading)
-    message.twist.twist.linear.x = cos(heading) * vx + sin(heading) * vy
-    message.twist.twist.linear.y = cos(heading) * vy - sin(heading) * vx
-    message.twist.twist.angular.z = omega
-    for k, i in enumerate((0, 7, 35)):  # x, y and heading, on the diagonal of 6 x 6
-        message.pose.covariance[i] = float(state.pose_variance[k])
-        message.twist.covariance[i] = float(state.twist_variance[k])
-    return message
+COVARIANCE, TWIST, TWIST_COVARIANCE = 7, 43, 49  # where they begin among an Odometry's doubles
+PLANE = 0, 1, 5  # x, y and heading among six
 
 
-def transform(state: BaseState, world_frame: str, base_frame: str) -> TFMessage:
-    """From the world to the base."""
-    message = TransformStamped()
-    message.header.stamp = to_time(state.t)
-    message.header.frame_id, message.child_frame_id = world_frame, base_frame
-    x, y, heading = map(float, state.pose)
-    message.transform.translation.x, message.transform.translation.y = x, y
-    message.transform.rotation.z = sin(0.5 * heading)
-    message.transform.rotation.w = cos(0.5 * heading)
-    return TFMessage(transforms=[message])
+class StateImage(Image):
+    """Pose in the world, twist along the body's own axes, as the type has it, with covariances."""
+
+    def __init__(self, world_frame: str, body_frame: str) -> None:
+        message = Odometry(child_frame_id=body_frame)
+        message.header.frame_id = world_frame
+        super().__init__(message, 85)
+
+    def of(self, state: BodyState) -> bytes:
+        """A state."""
+        x, y, heading = state.pose.tolist()
+        vx, vy, omega = state.twist.tolist()
+        c, s = cos(heading), sin(heading)
+        own = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+        self.stamped(state.t)
+        self.put(0, x, y, 0.0, 0.0, 0.0, sin(0.5 * heading), cos(0.5 * heading))
+        self.put(TWIST, c * vx + s * vy, c * vy - s * vx, 0.0, 0.0, 0.0, omega)
+        twist = own @ state.covariance[3:, 3:] @ own.T
+        for begin, block in ((COVARIANCE, state.covariance[:3, :3]), (TWIST_COVARIANCE, twist)):
+            for i, (a, b, d) in zip(PLANE, block.tolist(), strict=True):
+                self.put(begin + 6 * i, a, b, 0.0, 0.0, 0.0, d)
+        return self.bytes()
+
+
+class TransformImage(Image):
+    """From the world to the body, for /tf."""
+
+    def __init__(self, world_frame: str, body_frame: str) -> None:
+        message = TransformStamped(child_frame_id=body_frame)
+        message.header.frame_id = world_frame
+        super().__init__(TFMessage(transforms=[message]), 7, stamp=8)
+
+    def of(self, state: BodyState) -> bytes:
+        """A state."""
+        x, y, heading = state.pose.tolist()
+        self.stamped(state.t)
+        self.put(0, x, y, 0.0, 0.0, 0.0, sin(0.5 * heading), cos(0.5 * heading))
+        return self.bytes()

@@ -1,13 +1,14 @@
-"""What the filter knows of the base and its sensors."""
+"""What the filters know of bodies and sensors."""
 
 from dataclasses import dataclass
 
-from fss_arm_model.settings import POSITIVE, Settings, setting
+from fss_arm_model.held import Target
+from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, Settings, between, like, setting
 
 
 @dataclass(frozen=True)
 class SensorErrors(Settings):
-    """Errors of the base's sensors and its accelerations, each as a standard deviation."""
+    """Errors of a body's sensors and its accelerations, each as a standard deviation."""
 
     position_error: float = setting(
         0.001,
@@ -30,3 +31,128 @@ class SensorErrors(Settings):
     angular_acceleration: float = setting(
         0.3, "random walk of the base's turn rate", unit="rad/s/sqrt(s)", check=POSITIVE
     )
+    kick: float = setting(
+        0.05, "change of the base's speed at once, as by a touch, that is believed", unit="m/s",
+        check=NOT_NEGATIVE,
+    )  # fmt: skip
+    angular_kick: float = setting(
+        0.01, "change of the base's turn rate between two measurements that is believed",
+        unit="rad/s", check=NOT_NEGATIVE,
+    )  # fmt: skip
+    settle_time: float = setting(
+        0.3, "time for which rejected poses must agree to be believed", unit="s", check=POSITIVE
+    )
+    max_speed: float = setting(
+        0.5, "highest speed at which rejected poses count as those of one body", unit="m/s",
+        check=POSITIVE,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Bounds(Settings):
+    """Beyond which where a body is counts as unknown."""
+
+    max_outage: float = setting(
+        2.0, "time without a pose after which where a body is counts as unknown", unit="s",
+        check=POSITIVE,
+    )  # fmt: skip
+    max_position_deviation: float = setting(
+        0.02, "deviation of a body's position above which it counts as unknown", unit="m",
+        check=POSITIVE,
+    )  # fmt: skip
+    max_heading_deviation: float = setting(
+        0.03, "deviation of a body's heading above which it counts as unknown", unit="rad",
+        check=POSITIVE,
+    )  # fmt: skip
+    max_speed_deviation: float = setting(
+        0.05, "deviation of a body's speed above which it counts as unknown", unit="m/s",
+        check=POSITIVE,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class TargetErrors(SensorErrors):
+    """Of a target that floats freely: nothing but the table's slope accelerates it."""
+
+    position_error: float = like(SensorErrors, "position_error", 0.0003)
+    heading_error: float = like(SensorErrors, "heading_error", 8.7e-4)
+    acceleration: float = like(SensorErrors, "acceleration", 5e-4)
+    angular_acceleration: float = like(SensorErrors, "angular_acceleration", 5e-4)
+
+
+@dataclass(frozen=True)
+class EstimatorSettings(SensorErrors, Bounds):
+    """Errors of the base's sensors, and of what is known to accelerate it."""
+
+    position_error: float = like(SensorErrors, "position_error", 0.0003)
+    heading_error: float = like(SensorErrors, "heading_error", 8.7e-4)
+    rate_error: float = like(SensorErrors, "rate_error", 1.75e-4)
+    acceleration: float = like(SensorErrors, "acceleration", 0.001)
+    angular_acceleration: float = like(SensorErrors, "angular_acceleration", 0.003)
+    thrust: float = setting(0.16, "thrust of one of the thrusters", unit="N", check=POSITIVE)
+    thruster_lever: float = setting(
+        0.11, "lever of a thruster: from the base's origin to the line of thrust", unit="m",
+        check=POSITIVE,
+    )  # fmt: skip
+    valve_delay: float = setting(
+        0.005, "time from a pulse of a thruster being sent to the thrust, and to its end",
+        unit="s", check=NOT_NEGATIVE,
+    )  # fmt: skip
+    thrust_error: float = setting(
+        0.05, "relative error of the thrust, 1 sigma", check=between(0.0, 1.0)
+    )
+    joint_rate_error: float = setting(
+        0.04, "relative error of a joint's rate, as of a harmonic drive's ripple, 1 sigma",
+        check=between(0.0, 1.0),
+    )  # fmt: skip
+    joint_change_error: float = setting(
+        0.3, "part of a joint's change of rate between two readings that is not as if even",
+        check=between(0.0, 1.0),
+    )  # fmt: skip
+    unheard_change: float = setting(
+        0.05, "random walk of the rate of a joint that is not heard", unit="rad/s/sqrt(s)",
+        check=NOT_NEGATIVE,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class NavigationSettings(EstimatorSettings):
+    """The parameters of a NavigationNode."""
+
+    latency: float = setting(
+        0.0, "age of motion capture's poses at their stamps, which is taken off", unit="s",
+        check=between(0.0, 0.5),
+    )  # fmt: skip
+    target_acceleration: float = setting(
+        5e-4, "random walk of the target's velocity", unit="m/s/sqrt(s)", check=POSITIVE
+    )
+    target_angular_acceleration: float = setting(
+        5e-4, "random walk of the target's turn rate", unit="rad/s/sqrt(s)", check=POSITIVE
+    )
+    target_mass: float = like(Target, "mass")
+    target_inertia: float = like(Target, "inertia")
+    rate: float = setting(
+        20.0, "rate of base/state and target/state while no poses come", unit="Hz",
+        check=between(1.0, 100.0),
+    )  # fmt: skip
+    arm: str = setting("", "arm to begin with: paper, cad, truth or a file; empty: paper")
+    base_topic: str = setting("vicon/fss/fss", "topic of the base's poses")
+    target_topic: str = setting("vicon/target/target", "topic of the target's poses")
+    gyro_topic: str = setting("fog/imu", "topic of the base's rate")
+    joints_topic: str = setting("joint_states", "topic of the joints' readings")
+    world_frame: str = setting("world", "frame id of what is published")
+    base_frame: str = setting("fss", "child frame id of base/state and /tf")
+    target_frame: str = setting("target", "child frame id of target/state")
+
+    def of_target(self) -> TargetErrors:
+        """Errors of the target's poses, which are as the base's, and what accelerates it."""
+        return TargetErrors(
+            position_error=self.position_error,
+            heading_error=self.heading_error,
+            acceleration=self.target_acceleration,
+            angular_acceleration=self.target_angular_acceleration,
+        )
+
+    def body(self) -> Target:
+        """The target."""
+        return Target(mass=self.target_mass, inertia=self.target_inertia)

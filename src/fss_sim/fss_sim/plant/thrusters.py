@@ -8,13 +8,10 @@ import numpy.typing as npt
 
 from fss_arm_model.integration import STEP
 from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, Settings, setting
+from fss_arm_model.thrusters import COUNT, gas_mass, layout
 from fss_arm_model.units import GRAVITY
 
 Floats = npt.NDArray[np.float64]
-
-COUNT = 8
-CORNERS = ((1, 1), (-1, 1), (-1, -1), (1, -1))  # of the square, in the base's axes
-GAS = 287.0  # gas constant of air [J/(kg K)]
 
 
 @dataclass(frozen=True)
@@ -45,20 +42,6 @@ class Propulsion(Settings):
     temperature: float = setting(293.0, "temperature of tank and gas", unit="K", check=POSITIVE)
 
 
-def layout(thrust: float, lever: float) -> Floats:
-    """Force on the base in its own axes [N] and torque [N m] of each thruster, (8, 3).
-
-    There are two at each corner of the square, counter-clockwise from the one ahead and to the
-    left: the first pushes back along x, the second along y, so that each pair of opposite corners
-    gives any force or torque alone.
-    """
-    rows = []
-    for x, y in CORNERS:
-        rows += [(-x * thrust, 0.0, x * y * thrust * lever)]
-        rows += [(0.0, -y * thrust, -x * y * thrust * lever)]
-    return np.array(rows)
-
-
 class Thrusters:
     """The state of valves and tank; time is in steps of the plant.
 
@@ -70,7 +53,7 @@ class Thrusters:
     def __init__(self, propulsion: Propulsion | None = None, used: float = 0.0) -> None:
         self.propulsion = p = propulsion or Propulsion()
         self.layout = layout(p.thrust, p.lever)
-        self.tank = p.tank_pressure * p.tank_volume / (GAS * p.temperature)  # [kg]
+        self.tank = gas_mass(p.tank_pressure, p.tank_volume, p.temperature)  # [kg]
         self.used = min(used, self.tank)  # propellant [kg]
         self._begin, self._end = np.zeros(COUNT), np.zeros(COUNT)  # of each pulse [step]
 

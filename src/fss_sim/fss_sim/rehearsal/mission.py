@@ -22,12 +22,13 @@ from fss_arm_bags.reader import open_bags
 from fss_arm_model.description import Arm, load
 from fss_arm_model.held import Target
 from fss_arm_model.kinematics import joint_positions
+from fss_arm_model.thrusters import layout
 from fss_arm_msgs.msg import GripperState, LinkCommand, ThrusterCommand
 from fss_arm_msgs.srv import StepTime
 from fss_arm_ros.convert import SECOND, planar_pose, stamp_ns
 from fss_arm_ros.qos import COMMAND, SENSOR
 from fss_sim.guidance import PERIOD, Guidance
-from fss_sim.plant.thrusters import Propulsion, layout
+from fss_sim.plant.thrusters import Propulsion
 from fss_sim.rehearsal.domain import CONFIG, Domain
 from fss_sim.rehearsal.person import LINKS, Operator, own_domain
 from fss_sim.rehearsal.processes import Nodes, RehearsalError, rehearse, results

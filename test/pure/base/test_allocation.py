@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from fss_gnc.control import Allocation
-from fss_sim.plant.thrusters import layout
+from fss_arm_model.thrusters import layout
+from fss_base_driver.allocation import Allocation
 
 VALVES = layout(0.16, 0.11)
 PERIOD, LEAST = 0.1, 0.01

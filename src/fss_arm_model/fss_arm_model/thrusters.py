@@ -1,0 +1,29 @@
+"""The base's cold-gas thrusters: where they push, and what gas a tank holds."""
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float64]
+
+COUNT = 8
+CORNERS = ((1, 1), (-1, 1), (-1, -1), (1, -1))  # of the square, in the base's axes
+GAS = 287.0  # gas constant of air [J/(kg K)]
+
+
+def layout(thrust: float, lever: float) -> Floats:
+    """Force on the base in its own axes [N] and torque [N m] of each thruster, (8, 3).
+
+    There are two at each corner of the square, counter-clockwise from the one ahead and to the
+    left: the first pushes back along x, the second along y, so that each pair of opposite corners
+    gives any force or torque alone.
+    """
+    rows = []
+    for x, y in CORNERS:
+        rows += [(-x * thrust, 0.0, x * y * thrust * lever)]
+        rows += [(0.0, -y * thrust, -x * y * thrust * lever)]
+    return np.array(rows)
+
+
+def gas_mass(pressure: float, volume: float, temperature: float) -> float:
+    """Mass of the air in a tank [kg], as an ideal gas: p V / (R T); Pa, m^3, K."""
+    return pressure * volume / (GAS * temperature)

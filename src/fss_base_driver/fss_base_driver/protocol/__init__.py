@@ -1,0 +1,45 @@
+"""The wire protocol of the base's board (docs/reference/base_protocol.md), and what it obeys."""
+
+from fss_base_driver.protocol.frames import (
+    BOARD,
+    LONGEST,
+    NO_ON_TIMES,
+    OLD,
+    TIME_UNIT,
+    VALVES,
+    BaseCommand,
+    BaseFrame,
+    BaseOrder,
+    BaseSlow,
+    BaseState,
+    BaseTelemetry,
+    Gripper,
+    Hand,
+    decode,
+    encode,
+)
+from fss_base_driver.protocol.state import BOARD_LANGUAGE, BoardState, Limits, Measured, board_gate
+
+__all__ = [
+    "BOARD",
+    "BOARD_LANGUAGE",
+    "LONGEST",
+    "NO_ON_TIMES",
+    "OLD",
+    "TIME_UNIT",
+    "VALVES",
+    "BaseCommand",
+    "BaseFrame",
+    "BaseOrder",
+    "BaseSlow",
+    "BaseState",
+    "BaseTelemetry",
+    "BoardState",
+    "Gripper",
+    "Hand",
+    "Limits",
+    "Measured",
+    "board_gate",
+    "decode",
+    "encode",
+]

@@ -1,0 +1,153 @@
+"""Telemetry and command frames of the base's board to bytes and back.
+
+Raw counts and units of the wire: whoever knows the gyro's scale turns its counts into SI units.
+"""
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+from fss_arm_driver.protocol import Codec, Kind, check_flags, check_order, invalid, signed, unsigned
+
+BOARD = 0  # its number, where frames have that of a link
+VALVES = 8
+TIME_UNIT = 100  # of on times and of a pulse's age [us]
+LONGEST = 0xFFFF  # on time [TIME_UNIT]
+OLD = 0xFFFF  # as the age of a pulse: that or more
+NO_ON_TIMES = (0,) * VALVES
+
+
+class BaseState(IntEnum):
+    """Flags of a telemetry frame, one bit each."""
+
+    ARMED = 1
+    STOPPED = 2  # latched until a command frame with neither arm nor stop
+    WATCHDOG = 4  # commands ceased; disarmed for that reason
+    LIMITED = 8  # a valve was closed before its time by a limit
+    SPENT = 16  # the valves' total time is used up
+
+
+class BaseOrder(IntEnum):
+    """Flags of a command frame, one bit each."""
+
+    ARM = 1  # absent: disarm
+    STOP = 2  # disarm and latch it
+
+
+class Gripper(IntEnum):
+    """What a command says to the gripper."""
+
+    KEEP = 0
+    OPEN = 1
+    CLOSE = 2
+
+
+class Hand(IntEnum):
+    """What telemetry says of the gripper, one bit each."""
+
+    TOLD_TO_CLOSE = 1
+    CLOSED = 2
+    HOLDS = 4
+
+
+class BaseSlow(IntEnum):
+    """Fields that change slowly and take turns in `BaseTelemetry.slow_value`."""
+
+    TANK = 1
+    SUPPLY = 2
+    BATTERY = 3
+    TEMPERATURE = 4
+    FIRMWARE = 5
+    REFUSED = 6
+    FAULTS = 7
+    LEFT = 8
+    OPEN_1 = 9
+    OPEN_2 = 10
+    OPEN_3 = 11
+    OPEN_4 = 12
+    OPEN_5 = 13
+    OPEN_6 = 14
+    OPEN_7 = 15
+    OPEN_8 = 16
+
+
+@dataclass(frozen=True, slots=True)
+class BaseTelemetry:
+    """What the board reports."""
+
+    link: int = unsigned(8)  # BOARD
+    flags: int = unsigned(8)  # BaseState
+    boot: int = unsigned(16)  # counts the starts of the board, from 1
+    sequence: int = unsigned(32)  # counts the frames since the start, modulo 2^32
+    clock: int = unsigned(64)  # the board's own clock at the measurement [us since its start]
+    echo: int = unsigned(32)  # low 32 bits of the `clock` of the last command taken; 0: none yet
+    turnaround: int = unsigned(32)  # from that command's arrival to the measurement [us]
+    gyro_sum: int = unsigned(32)  # of all samples since the start, modulo 2^32 [counts]
+    gyro_samples: int = unsigned(16)  # how many these are, modulo 2^16
+    valves: int = unsigned(8)  # bit i: valve i + 1 is open
+    gripper: int = unsigned(8)  # Hand
+    pulse: int = unsigned(16)  # number of the one begun last; 0: none since the start
+    pulse_age: int = unsigned(16)  # since that began [TIME_UNIT], or OLD
+    slow_id: int = unsigned(8)  # BaseSlow
+    slow_value: int = signed(32)  # of the field `slow_id`
+
+
+@dataclass(frozen=True, slots=True)
+class BaseCommand:
+    """What the board shall do until `expiry` or the next command."""
+
+    link: int = unsigned(8)  # BOARD
+    flags: int = unsigned(8)  # BaseOrder
+    boot: int = unsigned(16)  # of the board that is meant; 0: not known yet, never with ARM
+    sequence: int = unsigned(32)  # counts the frames of one host session, modulo 2^32
+    clock: int = unsigned(64)  # the host's stamp, echoed by the board [us]
+    expiry: int = unsigned(64)  # in the board's clock [us]; 0: none, never with ARM
+    pulse: int = unsigned(16)  # its number; 0: all valves close
+    watchdog: int = unsigned(16)  # silence after which the board disarms itself [ms], 1 or more
+    on_times: tuple[int, ...] = NO_ON_TIMES  # of the valves, from the pulse's begin [TIME_UNIT]
+    gripper: int = Gripper.KEEP
+
+
+BaseFrame = BaseTelemetry | BaseCommand
+
+
+def _check_head(frame: BaseFrame, flags: int) -> None:
+    if frame.link != BOARD:
+        raise invalid(f"link is {frame.link}, expected {BOARD}")
+    check_flags(frame, flags)
+
+
+def _check_telemetry(frame: BaseTelemetry) -> None:
+    _check_head(frame, sum(BaseState))
+    if frame.boot == 0:
+        raise invalid("boot is 0, expected 1 or more")
+    if frame.gripper > sum(Hand):
+        raise invalid(f"gripper is {frame.gripper}, expected 0 to {sum(Hand)}")
+    if frame.slow_id not in _SLOW_IDS:
+        raise invalid(f"slow_id is {frame.slow_id}, expected 1 to {max(_SLOW_IDS)}")
+
+
+def _check_command(frame: BaseCommand) -> None:
+    _check_head(frame, sum(BaseOrder))
+    check_order(frame)
+    times = frame.on_times
+    if len(times) != VALVES or not all(0 <= time <= LONGEST for time in times):
+        raise invalid(f"on_times are {times}, expected {VALVES} from 0 to {LONGEST}")
+    if frame.gripper not in _GRIPPER:
+        raise invalid(f"gripper is {frame.gripper}, expected 0 to {max(_GRIPPER)}")
+    if any(times) and not frame.pulse:
+        raise invalid("on_times without a pulse")
+    if not frame.flags & BaseOrder.ARM and (frame.pulse or frame.gripper):
+        raise invalid("a pulse, or an order to the gripper, without arm")
+
+
+_SLOW_IDS = frozenset(BaseSlow)
+_GRIPPER = frozenset(Gripper)
+_CODEC: Codec[BaseFrame] = Codec(
+    Kind(4, BaseTelemetry, "IIIHBBHHB3xi4x", _check_telemetry),
+    Kind(
+        5, BaseCommand, "QHH8HB3x", _check_command,
+        lambda c: (c.expiry, c.pulse, c.watchdog, *c.on_times, c.gripper),
+        lambda expiry, pulse, watchdog, *rest: (expiry, pulse, watchdog, rest[:-1], rest[-1]),
+    ),
+)  # fmt: skip
+encode, decode = _CODEC.encode, _CODEC.decode

@@ -1,0 +1,224 @@
+"""What the base's board does, by the commands that it takes and the time that passes.
+
+All is integer arithmetic, exact in time: how often the board is asked changes nothing.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from fss_arm_driver.protocol import Gate, Language
+from fss_base_driver.protocol.frames import (
+    BOARD,
+    OLD,
+    TIME_UNIT,
+    VALVES,
+    BaseCommand,
+    BaseOrder,
+    BaseSlow,
+    BaseState,
+    BaseTelemetry,
+    Gripper,
+    Hand,
+    decode,
+)
+
+BOARD_LANGUAGE = Language(BaseCommand, decode, 500_000)
+PERCENT = 100
+_MASK = 0xFFFFFFFF
+
+
+def board_gate(boot: int, key: bytes | None = None) -> Gate[BaseCommand]:
+    """What the board's commands come through; `boot`: which start this is, 1 to 65535."""
+    return Gate(BOARD, boot, key, BOARD_LANGUAGE)
+
+
+@dataclass(frozen=True)
+class Limits:
+    """The board's own limits, which no frame changes."""
+
+    longest: int = 1_000_000  # pulse [us]
+    allowance: int = 5_000_000  # of open time of a valve, full at the start [us]
+    duty: int = 50  # at which that fills again [%]
+    total: int = 300_000_000  # of all valves since the last order to disarm [us]
+
+
+class Measured(NamedTuple):
+    """What the board's instruments say."""
+
+    gyro_sum: int = 0  # [counts]
+    gyro_samples: int = 0
+    closed: bool = False  # the gripper
+    holds: bool = False
+    slow: Mapping[BaseSlow, int] = {}  # those fields that the board does not count itself
+
+
+class BoardState:
+    """Whether the board is armed, its latches, and which valves are open since when.
+
+    Clocks are the board's own [us], and never run back.
+
+    Args:
+        gate: that commands come through.
+        limits: of the valves.
+    """
+
+    def __init__(self, gate: Gate[BaseCommand], limits: Limits | None = None) -> None:
+        self.gate, self.limits = gate, limits or Limits()
+        self.armed = self.stopped = self.watchdog_tripped = self.limited = self.spent = False
+        self.pulse = 0  # number of the one begun last
+        self.gripper = Gripper.KEEP  # what it was told last
+        self.left = self.limits.total  # of the valves' total time [us]
+        self.opened = [0] * VALVES  # how long each was open since the start [us]
+        self._begun = 0  # when the last pulse was
+        self._clock = 0
+        self._until = [0] * VALVES  # each is open up to then
+        self._allowance = [PERCENT * self.limits.allowance] * VALVES  # [us / PERCENT]
+
+    def receive(self, data: bytes, clock: int) -> bool:
+        """Take or refuse bytes that have come; whether they were taken as a command."""
+        self.tick(clock)
+        command = self.gate.take(data, clock)
+        if not isinstance(command, BaseCommand):
+            return False
+        if command.flags & BaseOrder.STOP:
+            self.stopped = True
+            self._disarm()
+        elif not command.flags & BaseOrder.ARM:
+            self.stopped = self.watchdog_tripped = self.limited = self.spent = False
+            self.left = self.limits.total
+            self._disarm()
+        elif not (self.stopped or self.watchdog_tripped or self.spent):
+            self.armed = True
+            self._obey(command)
+        return True
+
+    def tick(self, clock: int) -> None:
+        """Let time pass."""
+        while self._clock < clock:
+            self._pass(min(clock, self._next()))
+            self._limit()
+
+    def valves(self) -> int:
+        """Which are open: bit i is valve i + 1."""
+        return sum(1 << i for i in self._open())
+
+    def remaining(self) -> list[int]:
+        """For how long each valve is still to be open if nothing comes between [us]."""
+        return [max(0, until - self._clock) for until in self._until]
+
+    def flags(self) -> int:
+        """As telemetry has them."""
+        return (
+            BaseState.ARMED * self.armed
+            | BaseState.STOPPED * self.stopped
+            | BaseState.WATCHDOG * self.watchdog_tripped
+            | BaseState.LIMITED * self.limited
+            | BaseState.SPENT * self.spent
+        )
+
+    def telemetry(self, clock: int, sequence: int, measured: Measured) -> BaseTelemetry:
+        """The frame of that number, measured now."""
+        self.tick(clock)
+        gate, command = self.gate, self.gate.command
+        slow = list(BaseSlow)[sequence % len(BaseSlow)]
+        closes = self.gripper is Gripper.CLOSE
+        return BaseTelemetry(
+            link=gate.number,
+            flags=self.flags(),
+            boot=gate.boot,
+            sequence=sequence & _MASK,
+            clock=clock,
+            echo=command.clock & _MASK if command else 0,
+            turnaround=min(clock - gate.arrival, _MASK) if command else 0,
+            gyro_sum=measured.gyro_sum & _MASK,
+            gyro_samples=measured.gyro_samples & 0xFFFF,
+            valves=self.valves(),
+            gripper=Hand.TOLD_TO_CLOSE * closes
+            | Hand.CLOSED * measured.closed
+            | Hand.HOLDS * measured.holds,
+            pulse=self.pulse,
+            pulse_age=min((clock - self._begun) // TIME_UNIT, OLD) if self.pulse else OLD,
+            slow_id=slow,
+            slow_value=_signed(self._slow(slow, measured)),
+        )
+
+    def _slow(self, slow: BaseSlow, measured: Measured) -> int:
+        if slow >= BaseSlow.OPEN_1:
+            return self.opened[slow - BaseSlow.OPEN_1] // 1000
+        if slow is BaseSlow.LEFT:
+            return self.left // 1000
+        if slow is BaseSlow.REFUSED:
+            return self.gate.refused.total()
+        return measured.slow.get(slow, 0)
+
+    def _obey(self, command: BaseCommand) -> None:
+        """Do what a command that arms says."""
+        if command.gripper != Gripper.KEEP:
+            self.gripper = Gripper(command.gripper)
+        if not command.pulse:
+            self._close()
+        elif command.pulse != self.pulse:
+            self.pulse, self._begun = command.pulse, self._clock
+            times = [TIME_UNIT * time for time in command.on_times]
+            self.limited |= max(times) > self.limits.longest
+            self._until = [self._clock + min(time, self.limits.longest) for time in times]
+            self._limit()
+
+    def _disarm(self) -> None:
+        self.armed = False
+        self._close()
+
+    def _close(self) -> None:
+        self._until = [0] * VALVES
+
+    def _open(self) -> list[int]:
+        return [i for i, until in enumerate(self._until) if until > self._clock]
+
+    def _next(self) -> int:
+        """When something changes by itself, at the earliest; always later than now."""
+        command, valves = self.gate.command, self._open()
+        if not (self.armed and command):
+            return 1 << 64
+        times = [self.gate.arrival + self.gate.watchdog]
+        if valves:
+            drain = max(PERCENT - self.limits.duty, 1)
+            times += [self._until[i] - 1 for i in valves]
+            times += [self._clock + (self._allowance[i] - 1) // drain for i in valves]
+            times += [command.expiry, self._clock + (self.left - 1) // len(valves)]
+        return max(min(times), self._clock) + 1
+
+    def _pass(self, clock: int) -> None:
+        """Let time pass in which nothing changes."""
+        passed, valves = clock - self._clock, self._open()
+        full = PERCENT * self.limits.allowance
+        for i, allowance in enumerate(self._allowance):
+            gain = self.limits.duty * passed
+            if i in valves:
+                self.opened[i] += passed
+                gain -= PERCENT * passed
+            self._allowance[i] = min(allowance + gain, full)
+        self.left = max(0, self.left - passed * len(valves))
+        self._clock = clock
+
+    def _limit(self) -> None:
+        """Close what must not be open any more."""
+        command, gate = self.gate.command, self.gate
+        if not (self.armed and command):
+            return
+        if self._clock - gate.arrival > gate.watchdog:
+            self.watchdog_tripped = True
+            self._disarm()
+        elif not self.left:
+            self.spent = True
+            self._disarm()
+        elif self._clock > command.expiry:
+            self._close()
+        for i in self._open():
+            if self._allowance[i] <= 0:
+                self._until[i], self.limited = 0, True
+
+
+def _signed(value: int) -> int:
+    """As 32 bits, two's complement."""
+    return ((value & _MASK) ^ 1 << 31) - (1 << 31)

@@ -1,0 +1,383 @@
+"""The pose and twist of a body on the table, from poses and rates that are measured of it.
+
+    state  x, y, heading, their rates in the world, and the gyro's bias
+    x' = v,  v' = a + noise of covariance G,  b' = noise
+
+One Kalman filter with a full covariance (Bar-Shalom, Li, Kirubarajan, Estimation with Applications
+to Tracking and Navigation, 2001, section 6.2.2). The acceleration a that is known, and how well,
+comes from inputs.py. What was measured in the last MEMORY is kept: a measurement that comes late,
+or an input of which is heard later than it acted, is taken at its time, and what followed it again.
+"""
+
+from collections import Counter, deque
+from collections.abc import Callable
+from math import hypot, isfinite, pi
+from typing import NamedTuple, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from fss_arm_model.kernels import Floats, kernel
+
+from .settings import Bounds, SensorErrors
+
+Pose = tuple[float, float, float]  # x [m], y [m], heading [rad]
+
+SECOND = 1_000_000_000
+MEMORY = 600_000_000  # [ns]
+STRIDE = 20_000_000  # of a prediction, within which the heading counts as constant [ns]
+HELD_POSITION, HELD_HEADING = 0.003, 0.01  # deviations of what is held, by the arm [m], [rad]
+GATE = 5.0  # deviations beyond which a measurement is rejected
+NIS_KEPT = 200  # measurements of a kind
+#: What an event is: time passes, a pose, a rate, the pose of what is held, a push.
+NOTHING, POSE, RATE, HELD, PUSH = 0.0, 1.0, 2.0, 3.0, 4.0
+#: Deviations at the begin: of speed [m/s], turn rate and the gyro's bias [rad/s].
+AT_THE_BEGIN = 0.1, 0.1, 0.2, 0.01
+
+
+@kernel("(s),(s,s),(k),(k,k),(k),(c)->(s),(s,s),(k)")
+def _step(  # type: ignore[no-untyped-def]
+    x0, P0, acceleration, noise, z, control, x, P, out
+):  # fmt: skip
+    """Predict by dt, and take a measurement if it is within the gate.
+
+    One that is beyond, but within if the body was kicked since the last one, is taken as that.
+
+    Args:
+        x0: (7,), P0: (7, 7).
+        acceleration: (3,) in the body's axes; noise: (3, 3) its density in them.
+        z: (3,) measured.
+        control: dt, density of the bias, what is measured, variances of position, heading and
+            rate, the square of the gate, variances of a kick in speed and in turn rate.
+
+    Writes:
+        x, P, and out (3,): the square of the innovation's distance, 1 if it was taken, else 0, and 0.
+    """
+    dt, what, gate = control[0], control[2], control[6]
+    middle = x0[2] + 0.5 * dt * x0[5]
+    c, s = np.cos(middle), np.sin(middle)
+    R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    a, G = np.zeros(3), np.zeros((3, 3))
+    for i in range(3):
+        for j in range(3):
+            a[i] += R[i, j] * acceleration[j]
+            for m in range(3):
+                for n in range(3):
+                    G[i, m] += R[i, j] * noise[j, n] * R[m, n]
+    for i in range(7):
+        x[i] = x0[i]
+        for j in range(7):
+            P[i, j] = P0[i, j]
+    for i in range(3):
+        x[i] += dt * (x0[3 + i] + 0.5 * dt * a[i])
+        x[3 + i] += dt * a[i]
+    for j in range(7):
+        for i in range(3):
+            P[i, j] += dt * P[3 + i, j]
+    for i in range(7):
+        for j in range(3):
+            P[i, j] += dt * P[i, 3 + j]
+    for i in range(3):
+        for j in range(3):
+            P[i, j] += G[i, j] * dt**3 / 3.0
+            P[i, 3 + j] += G[i, j] * dt**2 / 2.0
+            P[3 + i, j] += G[i, j] * dt**2 / 2.0
+            P[3 + i, 3 + j] += G[i, j] * dt
+    P[6, 6] += control[1] * dt
+    out[:] = 0.0
+    if what == PUSH:
+        for i in range(3):
+            P[3 + i, 3 + i] += z[i]
+    if what == NOTHING or what == PUSH:
+        return
+    rows = 1 if what == RATE else 3
+    y, D, h = x.copy(), P.copy(), np.zeros(7)  # h: covariance of the state with what is measured
+    for kicked in range(2):
+        distance = 0.0
+        for i in range(7):
+            y[i] = x[i]
+            for j in range(7):
+                D[i, j] = P[i, j]
+        if kicked:
+            for i in range(3):
+                kick = control[8] if i == 2 else control[7]
+                D[i, i] += kick * dt * dt
+                D[i, 3 + i] += kick * dt
+                D[3 + i, i] += kick * dt
+                D[3 + i, 3 + i] += kick
+        for row in range(rows):
+            last = 6 if what == RATE else row  # a rate is that of the body and the bias
+            first = 5 if what == RATE else row
+            variance = control[5] if what == RATE else control[4] if row == 2 else control[3]
+            off, S = z[row], variance
+            for i in range(first, last + 1):
+                off -= y[i]
+            if row == 2:
+                off = (off + np.pi) % (2.0 * np.pi) - np.pi
+            for i in range(7):
+                h[i] = D[i, first] if first == last else D[i, first] + D[i, last]
+            for i in range(first, last + 1):
+                S += h[i]
+            distance += off * off / S
+            for i in range(7):
+                y[i] += h[i] / S * off
+                for j in range(7):
+                    D[i, j] -= h[i] * h[j] / S
+        if not kicked:
+            out[0] = distance
+        if distance <= gate:
+            out[1] = 1.0
+            for i in range(7):
+                x[i] = y[i]
+                for j in range(7):
+                    P[i, j] = 0.5 * (D[i, j] + D[j, i])
+            return
+
+
+class BodyState(NamedTuple):
+    """A body at a moment, estimated."""
+
+    t: int  # [ns]
+    pose: Floats  # (3,) x, y [m], unwrapped heading [rad]
+    twist: Floats  # (3,) [m/s, m/s, rad/s], in the world
+    covariance: Floats  # (6, 6) of both
+
+    @property
+    def pose_variance(self) -> Floats:
+        """(3,)."""
+        return self.covariance.diagonal()[:3]
+
+    @property
+    def twist_variance(self) -> Floats:
+        """(3,)."""
+        return self.covariance.diagonal()[3:]
+
+    def at(self, t: int) -> "BodyState":
+        """The same motion a little earlier or later."""
+        return self._replace(t=t, pose=self.pose + (t - self.t) * 1e-9 * self.twist)
+
+
+class Inputs(Protocol):
+    """What is known to accelerate a body."""
+
+    def over(self, begin: int, end: int) -> tuple[Floats, Floats]:
+        """The mean from one time [ns] to another, (3,), and its noise (3, 3), in its own axes."""
+
+
+class Free:
+    """Nothing but noise accelerates it.
+
+    Args:
+        errors: whose accelerations are the noise.
+    """
+
+    def __init__(self, errors: SensorErrors) -> None:
+        line, turn = errors.acceleration**2, errors.angular_acceleration**2
+        self._known = np.zeros(3), np.diag([line, line, turn])
+
+    def over(self, begin: int, end: int) -> tuple[Floats, Floats]:
+        """Of any time."""
+        return self._known
+
+
+class _Event(NamedTuple):
+    """What was measured, and the estimate with it."""
+
+    t: int
+    what: float
+    z: npt.ArrayLike
+    x: Floats
+    P: Floats
+
+
+class BodyFilter:
+    """Takes measurements by their stamps, in whatever order they come within MEMORY.
+
+    A pose further than GATE deviations off is rejected and counted, by what is `elsewhere` if that
+    is there; else, when the rejected ones agree among themselves for the settle time, the body is
+    believed to be there and the filter begins anew.
+
+    Args:
+        errors: of the sensors, and what accelerates the body beside what is known.
+        inputs: what is known to accelerate it; nothing by default.
+        elsewhere: the name of another body that is at a pose at a time [ns] and nearer than so
+            much [m]; empty: none is.
+        bounds: beyond which its state is not known.
+    """
+
+    def __init__(
+        self,
+        errors: SensorErrors | None = None,
+        inputs: Inputs | None = None,
+        elsewhere: Callable[[int, Pose, float], str] | None = None,
+        bounds: Bounds | None = None,
+    ) -> None:
+        self.errors = e = errors or SensorErrors()
+        self.inputs, self.bounds = inputs or Free(e), bounds or Bounds()
+        self.elsewhere = elsewhere or (lambda t, pose, within: "")
+        self.rejected: Counter[str] = Counter()
+        self.begun = 0  # times
+        self.events: deque[_Event] = deque()
+        self.seen = self.turned = -1  # when the last pose, and the last rate, was taken [ns]
+        self.nis: dict[float, deque[float]] = {
+            kind: deque(maxlen=NIS_KEPT) for kind in (POSE, RATE)
+        }
+        self._doubt: tuple[int, int, Pose] | None = None  # since when and until when; the last one
+        self._seeing = [e.position_error**2, e.heading_error**2]
+        self._holding = [HELD_POSITION**2, HELD_HEADING**2]
+        kicks = [e.kick**2, e.angular_kick**2]
+        self._control = [0.0, e.bias_walk**2, 0.0, 0.0, 0.0, e.rate_error**2, 0.0, *kicks]
+
+    @property
+    def t(self) -> int:
+        """Time of the estimate [ns]; -1: there is none yet."""
+        return self.events[-1].t if self.events else -1
+
+    def pose(self, t: int, x: float, y: float, heading: float) -> bool:
+        """Take a pose seen at t [ns]; whether it was believed."""
+        pose = x, y, heading
+        if not self.events:
+            return self._begin(t, pose)
+        if self.lost(t) and self._other(t, pose):  # whose pose may be within so wide a gate
+            return False
+        if self._insert(t, POSE, pose):
+            self.seen, self._doubt = max(self.seen, t), None
+            return True
+        return t > self.events[0].t and self._settle(t, pose)
+
+    def rate(self, t: int, omega: float) -> bool:
+        """Take a sample of the gyro at t [ns]; whether it was believed."""
+        if not isfinite(omega):
+            self.rejected["gyro not finite"] += 1
+            return False
+        if not self.events or not self._insert(t, RATE, (omega, 0.0, 0.0)):
+            return False
+        self.turned = max(self.turned, t)
+        return True
+
+    def revise(self, t: int) -> None:
+        """What is known to have accelerated the body since t [ns] is another than it was."""
+        if self.events and t < self.t:
+            for event in self._since(t):
+                self._apply(event)
+
+    def predict(self, t: int) -> None:
+        """Go on to t [ns], without a measurement."""
+        while self.events and self.t < t:
+            self._apply(_Event(min(self.t + STRIDE, t), NOTHING, np.zeros(3), *self.events[-1][3:]))
+
+    def state(self) -> BodyState:
+        """The newest estimate."""
+        t, _, _, x, P = self.events[-1]
+        return BodyState(t, x[:3], x[3:6], P[:6, :6])
+
+    def push(self, t: int, speed: float, turn_rate: float) -> None:
+        """Something pushed the body at t [ns]: its twist is another, by these deviations."""
+        if self.events:
+            self._insert(t, PUSH, (speed**2, speed**2, turn_rate**2))
+
+    def held(self, t: int, pose: Pose) -> bool:
+        """Take the pose at t [ns] that follows from what holds the body."""
+        return self._insert(t, HELD, pose) if self.events else self._begin(t, pose)
+
+    def distance(self, t: int, pose: Pose) -> float:
+        """How many deviations of itself and of the sensor a pose at t [ns] is off."""
+        _, _, (square, _, _) = self._stepped(self.events[-1], t, POSE, pose, -1.0)
+        return float(square**0.5)
+
+    def lost(self, t: int) -> str:
+        """Why the body's state is not known at t [ns]; empty: it is."""
+        most = self.bounds
+        if not self.events:
+            return "not seen yet"
+        if (silence := (t - self.seen) / SECOND) > most.max_outage:
+            return f"not seen for {silence:.1f} s"
+        P = self.events[-1].P
+        for what, variance, bound, unit in (
+            ("position", max(P[0, 0], P[1, 1]), most.max_position_deviation, "m"),
+            ("heading", P[2, 2], most.max_heading_deviation, "rad"),
+            ("speed", max(P[3, 3], P[4, 4]), most.max_speed_deviation, "m/s"),
+        ):
+            if variance > bound**2:
+                return f"{what} known to {variance**0.5:.2g} {unit} only"
+        return ""
+
+    def _begin(self, t: int, pose: Pose) -> bool:
+        """Begin at a pose; turns are counted on."""
+        e, turns = self.errors, 0.0
+        if self.events:
+            turns = 2.0 * pi * round((self.events[-1].x[2] - pose[2]) / (2.0 * pi))
+        x = np.array([pose[0], pose[1], pose[2] + turns, 0.0, 0.0, 0.0, 0.0])
+        deviations = e.position_error, e.position_error, e.heading_error, *AT_THE_BEGIN
+        self.events.clear()
+        self.events.append(_Event(t, NOTHING, pose, x, np.diag(np.square(deviations))))
+        self.begun, self.seen, self._doubt = self.begun + 1, t, None
+        return True
+
+    def _insert(self, t: int, what: float, z: Pose) -> bool:
+        """Take a measurement at its time, and those after it again."""
+        if t <= self.events[0].t:
+            self.rejected["late"] += 1
+            return False
+        later = self._since(t) if t < self.t else ()
+        square, taken = self._apply(_Event(t, what, z, *self.events[-1][3:]))
+        for event in later:
+            self._apply(event)
+        if taken and what in self.nis:
+            self.nis[what].append(square)
+        elif not taken and what == RATE:
+            self.rejected["gyro"] += 1
+        return taken
+
+    def _since(self, t: int) -> list[_Event]:
+        """Forget the estimates after t [ns]; return the events to take again."""
+        later = []
+        while len(self.events) > 1 and self.events[-1].t > t:
+            later.append(self.events.pop())
+        return later[::-1]
+
+    def _apply(self, event: _Event) -> tuple[float, bool]:
+        """Go on to an event; the square of its innovation's distance, and whether it was taken."""
+        last = self.events[-1]
+        while event.t - last.t > STRIDE:  # the heading turns meanwhile
+            x, P, _ = self._stepped(last, last.t + STRIDE, NOTHING, (0.0, 0.0, 0.0))
+            last = _Event(last.t + STRIDE, NOTHING, (0.0, 0.0, 0.0), x, P)
+        x, P, (square, taken, _) = self._stepped(last, event.t, event.what, event.z)
+        self.events.append(event._replace(x=x, P=P))
+        while self.events[0].t < event.t - MEMORY and len(self.events) > 2:
+            self.events.popleft()
+        return float(square), taken > 0.0
+
+    def _stepped(
+        self, last: _Event, t: int, what: float, z: npt.ArrayLike, gate: float = GATE**2
+    ) -> tuple[Floats, Floats, Floats]:
+        control = self._control
+        control[0], control[2], control[6] = max(t - last.t, 0) * 1e-9, what, gate
+        control[3:5] = self._holding if what == HELD else self._seeing
+        found = _step(last.x, last.P, *self.inputs.over(last.t, t), z, control)
+        return found[0], found[1], found[2]
+
+    def _other(self, t: int, pose: Pose) -> bool:
+        """Whether it is the pose of another body."""
+        then, _, _, x, _ = self.events[-1]
+        ahead = (t - then) * 1e-9
+        off = hypot(pose[0] - x[0] - ahead * x[3], pose[1] - x[1] - ahead * x[4])
+        if name := self.elsewhere(t, pose, off):
+            self.rejected[f"pose of the {name}"] += 1
+        return bool(name)
+
+    def _settle(self, t: int, pose: Pose) -> bool:
+        """Begin anew where rejected poses agree for the settle time; whether that is now."""
+        if self._other(t, pose):
+            self._doubt = None
+            return False
+        self.rejected["pose"] += 1
+        e, since = self.errors, t
+        if self._doubt:
+            first, last, before = self._doubt
+            moved = hypot(pose[0] - before[0], pose[1] - before[1])
+            agrees = 0 <= t - last < SECOND // 5
+            if agrees and moved < 10.0 * e.position_error + e.max_speed * (t - last) / SECOND:
+                since = first
+        self._doubt = since, t, pose
+        return t - since >= e.settle_time * SECOND and self._begin(t, pose)

@@ -1,0 +1,145 @@
+"""Base and target together: what is seen of one may be the other, and one may hold the other."""
+
+from functools import partial
+from math import hypot, pi
+
+import numpy as np
+import numpy.typing as npt
+
+from fss_arm_model.description import Arm
+from fss_arm_model.held import Target, hold, held, with_held
+from fss_arm_model.kernels import Floats
+from fss_arm_model.kinematics import tip_pose
+
+from .body_filter import GATE, BodyFilter, Free, Pose
+from .inputs import KnownInputs
+from .settings import EstimatorSettings, TargetErrors
+
+SECOND = 1_000_000_000
+SAME = 0.05, 0.15  # a pose so near to the end effector's is the end effector's [m], [rad]
+UNSEEN = SECOND // 5  # a held target that is not seen for so long is where the gripper has it
+GRIP = 0.05, 0.1  # by how much gripping and letting go changes twists [m/s], [rad/s]
+SHAKEN = 0.05, 0.2  # random walk of a held target's twist [m/s/sqrt(s)], [rad/s/sqrt(s)]
+EASED = 0.05  # of what a pose of the held target says of its place in the gripper is believed
+
+
+class _Carried(Free):
+    """A target, which the arm accelerates while it is held."""
+
+    def __init__(self, errors: TargetErrors) -> None:
+        super().__init__(errors)
+        self.held = False
+        self._shaken = np.zeros(3), np.diag(np.square([SHAKEN[0], SHAKEN[0], SHAKEN[1]]))
+
+    def over(self, begin: int, end: int) -> tuple[Floats, Floats]:
+        """By noise that is large while it is held."""
+        return self._shaken if self.held else super().over(begin, end)
+
+
+class Navigation:
+    """The filters of base and target.
+
+    A pose that one of them cannot have, but another body has, is named and not used: where motion
+    capture takes base and target for each other, both poses are consistent with the other's.
+
+    Args:
+        arm: as known.
+        settings: errors of sensors and inputs.
+        of_target: errors of the target's poses, and what accelerates it.
+        body: the target's mass and inertia.
+    """
+
+    def __init__(
+        self,
+        arm: Arm,
+        settings: EstimatorSettings | None = None,
+        of_target: TargetErrors | None = None,
+        body: Target | None = None,
+    ) -> None:
+        self.settings, self.body = settings or EstimatorSettings(), body or Target()
+        self.p = arm.vector()
+        self.inputs = KnownInputs(self.p, self.settings)
+        errors, s = of_target or TargetErrors(), self.settings
+        self._carried = _Carried(errors)
+        self.base = BodyFilter(s, self.inputs, partial(self._other, "target"), s)
+        self.target = BodyFilter(errors, self._carried, partial(self._other, "base"), s)
+        self.place: Floats | None = None  # of the target in the gripper; None: it is not held
+
+    @property
+    def holds(self) -> bool:
+        """Whether the gripper holds the target."""
+        return self._carried.held
+
+    def describe(self, arm: Arm) -> None:
+        """The arm is known better."""
+        self.p = arm.vector()
+        self._weigh()
+
+    def joint(self, i: int, t: int, q: float, qd: float) -> None:
+        """Take a reading of joint i, from 0, at t [ns]."""
+        omega = self.base.state().twist[2] if self.base.events else 0.0
+        since = self.inputs.joint(i, t, q, qd, float(omega))
+        if since is not None:
+            self.base.revise(since)
+
+    def pulses(self, t: int, on_times: npt.ArrayLike) -> bool:
+        """Take the pulses of the valves that were sent at t [ns]; False: they are none."""
+        taken = self.inputs.pulses(t, on_times)
+        if taken:
+            self.base.revise(t)
+        return taken
+
+    def target_pose(self, t: int, x: float, y: float, heading: float) -> bool:
+        """Take a pose of the target seen at t [ns]; whether it was believed."""
+        believed = self.target.pose(t, x, y, heading)
+        if believed and self.holds and not self.base.lost(t):
+            place = hold(self.p, self._state(t)[0], (x, y, heading))
+            if self.place is None:
+                self.place = place
+                self._weigh()
+            else:
+                off = place - self.place
+                off[2] = (off[2] + pi) % (2.0 * pi) - pi
+                self.place = self.place + EASED * off
+        return believed
+
+    def gripper(self, t: int, holds: bool) -> None:
+        """Take whether the gripper holds the target at t [ns]."""
+        if holds == self.holds:
+            return
+        self._carried.held, self.place = holds, None
+        for body in (self.base, self.target):
+            body.push(min(t, body.t), *GRIP)
+        self._weigh()
+
+    def predict(self, t: int) -> None:
+        """Go on to t [ns]; a held target that is not seen goes with the gripper."""
+        self.base.predict(t)
+        if self.place is not None and t - self.target.seen > UNSEEN and not self.base.lost(t):
+            x, y, heading = held(self.p, *self._state(t), self.place)[0].tolist()
+            self.target.held(t, (x, y, heading))
+        self.target.predict(t)
+
+    def _weigh(self) -> None:
+        is_known = self.place is not None
+        self.inputs.describe(with_held(self.p, self.body, self.place) if is_known else self.p)
+
+    def _state(self, t: int) -> tuple[Floats, Floats]:
+        """Base and joints at t [ns], and their rates, (3 + n,) each."""
+        base = self.base.state().at(t)
+        q, qd = self.inputs.joints_at(t)
+        return np.concatenate([base.pose, q]), np.concatenate([base.twist, qd])
+
+    def _other(self, name: str, t: int, pose: Pose, within: float) -> str:
+        """The name of who else is at a pose."""
+        other = self.target if name == "target" else self.base
+        if other.events and other.distance(t, pose) <= GATE:
+            x, y = other.state().at(t).pose[:2].tolist()
+            if hypot(pose[0] - x, pose[1] - y) < within:
+                return name
+        if self.base.events and self.inputs.heard:
+            x, y, heading = tip_pose(self.p, self._state(t)[0]).tolist()
+            turned = (pose[2] - heading + pi) % (2.0 * pi) - pi
+            if hypot(pose[0] - x, pose[1] - y) < min(SAME[0], within) and abs(turned) < SAME[1]:
+                return "end effector"
+        return ""

@@ -1,0 +1,243 @@
+"""The node `navigation`: where base and target are and how they move, as all others read it."""
+
+import sys
+from collections import Counter, defaultdict
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Odometry
+from rclpy.node import Node
+from sensor_msgs.msg import Imu, JointState
+from tf2_msgs.msg import TFMessage
+
+from fss_arm_model.description import described
+from fss_arm_msgs.msg import (
+    DynamicCalibration,
+    GripperState,
+    KinematicCalibration,
+    ThrusterCommand,
+)
+from fss_arm_ros.calibrated import Calibrated
+from fss_arm_ros.convert import SECOND, PoseError, joint_readings, planar_pose, stamp_ns
+from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
+from fss_arm_ros.parameters import declare
+from fss_arm_ros.qos import LATCHED, SENSOR, subscribe_sensor
+from fss_arm_ros.run import run
+from fss_arm_ros.stamps import SAMPLES, Stamps
+from fss_gnc.navigation import Navigation
+from fss_gnc.navigation.body_filter import POSE, RATE, BodyFilter
+from fss_gnc.navigation.messages import StateImage, TransformImage
+from fss_gnc.navigation.settings import NavigationSettings
+
+AHEAD = SECOND  # of what is expected: a stamp that is farther is believed if SAMPLES in a row are
+SILENT = SECOND // 2  # a gyro that is silent for longer is lost
+
+
+class Body:
+    """A body's filter, and who hears of it."""
+
+    def __init__(self, filter_: BodyFilter, publish: Callable[[Any], None]) -> None:
+        self.filter, self.publish = filter_, publish
+        self.published = -1  # time of the newest state that was [ns]
+        self.lost = "not seen yet"  # why nothing is published; empty: it is
+
+    def tell(self, t: int) -> None:
+        """Publish the state, if it is known at t [ns] and newer than the last one."""
+        self.lost = self.filter.lost(t)
+        if not self.lost and self.filter.t > self.published:
+            self.published = self.filter.t
+            self.publish(self.filter.state())
+
+
+class NavigationNode(Node):
+    """Publishes base/state and target/state, which go on through outages until it is not known.
+
+    It merges poses of motion capture with the gyro, and predicts with the pulses of the thrusters
+    and with what the joints do. When it no longer knows where a body is it ceases to publish that,
+    and says why in diagnostics.
+    """
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__("navigation", **options)
+        s = self.settings = declare(self, NavigationSettings)
+        self.known = Calibrated(described(s.arm))
+        self.latency = round(s.latency * SECOND)
+        self.refused: Counter[str] = Counter()
+        self.state = self.create_publisher(Odometry, "base/state", SENSOR)
+        self.target = self.create_publisher(Odometry, "target/state", SENSOR)
+        self.transform = self.create_publisher(TFMessage, "/tf", SENSOR)
+        self.images = StateImage(s.world_frame, s.base_frame)
+        self.transforms = TransformImage(s.world_frame, s.base_frame)
+        self.target_images = StateImage(s.world_frame, s.target_frame)
+        self.begin()
+        subscribe_sensor(self, PoseStamped, s.base_topic, self.on_base)
+        subscribe_sensor(self, PoseStamped, s.target_topic, self.on_target)
+        subscribe_sensor(self, Imu, s.gyro_topic, self.on_gyro)
+        subscribe_sensor(self, JointState, s.joints_topic, self.on_joints)
+        subscribe_sensor(self, ThrusterCommand, "thrusters/pulses", self.on_pulses)
+        subscribe_sensor(self, GripperState, "gripper/state", self.on_gripper)
+        for kind, topic in (
+            (KinematicCalibration, "calibration/kinematic"),
+            (DynamicCalibration, "calibration/dynamic"),
+        ):
+            self.create_subscription(kind, topic, partial(self.on_calibration, topic), LATCHED)
+        self.create_timer(1.0 / s.rate, self.go_on)
+        self.diagnostics = Diagnostics(self, self.health)
+
+    def begin(self) -> None:
+        """Know nothing of where base and target are."""
+        s = self.settings
+        self.navigation = Navigation(self.known.arm, s, s.of_target(), s.body())
+        self.base = Body(self.navigation.base, self.publish_base)
+        self.free = Body(
+            self.navigation.target, lambda state: self.target.publish(self.target_images.of(state))
+        )
+        self.stamps: dict[str, Stamps] = defaultdict(Stamps)  # by topic
+        self.ahead: Counter[str] = Counter()  # in a row, by topic
+        self.newest = self.heard = -1  # stamp of the newest measurement; when it came [ns]
+
+    def now(self) -> int:
+        """The present by the stamps of measurements [ns]."""
+        return self.newest + max(self.get_clock().now().nanoseconds - self.heard, 0)
+
+    def is_timely(self, topic: str, t: int) -> bool:
+        """Whether a stamp [ns] may be; where the base's poses are set back or forth, begin anew."""
+        if self.newest >= 0 and t > self.now() + AHEAD:
+            self.refused[f"{topic} from the future"] += 1
+            self.ahead[topic] += 1
+            if self.ahead[topic] < SAMPLES or topic != self.settings.base_topic:
+                return False
+            self.get_logger().warning(f"{topic} went on to {t / SECOND:.1f} s: begins anew")
+            self.begin()
+        self.ahead[topic] = 0
+        if self.stamps[topic].set_back(t) and topic == self.settings.base_topic:
+            self.get_logger().warning(f"{topic} went back to {t / SECOND:.1f} s: begins anew")
+            self.begin()
+        if t > self.newest:
+            self.newest, self.heard = t, self.get_clock().now().nanoseconds
+        return True
+
+    def on_base(self, message: PoseStamped) -> None:
+        """A pose of the base."""
+        self.on_pose(self.settings.base_topic, message)
+
+    def on_target(self, message: PoseStamped) -> None:
+        """A pose of the target."""
+        self.on_pose(self.settings.target_topic, message)
+
+    def on_pose(self, topic: str, message: PoseStamped) -> None:
+        """A pose of either."""
+        is_base = topic == self.settings.base_topic
+        try:
+            pose = planar_pose(message.pose)
+        except PoseError:
+            self.refused[f"{topic} occluded"] += 1
+            return
+        t = stamp_ns(message.header.stamp) - self.latency
+        if self.is_timely(topic, t):
+            take = self.navigation.base.pose if is_base else self.navigation.target_pose
+            if take(t, *pose):
+                (self.base if is_base else self.free).tell(t)
+
+    def on_gyro(self, message: Imu) -> None:
+        """A sample of the base's rate."""
+        t = stamp_ns(message.header.stamp)
+        if self.is_timely(self.settings.gyro_topic, t):
+            self.navigation.base.rate(t, message.angular_velocity.z)
+
+    def on_joints(self, message: JointState) -> None:
+        """Readings of one link or more."""
+        t = stamp_ns(message.header.stamp)
+        if self.is_timely(self.settings.joints_topic, t):
+            for i, q, qd, _ in joint_readings(message):
+                if 1 <= i <= self.known.arm.n:
+                    self.navigation.joint(i - 1, t, q, qd)
+
+    def on_pulses(self, message: ThrusterCommand) -> None:
+        """Valves were opened."""
+        t = stamp_ns(message.header.stamp)
+        if self.is_timely("thrusters/pulses", t):
+            if not self.navigation.pulses(t, message.on_time):
+                self.refused["thrusters/pulses"] += 1
+
+    def on_gripper(self, message: GripperState) -> None:
+        """Whether the target is held."""
+        self.navigation.gripper(stamp_ns(message.header.stamp), message.holds)
+
+    def on_calibration(self, topic: str, message: Any) -> None:
+        """Know the arm better, if it passed."""
+        try:
+            known = self.known.with_message(topic, message)
+            if known.arm.n != self.known.arm.n:
+                raise ValueError(f"it is of {known.arm.n} links, expected {self.known.arm.n}")
+        except ValueError as error:
+            self.get_logger().warning(f"{topic} is left out: {error}")
+            return
+        if known is not self.known:
+            self.known = known
+            self.navigation.describe(known.arm)
+            self.get_logger().info(f"predicts with {topic} of {known.arm.name}")
+
+    def publish_base(self, state: Any) -> None:
+        """Publish the base's state and transform."""
+        self.state.publish(self.images.of(state))
+        self.transform.publish(self.transforms.of(state))
+
+    def go_on(self) -> None:
+        """Predict what is not seen, and publish it as long as it is known."""
+        now = self.now()
+        for body in (self.base, self.free):
+            body.lost = body.filter.lost(now)
+            if now - body.published > 1.5 * SECOND / self.settings.rate:
+                if not body.lost:
+                    self.navigation.predict(now)
+                body.tell(now)
+
+    def health(self) -> Health:
+        """For diagnostics."""
+        now, n = self.now(), self.navigation
+        values: dict[str, Any] = {
+            "base": self.base.lost or "known",
+            "target": self.free.lost or ("held" if n.holds else "known"),
+            "NIS of poses, 3 if as expected": mean(n.base.nis[POSE]),
+            "NIS of rates, 1 if as expected": mean(n.base.nis[RATE]),
+            "begun anew": max(n.base.begun - 1, 0),
+            **self.refused,
+            **{f"base: {what} rejected": count for what, count in n.base.rejected.items()},
+            **{f"target: {what} rejected": count for what, count in n.target.rejected.items()},
+        }
+        if n.base.events:
+            values["bias of the gyro [rad/s]"] = n.base.bias
+        return Health(WARN if (words := self.troubles(now)) else OK, words or "knows", values)
+
+    def troubles(self, now: int) -> str:
+        """What is wrong, in words."""
+        n, words = self.navigation, []
+        if self.base.lost:
+            words.append(f"base {self.base.lost}")
+        elif now - n.base.seen > SILENT:
+            words.append(f"base predicted, not seen for {(now - n.base.seen) / SECOND:.1f} s")
+        if self.free.lost and n.target.events:
+            words.append(f"target {self.free.lost}")
+        if n.base.events and now - n.base.turned > SILENT:
+            words.append("no gyro: by motion capture alone")
+        if not n.inputs.heard_at(now):
+            words.append("not every joint is heard: the arm's motion is not known")
+        words += [f"{name} is seen where {of}" for name, of in n.confused(now)]
+        return "; ".join(words)
+
+
+def mean(values: Any) -> float:
+    """Of numbers; NaN: of none."""
+    return sum(values) / len(values) if values else float("nan")
+
+
+def main() -> int:
+    """Run as `ros2 run fss_gnc navigation`."""
+    return run(NavigationNode, NavigationSettings)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
