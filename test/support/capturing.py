@@ -8,11 +8,12 @@ import numpy as np
 from fss_arm_model.clearance import gaps, links_and_base, sizes, with_edge, with_target
 from fss_arm_model.description import paper_arm
 from fss_arm_model.momentum import momentum
-from fss_gnc.control import Allocation, PoseControl
+from fss_base_driver.allocation import Allocation
+from fss_gnc.control import PoseControl
 from fss_gnc.guidance.activity import ActivityError, Body, Craft, Ended, Orders, Seen
 from fss_gnc.guidance.capture import Capture
 from fss_gnc.guidance.mission_settings import MissionSettings
-from fss_gnc.navigation import BaseFilter, KnownInputs, SensorErrors
+from fss_gnc.navigation.navigation import Navigation
 from fss_sim.noise import PRESETS
 from fss_sim.plant.drives import OFF, VELOCITY
 from fss_sim.plant.plant import Demand, Plant, World
@@ -21,21 +22,14 @@ from fss_sim.sensors import RATE, Sensors
 PERIOD = 0.1  # of guidance and control [s]
 FRAMES = round(PERIOD * RATE)
 LOOK = 4  # frames from one look of the navigation to the next
-LATE = 10  # frames that the joints' readings are behind, and commands to them
-PREDICTS, MAX_AGE = 1.0, 0.5  # of the navigation, and of what is used of it [s]
+TOLD = 5  # frames from one reading of the joints to the next
+HEARD, LATE = 4, 10  # frames until a reading is heard, and until a command is obeyed
 KNOWN = 0.5  # until a valve's failure is known [s]
 AFTER = 30.0  # for which it is looked at what comes of a failure [s]
 SECOND = 1_000_000_000
 DEPTH = 0.04  # that the gripper may reach into the target's disc: its own reach, and a little [m]
-BASE = SensorErrors(
-    position_error=0.0003, heading_error=8.7e-4, rate_error=1.75e-4, acceleration=0.001,
-    angular_acceleration=0.003,
-)  # fmt: skip
-TARGET = SensorErrors(
-    position_error=0.0003, heading_error=8.7e-4, acceleration=2e-4, angular_acceleration=5e-4
-)
 POSTURE = 0.9, -1.4, 1.2, -0.6
-SETTINGS = MissionSettings(posture=(0.58, -1.09, 0.75, -0.16))
+SETTINGS = MissionSettings()
 
 
 @dataclass(frozen=True)
@@ -93,14 +87,13 @@ class Flight:
         propulsion, self.valves = self.plant.world.propulsion, self.plant.thrusters.layout
         self.least = propulsion.minimum_on_time
         self.allocation = Allocation(self.valves, PERIOD, self.least)
-        self.inputs = KnownInputs(arm.vector(), self.valves, propulsion.valve_delay)
         self.control = PoseControl(arm)
-        self.base = BaseFilter(BASE, self.inputs.acceleration)
-        self.target = BaseFilter(TARGET)
-        self.sensors, self.states = Sensors(PRESETS["default"], case.seed), [None, None]
+        self.navigation = Navigation(arm)
+        self.sensors = Sensors(PRESETS["default"], case.seed)
         rng = np.random.default_rng(case.seed)
         self.encoders = rng.uniform(-7e-4, 7e-4, arm.n)
-        self.joints, self.demands = deque(maxlen=LATE + 1), deque()
+        self.joints, self.demands = deque(), deque()
+        self.heard = None  # of the joints: angles, rates, torques, when [s]
         self.frame, self.faulted = 0, np.inf
         self.flown = Flown(case)
         self.around = sizes(settings, settings.target_radius, settings.gripper_length)
@@ -142,13 +135,16 @@ class Flight:
     def seen(self):
         now = round(self.t * SECOND)
         known = []
-        for state in self.states:
-            fresh = state is not None and now - state.t <= (PREDICTS + MAX_AGE) * SECOND
-            known.append(Body(state.at(now).pose, state.twist) if fresh else None)
+        for body in (self.navigation.base, self.navigation.target):
+            if not body.events or body.lost(now):
+                known.append(None)
+                continue
+            state = body.state().at(now)
+            known.append(Body(state.pose, state.twist))
         q = qd = effort = None
-        if self.joints and not self.struck("link"):
-            q, qd, effort, then = self.joints[0]
-            q = q + self.encoders + (self.t - then) * qd
+        if self.heard and not self.struck("link"):
+            q, qd, effort, then = self.heard
+            q = q + (self.t - then) * qd
         left = self.plant.thrusters.tank - self.plant.thrusters.used
         return Seen(self.t, *known, q, qd, effort, self.plant.holds, left)
 
@@ -164,15 +160,9 @@ class Flight:
         seen, times = self.now, np.zeros(len(self.valves))
         if orders.path is not None and seen.base is not None and seen.q is not None:
             q, qd = seen.floating
-            if seen.holds and not getattr(self, "heavy", False) and seen.target is not None:
-                from fss_arm_model.held import hold, with_held
-                self.heavy, p = True, self.arm.vector()
-                place = hold(p, q, seen.target.pose)
-                self.control.p = with_held(p, self.settings.target, place)
-                self.inputs.p = self.control.p
+            self.control.p = self.navigation.inputs.p
             wrench = self.control.wrench(q, qd, orders.path.at(self.t), PERIOD, np.zeros(self.arm.n))
             times = self.share(wrench)
-            self.inputs.command(round(self.t * SECOND), times, q, qd, np.zeros(self.arm.n))
         self.command(times)
         if orders.close is not None:
             self.plant.closed = bool(orders.close)
@@ -188,6 +178,7 @@ class Flight:
         return self.allocation.on_times(wrench)
 
     def command(self, times):
+        self.navigation.pulses(round(self.t * SECOND), times)
         times = np.array(times)
         if self.struck("open"):
             times[2] = 2.0 * PERIOD
@@ -214,22 +205,28 @@ class Flight:
         motions = plant.motions()
         effort = np.array([m.torque for m in motions])
         self.flown.torque = max(self.flown.torque, float(np.abs(effort).max()))
-        self.joints.append((plant.q[3:].copy(), plant.qd[3:].copy(), effort, self.t))
+        now = round(self.t * SECOND)
+        if self.frame % TOLD == 0:
+            reading = plant.q[3:] + self.encoders, plant.qd[3:].copy(), effort, self.t
+            self.joints.append((self.frame + HEARD, reading))
+        if self.joints and self.joints[0][0] <= self.frame and not self.struck("link"):
+            self.heard = self.joints.popleft()[1]
+            q, qd, _, then = self.heard
+            for i in range(self.arm.n):
+                self.navigation.joint(i, round(then * SECOND), float(q[i]), float(qd[i]))
         if self.frame % LOOK:
             return
-        now = round(self.t * SECOND)
         sight = self.sensors.observe(
             self.frame, plant.base, plant.tip, float(plant.qd[2]), plant.qd[3:],
             target=plant.target[0].tolist(),
         )  # fmt: skip
-        found = [[], []]
         if not self.struck("gyro"):
-            found[0] += self.base.rate(now, sight.rate)
+            self.navigation.base.rate(now, sight.rate)
         if not self.struck("outage"):
-            found[0] += self.base.pose(now, *sight.base.pose)
-            found[1] += self.target.pose(now, *sight.target.pose)
-        for i, some in enumerate(found):
-            self.states[i] = some[-1] if some else self.states[i]
+            self.navigation.base.pose(now, *sight.base.pose)
+            self.navigation.target_pose(now, *sight.target.pose)
+        self.navigation.gripper(now, plant.holds)
+        self.navigation.predict(now)
 
     def judge(self):
         """Who touches whom."""

@@ -13,6 +13,7 @@ from fss_gnc.reference import Path
 
 Floats = npt.NDArray[np.float64]
 
+ARM_STILL = 0.01  # rate of a joint below which the base is slowed down [rad/s]
 CALM = 2.0  # for which all must be still [s]
 
 
@@ -50,12 +51,13 @@ class Detumble:
         if seen.holds and seen.target is not None and not self._held:
             place = hold(self.p, q, seen.target.pose)
             self.p, self._held = with_held(self.p, self.settings.target, place), True
-        if self._path is None:
-            self._path = braking(self.p, q, qd, self.settings, seen.t)
         rates = self.joints.rates(self.p, seen)
-        if not self._is_still(qd):
+        if self._path is None and not rates.any() and np.abs(qd[3:]).max() < ARM_STILL:
+            # What the joints give the base ends with their motion; the rest is momentum.
+            self._path = braking(self.p, q, qd, self.settings, seen.t)
+        if self._path is None or not self._is_still(qd):
             self._moving = seen.t
-        over = seen.t > self._path.end and seen.t - self._moving >= CALM
+        over = self._path is not None and seen.t - max(self._moving, self._path.end) >= CALM
         return Orders("detumble", self._path, rates, ended=Ended(True) if over else None)
 
     def cancel(self, reason: str, t: float | None = None) -> None:

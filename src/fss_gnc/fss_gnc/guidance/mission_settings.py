@@ -30,11 +30,11 @@ class MissionSettings(GuardSettings):
         check=FINITE,
     )  # fmt: skip
     stand_off: float = setting(
-        0.12, "distance of the end effector from the fixture before it reaches for it", unit="m",
+        0.08, "distance of the end effector from the fixture before it reaches for it", unit="m",
         check=NOT_NEGATIVE,
     )  # fmt: skip
     keep_out: float = setting(
-        0.3, "radius about the target that no body enters in the approach", unit="m",
+        0.26, "radius about the target that no body enters in the approach", unit="m",
         check=NOT_NEGATIVE,
     )  # fmt: skip
     edge_room: float = setting(
