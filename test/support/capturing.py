@@ -28,7 +28,7 @@ KNOWN = 0.5  # until a valve's failure is known [s]
 AFTER = 30.0  # for which it is looked at what comes of a failure [s]
 SECOND = 1_000_000_000
 DEPTH = 0.04  # that the gripper may reach into the target's disc: its own reach, and a little [m]
-POSTURE = 0.9, -1.4, 1.2, -0.6
+POSTURE = 0.95, 1.3, 1.36, -1.23
 SETTINGS = MissionSettings()
 
 
@@ -38,7 +38,7 @@ class Case:
 
     spin: float = 0.15  # of the target [rad/s]
     heading: float = -0.3
-    distance: float = 1.8  # of the base from it [m]
+    distance: float = 1.6  # of the base from it [m]
     seed: int = 1
     drift: tuple[float, float] = (-0.006, 0.004)  # of it [m/s]
     fault: str = ""  # outage, open, closed, gyro, link
@@ -76,10 +76,10 @@ class Flight:
     def __init__(self, case, activity=None, settings=SETTINGS):
         self.case, self.settings = case, settings
         self.arm = arm = paper_arm()
-        side = np.exp(1j * np.radians(-145.0))
-        centre = 0.30 + 0.22j
+        side = np.exp(1j * np.radians(-135.0))
+        centre = 0j
         at = centre + case.distance * side
-        q = np.array([at.real, at.imag, 0.3, *POSTURE])
+        q = np.array([at.real, at.imag, -1.4, *POSTURE])
         target = [[centre.real, centre.imag, case.heading], [*case.drift, case.spin]]
         self.plant = Plant(arm, q, None, World(target=settings.target), target)
         self.craft = Craft(arm)

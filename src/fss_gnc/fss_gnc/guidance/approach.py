@@ -111,23 +111,31 @@ class Way:
     rate: Floats  # (3,)
     end: Floats  # (3,)
     duration: float  # [s]
-    via: tuple[float, float] | None  # share of the time at which d is what
+    order: "Order"
 
     def points(self, t: npt.ArrayLike) -> Points:
         """At times since its begin [s], seen from the target."""
-        t, T = np.atleast_1d(np.asarray(t, dtype=float)), self.duration
-        most = T if self.via is None else 0.6 * T
+        t, T, order = np.atleast_1d(np.asarray(t, dtype=float)), self.duration, self.order
         d = quintic(self.begin[0], self.rate[0], self.end[0], T, t)
-        if self.via is not None:
-            share, far = self.via
-            late = t > share * T
-            out = quintic(self.begin[0], self.rate[0], far, share * T, t)
-            back = quintic(far, 0.0, self.end[0], (1.0 - share) * T, np.maximum(t - share * T, 0.0))
-            d = np.where(late, back, out)
-        phi, psi = (
-            quintic(self.begin[i], self.rate[i], self.end[i], most, t) for i in (1, 2)
-        )
+        if order.far is not None:
+            half, far = order.share * T, order.far
+            out = quintic(self.begin[0], self.rate[0], far, half, t)
+            back = quintic(far, 0.0, self.end[0], T - half, np.maximum(t - half, 0.0))
+            d = np.where(t > half, back, out)
+        since, until = np.array(order.round) * T
+        round_ = np.maximum(t - since, 0.0)
+        rate = 0.0 if since else self.rate[1]
+        phi = quintic(self.begin[1], rate, self.end[1], until - since, round_)
+        psi = quintic(self.begin[2], self.rate[2], self.end[2], min(until, 0.6 * T), t)
         return self.body.points(d, phi, psi)
+
+
+class Order(NamedTuple):
+    """When it comes in and when it goes round, as shares of the duration."""
+
+    round: tuple[float, float]  # from when to when phi changes
+    share: float = 0.0  # until when d goes elsewhere first
+    far: float | None = None  # and where that is [m]; None: straight in
 
 
 class Planner:
@@ -182,14 +190,20 @@ class Planner:
     def _ways(
         self, body: Body, here: Floats, rate: Floats, state: Floats, lead: float
     ) -> Iterator[Way]:
+        standing = self.standing()
+        off = max(float(here[0]), standing)
+        orders = (
+            Order((0.0, 1.0)), Order((0.0, 0.6), 0.45, off), Order((0.3, 1.0), 0.5, standing),
+            Order((0.0, 0.6), 0.4, off + 0.3), Order((0.1, 0.8), 0.2, off + 0.1),
+        )  # fmt: skip
         t = 6.0
         while t < self.settings.longest_way:
             facing = self.side(float(state[0, 2] + state[1, 2] * (t + lead)))
             round_ = (facing - here[1] + pi) % (2.0 * pi) - pi
             for turn in (round_, round_ - np.copysign(2.0 * pi, round_)):
-                end = np.array([self.standing(), here[1] + turn, 0.0])
-                for via in (None, (0.45, here[0]), (0.4, here[0] + 0.3), (0.4, here[0] + 0.6)):
-                    way = Way(body, here, rate, end, t, via)
+                end = np.array([standing, here[1] + turn, 0.0])
+                for order in orders:
+                    way = Way(body, here, rate, end, t, order)
                     if self._can_drive(way):
                         yield way
             t += max(1.0, 0.05 * t)

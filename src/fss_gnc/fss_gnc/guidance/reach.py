@@ -1,7 +1,7 @@
 """The reach: joint rates that take the end effector onto the fixture while the base floats.
 
-The wanted twist of the end effector is the fixture's, and what takes it there: first abreast of the
-fixture and turned towards it, then in. With momentum kept, joint rates give the twist J* q' past the
+The wanted twist of the end effector meets the fixture where that will be, as soon as its speed
+allows, and near to it follows it. With momentum kept, joint rates give the twist J* q' past the
 drift that the momentum gives (momentum.py); damped least squares,
 
     q' = J*' (J* J*' + lambda^2 1)^-1 W (v_wanted - v_drift) + N (q_middle - q) / T
@@ -26,8 +26,8 @@ Floats = npt.NDArray[np.float64]
 
 WEIGHT = np.array([1.0, 1.0, 0.1])  # of the twist's rows [1, 1, m]
 DAMPING = 1e-3  # lambda^2 [m^2]
-GAIN, TURN_GAIN, MOST_TURN = 1.0, 0.6, 0.15  # [1/s], [1/s], [rad/s]
-WIDE = 0.02  # off to the side at which the end effector is held back [m]
+MEETINGS = np.linspace(1.0, 6.0, 26)  # when the fixture may be met, from now on [s]
+MOST_TURN = 0.2  # of the end effector [rad/s]
 CENTRING = 10.0  # T [s]
 AHEAD = 0.3  # in which a joint must not come to its end [s]
 
@@ -71,19 +71,14 @@ class Jacobian:
         return limited(rates, q[3:], self.lowest, self.highest, self.settings.joint_rate)
 
     def _wanted(self, tip: Floats, state: Floats) -> Floats:
-        """Twist of the end effector."""
-        s, spin = self.settings, float(state[1, 2])
-        out = complex(*s.target_fixture[:2]) * np.exp(1j * state[0, 2])
-        normal = np.exp(1j * (state[0, 2] + s.target_fixture[2]))
-        fixture = complex(*state[0, :2]) + out
-        apart = (complex(*tip[:2]) - fixture) / normal  # outward, and abreast
-        askew = wrapped(float(np.angle(normal)) + pi - tip[2])
-        hold = min(max(1.5 * (abs(apart.imag) - WIDE), 0.0), s.stand_off)
-        aim = fixture + hold * normal
-        wanted = complex(*state[1, :2]) + 1j * spin * (aim - complex(*state[0, :2]))
-        wanted += shortened(GAIN * (aim - complex(*tip[:2])), s.reach_speed)
-        turn = spin + min(max(TURN_GAIN * askew, -MOST_TURN), MOST_TURN)
-        return np.array([wanted.real, wanted.imag, turn])
+        """Twist of the end effector: to meet the fixture on its way, as soon as speed allows."""
+        ahead = fixtures(state, self.settings, MEETINGS)
+        apart = ahead[:, 0] + 1j * ahead[:, 1] - complex(*tip[:2])
+        in_time = np.abs(apart) <= self.settings.reach_speed * MEETINGS
+        k = int(np.argmax(in_time)) if in_time.any() else len(MEETINGS) - 1
+        v = shortened(complex(apart[k]) / MEETINGS[k], 2.0 * self.settings.reach_speed)
+        turn = wrapped(float(ahead[k, 2] - tip[2])) / MEETINGS[k]
+        return np.array([v.real, v.imag, min(max(turn, -MOST_TURN), MOST_TURN)])
 
     def _drift(self, q: Floats) -> Floats:
         """Twist of the end effector with the joints at rest and momentum as it is."""
@@ -96,10 +91,19 @@ class Jacobian:
         return np.array([v.real, v.imag, omega])
 
 
+def fixtures(state: Floats, settings: MissionSettings, ahead: Floats) -> Floats:
+    """Pose of an end effector that grips the target times ahead [s], (k, 3), drifting evenly."""
+    x, y, outward = settings.target_fixture
+    pose = state[0] + ahead[:, None] * state[1]
+    at = pose[:, 0] + 1j * pose[:, 1] + complex(x, y) * np.exp(1j * pose[:, 2])
+    return np.stack([at.real, at.imag, pose[:, 2] + outward + pi], axis=1)
+
+
 def limited(rates: Floats, q_m: Floats, lowest: Floats, highest: Floats, most: float) -> Floats:
     """Rates no greater than the most, all slowed down alike, and none into the end of a range."""
     rates = rates * min(1.0, most / max(float(np.abs(rates).max()), 1e-9))
-    return np.clip(rates, np.minimum(lowest - q_m, 0.0) / AHEAD, np.maximum(highest - q_m, 0.0) / AHEAD)
+    least, most_ = (np.minimum(lowest - q_m, 0.0) / AHEAD, np.maximum(highest - q_m, 0.0) / AHEAD)
+    return np.clip(rates, least, most_)
 
 
 def shortened(vector: complex, most: float) -> complex:
