@@ -161,7 +161,9 @@ class Flight:
         if orders.path is not None and seen.base is not None and seen.q is not None:
             q, qd = seen.floating
             self.control.p = self.navigation.inputs.p
-            wrench = self.control.wrench(q, qd, orders.path.at(self.t), PERIOD, np.zeros(self.arm.n))
+            wrench = self.control.wrench(
+                q, qd, orders.path.at(self.t), PERIOD, np.zeros(self.arm.n)
+            )
             times = self.share(wrench)
         self.command(times)
         if orders.close is not None:
@@ -202,12 +204,11 @@ class Flight:
 
     def look(self):
         plant = self.plant
-        motions = plant.motions()
-        effort = np.array([m.torque for m in motions])
+        effort = plant._torques[:, 1]
         self.flown.torque = max(self.flown.torque, float(np.abs(effort).max()))
         now = round(self.t * SECOND)
         if self.frame % TOLD == 0:
-            reading = plant.q[3:] + self.encoders, plant.qd[3:].copy(), effort, self.t
+            reading = plant.q[3:] + self.encoders, plant.qd[3:].copy(), effort.copy(), self.t
             self.joints.append((self.frame + HEARD, reading))
         if self.joints and self.joints[0][0] <= self.frame and not self.struck("link"):
             self.heard = self.joints.popleft()[1]

@@ -1,17 +1,20 @@
 """The capture of a tumbling target, phase by phase.
 
-    wait      until base, arm and target are known, and there is a clear way
-    approach  along it, joints held, and stay before the target until the fixture is about to face
-    reach     valves closed, so that momentum stays; the arm takes the gripper to the fixture
-    grip      the gripper closes, the arm goes on following
-    detumble  the target held, all comes to rest
-    done
-    abort     from any of them
+wait      until base, arm and target are known, and there is a clear way
+approach  along it, joints held, and stay before the target until the fixture is about to face
+reach     valves closed, so that momentum stays; the arm takes the gripper to the fixture
+grip      the gripper closes, the arm goes on following
+detumble  the target held, all comes to rest
+done
+abort     from any of them
 """
+
+from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
 
+from fss_arm_model.description import Arm
 from fss_arm_model.held import Approach, approach
 from fss_arm_motion.guard import Guard, GuardError
 from fss_gnc.guidance.abort import Abort
@@ -19,19 +22,25 @@ from fss_gnc.guidance.activity import Craft, Ended, Orders, Seen
 from fss_gnc.guidance.approach import Planner, Points, Way
 from fss_gnc.guidance.detumble import Detumble
 from fss_gnc.guidance.mission_settings import MissionSettings
+from fss_gnc.guidance.predictive import Predictive
 from fss_gnc.guidance.reach import Jacobian, Reach, wrapped
 from fss_gnc.guidance.watch import Watch
 from fss_gnc.reference import Path, off
 
 Floats = npt.NDArray[np.float64]
 
+GUIDES: dict[str, Callable[[Arm, MissionSettings], Reach]] = {
+    "jacobian": Jacobian, "predictive": Predictive,
+}  # fmt: skip
+
 AHEAD = np.linspace(0.0, 2.0, 9)  # of the reference that is told [s]
-SETTLED = 1.0  # for which the joints must be at rest before a way is sought [s]
+SETTLED = 3.0  # for which all must be known, joints at rest, before a way is sought [s]
 RETRY = 2.0  # between searches for a way [s]
 NEAR, STRAIGHT = 0.03, 0.05  # of the stand-off for the reach to begin [m], [rad]
 SLOW, SLOW_TURN = 0.008, 0.008  # past the target then [m/s], [rad/s]
 FACING = 0.25  # of the fixture's angle when the reach begins [rad]
 LOST_ANGLE, LOST_DISTANCE = 1.2, 0.35  # beyond which a reach is given up [rad], [m]
+LATE = 5.0  # before the end of a way, in which no other is sought [s]
 PATIENCE = 25.0  # to stay for the fixture to come round, else another side is sought [s]
 
 
@@ -56,7 +65,7 @@ class Capture:
     ) -> None:
         self.craft, self.settings, self.detumbles = craft, settings, detumble
         self.p, self.target = craft.arm.vector(), settings.target
-        self.guide = reach or Jacobian(craft.arm, settings)
+        self.guide = reach or GUIDES[settings.reach](craft.arm, settings)
         self.planner, self.watch = Planner(self.p, settings), Watch(craft, settings)
         self.guard = Guard(craft.arm, settings)
         self.phase, self.since, self.attempts = "wait", 0.0, 0
@@ -65,7 +74,7 @@ class Capture:
         self.after: Detumble | Abort | None = None
         self.captured = False
         self._way: tuple[float, Way] | None = None  # and when it begins
-        self._sought = self._moved = -np.inf
+        self._sought, self._moved = -np.inf, 0.0
         self._path: Path | None = None
 
     def step(self, seen: Seen) -> Orders:
@@ -77,6 +86,7 @@ class Capture:
         if self.after is not None:
             return self._told(self.after.step(seen))
         if seen.base is None or seen.q is None or seen.target is None:
+            self._moved = seen.t
             return Orders("wait", close=False)
         q, qd = seen.floating
         state = np.array([seen.target.pose, seen.target.twist])
@@ -116,7 +126,9 @@ class Capture:
     def _wait(self, seen: Seen, q: Floats, qd: Floats, state: Floats) -> Orders:
         self._path = None
         if self.posture is None:
-            self.posture = np.array(self.settings.posture) if self.settings.posture else q[3:].copy()
+            self.posture = (
+                np.array(self.settings.posture) if self.settings.posture else q[3:].copy()
+            )
         is_there = np.abs(q[3:] - self.posture).max() < 0.02 and np.abs(qd[3:]).max() < 0.01
         self._moved = self._moved if is_there else seen.t
         if seen.t >= max(self._sought + RETRY, self._moved + SETTLED):
@@ -144,7 +156,11 @@ class Capture:
         begin, way = self._way
         points = way.points(seen.t - begin + AHEAD)
         self._path = on_target(points, seen.t, state)
-        if seen.t - begin >= way.duration:
+        left = begin + way.duration - seen.t
+        facing = self._facing(state, way, max(left, 0.0) + self.settings.lead)
+        if left > LATE and abs(facing) > FACING and seen.t > self._sought + RETRY:
+            self._seek(seen.t, q, qd, state)  # the target turns otherwise than it seemed to
+        elif left <= 0.0:
             self._arrived(seen, q, qd, state, way)
         return Orders(
             "approach", self._path, self._still(q), False, keep_out=self.settings.keep_out,
@@ -158,8 +174,7 @@ class Capture:
         there = np.hypot(*apart[:2]) < NEAR and abs(apart[2]) < STRAIGHT
         there &= np.hypot(*moving[:2]) < SLOW and abs(moving[2]) < SLOW_TURN
         spin = float(state[1, 2])
-        facing = self.planner.side(float(state[0, 2]) + self.settings.lead * spin)
-        ahead = wrapped(float(way.end[1]) - facing)  # that it has to turn yet
+        ahead = self._facing(state, way, self.settings.lead)
         if there and abs(ahead) < FACING:
             self.attempts += 1
             self._path = None
@@ -168,6 +183,12 @@ class Capture:
         elif (ahead * spin < 0.0 or abs(ahead) > PATIENCE * abs(spin)) and abs(ahead) > FACING:
             if seen.t > self._sought + RETRY:
                 self._seek(seen.t, q, qd, state)
+
+    def _facing(self, state: Floats, way: Way, ahead: float) -> float:
+        """Angle that the fixture has to turn yet to face the arm, a time ahead [s]."""
+        return wrapped(
+            float(way.end[1]) - self.planner.side(float(state[0, 2] + ahead * state[1, 2]))
+        )
 
     def _reach(self, seen: Seen, q: Floats, qd: Floats, state: Floats) -> Orders:
         """Towards the fixture, and closing there; the arm goes on following while it closes."""

@@ -46,9 +46,11 @@ class Drifting:
         apart = gaps(self.p, q, self._target[:-1], self._sizes, target[:2])
         return edge, float(apart.min())
 
-    def as_is(self, q: Floats, qd: Floats, target: Body | None) -> Drift:
+    def as_is(
+        self, q: Floats, qd: Floats, target: Body | None, horizon: float | None = None
+    ) -> Drift:
         """What comes of the present motion; the target, if not held, drifts as well."""
-        return self._looked(Rigid(self.p, q[3:]), q, np.atleast_2d(qd[:3]), target)[0]
+        return self._looked(Rigid(self.p, q[3:]), q, np.atleast_2d(qd[:3]), target, horizon)[0]
 
     def away(self, q: Floats, qd: Floats, target: Body | None) -> Drift:
         """The motion that is safe and asks for the least change; the best if none is safe."""
@@ -66,10 +68,15 @@ class Drifting:
         return safe[0] if safe else max(found, key=lambda drift: min(drift.edge, drift.target))
 
     def _looked(
-        self, body: Rigid, q: Floats, twists: Floats, target: Body | None
+        self,
+        body: Rigid,
+        q: Floats,
+        twists: Floats,
+        target: Body | None,
+        horizon: float | None = None,
     ) -> list[Drift]:
         s = self.settings
-        ahead = np.linspace(0.0, s.drift_horizon, SAMPLES)
+        ahead = np.linspace(0.0, horizon or s.drift_horizon, SAMPLES)
         poses = coasted(q[None, None, :3], twists[:, None, :], body.com, ahead)
         held = np.broadcast_to(body.q_m, (*poses.shape[:2], body.q_m.size))
         states = np.concatenate([poses, held], axis=-1)

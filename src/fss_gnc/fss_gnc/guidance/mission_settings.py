@@ -45,7 +45,9 @@ class MissionSettings(GuardSettings):
         12.0, "time for which nothing is met if all thrust ends anywhere on the way", unit="s",
         check=NOT_NEGATIVE,
     )  # fmt: skip
-    longest_way: float = setting(150.0, "longest approach that is planned", unit="s", check=POSITIVE)
+    longest_way: float = setting(
+        150.0, "longest approach that is planned", unit="s", check=POSITIVE
+    )
     # the reach
     reach: str = setting("jacobian", "guidance of the reach", check=one_of(*REACHES))
     lead: float = setting(

@@ -7,6 +7,7 @@ from fss_gnc.guidance.drift import Drifting
 from fss_gnc.guidance.mission_settings import MissionSettings
 from fss_gnc.reference import Path, off
 
+STOPPED = 6.0  # in which the valves stop the base [s]
 PATIENCE = 0.3  # for which a torque may exceed its limit [s]
 
 
@@ -40,7 +41,7 @@ class Watch:
             return "arm/joint_states are not known"
         if seen.t - since > timeout:
             return f"it took more than {timeout:g} s"
-        q, _ = seen.floating
+        q, qd = seen.floating
         target = None if seen.target is None or seen.holds else seen.target.pose
         self.edge, self.target = self.drifting.clearances(q, target)
         if self.edge < s.least_edge:
@@ -52,6 +53,9 @@ class Watch:
             distance, turn = float(np.hypot(*apart[:2])), abs(float(apart[2]))
             if distance > s.max_offset or turn > s.max_turn:
                 return f"{distance:.3f} m and {np.degrees(turn):.1f} deg off the reference"
+            ahead = self.drifting.as_is(q, qd, None, STOPPED)
+            if ahead.edge < 0.0:
+                return f"drifting, it would touch the table's edge within {STOPPED:g} s"
         return self._spent(seen) or self._strain(seen)
 
     def _spent(self, seen: Seen) -> str:
