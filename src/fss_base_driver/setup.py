@@ -9,7 +9,7 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/fss_base_driver"]),
         ("share/fss_base_driver", ["package.xml"]),
     ],
-    description="The base's hardware: motion capture to poses.",
+    description="The base's hardware: its board's valves and gyro, motion capture to poses.",
     url="https://fss-arm.example.org",
     maintainer="FSS Arm maintainers",
     maintainer_email="fss-arm@example.org",
@@ -17,6 +17,7 @@ setup(
     extras_require={"test": ["pytest"]},
     entry_points={
         "console_scripts": [
+            "base = fss_base_driver.base_node:main",
             "mocap = fss_base_driver.mocap_node:main",
             "subjects = fss_base_driver.subjects_node:main",
         ],

@@ -20,6 +20,7 @@ MESSAGES = {
 }
 ROS = MESSAGES | {"rclpy", "ament_index_python"}
 MODEL = {"numpy", "scipy", "numba", "yaml"}
+PROTOCOL, BOARD = "fss_arm_driver.protocol", "fss_base_driver.protocol"
 GUARD = {"fss_arm_motion.guard", "fss_arm_motion.guard_settings"}
 
 # Beside itself and the standard library, a package, or a folder in one, may import these; a
@@ -33,7 +34,7 @@ ALLOWED = {
     "fss_arm_driver": ROS
     | {"fss_arm_model.description", "fss_arm_model.settings", "fss_arm_model.urdf"}
     | {"fss_arm_model.files", *GUARD, "fss_arm_ros", "numpy", "serial"},
-    "fss_sim": ROS | {"fss_arm_model", "fss_arm_ros", "fss_arm_driver.protocol", "numpy"},
+    "fss_sim": ROS | {"fss_arm_model", "fss_arm_ros", PROTOCOL, BOARD, "numpy"},
     "fss_sim.rehearsal": ROS
     | {
         "fss_sim",
@@ -54,7 +55,8 @@ ALLOWED = {
     | {"fss_arm_model", "fss_arm_ros", "numpy", "scipy", "yaml", "rich", "matplotlib"},
     "fss_base_driver": ROS
     | {"fss_arm_model", "fss_arm_ros", "numpy", "scipy", "rich", "motioncapture"}
-    | {f"fss_arm_driver.{room}" for room in ("protocol", "session", "transport", "receiver")},
+    | {"fss_arm_driver.protocol", "fss_arm_driver.session", "fss_arm_driver.transport"}
+    | {"fss_arm_driver.receiver", "fss_arm_driver.host_clock"},
     "fss_gnc": ROS | {"fss_arm_model", "fss_arm_motion", "fss_arm_ros", "numpy", "scipy"},
     "fss_arm_view": ROS
     | {"fss_arm_model", "fss_arm_ros", "fss_gnc.navigation", "fss_gnc.navigation.messages"}
@@ -63,8 +65,6 @@ ALLOWED = {
 
 # What of the workspace a room of a package may import beside itself.
 REGIONS = "fss_arm_workspace.regions"
-PROTOCOL = "fss_arm_driver.protocol"
-BOARD = "fss_base_driver.protocol"
 WINGS = [f"fss_arm_calib.{kind}" for kind in ("kinematic", "dynamic", "drift")]
 SHARED = [
     f"fss_arm_calib.{room}"
@@ -87,10 +87,14 @@ ROOMS = {
         "fss_arm_model", "fss_arm_driver.protocol", "fss_sim.plant", "fss_sim.faults",
         "fss_sim.noise",
     },
+    "fss_sim.board": {
+        "fss_arm_model", BOARD, "fss_sim.plant", "fss_sim.faults", "fss_sim.noise",
+        "fss_sim.link.channel",
+    },
     "fss_arm_calib.estimation": set(),
     "fss_arm_calib.segments": {"fss_arm_model", "fss_arm_calib.estimation"},
     **{wing: {"fss_arm_model", "fss_arm_msgs", "fss_arm_ros", *SHARED} for wing in WINGS},
-    "fss_gnc.navigation": {"fss_arm_model", "fss_arm_ros.convert"},
+    "fss_gnc.navigation": {"fss_arm_model", "fss_arm_ros.image"},
     "fss_gnc.control": {"fss_arm_model", "fss_gnc.reference"},
     "fss_gnc.guidance": {
         "fss_arm_model", "fss_arm_motion", "fss_gnc.reference", "fss_arm_msgs.action",

@@ -7,7 +7,7 @@ import numpy as np
 from fss_arm_model.description import paper_arm
 from fss_base_driver.allocation import Allocation
 from fss_gnc.control import PoseControl, PoseGains
-from fss_gnc.navigation import BaseFilter, KnownInputs, SensorErrors
+from fss_gnc.navigation import Navigation
 from fss_gnc.reference import Reference
 from fss_sim.noise import PRESETS
 from fss_sim.plant.drives import VELOCITY
@@ -15,12 +15,8 @@ from fss_sim.plant.plant import Demand, Plant
 from fss_sim.sensors import RATE, Sensors
 
 PERIOD = 0.1  # of the control [s]
+READING = 0.2  # from one of a joint to the next [s]
 SECOND = 1_000_000_000
-#: Of the preset, and of what thrusters and arm do beside what is known.
-ERRORS = SensorErrors(
-    position_error=0.0003, heading_error=8.7e-4, rate_error=1.75e-4, acceleration=0.001,
-    angular_acceleration=0.003,
-)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -70,20 +66,25 @@ def hold(motion, feed_forward, seed=0, gains=None):
     plant = Plant(arm, np.concatenate([begin, motion.postures[0]]))
     propulsion, valves = plant.world.propulsion, plant.thrusters.layout
     allocation = Allocation(valves, PERIOD, propulsion.minimum_on_time)
-    inputs = KnownInputs(arm.vector(), valves, propulsion.valve_delay)
     control = PoseControl(arm, gains or PoseGains())
-    navigation = BaseFilter(ERRORS, inputs.acceleration)
-    sensors, state, off = Sensors(PRESETS["default"], seed), None, []
+    navigation = Navigation(arm)
+    sensors, off = Sensors(PRESETS["default"], seed), []
     for frame in range(round(motion.end * RATE)):
         now, t = round(frame / RATE * SECOND), frame / RATE
         q_m, qd_m, _ = motion.at(t)
         for i, rate in enumerate(qd_m + 2.0 * (q_m - plant.q[3:])):
             plant.command(i, Demand(VELOCITY, float(rate), abs(float(rate)), 2.0))
         seen = sensors.observe(frame, plant.base, plant.tip, float(plant.qd[2]), plant.qd[3:])
-        found = navigation.rate(now, seen.rate) + navigation.pose(now, *seen.base.pose)
-        state = found[-1] if found else state
-        if state and frame % round(PERIOD * RATE) == 0:
-            base = state.at(now)
+        if frame % round(READING * RATE) == 0:
+            for i in range(arm.n):
+                navigation.joint(i, now, float(plant.q[3 + i]), float(plant.qd[3 + i]))
+        if frame % round(PERIOD * RATE) == 0:
+            ahead = [now + k * SECOND // 10 for k in range(6)]
+            navigation.inputs.plan(ahead, [motion.at(at / SECOND)[1] for at in ahead])
+        navigation.base.rate(now, seen.rate)
+        navigation.base.pose(now, *seen.base.pose)
+        if frame % round(PERIOD * RATE) == 0:
+            base = navigation.base.state().at(now)
             q = np.concatenate([base.pose, plant.q[3:]])
             qd = np.concatenate([base.twist, plant.qd[3:]])
             qdd_m = motion.at(t + 0.5 * PERIOD)[2]
@@ -91,7 +92,7 @@ def hold(motion, feed_forward, seed=0, gains=None):
             wrench = control.wrench(q, qd, Reference.at_rest(begin), PERIOD, known)
             on_times = allocation.on_times(wrench)
             plant.thrust(on_times)
-            inputs.command(now, on_times, q, qd, qdd_m)
+            navigation.pulses(now, on_times)
         plant.advance(1.0 / RATE)
         off.append(plant.q[:3].copy())
     return Held(np.array(off), plant.thrusters.used)

@@ -1,15 +1,24 @@
 """The parameters of the base's nodes."""
 
 from dataclasses import dataclass
+from urllib.parse import urlsplit
 
+import numpy as np
+import numpy.typing as npt
+
+from fss_arm_driver.protocol import load_keys
 from fss_arm_model.settings import (
+    FINITE,
     NOT_NEGATIVE,
     POSITIVE,
     SettingError,
     Settings,
+    between,
     one_of,
     setting,
 )
+from fss_arm_model.thrusters import layout
+from fss_base_driver.protocol import BOARD, VALVES
 
 SYSTEMS = ("vicon", "vrpn", "optitrack", "qualisys", "mock")
 
@@ -74,3 +83,132 @@ class MocapSettings(Settings):
         """By name of a subject, what follows the prefix in its topic; empty: any subject."""
         pairs = (subject.partition("=")[::2] for subject in self.subjects)
         return {name: place or f"{name}/{name}" for name, place in pairs}
+
+
+@dataclass(frozen=True)
+class BaseSettings(Settings):
+    """The parameters of a BaseNode."""
+
+    url: str = setting("", "where the base's board is: udp://, tcp:// or serial://; required")
+    rate: float = setting(
+        20.0, "rate of commands that are not new", unit="1/s", check=between(1.0, 1000.0)
+    )
+    timeout: float = setting(
+        1.0, "silence after which the board is lost, and longest round trip to arm at", unit="s",
+        check=between(0.001, 3600.0),
+    )  # fmt: skip
+    watchdog: float = setting(
+        0.5, "silence of the driver after which the board closes its valves, disarmed", unit="s",
+        check=between(0.001, 65.535),
+    )  # fmt: skip
+    empty: float = setting(
+        12.0, "battery voltage at which the board must be switched off", unit="V",
+        check=NOT_NEGATIVE,
+    )  # fmt: skip
+    keys: str = setting("", "file of keys, the board's under 0; empty: frames are not signed")
+    base_frame: str = setting("fss", "frame of wrenches, of the gyro and of telemetry")
+    thrust: float = setting(0.16, "thrust of one of the thrusters", unit="N", check=POSITIVE)
+    lever: float = setting(
+        0.11, "lever of a thruster: from the base's origin to the line of thrust", unit="m",
+        check=POSITIVE,
+    )  # fmt: skip
+    layout: tuple[float, ...] = setting(
+        (),
+        "instead of thrust and lever: of each valve in turn force along x and y [N] and torque "
+        "about the base's origin [N m], 24 numbers",
+        check=FINITE,
+    )
+    minimum_on_time: float = setting(
+        0.01, "least time for which a thruster's valve opens", unit="s", check=NOT_NEGATIVE
+    )
+    max_on_time: float = setting(
+        1.0, "longest time on thrusters/command that is taken", unit="s", check=between(0.001, 6.5)
+    )
+    command_lifetime: float = setting(
+        0.5, "age at which a message on thrusters/command holds no more", unit="s",
+        check=between(0.001, 10.0),
+    )  # fmt: skip
+    wrench_lifetime: float = setting(
+        0.3, "age at which a message on base/wrench holds no more", unit="s",
+        check=between(0.001, 10.0),
+    )  # fmt: skip
+    wrench_period: float = setting(
+        0.1, "time over which a wrench is given as a mean, by one pulse of each valve", unit="s",
+        check=between(0.02, 1.0),
+    )  # fmt: skip
+    gyro_noise: float = setting(
+        1.75e-4, "white noise of one sample of the gyro, 1 sigma", unit="rad/s", check=NOT_NEGATIVE
+    )
+    bias_time: float = setting(
+        10.0, "for how long base/find_gyro_bias averages", unit="s", check=between(0.1, 3600.0)
+    )
+    bias_scatter: float = setting(
+        0.001, "scatter of the gyro's frames above which the base is not at rest", unit="rad/s",
+        check=POSITIVE,
+    )  # fmt: skip
+    max_bias: float = setting(
+        0.01, "largest bias of the gyro; above it the base turns", unit="rad/s", check=POSITIVE
+    )
+    tank_volume: float = setting(0.43e-3, "volume of the gas tank", unit="m^3", check=POSITIVE)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.rate * self.watchdog <= 1.0:
+            raise SettingError(
+                f"watchdog is {self.watchdog} s, expected more than the {1.0 / self.rate:g} s "
+                f"from one command to the next (rate {self.rate})"
+            )
+        if len(self.layout) not in (0, 3 * VALVES):
+            raise SettingError(f"layout has {len(self.layout)} numbers, expected {3 * VALVES}")
+        if self.minimum_on_time >= self.wrench_period:
+            raise SettingError(
+                f"minimum_on_time is {self.minimum_on_time} s, expected below wrench_period, "
+                f"{self.wrench_period} s"
+            )
+        if self.url.startswith("copley:"):
+            raise SettingError(f"url is {self.url!r}, expected udp://, tcp:// or serial://")
+
+    def valves(self) -> npt.NDArray[np.float64]:
+        """Force along x and y [N] and torque [N m] of each valve, (8, 3)."""
+        if self.layout:
+            return np.reshape(self.layout, (VALVES, 3))
+        return layout(self.thrust, self.lever)
+
+    def is_exposed(self) -> bool:
+        """Whether unsigned frames go over a network, and not only within this computer."""
+        place = urlsplit(self.url)
+        local = place.hostname in ("127.0.0.1", "::1", "localhost")
+        return not self.keys and place.scheme in ("udp", "tcp") and not local
+
+    def key(self) -> bytes | None:
+        """The key that frames are signed under, if any.
+
+        Raises:
+            ValueError: keys are configured, but none for the board.
+        """
+        keys = load_keys(self.keys) if self.keys else {}
+        if self.keys and BOARD not in keys:
+            raise ValueError(f"keys is {self.keys!r}, which holds no key for the board, {BOARD}")
+        return keys.get(BOARD)
+
+
+@dataclass(frozen=True)
+class ValveSettings(Settings):
+    """Of one valve, while the node runs: wrenches are given without those that do not work."""
+
+    stuck_open: float = setting(0.0, "1: the valve does not close", check=between(0.0, 1.0))
+    stuck_closed: float = setting(0.0, "1: the valve does not open", check=between(0.0, 1.0))
+
+
+@dataclass(frozen=True)
+class GyroSettings(Settings):
+    """Of the gyro, while the node runs."""
+
+    scale: float = setting(1e-6, "rate of turn of one count; may be negative", unit="rad/s",
+                           check=FINITE)  # fmt: skip
+    bias: float = setting(0.0, "rate that the gyro reports at rest", unit="rad/s", check=FINITE)
+
+
+def live_kinds() -> dict[str, type]:
+    """The parameters of a BaseNode that may be set while it runs, by prefix."""
+    return {**{f"valve_{i}": ValveSettings for i in range(1, VALVES + 1)}, "gyro": GyroSettings}

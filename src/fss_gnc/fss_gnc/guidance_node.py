@@ -35,7 +35,6 @@ from fss_gnc.guidance.account import Account
 from fss_gnc.guidance.activity import (
     Activity,
     ActivityError,
-    Body,
     Craft,
     Ended,
     Floats,
@@ -45,6 +44,7 @@ from fss_gnc.guidance.activity import (
 from fss_gnc.guidance.kinds import KINDS, Kind
 from fss_gnc.guidance.settings import GuidanceSettings
 from fss_gnc.latest import Latest
+from fss_gnc.reference import Body
 
 STEP = 0.25  # between points of base/trajectory [s]
 PICTURED = 32  # most poses of a path in mission/state
@@ -71,6 +71,7 @@ class GuidanceNode(Node):
         super().__init__("guidance", **options)
         self.settings = s = declare(self, GuidanceSettings)
         self.craft = Craft(described(s.arm), s)
+        Account(self.craft).update(at_rest(self.craft.arm.n))  # loads the kernels: that takes long
         self.flight: Flight | None = None
         self.base = Latest[Body]("base/state", s.max_age)
         self.target = Latest[Body]("target/state", s.max_age)
@@ -102,9 +103,7 @@ class GuidanceNode(Node):
         self.diagnostics = Diagnostics(self, self.health)
 
     def close(self) -> None:
-        """Leave valves closed; give back what a node does not destroy by itself."""
-        if self.flight:
-            self.end(self.flight, Ended(False, "the guidance was ended"))
+        """Give back what a node does not destroy by itself."""
         for server in self.servers:
             server.destroy()
 
@@ -115,7 +114,7 @@ class GuidanceNode(Node):
     def on_body(self, topic: Latest[Body], message: Odometry) -> None:
         """Where base or target is; nothing if that is no number."""
         try:
-            topic.take(stamp_ns(message.header.stamp), Body(*messages.body(message)))
+            topic.take(stamp_ns(message.header.stamp), messages.body(message))
         except ValueError as error:
             self.get_logger().warning(f"{topic.name}: {error}", throttle_duration_sec=1.0)
 
@@ -146,7 +145,7 @@ class GuidanceNode(Node):
 
         def moved(topic: Latest[Body]) -> Body | None:
             found = topic.at(now)
-            return found and Body(found.pose + topic.age(now) * found.twist, found.twist)
+            return found and found.after(topic.age(now))
 
         joints, left = self.joints.at(now), self.propellant.at(now)
         q, qd, effort = (None,) * 3 if joints is None else joints
@@ -289,6 +288,12 @@ class GuidanceNode(Node):
             return Health(OK, self.flight.kind.name)
         why = self.trouble()
         return Health(WARN if why else OK, why or "ready")
+
+
+def at_rest(n: int) -> Seen:
+    """Base, target and n joints, all at zero."""
+    body, zero = Body(np.zeros(3), np.zeros(3)), np.zeros(n)
+    return Seen(0.0, body, body, zero, zero)
 
 
 def main() -> int:

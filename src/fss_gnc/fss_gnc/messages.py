@@ -8,14 +8,14 @@ from geometry_msgs.msg import Quaternion, Transform, Twist, Vector3
 from rclpy.duration import Duration
 from trajectory_msgs.msg import MultiDOFJointTrajectory, MultiDOFJointTrajectoryPoint
 
-from fss_arm_ros.convert import SECOND, PoseError, joint_readings, planar_pose, to_time
-from fss_gnc.reference import Floats, Path
+from fss_arm_ros.convert import SECOND, PoseError, joint_readings, planar_pose, stamp_ns, to_time
+from fss_gnc.reference import Body, Floats, Path
 
 BASE = "fss"  # the one "joint" of a base's trajectory: the base's frame
 
 
-def body(message: Any) -> tuple[Floats, Floats]:
-    """Pose and twist in the world, (3,) each, of an Odometry, whose twist is along its own axes.
+def body(message: Any) -> Body:
+    """Pose and twist in the world of an Odometry, whose twist is along its own axes.
 
     Raises:
         PoseError: a number is not finite, or the pose says nothing.
@@ -25,7 +25,7 @@ def body(message: Any) -> tuple[Floats, Floats]:
     twist = c * v.linear.x - s * v.linear.y, s * v.linear.x + c * v.linear.y, v.angular.z
     if not all(map(isfinite, twist)):
         raise PoseError(f"twist is not finite: {twist}")
-    return pose, np.array(twist)
+    return Body(pose, np.array(twist))
 
 
 def joints(message: Any, n: int) -> Floats:
@@ -41,6 +41,24 @@ def joints(message: Any, n: int) -> Floats:
     if not np.isfinite(found[:2]).all():
         raise ValueError("an angle or a rate is not finite")
     return found
+
+
+def planned_rates(message: Any, n: int) -> tuple[int, Floats, Floats]:
+    """Stamp [ns], times since (k,) [s] and rates (k, n) [rad/s] of a JointTrajectory.
+
+    Raises:
+        ValueError: it is not understood.
+    """
+    names, points = [f"joint_{i}" for i in range(1, n + 1)], message.points
+    if list(message.joint_names) != names or not points:
+        raise ValueError(f"joint_names is {list(message.joint_names)}, expected {names} and points")
+    if any(len(point.velocities) != n for point in points):
+        raise ValueError(f"each point must have {n} velocities")
+    ahead = np.array([stamp_ns(point.time_from_start) for point in points]) / SECOND
+    rates = np.array([point.velocities for point in points])
+    if not np.isfinite(rates).all() or (np.diff(ahead) <= 0.0).any():
+        raise ValueError("a rate is not finite, or time_from_start does not rise")
+    return stamp_ns(message.header.stamp), ahead, rates
 
 
 def trajectory(path: Path | None, t: float, stamp: int, horizon: float, step: float) -> Any:
@@ -88,7 +106,7 @@ def path(message: Any) -> Path | None:
             "each point must have one transform, and all or none of them a velocity, and those an "
             "acceleration"
         )
-    times = [p.time_from_start.sec + p.time_from_start.nanosec / SECOND for p in message.points]
+    times = [stamp_ns(point.time_from_start) / SECOND for point in message.points]
     knots = np.array([[_pose(x[0]), *(_twist(one) for one in (*v, *a))] for x, v, a in given])
     knots[:, 0, 2] = np.unwrap(knots[:, 0, 2])
     return Path(np.array(times), knots)

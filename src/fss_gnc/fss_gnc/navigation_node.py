@@ -11,6 +11,7 @@ from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from sensor_msgs.msg import Imu, JointState
 from tf2_msgs.msg import TFMessage
+from trajectory_msgs.msg import JointTrajectory
 
 from fss_arm_model.description import described
 from fss_arm_msgs.msg import (
@@ -76,6 +77,7 @@ class NavigationNode(Node):
         subscribe_sensor(self, PoseStamped, s.target_topic, self.on_target)
         subscribe_sensor(self, Imu, s.gyro_topic, self.on_gyro)
         subscribe_sensor(self, JointState, s.joints_topic, self.on_joints)
+        subscribe_sensor(self, JointTrajectory, "arm/planned", self.on_planned)
         subscribe_sensor(self, ThrusterCommand, "thrusters/pulses", self.on_pulses)
         subscribe_sensor(self, GripperState, "gripper/state", self.on_gripper)
         for kind, topic in (
@@ -155,6 +157,16 @@ class NavigationNode(Node):
                 if 1 <= i <= self.known.arm.n:
                     self.navigation.joint(i - 1, t, q, qd)
 
+    def on_planned(self, message: JointTrajectory) -> None:
+        """What the joints are to do from now on."""
+        t = stamp_ns(message.header.stamp)
+        times = [t + stamp_ns(point.time_from_start) for point in message.points]
+        names = [f"joint_{i + 1}" for i in range(self.known.arm.n)]
+        if list(message.joint_names) != names or not self.navigation.inputs.plan(
+            times, [point.velocities for point in message.points]
+        ):
+            self.refused["arm/planned"] += 1
+
     def on_pulses(self, message: ThrusterCommand) -> None:
         """Valves were opened."""
         t = stamp_ns(message.header.stamp)
@@ -190,7 +202,7 @@ class NavigationNode(Node):
         now = self.now()
         for body in (self.base, self.free):
             body.lost = body.filter.lost(now)
-            if now - body.published > 1.5 * SECOND / self.settings.rate:
+            if now - body.published > 0.5 * SECOND / self.settings.rate:
                 if not body.lost:
                     self.navigation.predict(now)
                 body.tell(now)

@@ -5,13 +5,25 @@ known at both: poses (linear), twists too (cubic), accelerations too (quintic).
 """
 
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from math import factorial, pi
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 Floats = npt.NDArray[np.float64]
+
+
+class Body(NamedTuple):
+    """Base or target as they are, in the world."""
+
+    pose: Floats  # (3,) x, y [m], heading [rad]
+    twist: Floats  # (3,) [m/s, m/s, rad/s]
+
+    def after(self, dt: float) -> "Body":
+        """The same motion a little later [s]."""
+        return Body(self.pose + dt * self.twist, self.twist)
 
 
 @dataclass(frozen=True)
@@ -68,11 +80,18 @@ class Path:
         if not self.times[0] <= t < self.times[-1]:
             return Reference.at_rest(self.knots[0 if t < self.times[0] else -1, 0])
         k = int(np.searchsorted(self.times, t, side="right")) - 1
-        h, depth = self.times[k + 1] - self.times[k], self.knots.shape[1]
-        scale = h ** np.arange(depth)
-        ends = (self.knots[k : k + 2] * scale[:, None]).reshape(2 * depth, 3)
-        found = _derivatives((t - self.times[k]) / h, 2 * depth) @ (_solved(depth) @ ends)
-        return Reference(found[0], found[1] / h, found[2] / h**2)
+        h, c = self.times[k + 1] - self.times[k], self._coefficients[k]
+        s = np.power((t - self.times[k]) / h, _POWERS[: len(c)])
+        slope, bend = _POWERS[1 : len(c)] * s[:-1], _BENDS[: len(c) - 2] * s[:-2]
+        return Reference(s @ c, slope @ c[1:] / h, bend @ c[2:] / h**2)
+
+    @cached_property
+    def _coefficients(self) -> Floats:
+        """(k - 1, 2 d, 3) of the polynomials, each in s from 0 to 1."""
+        steps, depth = np.diff(self.times), self.knots.shape[1]
+        scale = steps[:, None] ** np.arange(depth)  # from time to s
+        ends = np.stack([self.knots[:-1], self.knots[1:]], axis=1) * scale[:, None, :, None]
+        return _solved(depth) @ ends.reshape(len(steps), 2 * depth, 3)
 
     def sampled(self, begin: float, count: int = 65) -> tuple[Floats, Floats]:
         """Times from `begin` to the end, (count,), and pose, twist, acceleration, (count, 3, 3)."""
@@ -81,18 +100,20 @@ class Path:
         return times, np.array([[r.pose, r.twist, r.acceleration] for r in found])
 
 
-def _derivatives(s: float, size: int) -> Floats:
-    """(3, size): 1, s, s^2, ... and its first two derivatives."""
-    rows = [[factorial(j) / factorial(j - d) * s ** (j - d) if j >= d else 0.0 for j in range(size)]
-            for d in range(3)]  # fmt: skip
-    return np.array(rows)
+_POWERS = np.arange(6.0)
+_BENDS = _POWERS[2:] * _POWERS[1:-1]
 
 
 @cache
 def _solved(depth: int) -> Floats:
     """From what is known at s = 0 and s = 1 to the coefficients of the polynomial in s."""
-    at = [_derivatives(s, 2 * depth)[:depth] for s in (0.0, 1.0)]
-    return np.linalg.inv(np.vstack(at))
+    size = 2 * depth
+    rows = [
+        [factorial(j) / factorial(j - d) * s ** (j - d) if j >= d else 0.0 for j in range(size)]
+        for s in (0.0, 1.0)
+        for d in range(depth)
+    ]
+    return np.asarray(np.linalg.inv(rows), dtype=float)
 
 
 def wrapped(angle: float) -> float:

@@ -5,7 +5,7 @@ A script is YAML, a list of
     {at: 12.0, part: link_2, fault: loss, value: 0.2, duration: 30.0}
 
 `at` and `duration` in seconds of the simulation, without `duration` to its end; `part` link_<i>,
-fss, end_effector or fog; `value` 1 by default.
+fss, end_effector, fog, board or valve_<i>; `value` 1 by default.
 """
 
 from collections.abc import Sequence
@@ -23,6 +23,7 @@ from fss_arm_model.settings import (
     between,
     setting,
 )
+from fss_arm_model.thrusters import COUNT
 
 
 class FaultError(ValueError):
@@ -36,7 +37,7 @@ def fault(about: str, unit: str = "", least: float = 0.0, most: float = 1.0) -> 
 
 @dataclass(frozen=True)
 class LinkFaults(Settings):
-    """Between a link and its driver, each way alike, and its power."""
+    """Between a link, or the board, and its driver, each way alike, and its power."""
 
     loss: float = fault("share of the datagrams that are lost")
     delay: float = fault("delay of every datagram", "s", most=10.0)
@@ -44,7 +45,7 @@ class LinkFaults(Settings):
     duplication: float = fault("share of the datagrams that come twice")
     reordering: float = fault("share of the datagrams that come after the next one")
     corruption: float = fault("share of the datagrams with a bit flipped")
-    dead: float = fault("1: without power; then the link starts anew, its drive still referenced")
+    dead: float = fault("1: without power; then it starts anew, a link's drive still referenced")
 
 
 @dataclass(frozen=True)
@@ -67,15 +68,25 @@ class GyroFaults(Settings):
     bias: float = fault("step of the bias", "rad/s", -1.0, 1.0)
 
 
-Groups = dict[str, Any]  # LinkFaults, SubjectFaults or GyroFaults, by part
-BASE, TIP, GYRO = "fss", "end_effector", "fog"
+@dataclass(frozen=True)
+class ValveFaults(Settings):
+    """Of a thruster's valve, whatever it is told."""
+
+    stuck_open: float = fault("1: the valve does not close")
+    stuck_closed: float = fault("1: the valve does not open, and draws no current")
+
+
+Groups = dict[str, Any]  # LinkFaults, SubjectFaults, GyroFaults or ValveFaults, by part
+BASE, TIP, GYRO, BOARD = "fss", "end_effector", "fog", "board"
+VALVES = [f"valve_{i}" for i in range(1, COUNT + 1)]
 NO_FAULTS = LinkFaults()
 
 
 def kinds(n: int) -> dict[str, type]:
     """The parts of a test bed of n links, and what faults each can have."""
     links = {f"link_{i}": LinkFaults for i in range(1, n + 1)}
-    return {**links, BASE: SubjectFaults, TIP: SubjectFaults, GYRO: GyroFaults}
+    others = {BASE: SubjectFaults, TIP: SubjectFaults, GYRO: GyroFaults, BOARD: LinkFaults}
+    return {**links, **others, **dict.fromkeys(VALVES, ValveFaults)}
 
 
 @dataclass(frozen=True)
@@ -103,7 +114,7 @@ class Faults:
     """
 
     def __init__(self, n: int, script: Sequence[Event] = ()) -> None:
-        groups = {part: kind() for part, kind in kinds(n).items()}
+        self._n, groups = n, {part: kind() for part, kind in kinds(n).items()}
         self._set = groups
         self._script = sorted(script, key=lambda event: event.at)
         self._edges = sorted({t for e in script for t in (e.at, e.at + e.duration)}, reverse=True)
@@ -155,7 +166,11 @@ class Faults:
         self.base: SubjectFaults = groups[BASE]
         self.tip: SubjectFaults = groups[TIP]
         self.gyro: GyroFaults = groups[GYRO]
-        self.links: list[LinkFaults] = [g for g in groups.values() if isinstance(g, LinkFaults)]
+        self.board: LinkFaults = groups[BOARD]
+        self.links: list[LinkFaults] = [groups[f"link_{i}"] for i in range(1, self._n + 1)]
+        valves: list[ValveFaults] = [groups[valve] for valve in VALVES]
+        self.stuck_open = [valve.stuck_open > 0.0 for valve in valves]
+        self.stuck_closed = [valve.stuck_closed > 0.0 for valve in valves]
 
     @staticmethod
     def _changed(groups: Groups, part: str, name: str, value: float) -> Groups:

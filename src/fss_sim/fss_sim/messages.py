@@ -11,6 +11,7 @@ from fss_arm_ros.image import Image
 from fss_sim.plant.plant import Plant
 from fss_sim.sensors import Seen
 
+
 class PoseImage(Image):
     """A PoseStamped as the common VICON receivers publish it."""
 

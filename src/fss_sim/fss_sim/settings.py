@@ -119,6 +119,15 @@ class TestbedSettings(PlantSettings):
     terminals: tuple[str, ...] = setting(
         (), "paths of pseudo-terminals to reach the links by, as by RS-232; empty: UDP"
     )
+    board_port: int = setting(
+        0,
+        "UDP port of the base's board, for the node base; 0: none, the test bed takes "
+        "thrusters/command and gripper/command itself, and publishes fog/imu and gripper/state",
+        check=between(0, 65535),
+    )
+    board_rate: float = setting(
+        20.0, "rate of the board's telemetry frames", unit="1/s", check=above(0.0, RATE)
+    )
     telemetry_rate: float = setting(
         5.0, "rate of each link's telemetry frames", unit="1/s", check=above(0.0, RATE)
     )
@@ -199,6 +208,10 @@ class TestbedSettings(PlantSettings):
         if len(self.terminals) != n:
             raise ValueError(f"terminals has {len(self.terminals)} paths, expected {n}")
         return [LinkTerminal(path) for path in self.terminals]
+
+    def board_wire(self) -> LinkSocket | None:
+        """Open what the base's board is reached by, if there is one."""
+        return LinkSocket(self.host, self.board_port) if self.board_port else None
 
     def link_ports(self, n: int) -> tuple[int, ...]:
         """One port for each link."""

@@ -14,6 +14,7 @@ import numpy as np
 from fss_arm_model.description import Arm
 from fss_arm_model.files import read_yaml, shown, write_text
 from fss_arm_model.units import SECOND
+from fss_sim.board.board import Board
 from fss_sim.faults import Event, Faults
 from fss_sim.link.channel import Datagram
 from fss_sim.link.link import Link
@@ -79,6 +80,7 @@ class Report(NamedTuple):
     sight: Sight
     telemetry: Sequence[Sequence[Datagram]]  # that arrives, of each link
     faulted: bool  # the faults in force are others than before
+    board: Sequence[Datagram] = ()  # of its telemetry that arrives
 
 
 class Testbed:
@@ -95,6 +97,7 @@ class Testbed:
         charge: of the links' batteries, 0 to 1.
         script: faults to come.
         world: all that the plant is made of beside the arm.
+        board_rate: of the telemetry of the base's board [frames/s]; 0: there is none.
     """
 
     def __init__(
@@ -109,6 +112,7 @@ class Testbed:
         charge: float = 1.0,
         script: Sequence[Event] = (),
         world: World | None = None,
+        board_rate: float = 0.0,
     ) -> None:
         target = np.reshape(state.target, (2, 3))
         self.plant = Plant(arm, state.q, state.qd, world, target, state.holds, state.propellant)
@@ -119,9 +123,12 @@ class Testbed:
             Link(i, k, noise, seed, state.boots, rate, keys.get(i), torque_rate, charge)
             for i, k in enumerate(arm.links, 1)
         ]
+        self.board = (
+            Board(noise, seed, state.boots, board_rate, keys.get(0)) if board_rate else None
+        )
         self.frame, self._boots = state.frame, state.boots
-        for link in self.links:
-            link.start(self._boots, self.now, link.uptime)
+        for part in self._electronics():
+            part.start(self._boots, self.now, part.uptime)
         self._motions = self.plant.motions()
 
     @property
@@ -133,6 +140,9 @@ class Testbed:
         """Let one frame's time pass."""
         faulted = self.faults.advance(self.now / SECOND)
         self._supply()
+        self.plant.thrusters.stick(self.faults.stuck_open, self.faults.stuck_closed)
+        if self.board:
+            self.board.act(self.now, self.plant)
         for i, link in enumerate(self.links):
             self.plant.command(i, link.demand(self.now, self._motions[i]))
         self.plant.advance(1.0 / RATE)
@@ -148,7 +158,8 @@ class Testbed:
             link.report(self.now, self._motions[i], 1.0 / RATE, of.links[i])
             for i, link in enumerate(self.links)
         ]
-        return Report(sight, telemetry, faulted)
+        board = self.board.report(self.now, plant, sight.rate, of.board) if self.board else ()
+        return Report(sight, telemetry, faulted, board)
 
     def receive(self, link: int, data: bytes, peer: Any = None, late: int = 0) -> None:
         """Hand a datagram to a link, counted from 0, `late` ns after the last frame.
@@ -157,20 +168,29 @@ class Testbed:
         """
         self.links[link].put(data, peer, self.now + late, self.faults.links[link])
 
+    def receive_base(self, data: bytes, peer: Any = None, late: int = 0) -> None:
+        """Hand a datagram to the base's board, as to a link."""
+        if self.board:
+            self.board.put(data, peer, self.now + late, self.faults.board)
+
     def charge(self) -> None:
         """Make all batteries full; a link whose battery was empty starts again."""
         for link in self.links:
             link.instruments.battery.charge = 1.0
 
+    def _electronics(self) -> list[Link | Board]:
+        return [*self.links, self.board] if self.board else [*self.links]
+
     def _supply(self) -> None:
-        """Take power from links, or give it back; a link that starts has never started so."""
-        for link, faults in zip(self.links, self.faults.links, strict=True):
-            powered = not faults.dead and link.instruments.battery.charge > 0.0
-            if link.electronics and not powered:
-                link.stop()
-            elif powered and not link.electronics:
+        """Take power from links and board, or give it back; one that starts never did so before."""
+        faults = [*self.faults.links, self.faults.board]
+        for part, its in zip(self._electronics(), faults, strict=False):
+            powered = part.charged and not its.dead
+            if part.running and not powered:
+                part.stop()
+            elif powered and not part.running:
                 self._boots = self._boots % 65535 + 1
-                link.start(self._boots, self.now)
+                part.start(self._boots, self.now)
 
     def state(self) -> State:
         """What to save."""

@@ -55,11 +55,12 @@ class TestbedNode(Node):
         self.wires = settings.wires(arm.n)
         self.base = self.create_publisher(PoseStamped, "vicon/fss/fss", SENSOR)
         self.tip = self.create_publisher(PoseStamped, "vicon/end_effector/end_effector", SENSOR)
-        self.gyro = self.create_publisher(Imu, "fog/imu", SENSOR)
+        self.board_wire = settings.board_wire()
+        if self.board_wire is None:
+            self.take_base()
         if settings.target_mass:
             self.target = self.create_publisher(PoseStamped, "vicon/target/target", SENSOR)
         self.truth = self.create_publisher(SimTruth, "sim/truth", SENSOR)
-        self.gripper = self.create_publisher(GripperState, "gripper/state", SENSOR)
         if settings.keep_clock:
             self.clock = self.create_publisher(ClockMessage, "/clock", SENSOR)
         self.clock_image, self.pose_image = ClockImage(), PoseImage(settings.world_frame)
@@ -69,8 +70,6 @@ class TestbedNode(Node):
         self.set_faults: dict[tuple[str, str], float] = {}
         self.begin(settings.begin(arm.n))
         declare_live(self, kinds(arm.n), self.on_fault)
-        self.create_subscription(ThrusterCommand, "thrusters/command", self.on_thrust, COMMAND)
-        self.create_subscription(Bool, "gripper/command", self.on_grip, COMMAND)
         self.create_service(SetBool, "sim/pause", self.on_pause)
         self.create_service(StepTime, "sim/step", self.on_step)
         self.create_service(ResetTestbed, "sim/reset", self.on_reset)
@@ -78,6 +77,14 @@ class TestbedNode(Node):
         self._counted = self.testbed.frame, time.monotonic()
         self.diagnostics = Diagnostics(self, self.health)
         self.ticker = Ticker(self.tick, self.create_guard_condition(self.on_failure))
+
+    def take_base(self) -> None:
+        """Be the base's topics, as there is no board for the node `base`."""
+        self.gyro = self.create_publisher(Imu, "fog/imu", SENSOR)
+        self.gripper = self.create_publisher(GripperState, "gripper/state", SENSOR)
+        self.pulses = self.create_publisher(ThrusterCommand, "thrusters/pulses", SENSOR)
+        self.create_subscription(ThrusterCommand, "thrusters/command", self.on_thrust, COMMAND)
+        self.create_subscription(Bool, "gripper/command", self.on_grip, COMMAND)
 
     def begin(self, state: State) -> None:
         """Make the test bed in this state, and let its time begin now."""
@@ -93,6 +100,7 @@ class TestbedNode(Node):
             settings.battery,
             read_script(self.script),
             settings.world(),
+            settings.board_rate if self.board_wire else 0.0,
         )
         for (part, fault), value in self.set_faults.items():
             self.testbed.faults.set(part, fault, value)
@@ -142,11 +150,14 @@ class TestbedNode(Node):
 
     def make_frame(self) -> None:
         """Let one frame's time pass and report it."""
-        sight, telemetry, faulted = self.testbed.step()
+        sight, telemetry, faulted, of_board = self.testbed.step()
         self.publish(self.stamp(), sight)
         for wire, datagrams in zip(self.wires, telemetry, strict=True):
             for datagram in datagrams:
                 wire.send(*datagram)
+        if self.board_wire:
+            for datagram in of_board:
+                self.board_wire.send(*datagram)
         if faulted or self.testbed.frame % REMINDED == 0:
             self.publish_faults()
         if self.testbed.frame % SAVED == 0:
@@ -157,6 +168,9 @@ class TestbedNode(Node):
         with self.lock:
             try:
                 self.testbed.plant.thrust(command.on_time)
+                pulses = ThrusterCommand(on_time=command.on_time)
+                pulses.header.stamp = to_time(self.stamp())
+                self.pulses.publish(pulses)
             except ValueError as error:
                 self.get_logger().warning(f"thrusters/command is refused: {error}")
 
@@ -196,7 +210,7 @@ class TestbedNode(Node):
         """Begin anew from the parameters, whatever the state file holds."""
         with self.lock:
             self.seed = request.seed if request.seed >= 0 else self.seed
-            for wire in self.wires:
+            for wire in self.all_wires():
                 wire.reset()
             self.begin(self.settings.fresh(self.arm.n))
         response.success, response.message = True, f"begun with seed {self.seed}"
@@ -238,11 +252,12 @@ class TestbedNode(Node):
                 publisher.publish(self.pose_image.of(stamp, seen))
         if sight.target:
             self.target.publish(self.pose_image.of(stamp, sight.target))
-        if sight.rate is not None:
+        if sight.rate is not None and self.board_wire is None:
             self.gyro.publish(self.gyro_image.of(stamp, sight.rate))
         if self.testbed.frame % round(RATE / self.settings.truth_rate) == 0:
             self.truth.publish(truth(stamp, self.settings.world_frame, self.testbed.plant))
-            self.gripper.publish(gripper_state(stamp, self.testbed.plant))
+            if self.board_wire is None:
+                self.gripper.publish(gripper_state(stamp, self.testbed.plant))
 
     def receive(self) -> None:
         """Hand datagrams to the links, as arrived now, or at the last frame if time is kept."""
@@ -252,6 +267,8 @@ class TestbedNode(Node):
             for data, sender in wire.receive():
                 self.pace.hear(link, self.testbed.frame)
                 self.testbed.receive(link, data, sender, late)
+        for data, sender in self.board_wire.receive() if self.board_wire else ():
+            self.testbed.receive_base(data, sender, late)
 
     def save(self) -> None:
         """Write the state file."""
@@ -278,6 +295,8 @@ class TestbedNode(Node):
         }
         for link, wire in zip(self.testbed.links, self.wires, strict=True):
             values[f"link {link.number}"] = f"{wire.place}, {link.refused} refused"
+        if self.board_wire and self.testbed.board:
+            values["board"] = f"{self.board_wire.place}, {self.testbed.board.refused} refused"
         for part, fault, value in self.testbed.faults.in_force():
             values[f"fault {part}.{fault}"] = value
         touches = min(plant.clearance, plant.edge_clearance) < 0.0
@@ -290,8 +309,12 @@ class TestbedNode(Node):
         """Keep the state and give the ports back."""
         self.ticker.close()
         self.save()
-        for wire in self.wires:
+        for wire in self.all_wires():
             wire.close()
+
+    def all_wires(self) -> list[Any]:
+        """What links and board are reached by."""
+        return [*self.wires, *([self.board_wire] if self.board_wire else [])]
 
     def _own_time(self) -> int:
         return int(time.monotonic_ns() * self.settings.speed)

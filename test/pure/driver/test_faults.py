@@ -153,7 +153,7 @@ def test_a_command_is_accepted_moving_and_reached(bench):
         (lambda b: b.session.stop(), Status.ABORTED, "stopped"),
         (lambda b: b.session.disarm(), Status.ABORTED, "disarmed"),
         (lambda b: b.set(Mode.VELOCITY, 0.1), Status.ABORTED, "another command took its place"),
-        (lambda b: b.session.tick(b.now + 2 * SECOND), Status.ABORTED, "the link is lost"),
+        (lambda b: b.session.tick(b.now + 2 * SECOND), Status.ABORTED, "link 1 is lost"),
         (lambda b: [b.step() for _ in range(4)], Status.TIMED_OUT, "its time to live ended"),
         (
             lambda b: (

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from fss_arm_model.description import paper_arm
-from fss_gnc.guidance.activity import ActivityError, Body, Craft, Seen
+from fss_gnc.guidance.activity import ActivityError, Craft, Seen
 from fss_gnc.guidance.base_motion import braking, follow, go_to, hold, peak
 from fss_gnc.guidance.settings import GuidanceSettings
+from fss_gnc.reference import Body
 
 CRAFT = Craft(paper_arm())
 FOLDED = np.array([1.5, -1.5, -1.5, 1.5])

@@ -20,7 +20,7 @@ def test_the_base_stays_within_a_centimetre_and_a_degree():
     motion = Motion(POSTURES[1:3], duration=40.0)
     led, felt = hold(motion, True), hold(motion, False)
     assert led.farthest < 0.002
-    assert led.most_turned < 0.2
+    assert led.most_turned < 0.25
     assert felt.farthest > 3.0 * led.farthest  # the arm's reaction, when it is left to be felt
     assert felt.most_turned > 3.0 * led.most_turned
 
@@ -36,12 +36,17 @@ def test_through_the_experiments_postures(seed):
     assert held.most_turned < 1.0
 
 
+def turned(heading, a):
+    """From the base's axes to the world's."""
+    line = complex(a[0], a[1]) * np.exp(1j * heading)
+    return np.array([line.real, line.imag, a[2]])
+
+
 def test_known_inputs_are_what_the_base_does():
     arm, rng = paper_arm(), np.random.default_rng(3)
     q = np.concatenate([[0.1, -0.2, 0.7], rng.uniform(-1.0, 1.0, 4)])
     plant = Plant(arm, q)
-    delay = plant.world.propulsion.valve_delay
-    inputs = KnownInputs(arm.vector(), plant.thrusters.layout, delay)
+    inputs = KnownInputs(arm.vector())
     for i in range(4):  # drives hold the joints
         plant.command(i, Demand(POSITION, float(q[3 + i]), 0.5, 1.0))
     gained = np.zeros(3)
@@ -50,15 +55,17 @@ def test_known_inputs_are_what_the_base_does():
         on_times[on_times < 0.02] = on_times[4:] = 0.0
         now = k * 100_000_000
         plant.thrust(on_times)
-        inputs.command(now, on_times, plant.q, plant.qd, np.zeros(4))
+        inputs.pulses(now, on_times)
+        for i in range(4):
+            inputs.joint(i, now, float(plant.q[3 + i]), 0.0, float(plant.qd[2]))
         for _ in range(10):
             plant.advance(0.01)
-        gained += 0.1 * inputs.acceleration(now, now + 100_000_000)
+        gained += 0.1 * turned(plant.q[2], inputs.over(now, now + 100_000_000)[0])
         # Joints give by a milliradian under a thrust, and swing.
         np.testing.assert_allclose(gained, plant.qd[:3], atol=5e-4)
     assert np.abs(gained).max() > 5e-3
-    parts = [inputs.acceleration(t, t + 7_000_000) for t in range(0, 1_999_000_000, 7_000_000)]
-    whole = inputs.acceleration(0, len(parts) * 7_000_000)
+    parts = [inputs.over(t, t + 7_000_000)[0] for t in range(0, 1_999_000_000, 7_000_000)]
+    whole = inputs.over(0, len(parts) * 7_000_000)[0]
     np.testing.assert_allclose(np.mean(parts, axis=0), whole, rtol=1e-9, atol=1e-12)
 
 

@@ -181,21 +181,13 @@ class Codec(Generic[F]):
         self._by_type = {kind.frame: self._coders[kind.number] for kind in kinds}
 
     def encode(self, frame: F, key: bytes | None = None) -> bytes:
-        """The 72 bytes of `frame`, signed if a key is given.
-
-        Raises:
-            FrameError: a value does not fit its field or its meaning; the message names it.
-        """
+        """The 72 bytes of `frame`, or FrameError."""
         body = self._by_type[type(frame)].pack(frame)
         data = body + _CRC.pack(crc32(body))
         return data + sign(data, key)
 
     def decode(self, data: bytes, key: bytes | None = None) -> F:
-        """The frame that these bytes are, signed under the key; not signed at all without one.
-
-        Raises:
-            FrameError: they are none; nothing else is ever raised, whatever the bytes.
-        """
+        """The frame that these bytes are, or FrameError."""
         if len(data) != FRAME_SIZE:
             raise FrameError(Refusal.LENGTH, f"{len(data)} bytes, expected {FRAME_SIZE}")
         magic, version, kind = _KIND.unpack_from(data)

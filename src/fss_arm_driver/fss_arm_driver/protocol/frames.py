@@ -224,4 +224,21 @@ _CODEC: Codec[Frame] = Codec(
     Kind(2, Command, "QBxHiii8x", _check_command),
     Kind(3, Segment, "HHQIiiii", _check_segment),
 )
-encode, decode = _CODEC.encode, _CODEC.decode
+
+
+def encode(frame: Frame, key: bytes | None = None) -> bytes:
+    """The 72 bytes of `frame`, signed if a key is given.
+
+    Raises:
+        FrameError: a value does not fit its field or its meaning; the message names it.
+    """
+    return _CODEC.encode(frame, key)
+
+
+def decode(data: bytes, key: bytes | None = None) -> Frame:
+    """The frame that these bytes are, signed under the key; not signed at all without one.
+
+    Raises:
+        FrameError: they are none; nothing else is ever raised, whatever the bytes.
+    """
+    return _CODEC.decode(data, key)

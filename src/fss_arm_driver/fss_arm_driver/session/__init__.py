@@ -1,8 +1,9 @@
-"""The session with one link, without I/O: datagrams in and out, times as arguments.
+"""The session with one link or the base's board, without I/O: datagrams in and out, times given.
 
 | file | one concern each; its retry times and limits are the constants at its top |
 | --- | --- |
-| `session.py` | `LinkSession`: composes the others, and says in words what is wrong |
+| `session.py` | `Session`: composes the others, and says in words what is wrong |
+| `link.py` | `LinkSession`: a link's set points, paths and measurements |
 | `arming.py` | arm, disarm, stop, clear faults: what is wanted of the drive, what is confirmed |
 | `orders.py` | the set point in force, until it expires |
 | `paths.py` | what of the paths in time the link is sent, and has |
@@ -15,18 +16,24 @@
 The rules and their reasons are in docs/reference/protocol.md.
 """
 
+from fss_arm_driver.scale import CommandError
 from fss_arm_driver.session.arming import RELEASE_TIMEOUT, Arming
+from fss_arm_driver.session.clock import SECOND
+from fss_arm_driver.session.link import COUNTS, LinkSession, Sample
 from fss_arm_driver.session.progress import Progress, Status
-from fss_arm_driver.session.reception import Sample
-from fss_arm_driver.session.session import COUNTS, TROUBLES, LinkSession
+from fss_arm_driver.session.session import TROUBLES, Partner, Session
 
 __all__ = [
     "COUNTS",
     "RELEASE_TIMEOUT",
+    "SECOND",
     "TROUBLES",
     "Arming",
+    "CommandError",
     "LinkSession",
+    "Partner",
     "Progress",
     "Sample",
+    "Session",
     "Status",
 ]

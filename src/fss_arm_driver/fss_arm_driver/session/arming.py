@@ -12,7 +12,7 @@ lost one costs nothing. Times are the caller's, in nanoseconds.
 
 from enum import Enum
 
-from fss_arm_driver.protocol import Mode, Order, State, Telemetry
+from fss_arm_driver.protocol import Heard, Order, State
 from fss_arm_driver.session.clock import SECOND
 
 ARMING_TIMEOUT = 2 * SECOND  # a link that has not armed by then is left disarmed
@@ -30,9 +30,15 @@ class Arming(Enum):
 
 
 class ArmingMachine:
-    """The state that the commands ask for, by what is asked and what the link reports."""
+    """The state that the commands ask for, by what is asked and what the link reports.
 
-    def __init__(self) -> None:
+    Args:
+        name: of what is armed, for words.
+        latches: flags of its telemetry that forbid to arm until it was disarmed.
+    """
+
+    def __init__(self, name: str, latches: int) -> None:
+        self._name, self._latches = name, latches
         self.state = Arming.DISARMED
         self.released = False  # the link has confirmed that its drive is off, as asked
         self.releasing = False  # it may still confirm that
@@ -77,22 +83,24 @@ class ArmingMachine:
         if lost or now - self._disarm_time > RELEASE_TIMEOUT:
             self.releasing = False
 
-    def follow(self, frame: Telemetry, echoed: int | None, faults: list[str]) -> str:
-        """Learn from telemetry that echoes a command sent at `echoed`; why to drop, if at all."""
+    def follow(self, frame: Heard, echoed: int | None, off: bool, faults: list[str]) -> str:
+        """Learn from telemetry that echoes a command sent at `echoed`; why to drop, if at all.
+
+        `off`: what must be off when disarmed is.
+        """
         armed = bool(frame.flags & State.ARMED)
         trouble = ""
         if self.state is Arming.ARMED and not armed:
-            trouble = "the link has disarmed itself"
+            trouble = f"{self._name} has disarmed itself"
         elif self.state is not Arming.DISARMED and faults:
             trouble = ", ".join(faults)
         elif self.state is Arming.ARMING and armed and echoed and echoed >= self._arm_time:
             self.state = Arming.ARMED
-        off = not armed and frame.mode == Mode.OFF
-        if self.releasing and off and echoed and echoed > self._disarm_time:
+        if self.releasing and off and not armed and echoed and echoed > self._disarm_time:
             self.releasing, self.released = False, True
         return trouble
 
-    def flags(self, frame: Telemetry | None, answered: bool, now: int) -> int:
+    def flags(self, frame: Heard | None, answered: bool, now: int) -> int:
         """Of the next command, the link's last frame being `frame`, and any command `answered`.
 
         A link's latches are cleared, and a session begun, by a command that does not arm.
@@ -101,7 +109,7 @@ class ArmingMachine:
             return Order.STOP
         if frame is None or self.state is Arming.DISARMED:
             return Order.CLEAR_FAULTS if now < self._clear_end else 0
-        latched = frame.flags & (State.STOPPED | State.WATCHDOG)
+        latched = frame.flags & self._latches
         if self.state is Arming.ARMING and (latched or not answered):
             return 0
         return Order.ARM

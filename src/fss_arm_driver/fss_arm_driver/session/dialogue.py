@@ -7,7 +7,7 @@ caller's, in nanoseconds.
 from collections import deque
 from typing import NamedTuple
 
-from fss_arm_driver.protocol import Slow, Telemetry
+from fss_arm_driver.protocol import Heard
 from fss_arm_driver.session.clock import MICROSECOND, SECOND
 
 ECHO_MEMORY = 60 * SECOND  # for so long an echo is known as that of a command of ours
@@ -32,11 +32,12 @@ class Dialogue:
         timeout: age of a frame that is too old.
         watchdog: silence after which a link takes commands of another driver.
         signed: whether the link takes only commands later than all that it took.
+        refused: the slow field that says how many datagrams it refused.
     """
 
-    def __init__(self, epoch: int, timeout: int, watchdog: int, signed: bool) -> None:
+    def __init__(self, epoch: int, timeout: int, watchdog: int, signed: bool, refused: int) -> None:
         self._epoch, self._timeout, self._watchdog = epoch, timeout, watchdog
-        self._signed = signed
+        self._signed, self._refused = signed, refused
         self.sent = 0  # commands and segments
         self.delay = 0  # there and back, of the last command known to be taken
         self.answered = -1  # when the last command known to be taken was sent
@@ -69,7 +70,7 @@ class Dialogue:
         self._others.clear()
         self._begun, self.answered = 0, -1
 
-    def sent_at(self, frame: Telemetry) -> int | None:
+    def sent_at(self, frame: Heard) -> int | None:
         """When the command that a frame echoes was sent, if it is one of ours."""
         return self._ours.get(frame.echo) if frame.echo else None
 
@@ -77,17 +78,17 @@ class Dialogue:
         """Whether the link takes commands of another driver."""
         return len(self._others) == 2 and now - self._others[0] <= 2 * self._timeout
 
-    def hear(self, frame: Telemetry, now: int) -> None:
+    def hear(self, frame: Heard, now: int) -> None:
         """Learn from a frame that is believed, or that came while none is."""
         if (sent := self.sent_at(frame)) is not None:
             self._answer, self.answered = frame.echo, sent
             self.delay = max(0, now - sent - frame.turnaround * MICROSECOND)
         elif frame.echo not in (0, self._answer) and self._begun:
             self._hear_other(frame, now)
-        if frame.slow_id == Slow.REFUSED:
+        if frame.slow_id == self._refused:
             self._count_refused(frame, sent is not None)
 
-    def _hear_other(self, frame: Telemetry, now: int) -> None:
+    def _hear_other(self, frame: Heard, now: int) -> None:
         """The link took a command that is none of ours: another driver's, or our predecessor's."""
         taken = now - frame.turnaround * MICROSECOND  # at the latest
         if taken > self._begun + self._watchdog and now - taken <= self._timeout:
@@ -98,7 +99,7 @@ class Dialogue:
             if later <= (now + self._epoch) // MICROSECOND + MAX_STAMP_LEAD:
                 self._clock = later
 
-    def _count_refused(self, frame: Telemetry, taken: bool) -> None:
+    def _count_refused(self, frame: Heard, taken: bool) -> None:
         """Compare what the link refused with what was sent, while it takes that."""
         then, now = self._refusals, Refusals(frame.boot, frame.slow_value & MASK, self.sent)
         if not taken or then is None or then.boot != now.boot:

@@ -2,11 +2,9 @@
 
 from collections import Counter, deque
 from enum import Enum
-from math import nan
-from typing import NamedTuple
+from typing import Generic, NamedTuple, Protocol, TypeVar
 
-from fss_arm_driver.protocol import NO_TORQUE, State, Telemetry, newer
-from fss_arm_driver.scale import Scale
+from fss_arm_driver.protocol import Heard, newer
 from fss_arm_driver.session.clock import MICROSECOND, SECOND, LinkClock
 
 EARLY_TOLERANCE = SECOND // 10  # delays vary: a frame may seem to come from the future by so much
@@ -15,19 +13,18 @@ SHORTEST_PERIOD = 1000  # of telemetry, in the link's clock [us]
 MAX_CANDIDATES = 16  # more than one, so that noise cannot displace a link that begins to talk
 
 
-class Sample(NamedTuple):
-    """A telemetry frame that is believed, in host time and SI units."""
+T = TypeVar("T", bound=Heard)
+F = TypeVar("F", bound=Heard, contravariant=True)
 
-    frame: Telemetry
-    stamp: int  # host time of the measurement [ns]
-    position: float  # [rad]
-    velocity: float  # [rad/s]
-    torque: float  # [N m]; NaN: none of the last 254 ms
 
-    @property
-    def referenced(self) -> bool:
-        """Whether the encoder's zero is known, so that the position means something."""
-        return bool(self.frame.flags & State.REFERENCED)
+class Rules(Protocol[F]):
+    """What telemetry can say at all."""
+
+    def possible(self, frame: F) -> bool:
+        """Whether it is plausible by itself."""
+
+    def reachable(self, before: F, frame: F) -> bool:
+        """Whether it can be so, a while after another frame."""
 
 
 class Verdict(Enum):
@@ -40,14 +37,14 @@ class Verdict(Enum):
     JUMP = "jump"
 
 
-class Track(NamedTuple):
+class Track(NamedTuple, Generic[T]):
     """The last frame of a link, the clock that its frames are timed by, and their usual period."""
 
-    frame: Telemetry
+    frame: T
     clock: LinkClock
     period: float = 0.0  # in the link's clock [us]; 0: not known yet
 
-    def then(self, frame: Telemetry) -> "Track":
+    def then(self, frame: T) -> "Track[T]":
         """The track with its next frame; a single late one hardly changes the usual period."""
         steps = (frame.sequence - self.frame.sequence) & 0xFFFFFFFF
         last = (frame.clock - self.frame.clock) / steps
@@ -56,11 +53,11 @@ class Track(NamedTuple):
         return Track(frame, self.clock, last)
 
 
-class Reception:
+class Reception(Generic[T]):
     """Compares each frame with those before it. All times are the caller's, in nanoseconds.
 
     Args:
-        scale: what the link could report at all.
+        rules: what the link could report at all.
         timeout: silence after which the link is lost [ns].
         resolution: step of the clock that the caller reads [ns].
         prove: whether a frame that does not follow a link's last one must prove by its echo to be
@@ -69,15 +66,15 @@ class Reception:
     """
 
     def __init__(
-        self, scale: Scale, timeout: int, resolution: int, prove: bool, counts: Counter[str]
+        self, rules: Rules[T], timeout: int, resolution: int, prove: bool, counts: Counter[str]
     ) -> None:
         self.lost = True
         self.heard = 0  # when a frame was last believed
-        self.track: Track | None = None  # believed; remembered for a while when lost
-        self._scale, self._timeout, self._resolution = scale, timeout, resolution
+        self.track: Track[T] | None = None  # believed; remembered for a while when lost
+        self._rules, self._timeout, self._resolution = rules, timeout, resolution
         self._early = timeout if resolution else EARLY_TOLERANCE  # a simulated clock may lag
         self._prove, self._counts = prove, counts
-        self._candidates: deque[Track] = deque(maxlen=MAX_CANDIDATES)  # on probation
+        self._candidates: deque[Track[T]] = deque(maxlen=MAX_CANDIDATES)  # on probation
         self._stamp = 0  # of the last sample
 
     def tick(self, now: int, patience: int = 0) -> bool:
@@ -96,28 +93,25 @@ class Reception:
         self.lost, self.heard, self.track, self._stamp = True, now, None, 0
         self._candidates.clear()
 
-    def take(self, frame: Telemetry, echoed: int | None, now: int) -> Sample | None:
-        """What `frame` says if it is to be believed; it echoes a command sent at `echoed`."""
+    def take(self, frame: T, echoed: int | None, now: int) -> int | None:
+        """Host time of the measurement if `frame` is to be believed [ns].
+
+        It echoes a command sent at `echoed`.
+        """
         if not self._believes(frame, echoed, now) or self.track is None:
             return None
-        clock, scale = self.track.clock, self._scale
+        clock = self.track.clock
         if echoed is None:
             clock.one_way(frame.clock, now)
         else:
             clock.exchange(echoed, frame.turnaround, frame.clock, now)
         # A better estimate of the clock never turns the stamps back.
         self._stamp = max(clock.to_host(frame.clock), self._stamp + 1)
-        return Sample(
-            frame=frame,
-            stamp=self._stamp,
-            position=scale.position(frame.position),
-            velocity=scale.velocity(frame.velocity),
-            torque=scale.torque(frame.torque) if frame.torque_age < NO_TORQUE else nan,
-        )
+        return self._stamp
 
-    def _believes(self, frame: Telemetry, echoed: int | None, now: int) -> bool:
+    def _believes(self, frame: T, echoed: int | None, now: int) -> bool:
         """Whether to believe `frame`; it becomes the track's last one, or a candidate."""
-        if not self._scale.possible(frame):
+        if not self._rules.possible(frame):
             self._counts["impossible"] += 1
             return False
         verdict = self._compare(self.track, frame, now, late=self._timeout)
@@ -134,7 +128,7 @@ class Reception:
             return False
         return self._follow(verdict, frame, now)
 
-    def _follow(self, verdict: Verdict, frame: Telemetry, now: int) -> bool:
+    def _follow(self, verdict: Verdict, frame: T, now: int) -> bool:
         """Believe a frame that follows, from the last one or a candidate; else keep it as one."""
         if self.track and verdict is Verdict.FOLLOWS:
             self._believe(self.track, frame, now)
@@ -147,7 +141,7 @@ class Reception:
         self._candidates.append(Track(frame, LinkClock(frame.clock, now, self._resolution)))
         return False
 
-    def _compare(self, track: Track | None, frame: Telemetry, now: int, late: int) -> Verdict:
+    def _compare(self, track: Track[T] | None, frame: T, now: int, late: int) -> Verdict:
         """Whether `frame` follows from `track` and is at most `late` [ns] older than it seems."""
         if track is None or frame.boot != track.frame.boot:
             return Verdict.JUMP
@@ -160,21 +154,19 @@ class Reception:
             return Verdict.REORDERED
         period = frame.clock - track.frame.clock
         steps = (frame.sequence - track.frame.sequence) & 0xFFFFFFFF
-        turned = frame.position - track.frame.position
-        homed = frame.flags & ~track.frame.flags & State.REFERENCED  # from now it counts anew
         # Frames that are said to have come between need their time; the next one is no leap.
         least = max(steps * SHORTEST_PERIOD, (steps - 1) * track.period / 2)
         if period < least or (age < -self._early and self._is_early(track, age, now)):
             return Verdict.JUMP
-        reachable = homed or self._scale.reachable(turned, period)
+        reachable = self._rules.reachable(track.frame, frame)
         return Verdict.FOLLOWS if reachable else Verdict.JUMP
 
-    def _is_early(self, track: Track, age: int, now: int) -> bool:
+    def _is_early(self, track: Track[T], age: int, now: int) -> bool:
         """Whether a frame is from the future by more than the clock's uncertainty, too."""
         known_to = track.clock.half_width(now)
         return age < -self._early - (known_to if known_to < self._timeout else 0)
 
-    def _believe(self, track: Track, frame: Telemetry, now: int) -> None:
+    def _believe(self, track: Track[T], frame: T, now: int) -> None:
         self._counts["adopted"] += self.lost
         self._counts["believed"] += 1
         self._counts["missed"] += ((frame.sequence - track.frame.sequence) & 0xFFFFFFFF) - 1

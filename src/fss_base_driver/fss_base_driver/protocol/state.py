@@ -103,6 +103,11 @@ class BoardState:
         """Which are open: bit i is valve i + 1."""
         return sum(1 << i for i in self._open())
 
+    @property
+    def until(self) -> tuple[int, ...]:
+        """Up to when each valve is open if nothing comes between; 0, or a past time: closed."""
+        return tuple(self._until)
+
     def remaining(self) -> list[int]:
         """For how long each valve is still to be open if nothing comes between [us]."""
         return [max(0, until - self._clock) for until in self._until]

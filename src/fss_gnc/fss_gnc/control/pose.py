@@ -51,7 +51,11 @@ class PoseControl:
     """From where base and arm are to the wrench on the base."""
 
     def __init__(self, arm: Arm, gains: PoseGains | None = None) -> None:
-        self.p, self.gains = arm.vector(), gains or PoseGains()
+        self.p, self.gains = arm.vector(), gains or PoseGains()  # p as it is now
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the steady disturbance."""
         self._disturbance = np.zeros(3)
 
     def wrench(

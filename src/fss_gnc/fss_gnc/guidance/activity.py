@@ -12,20 +12,13 @@ import numpy.typing as npt
 
 from fss_arm_model.description import Arm
 from fss_gnc.guidance.settings import GuidanceSettings
-from fss_gnc.reference import Path
+from fss_gnc.reference import Body, Path
 
 Floats = npt.NDArray[np.float64]
 
 
 class ActivityError(ValueError):
     """An activity cannot begin, or go on; the message says why."""
-
-
-class Body(NamedTuple):
-    """Base or target as they are, in the world."""
-
-    pose: Floats  # (3,) x, y [m], heading [rad]
-    twist: Floats  # (3,) [m/s, m/s, rad/s]
 
 
 @dataclass(frozen=True)

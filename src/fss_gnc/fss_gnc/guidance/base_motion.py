@@ -7,10 +7,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import CubicSpline
 
-from fss_gnc.guidance.activity import ActivityError, Body, Craft, Ended, Floats, Orders, Seen
+from fss_gnc.guidance.activity import ActivityError, Craft, Ended, Floats, Orders, Seen
 from fss_gnc.guidance.room import Room
 from fss_gnc.guidance.settings import GuidanceSettings
-from fss_gnc.reference import Path, Reference, off
+from fss_gnc.reference import Body, Path, Reference, off
 
 MOST_KNOTS = 10_000
 SHORTEST = 1.0  # time of a motion [s]

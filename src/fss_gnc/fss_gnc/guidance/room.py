@@ -3,8 +3,8 @@
 import numpy as np
 
 from fss_arm_model.clearance import body_name, gaps, sizes, with_edge, with_target
-from fss_gnc.guidance.activity import ActivityError, Body, Craft, Floats
-from fss_gnc.reference import Path
+from fss_gnc.guidance.activity import ActivityError, Craft, Floats
+from fss_gnc.reference import Body, Path
 
 SLACK = 1e-3  # by which what is too near already may come nearer still [m]
 

@@ -24,6 +24,7 @@ from .settings import Bounds, SensorErrors
 Pose = tuple[float, float, float]  # x [m], y [m], heading [rad]
 
 SECOND = 1_000_000_000
+FAR = 1e4  # from the world's origin no body is [m]
 MEMORY = 600_000_000  # [ns]
 STRIDE = 20_000_000  # of a prediction, within which the heading counts as constant [ns]
 HELD_POSITION, HELD_HEADING = 0.003, 0.01  # deviations of what is held, by the arm [m], [rad]
@@ -216,6 +217,7 @@ class BodyFilter:
         self.inputs, self.bounds = inputs or Free(e), bounds or Bounds()
         self.elsewhere = elsewhere or (lambda t, pose, within: "")
         self.rejected: Counter[str] = Counter()
+        self.confused: tuple[int, str] | None = None  # when [ns], and with whom, it last was
         self.begun = 0  # times
         self.events: deque[_Event] = deque()
         self.seen = self.turned = -1  # when the last pose, and the last rate, was taken [ns]
@@ -236,6 +238,9 @@ class BodyFilter:
     def pose(self, t: int, x: float, y: float, heading: float) -> bool:
         """Take a pose seen at t [ns]; whether it was believed."""
         pose = x, y, heading
+        if not hypot(x, y) < FAR:
+            self.rejected["pose far away"] += 1
+            return False
         if not self.events:
             return self._begin(t, pose)
         if self.lost(t) and self._other(t, pose):  # whose pose may be within so wide a gate
@@ -270,6 +275,11 @@ class BodyFilter:
         """The newest estimate."""
         t, _, _, x, P = self.events[-1]
         return BodyState(t, x[:3], x[3:6], P[:6, :6])
+
+    @property
+    def bias(self) -> float:
+        """Of the gyro [rad/s]."""
+        return float(self.events[-1].x[6])
 
     def push(self, t: int, speed: float, turn_rate: float) -> None:
         """Something pushed the body at t [ns]: its twist is another, by these deviations."""
@@ -364,6 +374,7 @@ class BodyFilter:
         off = hypot(pose[0] - x[0] - ahead * x[3], pose[1] - x[1] - ahead * x[4])
         if name := self.elsewhere(t, pose, off):
             self.rejected[f"pose of the {name}"] += 1
+            self.confused = t, name
         return bool(name)
 
     def _settle(self, t: int, pose: Pose) -> bool:

@@ -5,11 +5,12 @@
 in the base's axes, with the wrench w of the valves. The joints' accelerations are those that their
 readings show, change of rate by time: whoever moves the arm, and however its drives follow, the
 base feels what the joints do and not what was planned. So they are known when the next reading has
-come, and the filter takes what followed the last one again; until then a joint may change as it
-did of late, which is noise.
+come, and the filter takes what followed the last one again. Until then they are those planned, if a
+plan is heard; and a joint may change beside it as it did of late, which is noise.
 """
 
 from collections import deque
+from collections.abc import Sequence
 from math import isfinite
 from typing import NamedTuple
 
@@ -18,6 +19,7 @@ import numpy.typing as npt
 
 from fss_arm_model.dynamics import inertia_matrix, inverse_dynamics
 from fss_arm_model.kernels import Floats
+from fss_arm_model.thrusters import layout
 
 from .settings import EstimatorSettings
 
@@ -26,19 +28,6 @@ KEPT = 2 * SECOND  # of pulses, for measurements that come late
 UNHEARD = SECOND // 2  # a joint that is silent for longer may do anything
 FOREVER = 1 << 62  # [ns]
 RESTS = 1e-4  # change of a joint's rate that the base does not feel [rad/s]
-CORNERS = ((1, 1), (-1, 1), (-1, -1), (1, -1))  # of the square, in the base's axes
-
-
-def valve_wrenches(thrust: float, lever: float) -> Floats:
-    """Force on the base in its own axes [N] and torque about its origin [N m], (8, 3).
-
-    Numbered as in ThrusterCommand: at each corner the one along x first; each pushes away.
-    """
-    rows = []
-    for x, y in CORNERS:
-        rows += [(-x * thrust, 0.0, x * y * thrust * lever)]
-        rows += [(0.0, -y * thrust, -x * y * thrust * lever)]
-    return np.array(rows)
 
 
 class _Pulses(NamedTuple):
@@ -80,8 +69,15 @@ class _Joint:
         )
 
 
+class _Plan(NamedTuple):
+    """What the joints are to do."""
+
+    t: list[int]  # [ns]
+    qd: Floats  # (k, n) rates, straight between these times
+
+
 class KnownInputs:
-    """Remembers pulses of the valves and readings of the joints.
+    """Remembers pulses of the valves and readings of the joints, and the newest plan for them.
 
     Args:
         p: (8 + 6 n,) Arm.vector().
@@ -90,9 +86,10 @@ class KnownInputs:
 
     def __init__(self, p: npt.ArrayLike, settings: EstimatorSettings | None = None) -> None:
         self.settings = s = settings or EstimatorSettings()
-        self.valves = valve_wrenches(s.thrust, s.thruster_lever)
+        self.valves = layout(s.thrust, s.thruster_lever)
         self.delay = round(SECOND * s.valve_delay)
         self._pulses: deque[_Pulses] = deque()
+        self._plan: _Plan | None = None
         self._quiet = np.diag(np.square([s.acceleration, s.acceleration, s.angular_acceleration]))
         self.describe(p)
 
@@ -143,10 +140,32 @@ class KnownInputs:
         self._model(max(t, self._newest), omega)
         return before if abs(qd - was) > RESTS else None
 
+    def plan(self, times: Sequence[int], rates: npt.ArrayLike) -> bool:
+        """The joints are to have rates (k, n) [rad/s] at times [ns]; False: that is no plan."""
+        t, qd = list(times), np.asarray(rates, dtype=float)
+        if qd.shape != (len(t), len(self.joints)) or not np.isfinite(qd).all() or t != sorted(t):
+            return False
+        self._plan = _Plan(t, qd) if len(t) > 1 else None
+        return True
+
+    def _planned(self, begin: int, end: int) -> Floats | None:
+        """By how much the joints' rates are to change meanwhile; None: nothing is planned."""
+        if self._plan is None or not self._plan.t[0] <= begin < end <= self._plan.t[-1]:
+            return None
+        t, qd = self._plan
+        first, last = (
+            np.array([np.interp(at, t, column) for column in qd.T]) for at in (begin, end)
+        )
+        return last - first
+
     @property
     def heard(self) -> bool:
         """Whether every joint was."""
         return all(joint.t for joint in self.joints)
+
+    def heard_at(self, t: int) -> bool:
+        """Whether every joint was within UNHEARD before t [ns]."""
+        return all(joint.t and t - joint.t[-1] <= UNHEARD for joint in self.joints)
 
     def joints_at(self, t: int) -> tuple[Floats, Floats]:
         """Angles and rates of the joints at t [ns], (n,) each, by their newest readings."""
@@ -177,7 +196,9 @@ class KnownInputs:
         self._tail = self._quiet + self._by_joint * loose @ self._by_joint.T
         newest = [joint.t[-1] if joint.t else -1 for joint in self.joints]
         self._from, self._until = min(newest), max(newest)
-        self._silent = min((last for last, h in zip(newest, heard, strict=True) if h), default=FOREVER)
+        self._silent = min(
+            (last for last, h in zip(newest, heard, strict=True) if h), default=FOREVER
+        )
         self._silent += UNHEARD  # when the next one falls silent
 
     def over(self, begin: int, end: int) -> tuple[Floats, Floats]:
@@ -185,8 +206,17 @@ class KnownInputs:
         if end > max(self._silent, self._newest):
             self._model(end, self._omega)
         a, noise = self._still, self._tail if end > self._from else self._read
+        changes = None
         if begin < self._until and end > begin:
-            changes = [joint.changed(begin, end) for joint in self.joints]
+            changes = np.array([joint.changed(begin, end) for joint in self.joints])
+        if end > self._from and (planned := self._planned(begin, end)) is not None:
+            # Of joints that were not read since; a reading within counts up to its time.
+            unread = [joint.t[-1] <= begin if joint.t else True for joint in self.joints]
+            planned = planned * unread
+            off = self.settings.joint_change_error**2 * planned**2 / ((end - begin) * 1e-9)
+            noise = noise + self._by_joint * off @ self._by_joint.T
+            changes = planned if changes is None else planned + changes
+        if changes is not None:
             a = a + self._by_joint @ changes / ((end - begin) * 1e-9)
         wrench = self._wrench(begin, end)
         if wrench is not None:

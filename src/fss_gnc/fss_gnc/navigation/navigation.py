@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fss_arm_model.description import Arm
-from fss_arm_model.held import Target, hold, held, with_held
+from fss_arm_model.held import Target, held, hold, with_held
 from fss_arm_model.kernels import Floats
 from fss_arm_model.kinematics import tip_pose
 
@@ -88,6 +88,15 @@ class Navigation:
         if taken:
             self.base.revise(t)
         return taken
+
+    def confused(self, t: int) -> list[tuple[str, str]]:
+        """Who was lately seen where whom else is."""
+        bodies = ("base", self.base), ("target", self.target)
+        return [
+            (name, body.confused[1])
+            for name, body in bodies
+            if body.confused and t - body.confused[0] < SECOND
+        ]
 
     def target_pose(self, t: int, x: float, y: float, heading: float) -> bool:
         """Take a pose of the target seen at t [ns]; whether it was believed."""

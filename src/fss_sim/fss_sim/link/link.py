@@ -59,6 +59,16 @@ class Link:
         """Datagrams refused since its start."""
         return self.electronics.gate.refused.total() if self.electronics else 0
 
+    @property
+    def running(self) -> bool:
+        """Whether it is switched on."""
+        return self.electronics is not None
+
+    @property
+    def charged(self) -> bool:
+        """Whether its battery can run it."""
+        return self.instruments.battery.charge > 0.0
+
     def clock(self, now: int) -> int:
         """Its own clock [us]."""
         return self._since + round((now - self._began) * (1.0 + self._drift) / 1000)

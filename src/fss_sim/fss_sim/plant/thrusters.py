@@ -13,6 +13,8 @@ from fss_arm_model.units import GRAVITY
 
 Floats = npt.NDArray[np.float64]
 
+FOREVER = 1e9  # [step]
+
 
 @dataclass(frozen=True)
 class Propulsion(Settings):
@@ -56,6 +58,8 @@ class Thrusters:
         self.tank = gas_mass(p.tank_pressure, p.tank_volume, p.temperature)  # [kg]
         self.used = min(used, self.tank)  # propellant [kg]
         self._begin, self._end = np.zeros(COUNT), np.zeros(COUNT)  # of each pulse [step]
+        self._stuck_open = self._stuck_closed = np.zeros(COUNT, dtype=bool)
+        self.driven = False  # whether a valve was told to open last
 
     @property
     def pressure(self) -> float:
@@ -66,6 +70,22 @@ class Thrusters:
     def thrust(self) -> float:
         """Of an open thruster now, as a part of its full thrust."""
         return min(1.0, self.pressure / self.propulsion.regulator_pressure)
+
+    @property
+    def broken(self) -> int:
+        """The valves that do not open: bit i is valve i + 1."""
+        return sum(1 << i for i, stuck in enumerate(self._stuck_closed) if stuck)
+
+    def stick(self, is_open: Sequence[bool], is_closed: Sequence[bool]) -> None:
+        """Have valves stay open, or stay closed, whatever they are told; both: closed."""
+        self._stuck_closed = np.array(is_closed, dtype=bool)
+        self._stuck_open = np.array(is_open, dtype=bool) & ~self._stuck_closed
+
+    def _pulses(self, now: int) -> tuple[Floats, Floats]:
+        """Begin and end of each valve's pulse, as it works [step]."""
+        begin = np.where(self._stuck_open, 0.0, self._begin)
+        end = np.where(self._stuck_open, now + FOREVER, self._end)
+        return begin, np.where(self._stuck_closed, begin, end)
 
     def command(self, on_times: Sequence[float], now: int) -> None:
         """Open each valve for a time from now on [s]; 0 closes it.
@@ -79,7 +99,7 @@ class Thrusters:
         times = np.asarray(on_times, dtype=float)
         if times.shape != (COUNT,) or not (np.isfinite(times) & (times >= 0.0)).all():
             raise ValueError(f"on times are {times.tolist()}, expected {COUNT} from 0 on [s]")
-        p = self.propulsion
+        p, self.driven = self.propulsion, bool(times.any())
         at, least = now + round(p.valve_delay / STEP), round(p.minimum_on_time / STEP)
         is_open = self._end > now  # or is about to
         wanted = np.where(times >= p.minimum_on_time, np.round(times / STEP), 0.0)
@@ -89,21 +109,24 @@ class Thrusters:
 
     def valves(self, now: int) -> Floats:
         """Force and torque of each, and from and up to which step from now they act, (8, 5)."""
-        pulses = np.stack([self._begin - now, self._end - now], axis=-1)
+        begin, end = self._pulses(now)
+        pulses = np.stack([begin - now, end - now], axis=-1)
         return np.hstack([self.thrust * self.layout, pulses])
 
     def busy(self, now: int) -> bool:
         """Whether a valve is open or will be."""
-        return bool((self._end > now).any())
+        return bool((self._pulses(now)[1] > now).any())
 
     def open(self, now: int) -> list[bool]:
         """Which valves are."""
-        return ((self._begin <= now) & (now < self._end)).tolist()
+        begin, end = self._pulses(now)
+        return ((begin <= now) & (now < end)).tolist()
 
     def spend(self, now: int, steps: int) -> float:
         """Take from the tank what the next steps use; return how much [kg]."""
         p = self.propulsion
-        times = np.minimum(self._end, now + steps) - np.maximum(self._begin, now)
+        begin, end = self._pulses(now)
+        times = np.minimum(end, now + steps) - np.maximum(begin, now)
         flow = self.thrust * p.thrust / (p.specific_impulse * GRAVITY)
         spent = min(float(flow * STEP * np.maximum(times, 0.0).sum()), self.tank - self.used)
         self.used += spent

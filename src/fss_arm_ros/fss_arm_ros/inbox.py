@@ -1,0 +1,36 @@
+"""Topics whose messages wait until the node takes them.
+
+For a node that looks at what has come when it acts, and not before: an executor's turn for each
+message would cost it some tenths of a millisecond.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.node import Node
+from rclpy.subscription import Subscription
+
+from fss_arm_ros.ear import OutsideExecutors
+from fss_arm_ros.qos import sensor
+
+
+class Inbox:
+    """Subscriptions of a node, of any publisher, that no executor handles."""
+
+    def __init__(self, node: Node) -> None:
+        self._node, self._group = node, OutsideExecutors()
+        self._boxes: list[tuple[Subscription, type, Callable[[Any], None]]] = []
+
+    def listen(self, kind: type, topic: str, callback: Callable[[Any], None]) -> None:
+        """Have a topic's messages wait."""
+        subscription = self._node.create_subscription(
+            kind, topic, callback, sensor(best_effort=True), callback_group=self._group
+        )
+        self._boxes.append((subscription, kind, callback))
+
+    def take(self) -> None:
+        """Hand over all messages that have come, topic after topic."""
+        for subscription, kind, callback in self._boxes:
+            with subscription.handle:
+                while taken := subscription.handle.take_message(kind, False):
+                    callback(taken[0])

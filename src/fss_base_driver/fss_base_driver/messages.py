@@ -1,0 +1,181 @@
+"""What the board's session knows, as messages."""
+
+from collections.abc import Sequence
+from math import nan
+from typing import Any
+
+from sensor_msgs.msg import BatteryState, FluidPressure, Imu
+from std_msgs.msg import Float64
+
+from fss_arm_driver.session import TROUBLES
+from fss_arm_driver.transport import Transport
+from fss_arm_model.thrusters import gas_mass
+from fss_arm_msgs.msg import BaseTelemetry, GripperState, ThrusterCommand
+from fss_arm_ros.convert import SECOND, to_time
+from fss_arm_ros.diagnostics import ERROR, OK, WARN, Health
+from fss_base_driver.protocol import VALVES, BaseSlow, BaseState, Hand
+from fss_base_driver.session import BoardSession, Heard
+
+ZERO_CELSIUS = 273.15  # [K]
+KILOPASCAL = 1e3  # [Pa]
+SHORT = 600.0  # that a battery lasts, to be warned of [s]
+#: What a BaseTelemetry has as the frame has it, and what took turns in the frames.
+REPORTED = (
+    *("boot", "sequence", "clock", "gyro_sum", "gyro_samples", "valves", "gripper"),
+    *("pulse", "pulse_age", "flags"),
+)
+SLOW_NAMES = tuple(
+    (int(s), s.name.lower())
+    for s in BaseSlow
+    if s is not BaseSlow.TEMPERATURE and s < BaseSlow.OPEN_1
+)
+FLAG_WORDS = {
+    BaseState.STOPPED: "it is stopped",
+    BaseState.WATCHDOG: "its watchdog tripped",
+    BaseState.SPENT: "its valves' total time is used up",
+    BaseState.LIMITED: "a valve was closed by a limit",
+}
+
+
+def telemetry(heard: Heard, session: BoardSession, now: int, frame_id: str) -> BaseTelemetry:
+    """Everything that the board reported, raw, and what the session knows of it."""
+    message, slow = BaseTelemetry(), session.slow
+    message.header.stamp, message.header.frame_id = to_time(heard.stamp), frame_id
+    for name in REPORTED:
+        setattr(message, name, getattr(heard.frame, name))
+    for field, name in SLOW_NAMES:
+        setattr(message, name, slow.get(field, 0) & 0xFFFFFFFF)
+    message.temperature = slow.get(BaseSlow.TEMPERATURE, 0)
+    message.open = [slow.get(BaseSlow.OPEN_1 + i, 0) & 0xFFFFFFFF for i in range(VALVES)]
+    message.clock_deviation = session.deviation(now)
+    message.round_trip = session.round_trip
+    message.armed = session.armed
+    return message
+
+
+def imu(stamp: int, rate: float, deviation: float, frame_id: str) -> Imu:
+    """A rate of turn about z with its standard deviation [rad/s]."""
+    message = Imu()
+    message.header.stamp, message.header.frame_id = to_time(stamp), frame_id
+    message.orientation_covariance[0] = message.linear_acceleration_covariance[0] = -1.0
+    message.angular_velocity.z = rate
+    message.angular_velocity_covariance[8] = deviation**2
+    return message
+
+
+def gripper_state(heard: Heard) -> GripperState:
+    """The gripper, of which the board knows neither distance nor angle to anything."""
+    told = heard.frame.gripper
+    message = GripperState(
+        closed=bool(told & Hand.TOLD_TO_CLOSE), holds=bool(told & Hand.HOLDS), distance=nan,
+        angle=nan, speed=nan,
+    )  # fmt: skip
+    message.header.stamp, message.header.frame_id = to_time(heard.stamp), "end_effector"
+    return message
+
+
+def pulses(stamp: int, on_times: Sequence[float]) -> ThrusterCommand:
+    """What the valves were told [s]."""
+    message = ThrusterCommand(on_time=list(on_times))
+    message.header.stamp = to_time(stamp)
+    return message
+
+
+def pressure(stamp: int, kilopascals: int) -> FluidPressure:
+    """Of the tank."""
+    message = FluidPressure(fluid_pressure=KILOPASCAL * kilopascals, variance=0.0)
+    message.header.stamp, message.header.frame_id = to_time(stamp), "tank"
+    return message
+
+
+def battery(stamp: int, voltage: float) -> BatteryState:
+    """The board's, of which only the voltage is known."""
+    message = BatteryState(
+        voltage=voltage, temperature=nan, current=nan, charge=nan, capacity=nan,
+        design_capacity=nan, percentage=nan, present=True, location="base",
+    )  # fmt: skip
+    message.header.stamp, message.header.frame_id = to_time(stamp), "base"
+    return message
+
+
+def propellant(slow: dict[int, int], volume: float) -> Float64 | None:
+    """The mass of the gas that is left [kg], once pressure and temperature are known."""
+    if not {BaseSlow.TANK, BaseSlow.TEMPERATURE} <= slow.keys():
+        return None
+    kelvins = ZERO_CELSIUS + 0.1 * slow[BaseSlow.TEMPERATURE]
+    if kelvins <= 0.0:
+        return None
+    return Float64(data=gas_mass(KILOPASCAL * slow[BaseSlow.TANK], volume, kelvins))
+
+
+def faulty_valves(slow: dict[int, int]) -> list[str]:
+    """The valves whose current does not fit what they were told."""
+    bits = slow.get(BaseSlow.FAULTS, 0)
+    dead = [f"valve {i + 1} draws no current" for i in range(VALVES) if bits >> i & 1]
+    live = [f"valve {i + 1} draws current unasked" for i in range(VALVES) if bits >> i + 8 & 1]
+    return dead + live
+
+
+def state_words(session: BoardSession) -> str:
+    """How the board is, for people."""
+    flags = session.frame.flags if session.frame else 0
+    words = [text for flag, text in FLAG_WORDS.items() if flags & flag]
+    words += faulty_valves(session.slow)
+    state = f"{session.partner.name} is {session.arming.value}"
+    return f"{state}: {', '.join(words)}" if words else state
+
+
+class BoardHealth:
+    """The board's health since it was last asked for."""
+
+    def __init__(self, session: BoardSession, transport: Transport, signed: bool) -> None:
+        self.session, self.transport, self.signed = session, transport, signed
+        self.counts, self.then = dict(session.counts), 0
+
+    def __call__(self, now: int, more: dict[str, Any]) -> Health:
+        """How the board is at `now` [ns], with further values."""
+        session, before, then = self.session, self.counts, self.then
+        session.tick(now)
+        self.counts, self.then = dict(session.counts), now
+        grown = {name: count - before[name] for name, count in self.counts.items()}
+        values = self._values(grown, (now - then) / SECOND, now) | more
+        words, left = state_words(session), session.battery.time_left()
+        if now == then:
+            return Health(WARN, "the clock stands still", values)
+        if session.lost:
+            why = self.transport.trouble or session.rival or session.strain or session.absence
+            return Health(ERROR, f"{session.partner.name} is lost{': ' * bool(why)}{why}", values)
+        if session.rival:
+            return Health(ERROR, session.rival, values)
+        if session.strain:
+            return Health(WARN, f"{words}; {session.strain}", values)
+        if left < SHORT:
+            return Health(WARN, f"{words}; the battery lasts {left / 60.0:.0f} min", values)
+        if any(grown[name] for name in TROUBLES):
+            return Health(WARN, f"{words}; frames were lost or refused", values)
+        flagged = session.frame and session.frame.flags & ~BaseState.ARMED
+        return Health(WARN if flagged or faulty_valves(session.slow) else OK, words, values)
+
+    def _values(self, grown: dict[str, int], seconds: float, now: int) -> dict[str, Any]:
+        session, slow = self.session, self.session.slow
+        came = grown["believed"] + grown["missed"]
+        firmware = slow.get(BaseSlow.FIRMWARE, 0)
+        return {
+            "state": session.arming.value,
+            "valves' faults": ", ".join(faulty_valves(slow)) or "none",
+            "rate [1/s]": grown["believed"] / seconds if seconds else 0.0,
+            "loss [%]": 100.0 * grown["missed"] / came if came else 0.0,
+            "age [s]": session.silence(now),
+            "round trip [s]": session.round_trip,
+            "clock drift [ppm]": 1e6 * session.drift,
+            "clock deviation [s]": session.deviation(now),
+            "tank [kPa]": slow.get(BaseSlow.TANK, "not reported"),
+            "supply [kPa]": 0.1 * slow[BaseSlow.SUPPLY] if BaseSlow.SUPPLY in slow else nan,
+            "battery [V]": session.battery.voltage,
+            "valves' time left [s]": 1e-3 * slow.get(BaseSlow.LEFT, 0),
+            "firmware": f"{firmware >> 16}.{firmware >> 8 & 0xFF}.{firmware & 0xFF}",
+            "refused by the board": slow.get(BaseSlow.REFUSED, 0),
+            "signed": self.signed,
+            **self.counts,
+            **self.transport.counts,
+        }

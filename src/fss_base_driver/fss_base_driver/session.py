@@ -1,0 +1,187 @@
+"""The driver's side of the base's board: pulses for its valves, orders for its gripper.
+
+What is sent is as in docs/reference/base_protocol.md. All times are the caller's, in integer
+nanoseconds.
+"""
+
+from collections.abc import Sequence
+from math import isfinite
+from typing import NamedTuple
+
+from fss_arm_driver.session import SECOND, CommandError, Partner, Session
+from fss_base_driver.protocol import (
+    BOARD,
+    NO_ON_TIMES,
+    TIME_UNIT,
+    VALVES,
+    BaseCommand,
+    BaseOrder,
+    BaseSlow,
+    BaseState,
+    BaseTelemetry,
+    Gripper,
+    Hand,
+    decode,
+    encode,
+)
+
+NAME = "the base's board"
+UNIT = 1000 * TIME_UNIT  # of on times [ns]
+LATEST = SECOND // 10  # that a pulse begins when it had to be repeated
+LATCHES = BaseState.STOPPED | BaseState.WATCHDOG | BaseState.SPENT
+
+
+class Heard(NamedTuple):
+    """A telemetry frame that is believed."""
+
+    frame: BaseTelemetry
+    stamp: int  # host time of the measurement [ns]
+
+
+class Pulse(NamedTuple):
+    """What was given to the valves."""
+
+    number: int = 0
+    on_times: tuple[int, ...] = NO_ON_TIMES  # [TIME_UNIT]
+    given: int = 0  # host time [ns]
+    expiry: int = 0
+
+    @property
+    def longest(self) -> int:
+        """On time of the valve that is open longest [ns]."""
+        return UNIT * max(self.on_times)
+
+
+NO_PULSE = Pulse()
+
+
+class Anything:
+    """What the board's telemetry can say."""
+
+    def possible(self, frame: BaseTelemetry) -> bool:
+        """It says nothing that could not be."""
+        return True
+
+    def reachable(self, before: BaseTelemetry, frame: BaseTelemetry) -> bool:
+        """Nor anything that excludes what comes after."""
+        return True
+
+
+class BoardSession(Session[BaseTelemetry]):
+    """What the driver knows and wants of the board.
+
+    Args:
+        timeout: silence after which the board is lost [s].
+        watchdog: silence after which the board shall disarm itself [s].
+        lifetime: of a pulse that has not begun [s].
+        longest: on time that is taken [s].
+        resolution: step of the clock that the caller reads [s].
+        key: that frames are signed under; None: they are not signed.
+        empty: voltage of the board's battery at which it must be switched off [V].
+        epoch: what to add to the caller's clock to have the time of day [ns].
+    """
+
+    def __init__(
+        self,
+        timeout: float = 1.0,
+        watchdog: float = 0.5,
+        lifetime: float = 0.5,
+        longest: float = 1.0,
+        resolution: float = 0.0,
+        key: bytes | None = None,
+        empty: float = 0.0,
+        epoch: int = 0,
+    ) -> None:
+        partner = Partner(
+            NAME, BOARD, BaseTelemetry, decode, Anything(), LATCHES, BaseSlow.BATTERY,
+            BaseSlow.REFUSED,
+        )  # fmt: skip
+        super().__init__(partner, timeout, watchdog, resolution, key, empty, epoch)
+        self.pulse = NO_PULSE  # in force
+        self._lifetime, self._longest = round(1e9 * lifetime), longest
+        self._number = 0  # of the last pulse
+        self._grip = Gripper.KEEP  # asked for, and not confirmed yet
+        self._grip_time = 0  # when it was asked for
+
+    def thrust(self, on_times: Sequence[float], given: int, now: int) -> None:
+        """Open the valves for these times [s], as was asked at `given`; all 0 closes them.
+
+        Raises:
+            CommandError: it cannot be done; what was in force stays.
+        """
+        self.tick(now)
+        self.require_armed()
+        if now > given + self._lifetime:
+            raise CommandError(f"the command is {1e-9 * (now - given):.3f} s old")
+        times = self._in_units(on_times)
+        if not any(times):
+            self.pulse = NO_PULSE
+            return
+        self._number = self._number % 0xFFFF + 1
+        ends = now + UNIT * max(times) + LATEST + self._dialogue.delay
+        expiry = max(given + self._lifetime, ends)
+        self.pulse = Pulse(self._number, times, now, expiry)
+
+    def _in_units(self, on_times: Sequence[float]) -> tuple[int, ...]:
+        times = tuple(map(float, on_times))
+        good = all(isfinite(time) and 0.0 <= time <= self._longest for time in times)
+        if len(times) != VALVES or not good:
+            raise CommandError(
+                f"on times are {list(times)}, expected {VALVES} from 0 to {self._longest:g} s"
+            )
+        return tuple(round(1e9 * time / UNIT) for time in times)
+
+    def grip(self, close: bool, now: int) -> None:
+        """Close the gripper, or open it.
+
+        Raises:
+            CommandError: the board is not armed.
+        """
+        self.tick(now)
+        self.require_armed()
+        self._grip, self._grip_time = Gripper.CLOSE if close else Gripper.OPEN, now
+
+    def command(self, now: int) -> bytes:
+        """The frame to send now."""
+        self.tick(now)
+        flags, expiry, pulse, grip = self._flags(now), 0, NO_PULSE, Gripper.KEEP
+        if flags == BaseOrder.ARM:
+            pulse, grip = self.pulse, self._grip
+            expiry = pulse.expiry if pulse.number else now + self._timeout
+        return encode(
+            BaseCommand(
+                **self._head(flags, now),
+                expiry=self._by_its_clock(expiry),
+                pulse=pulse.number,
+                on_times=pulse.on_times,
+                gripper=grip,
+            ),
+            self._key,
+        )
+
+    def feed(self, data: bytes, now: int) -> Heard | None:
+        """Take a datagram; return what it says if it is to be believed."""
+        if taken := self._take(data, now):
+            self._follow(taken[0])
+        return Heard(*taken) if taken else None
+
+    def _is_off(self, frame: BaseTelemetry) -> bool:
+        """Whether all valves are closed."""
+        return not frame.valves
+
+    def _end(self, why: str) -> None:
+        """No pulse is in force any more, and no order to the gripper."""
+        self.pulse, self._grip = NO_PULSE, Gripper.KEEP
+
+    def _pass(self, now: int) -> None:
+        """A pulse is in force until it expires."""
+        if now > self.pulse.expiry:
+            self.pulse = NO_PULSE
+
+    def _learn(self, frame: BaseTelemetry, echoed: int | None) -> None:
+        """Count on from the board's pulse, and see whether the gripper was told."""
+        if not self.armed:
+            self._number = frame.pulse
+        told = Gripper.CLOSE if frame.gripper & Hand.TOLD_TO_CLOSE else Gripper.OPEN
+        if echoed is not None and echoed >= self._grip_time and told is self._grip:
+            self._grip = Gripper.KEEP

@@ -1,0 +1,31 @@
+"""The parameters of the node `control`."""
+
+from dataclasses import dataclass
+
+from fss_arm_model.held import Target
+from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, between, like, setting
+from fss_gnc.control.pose import PoseGains
+
+
+@dataclass(frozen=True)
+class ControlSettings(PoseGains):
+    """The parameters of a ControlNode."""
+
+    arm: str = setting("", "arm to control: paper, cad, truth or a file; empty: paper")
+    rate: float = setting(10.0, "rate of base/wrench", unit="1/s", check=between(1.0, 200.0))
+    timeout: float = setting(
+        1.0, "time after which a base/trajectory that is not repeated holds no more", unit="s",
+        check=POSITIVE,
+    )  # fmt: skip
+    max_age: float = setting(
+        0.5, "age of base/state or arm/joint_states at which the valves are left closed", unit="s",
+        check=POSITIVE,
+    )  # fmt: skip
+    feed_forward: bool = setting(
+        True, "whether to balance the arm's planned reaction before it is felt"
+    )
+    full_tank: float = setting(
+        0.1, "propellant that is in the mass of the described base", unit="kg", check=NOT_NEGATIVE
+    )
+    target_mass: float = like(Target, "mass")
+    target_inertia: float = like(Target, "inertia")

@@ -1,0 +1,171 @@
+"""The node `control`: from where the base is and is to be to the wrench on it.
+
+It is silent, which closes the valves, while it does not know base, joints or trajectory, and while
+a trajectory without points asks it to coast.
+"""
+
+import sys
+from math import isfinite
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import WrenchStamped
+from nav_msgs.msg import Odometry
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64
+from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
+
+from fss_arm_model.description import described
+from fss_arm_model.held import Target, hold
+from fss_arm_msgs.msg import GripperState
+from fss_arm_ros.convert import SECOND, stamp_ns, to_time
+from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
+from fss_arm_ros.inbox import Inbox
+from fss_arm_ros.pace import pace
+from fss_arm_ros.parameters import declare
+from fss_arm_ros.qos import command
+from fss_arm_ros.run import run
+from fss_gnc import messages
+from fss_gnc.control.mass import present
+from fss_gnc.control.planned import PlannedRates
+from fss_gnc.control.pose import PoseControl
+from fss_gnc.control.settings import ControlSettings
+from fss_gnc.latest import Latest
+from fss_gnc.reference import Body, Floats, Path, Reference
+
+
+class ControlNode(Node):
+    """Publishes base/wrench so that the base follows base/trajectory, whatever the arm does."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__("control", **options)
+        self.settings = s = declare(self, ControlSettings)
+        self.arm = described(s.arm)
+        self.held = Target(s.target_mass, s.target_inertia)
+        self.control, self.planned = PoseControl(self.arm, s), PlannedRates()
+        zero = np.zeros(3 + self.arm.n)  # loads the kernels, which takes long
+        self.control.wrench(zero, zero, Reference.at_rest(zero[:3]), 1.0, zero[3:])
+        self.base = Latest[Body]("base/state", s.max_age)
+        self.target = Latest[Body]("target/state", s.max_age)
+        self.joints = Latest[Floats]("arm/joint_states", s.max_age)
+        self.trajectory = Latest[tuple[int, Path | None]]("base/trajectory", s.timeout)
+        self.used, self.holds = 0.0, False
+        self.place: Floats | None = None  # of what is held, in the last link's frame
+        self.trouble, self.acting = "", False
+        self.inbox = Inbox(self)
+        for topic in (self.base, self.target):
+            self.listen(Odometry, topic, messages.body)
+        self.listen(JointState, self.joints, lambda message: messages.joints(message, self.arm.n))
+        self.inbox.listen(MultiDOFJointTrajectory, "base/trajectory", self.on_trajectory)
+        self.inbox.listen(JointTrajectory, "arm/planned", self.on_planned)
+        self.inbox.listen(GripperState, "gripper/state", self.on_gripper)
+        self.inbox.listen(Float64, "base/propellant", self.on_propellant)
+        self.wrench = self.create_publisher(WrenchStamped, "base/wrench", command(0.3))
+        self.create_timer(1.0 / s.rate, self.tick, clock=pace(self))
+        self.diagnostics = Diagnostics(self, self.health)
+
+    def now(self) -> int:
+        """The node's clock [ns]."""
+        return int(self.get_clock().now().nanoseconds)
+
+    def listen(self, kind: type, topic: Latest[Any], read: Any) -> None:
+        """Keep what a topic says, but for messages that are not understood."""
+
+        def take(message: Any) -> None:
+            try:
+                topic.take(stamp_ns(message.header.stamp), read(message))
+            except ValueError as error:
+                self.warn(topic.name, error)
+
+        self.inbox.listen(kind, topic.name, take)
+
+    def warn(self, topic: str, error: ValueError) -> None:
+        """Say that a message is left out, now and then."""
+        words = f"a message on {topic} is left out: {error}"
+        self.get_logger().warning(words, throttle_duration_sec=1.0)
+
+    def on_trajectory(self, message: MultiDOFJointTrajectory) -> None:
+        """Follow it from now on."""
+        try:
+            now, stamp = self.now(), stamp_ns(message.header.stamp)
+            self.trajectory.take(now, (stamp or now, messages.path(message)))
+        except ValueError as error:
+            self.warn("base/trajectory", error)
+
+    def on_planned(self, message: JointTrajectory) -> None:
+        """What the joints are to do."""
+        try:
+            self.planned.take(*messages.planned_rates(message, self.arm.n))
+        except ValueError as error:
+            self.warn("arm/planned", error)
+
+    def on_propellant(self, message: Float64) -> None:
+        """What is left of it."""
+        if isfinite(message.data):
+            self.used = self.settings.full_tank - message.data
+
+    def on_gripper(self, message: GripperState) -> None:
+        """Whether the target is part of the arm."""
+        self.holds = message.holds
+        self.place = self.place if message.holds else None
+
+    def tick(self) -> None:
+        """Publish the wrench for the next period; none to act: once zero, then nothing."""
+        self.inbox.take()
+        wrench = self.following()
+        if wrench is not None:
+            self.publish(wrench)
+        elif self.acting:
+            self.publish(np.zeros(3))
+            self.control.reset()
+            self.planned.reset()
+        self.acting = wrench is not None
+
+    def following(self) -> Floats | None:
+        """The wrench for the next period, or None: there is none to act."""
+        now, period = self.now(), 1.0 / self.settings.rate
+        self.trouble = self.base.trouble(now) or self.joints.trouble(now)
+        base, joints, heard = self.base.at(now), self.joints.at(now), self.trajectory.at(now)
+        if base is None or joints is None or heard is None:
+            return None
+        stamp, path = heard
+        if path is None:
+            return None
+        base, (q_m, qd_m, _) = base.after(self.base.age(now)), joints
+        q = np.concatenate([base.pose, q_m + self.joints.age(now) * qd_m])
+        self.control.p = self.mass(q, now)
+        qdd_m = self.planned.accelerations(now, period) if self.settings.feed_forward else None
+        reference = path.at((now - stamp) / SECOND)
+        return self.control.wrench(q, np.concatenate([base.twist, qd_m]), reference, period, qdd_m)
+
+    def mass(self, q: Floats, now: int) -> Floats:
+        """Base and arm in the state q, as heavy as they are."""
+        p = self.arm.vector()
+        if self.holds and self.place is None and (target := self.target.at(now)):
+            self.place = hold(p, q, target.after(self.target.age(now)).pose)
+        return present(p, self.used, self.held, self.place)
+
+    def publish(self, wrench: Floats) -> None:
+        """Publish force along the base's axes [N] and torque about its origin [N m]."""
+        message = WrenchStamped()
+        message.header.stamp, message.header.frame_id = to_time(self.now()), "fss"
+        message.wrench.force.x, message.wrench.force.y, message.wrench.torque.z = map(float, wrench)
+        self.wrench.publish(message)
+
+    def health(self) -> Health:
+        """For diagnostics."""
+        values = {"holds the target": self.place is not None, "propellant used [kg]": self.used}
+        if self.trouble:
+            return Health(WARN, f"coasts: {self.trouble}", values)
+        why = self.trajectory.trouble(self.now()) or "base/trajectory has no points"
+        return Health(OK, "follows base/trajectory" if self.acting else f"coasts: {why}", values)
+
+
+def main() -> int:
+    """Run as `ros2 run fss_gnc control`."""
+    return run(ControlNode, ControlSettings)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

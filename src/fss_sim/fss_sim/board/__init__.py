@@ -1,0 +1,1 @@
+"""The base's board, as the link's electronics are, and the way to its driver."""

@@ -1,0 +1,330 @@
+"""The node of the base's board: a board behind a fake transport, and real topics."""
+
+from math import inf, isnan, nan
+
+import pytest
+from base_link import GYRO_RATE, SECOND, FakeBoardTransport
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import WrenchStamped
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import BatteryState, FluidPressure, Imu
+from std_msgs.msg import Bool, Empty, Float64
+from std_srvs.srv import SetBool, Trigger
+
+from fss_arm_driver.session import Arming
+from fss_arm_msgs.msg import BaseTelemetry, GripperState, ThrusterCommand
+from fss_arm_ros.convert import stamp_ns, to_time
+from fss_base_driver.base_node import BaseNode
+from fss_base_driver.protocol import BaseSlow, BaseState, Gripper
+
+HEARD = {
+    "telemetry": (BaseTelemetry, "base/telemetry"),
+    "imu": (Imu, "fog/imu"),
+    "gripper": (GripperState, "gripper/state"),
+    "pressure": (FluidPressure, "base/pressure"),
+    "battery": (BatteryState, "base/battery"),
+    "propellant": (Float64, "base/propellant"),
+    "pulses": (ThrusterCommand, "thrusters/pulses"),
+    "health": (DiagnosticArray, "/diagnostics"),
+}
+
+
+class User(Node):
+    """Hears all that the base's node publishes, and asks of it."""
+
+    def __init__(self):
+        super().__init__("user")
+        for name, (kind, topic) in HEARD.items():
+            setattr(self, name, [])
+            self.create_subscription(kind, topic, getattr(self, name).append, 100)
+        self.thrust = self.create_publisher(ThrusterCommand, "thrusters/command", 1)
+        self.wrench = self.create_publisher(WrenchStamped, "base/wrench", 1)
+        self.grip = self.create_publisher(Bool, "gripper/command", 1)
+        self.stops = {t: self.create_publisher(Empty, t, 10) for t in ("base/stop", "arm/stop")}
+        self.arm = self.create_client(SetBool, "base/arm")
+        self.find = self.create_client(Trigger, "base/find_gyro_bias")
+
+    def stamp(self, age=0.0):
+        return to_time(self.get_clock().now().nanoseconds - round(age * SECOND))
+
+    def open(self, *times, age=0.0, stamped=True):
+        message = ThrusterCommand(on_time=[*times, *(8 - len(times)) * [0.0]])
+        message.header.stamp = self.stamp(age) if stamped else to_time(0)
+        self.thrust.publish(message)
+
+    def push(self, x=0.0, y=0.0, torque=0.0, age=0.0, frame="fss"):
+        message = WrenchStamped()
+        message.header.stamp, message.header.frame_id = self.stamp(age), frame
+        message.wrench.force.x, message.wrench.force.y = x, y
+        message.wrench.torque.z = torque
+        self.wrench.publish(message)
+
+
+class Bench:
+    def __init__(self, spin, parameters):
+        self.transport = FakeBoardTransport()
+        self.board = self.transport.board
+        overrides = [Parameter(name, value=value) for name, value in parameters.items()]
+        self.node = BaseNode(self.transport, parameter_overrides=overrides)
+        self.user = user = User()
+        self.until = lambda condition, timeout=10.0: spin([self.node, user], condition, timeout)
+        self.until(lambda: user.telemetry and user.health and user.arm.service_is_ready())
+        publishers = (user.thrust, user.wrench, user.grip, *user.stops.values())
+        self.until(lambda: all(p.get_subscription_count() for p in publishers))
+        self.until(lambda: self.node.pulses.get_subscription_count())
+        self.until(lambda: not self.node.session.lost)
+
+    def call(self, client, request, timeout=10.0):
+        answer = client.call_async(request)
+        self.until(answer.done, timeout)
+        return answer.result()
+
+    def arm(self, data=True):
+        return self.call(self.user.arm, SetBool.Request(data=data))
+
+    @property
+    def refused(self):
+        return self.node.session.counts["commands_refused"]
+
+    @property
+    def opened(self):
+        self.board.valves(self.transport.clock())
+        return self.board.state.opened
+
+    def values(self):
+        return {pair.key: pair.value for pair in self.user.health[-1].status[0].values}
+
+
+@pytest.fixture
+def bench(spin, request):
+    return Bench(spin, {"timeout": 5.0, "watchdog": 2.0} | getattr(request, "param", {}))
+
+
+@pytest.fixture
+def armed(bench):
+    answer = bench.arm()
+    assert answer.success, answer.message
+    return bench
+
+
+def test_telemetry_is_published_as_it_is_and_in_si_units(bench):
+    user = bench.user
+    bench.until(lambda: user.propellant and user.battery and user.telemetry[-1].supply)
+    message = user.telemetry[-1]
+    assert (message.boot, message.supply, message.temperature) == (5, 7000, 198)
+    assert message.header.frame_id == "fss"
+    assert message.clock_deviation < 0.05
+    assert not message.armed
+    assert list(message.open) == 8 * [0]
+    assert user.pressure[-1].fluid_pressure == 19.5e6
+    assert user.battery[-1].voltage == pytest.approx(24.0)
+    left = 19.5e6 * 0.43e-3 / (287.0 * (273.15 + 19.8))
+    assert user.propellant[-1].data == pytest.approx(left)
+    gripper = user.gripper[-1]
+    assert not gripper.closed
+    assert isnan(gripper.distance)
+    stamps = [stamp_ns(m.header.stamp) for m in user.telemetry]
+    assert stamps == sorted(set(stamps))
+    assert abs(stamps[-1] - bench.board.born - 1000 * message.clock) < 0.05 * SECOND
+
+
+@pytest.mark.parametrize("bench", [{"gyro.scale": -2e-6, "gyro.bias": 0.001}], indirect=True)
+def test_the_gyro_is_scaled_and_its_bias_taken_off(bench):
+    user = bench.user
+    bench.board.counts = -50_000
+    bench.until(lambda: user.imu and user.imu[-1].angular_velocity.z > 0.09)
+    user.imu.clear()
+    bench.until(lambda: len(user.imu) > 3)
+    imu = user.imu[-1]
+    assert imu.angular_velocity.z == pytest.approx(0.1 - 0.001)
+    assert imu.orientation_covariance[0] == imu.linear_acceleration_covariance[0] == -1.0
+    samples = GYRO_RATE / 20
+    deviation = imu.angular_velocity_covariance[8] ** 0.5
+    assert deviation == pytest.approx(1.75e-4 / samples**0.5, rel=0.3)
+    bench.board.dead = True
+    told = len(user.telemetry)
+    bench.until(lambda: len(user.telemetry) > told + 5)
+    user.imu.clear()
+    bench.until(lambda: len(user.telemetry) > told + 10)
+    assert not user.imu  # a gyro that does not answer says nothing
+
+
+@pytest.mark.parametrize("bench", [{"bias_time": 0.5}], indirect=True)
+def test_the_gyros_bias_is_found_at_rest_and_taken_off(bench):
+    bench.board.counts = 3000
+    bench.until(lambda: bench.user.find.service_is_ready())
+    answer = bench.call(bench.user.find, Trigger.Request())
+    if not answer.success:  # begun before the count was changed
+        answer = bench.call(bench.user.find, Trigger.Request())
+    assert answer.success, answer.message
+    assert bench.node.get_parameter("gyro.bias").value == pytest.approx(0.003)
+    bench.user.imu.clear()
+    bench.until(lambda: len(bench.user.imu) > 2)
+    assert abs(bench.user.imu[-1].angular_velocity.z) < 1e-9
+    bench.board.counts = 90_000
+    bench.until(lambda: bench.user.imu[-1].angular_velocity.z > 0.08)
+    answer = bench.call(bench.user.find, Trigger.Request())
+    assert not answer.success
+    assert "the base turns" in answer.message
+
+
+def test_a_pulse_is_given_and_told_as_it_was_sent(armed):
+    armed.user.open(0.03, 0.0, 0.12)
+    armed.until(lambda: armed.opened[2] == 120_000)
+    assert armed.opened == [30_000, 0, 120_000, 0, 0, 0, 0, 0]
+    pulses = armed.user.pulses
+    armed.until(lambda: pulses)
+    assert list(pulses[0].on_time) == [0.03, 0.0, 0.12, 0.0, 0.0, 0.0, 0.0, 0.0]
+    assert len(pulses) == 1
+    armed.until(lambda: armed.user.telemetry[-1].pulse == 1)
+
+
+REFUSED = {
+    "unarmed": lambda user: user.open(0.1),
+    "without stamp": lambda user: user.open(0.1, stamped=False),
+    "old": lambda user: user.open(0.1, age=0.8),
+    "of the future": lambda user: user.open(0.1, age=-5.0),
+    "not a number": lambda user: user.open(nan),
+    "infinite": lambda user: user.open(inf),
+    "huge": lambda user: user.open(1e300),
+    "negative": lambda user: user.open(-0.1),
+    "beyond the longest": lambda user: user.open(1.2),
+    "an old wrench": lambda user: user.push(1.0, age=0.5),
+    "a wrench that is no number": lambda user: user.push(1.0, nan),
+    "a wrench in another frame": lambda user: user.push(1.0, frame="world"),
+    "a wrench without end": lambda user: user.push(torque=inf),
+}
+
+
+@pytest.mark.parametrize("what", REFUSED)
+def test_what_must_not_open_a_valve_is_refused_and_counted(bench, what):
+    if what != "unarmed":
+        assert bench.arm().success
+    before = bench.refused
+    REFUSED[what](bench.user)
+    bench.until(lambda: bench.refused == before + 1)
+    told = len(bench.board.taken)
+    bench.until(lambda: len(bench.board.taken) > told + 3)
+    assert bench.opened == 8 * [0]
+    assert not bench.user.pulses
+    bench.until(lambda: bench.values()["commands_refused"] == str(before + 1))
+
+
+@pytest.mark.parametrize("topic", ["base/stop", "arm/stop"])
+def test_a_stop_closes_and_latches(armed, topic):
+    armed.user.open(1.0)
+    armed.until(lambda: armed.board.valves(armed.transport.clock()))
+    armed.user.stops[topic].publish(Empty())
+    armed.until(lambda: armed.board.state.flags() == BaseState.STOPPED, 0.8)
+    assert armed.board.valves(armed.transport.clock()) == 0
+    assert armed.opened[0] < 900_000
+    assert armed.node.session.arming is Arming.STOPPED
+    armed.until(lambda: len(armed.user.pulses) == 2)  # that it was closed before its time
+    assert list(armed.user.pulses[1].on_time) == 8 * [0.0]
+    before = armed.refused
+    armed.user.open(0.1)
+    armed.until(lambda: armed.refused == before + 1)
+    assert armed.arm().success
+    armed.user.open(0.1)
+    armed.until(lambda: armed.board.state.pulse == 2)
+
+
+def test_disarming_closes(armed):
+    armed.user.open(1.0)
+    armed.until(lambda: armed.board.valves(armed.transport.clock()))
+    answer = armed.arm(False)
+    assert answer.success, answer.message
+    assert armed.board.valves(armed.transport.clock()) == 0
+
+
+def test_a_wrench_is_shared_out_and_dies_without_who_wants_it(armed):
+    user, begin = armed.user, armed.transport.clock()
+
+    def going():
+        user.push(0.05, -0.04, 0.004)
+        return armed.transport.clock() - begin > 2.0 * SECOND
+
+    armed.until(going)
+    last = armed.transport.clock()
+    lasted = (last - begin) / SECOND
+    armed.until(lambda: armed.transport.clock() - last > 1.5 * SECOND)
+    opened = [1e-6 * time for time in armed.opened]
+    impulse = opened @ armed.node.settings.valves()
+    # A wrench lives for 0.3 s, and what was begun ends: at most 0.4 s, and two shortest pulses.
+    for got, wanted, unit in zip(impulse, (0.05, -0.04, 0.004), (0.16, 0.16, 0.0176), strict=True):
+        least, most = 0.9 * lasted * abs(wanted), (lasted + 0.45) * abs(wanted)
+        slack = 2.0 * unit * 0.01
+        assert least - slack <= abs(got) <= most + slack
+        assert got * wanted > 0.0
+    given = armed.board.state.pulse
+    armed.until(lambda: len(user.pulses) >= given)
+    assert sum(sum(pulse.on_time) for pulse in user.pulses) == pytest.approx(sum(opened), abs=0.11)
+
+
+def test_a_zero_wrench_closes_at_once(armed):
+    armed.user.open(1.0)
+    armed.until(lambda: armed.board.valves(armed.transport.clock()))
+    armed.user.push()
+    armed.until(lambda: not armed.board.valves(armed.transport.clock()), 0.5)
+
+
+def test_wrenches_do_without_a_valve_that_is_said_to_be_stuck(armed):
+    armed.node.set_parameters([Parameter("valve_1.stuck_closed", value=1.0)])
+    begin = armed.transport.clock()
+
+    def going():
+        armed.user.push(-0.05)  # valves 1 and 7 push back
+        return armed.transport.clock() - begin > SECOND
+
+    armed.until(going)
+    assert armed.opened[0] == 0
+    assert armed.opened[6] > 100_000
+    armed.until(lambda: armed.values().get("valve_1 is said to be") == "stuck closed")
+
+
+def test_the_gripper_closes_and_says_so(armed):
+    armed.user.grip.publish(Bool(data=True))
+    armed.until(lambda: armed.board.state.gripper is Gripper.CLOSE)
+    armed.board.holds = True
+    armed.until(lambda: armed.user.gripper[-1].closed and armed.user.gripper[-1].holds)
+
+
+def test_diagnostics_name_what_is_wrong(armed):
+    status = lambda: armed.user.health[-1].status[0]  # noqa: E731
+    armed.until(lambda: status().level == DiagnosticStatus.OK)
+    assert status().message == "the base's board is armed"
+    armed.board.slow[BaseSlow.FAULTS] = 1 << 2 | 1 << 12
+    wanted = "valve 3 draws no current, valve 5 draws current unasked"
+    armed.until(lambda: wanted in status().message)
+    assert status().level == DiagnosticStatus.WARN
+
+
+def test_a_silent_board_is_reported(spin):
+    bench = Bench(spin, {})
+    bench.transport.talks = False
+    status = lambda: bench.user.health[-1].status[0]  # noqa: E731
+    bench.until(lambda: "the base's board is lost: silent for" in status().message)
+    assert status().level == DiagnosticStatus.ERROR
+    answer = bench.arm()
+    assert not answer.success
+    assert "lost" in answer.message
+
+
+@pytest.mark.parametrize(
+    ("parameters", "words"),
+    [
+        ({"url": "copley://ttyUSB0"}, "expected udp://, tcp:// or serial://"),
+        ({"layout": [1.0]}, "layout has 1 numbers, expected 24"),
+        ({"watchdog": 0.04}, "watchdog is 0.04 s, expected more than the 0.05 s"),
+        ({"minimum_on_time": 0.1}, "minimum_on_time is 0.1 s, expected below wrench_period"),
+        ({"valve_9.stuck_open": 1.0}, "no parameter valve_9.stuck_open"),
+        ({"valve_1.stuck_open": 1.0, "valve_1.stuck_closed": 2.0}, "0 to 1"),
+        ({}, "url is missing"),
+    ],
+)
+def test_wrong_parameters_are_named(ros, parameters, words):
+    transport = FakeBoardTransport() if parameters and "url" not in parameters else None
+    overrides = [Parameter(name, value=value) for name, value in parameters.items()]
+    with pytest.raises(ValueError, match=words):
+        BaseNode(transport, parameter_overrides=overrides)

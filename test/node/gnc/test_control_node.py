@@ -1,0 +1,223 @@
+"""The node `control` by its topics."""
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import WrenchStamped
+from gnc_bench import FOLDED, FakeCraft
+from rclpy.duration import Duration
+from rclpy.parameter import Parameter
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint, MultiDOFJointTrajectory
+
+from fss_arm_model.description import paper_arm
+from fss_arm_model.dynamics import inertia_matrix
+from fss_arm_model.held import Target, hold, with_held
+from fss_arm_model.kinematics import tip_pose
+from fss_arm_ros.convert import SECOND, to_time
+from fss_gnc import messages
+from fss_gnc.control_node import ControlNode
+from fss_gnc.reference import Path
+
+ARM = paper_arm()
+ZERO = (0.0, 0.0, 0.0)
+
+
+def at(*pose):
+    """A path that stays there."""
+    return Path(np.zeros(1), np.array(pose).reshape(1, 1, 3))
+
+
+class Bench(FakeCraft):
+    """The craft, whoever guides it, and the wrenches that come of it."""
+
+    def __init__(self, spin, time=None, **parameters):
+        super().__init__(time)
+        overrides = [Parameter(name, value=value) for name, value in parameters.items()]
+        self.control = ControlNode(parameter_overrides=[Parameter("rate", value=50.0), *overrides])
+        self.run, self.wrenches, self.words = spin, [], ""
+        self.path, self.plan = at(0.01, 0.0, 0.0), None
+        self.silent |= {"base/trajectory"}
+        self.trajectory = self.create_publisher(MultiDOFJointTrajectory, "base/trajectory", 1)
+        self.planned = self.create_publisher(JointTrajectory, "arm/planned", 1)
+        self.create_subscription(WrenchStamped, "base/wrench", self.on_wrench, 10)
+        self.create_subscription(DiagnosticArray, "/diagnostics", self.on_health, 10)
+        self.until(lambda: self.control.base.value and self.control.joints.value is not None)
+
+    def report(self):
+        super().report()
+        if "base/trajectory" not in self.silent:
+            self.guide(self.path)
+        if self.plan:
+            self.planned.publish(self.plan)
+
+    def guide(self, path):
+        self.trajectory.publish(messages.trajectory(path, 0.0, self.now(), 1.0, 0.25))
+
+    def on_wrench(self, message):
+        w = message.wrench
+        self.wrenches.append((w.force.x, w.force.y, w.torque.z))
+
+    def on_health(self, message):
+        self.words = {s.name: s.message for s in message.status}.get("control", self.words)
+
+    def until(self, condition, timeout=10.0):
+        return self.run([self, self.control], condition, timeout)
+
+    def acts(self, count=3):
+        self.silent -= {"base/trajectory"}
+        before = len(self.wrenches)
+        self.until(lambda: len(self.wrenches) >= before + count)
+        return np.array(self.wrenches[-1])
+
+    def ceases(self, words, within=2.5):
+        """One zero wrench, and nothing after it; diagnostics say why."""
+        self.until(lambda: self.wrenches[-1] == ZERO, within)
+        count = len(self.wrenches)
+        self.until(lambda: words in self.words)  # which takes up to a second
+        assert len(self.wrenches) == count
+        assert self.wrenches.count(ZERO) == 1
+
+
+@pytest.fixture
+def bench(spin):
+    return Bench(spin)
+
+
+def test_without_a_trajectory_it_is_silent(bench):
+    bench.until(lambda: "coasts: base/trajectory was not heard yet" in bench.words)
+    assert not bench.wrenches
+
+
+def test_it_draws_the_base_to_its_reference_in_the_base_s_axes(bench):
+    bench.pose = np.array([0.0, 0.0, np.pi / 2])
+    bench.path = at(0.05, 0.0, np.pi / 2)
+    bench.until(lambda: bench.control.base.value.pose[2] > 1.5)
+    w = bench.acts()
+    g = bench.control.settings
+    mass = inertia_matrix(ARM.vector(), [0, 0, np.pi / 2, *FOLDED])[0, 0]
+    assert w[1] == pytest.approx(-mass * g.bandwidth**2 * 0.05, rel=0.05)
+    assert abs(w[0]) < 1e-3
+
+
+def test_the_reference_moves_with_time(bench):
+    knots = np.zeros((2, 2, 3))
+    knots[:, 1, 0], knots[1, 0, 0] = 0.02, 0.1
+    bench.path = Path(np.array([0.0, 5.0]), knots)  # the base should move with 0.02 m/s already
+    g, mass = bench.control.settings, inertia_matrix(ARM.vector(), [0, 0, 0, *FOLDED])[0, 0]
+    expected = mass * 2.0 * g.damping * g.bandwidth * 0.02
+    assert bench.acts()[0] == pytest.approx(expected, rel=0.1)
+
+
+@pytest.mark.parametrize("topic", ["base/state", "arm/joint_states"])
+def test_what_is_not_heard_any_more_closes_the_valves(bench, topic):
+    bench.acts()
+    bench.silent |= {topic}
+    bench.ceases(f"coasts: {topic} is ", within=1.0)
+
+
+def test_stamps_that_are_old_count_not_their_arrival(bench):
+    bench.acts()
+    bench.late = 2.0
+    bench.ceases("coasts: base/state is 2.0 s old", within=1.0)
+
+
+def test_a_trajectory_that_is_not_repeated_holds_for_its_timeout(bench):
+    bench.acts()
+    bench.silent |= {"base/trajectory"}
+    begun = bench.now()
+    bench.ceases("coasts: base/trajectory is ")
+    assert (bench.now() - begun) / SECOND > 0.9
+
+
+def test_a_trajectory_without_points_lets_it_coast_at_once(bench):
+    bench.acts()
+    bench.path = None
+    bench.ceases("coasts: base/trajectory has no points", within=0.3)
+
+
+@pytest.mark.parametrize("spoil", ["pose", "twist", "q"])
+def test_what_is_no_number_is_left_out_and_so_grows_old(bench, spoil):
+    bench.acts()
+    setattr(bench, spoil, np.full(4 if spoil == "q" else 3, np.nan))
+    bench.ceases("s old", within=1.0)
+
+
+def spoiled(**changes):
+    message = messages.trajectory(at(0.0, 0.0, 0.0), 0.0, 1, 1.0, 0.25)
+    for name, value in changes.items():
+        setattr(message, name, value)
+    return message
+
+
+def test_trajectories_that_make_no_sense_are_left_out(bench):
+    bench.acts()
+    bench.silent |= {"base/trajectory"}
+    good = bench.control.trajectory.value
+    nan = spoiled()
+    nan.points[0].transforms[0].translation.x = np.nan
+    twice = spoiled()
+    twice.points = [twice.points[0]] * 2
+    bare = spoiled()
+    bare.points[0].transforms = []
+    for message in (nan, twice, bare, spoiled(joint_names=["target"])):
+        bench.trajectory.publish(message)
+    bench.ceases("base/trajectory is ")
+    assert bench.control.trajectory.value[1].times[0] == good[1].times[0]
+
+
+def planned(bench, rates):
+    message = JointTrajectory(joint_names=[f"joint_{i}" for i in range(1, 5)])
+    message.header.stamp = to_time(bench.now())
+    for k, rate in enumerate(rates):
+        since = Duration(seconds=1.0 * k).to_msg()
+        message.points.append(JointTrajectoryPoint(velocities=[rate] * 4, time_from_start=since))
+    return message
+
+
+@pytest.mark.parametrize("fed", [True, False])
+def test_the_arm_s_planned_accelerations_are_balanced_if_wanted(spin, fed):
+    bench = Bench(spin, feed_forward=fed)
+    bench.path, bench.plan = at(0.0, 0.0, 0.0), planned(bench, [0.0, 0.0])
+    bench.acts()
+    assert np.abs(bench.wrenches).max() < 1e-3
+    bench.plan = planned(bench, [0.0, 3.0])  # 3 rad/s^2 from now on
+    count = len(bench.wrenches)
+    bench.until(lambda: len(bench.wrenches) > count + 10)
+    q = np.array([0.0, 0.0, 0.0, *FOLDED])
+    expected = inertia_matrix(ARM.vector(), q)[:3, 3:] @ np.full(4, 3.0)
+    if fed:
+        found = np.mean(bench.wrenches[count + 3 : count + 8], axis=0)
+        np.testing.assert_allclose(found, expected, rtol=0.35)
+    else:
+        assert np.abs(bench.wrenches[count:]).max() < 1e-3
+
+
+def test_mass_and_inertia_are_those_with_the_target_and_without_the_propellant(bench):
+    bench.acts()
+    p, q = ARM.vector(), np.array([0.0, 0.0, 0.0, *FOLDED])
+    x, y, heading = tip_pose(p, q)
+    bench.target = np.array([x + 0.1, y, heading]), np.zeros(3)
+    bench.propellant, bench.holds = 0.04, True
+    bench.until(lambda: bench.control.place is not None)
+    bench.acts()
+    whole = with_held(p, Target(), hold(p, q, bench.target[0]))
+    mass = inertia_matrix(bench.control.control.p, q)[0, 0]
+    assert mass == pytest.approx(inertia_matrix(whole, q)[0, 0] - 0.06)
+    bench.holds = False
+    bench.until(lambda: bench.control.place is None)
+    bench.acts()
+    mass = inertia_matrix(bench.control.control.p, q)[0, 0]
+    assert mass == pytest.approx(inertia_matrix(p, q)[0, 0] - 0.06)
+
+
+def test_a_clock_that_is_set_back_closes_the_valves_until_all_is_heard_anew(spin):
+    bench = Bench(spin, time=100 * SECOND, use_sim_time=True)
+    bench.acts()
+    bench.time = 10 * SECOND
+    bench.silent |= {"base/state", "base/trajectory"}
+    bench.until(lambda: bench.wrenches[-1] == ZERO)
+    count = len(bench.wrenches)
+    bench.until(lambda: "s ahead of the clock" in bench.words)
+    assert len(bench.wrenches) == count
+    bench.silent -= {"base/state"}
+    bench.acts()

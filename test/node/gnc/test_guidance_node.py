@@ -1,0 +1,269 @@
+"""The node `guidance` by its actions and topics: one activity at a time, and how it ends."""
+
+import numpy as np
+import pytest
+from action_msgs.msg import GoalStatus
+from gnc_bench import FakeCraft
+from rclpy.action import ActionClient
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool, Empty
+from trajectory_msgs.msg import MultiDOFJointTrajectory
+
+from fss_arm_msgs.msg import MissionState
+from fss_arm_ros.convert import SECOND
+from fss_arm_ros.qos import LATCHED
+from fss_gnc import guidance_node, messages
+from fss_gnc.guidance.activity import Ended, Orders
+from fss_gnc.guidance.kinds import BASE, HoldBase, Kind
+from fss_gnc.guidance_node import GuidanceNode
+
+HOLD, GO_TO, FOLLOW = BASE
+ENDED = GoalStatus.STATUS_SUCCEEDED, GoalStatus.STATUS_ABORTED, GoalStatus.STATUS_CANCELED
+DONE, ABORTED, CANCELED = ENDED
+
+
+class Bench(FakeCraft):
+    """The craft, ideal: it is where the newest trajectory wants it; and who sends goals."""
+
+    def __init__(self, spin, time=None, **parameters):
+        super().__init__(time)
+        overrides = [Parameter(name, value=value) for name, value in parameters.items()]
+        self.guidance = GuidanceNode(parameter_overrides=overrides)
+        self.run, self.paths, self.states, self.rates, self.grips = spin, [], [], [], []
+        self.obeys, self.feedback = True, []
+        self.clients_ = {k.name: ActionClient(self, k.action, k.name) for k in guidance_node.KINDS}
+        self.create_subscription(MultiDOFJointTrajectory, "base/trajectory", self.on_path, 10)
+        self.create_subscription(MissionState, "mission/state", self.states.append, LATCHED)
+        self.create_subscription(JointState, "arm/joint_commands", self.rates.append, 10)
+        self.create_subscription(Bool, "gripper/command", self.grips.append, 10)
+        self.stops = {n: self.create_publisher(Empty, n, 10) for n in ("base/stop", "arm/stop")}
+        self.until(lambda: all(c.server_is_ready() for c in self.clients_.values()))
+        self.until(lambda: self.states and not self.guidance.trouble())
+
+    def close(self):
+        for client in self.clients_.values():
+            client.destroy()
+
+    def on_path(self, message):
+        self.paths.append(messages.path(message))
+        if self.paths[-1] and self.obeys:
+            there = self.paths[-1].at(1e-3)
+            self.pose, self.twist = there.pose, there.twist
+
+    def until(self, condition, timeout=20.0):
+        return self.run([self, self.guidance], condition, timeout)
+
+    def after(self, future):
+        self.until(future.done)
+        return future.result()
+
+    def begin(self, kind, **goal):
+        sent = self.clients_[kind.name].send_goal_async(
+            kind.action.Goal(**goal), self.feedback.append
+        )
+        handle = self.after(sent)
+        assert handle.accepted
+        return handle
+
+    def end(self, handle):
+        return self.after(handle.get_result_async())
+
+    def does(self, kind, **goal):
+        return self.end(self.begin(kind, **goal))
+
+    def holding(self):
+        """A hold that is under way."""
+        count = len(self.paths)
+        handle = self.begin(HOLD)
+        self.until(lambda: len(self.paths) > count + 2 and self.paths[-1])
+        return handle
+
+    def coasts(self):
+        """The last that was said, to be silent about it."""
+        self.until(lambda: self.paths[-1] is None)
+        return self.states[-1]
+
+
+@pytest.fixture
+def bench(spin):
+    return Bench(spin)
+
+
+def test_it_says_that_it_does_nothing(bench):
+    state = bench.states[-1]
+    assert (state.mission, state.phase) == ("", "idle")
+    assert np.isnan(state.reference).all()
+    assert not bench.paths
+
+
+def test_it_goes_there_tells_of_it_and_coasts(bench):
+    ended = bench.does(GO_TO, pose=[0.02, 0.01, 0.1], hold_duration=0.5)
+    assert ended.status == DONE
+    assert ended.result.reached
+    assert not ended.result.message
+    np.testing.assert_allclose(ended.result.offset, 0.0, atol=1e-3)
+    assert ended.result.propellant == 0.0
+    np.testing.assert_allclose(bench.pose, [0.02, 0.01, 0.1], atol=1e-3)
+    bench.coasts()
+    phases = [state.phase for state in bench.states]
+    assert list(dict.fromkeys(phases)) == ["idle", "go_to", "hold", "done"]
+    assert {state.mission for state in bench.states[1:]} == {"go_to"}
+    on_the_way = next(state for state in bench.states if state.phase == "go_to")
+    assert len(on_the_way.path) % 3 == 0
+    np.testing.assert_allclose(on_the_way.path[-3:], [0.02, 0.01, 0.1], atol=1e-6)
+    assert 0.5 < on_the_way.edge_clearance < 2.0
+    assert on_the_way.largest_torque == pytest.approx(0.4)
+    assert np.isnan(on_the_way.target_clearance)
+    assert bench.feedback[0].feedback.remaining > bench.feedback[-1].feedback.remaining
+
+
+def test_it_follows_poses_in_time(bench):
+    poses = np.array([[0, 0, 0], [0.01, 0, 0], [0.01, 0.01, 0]], dtype=float)
+    ended = bench.does(FOLLOW, time=[0.0, 3.0, 6.0], pose=poses.ravel().tolist())
+    assert ended.result.reached, ended.result.message
+    np.testing.assert_allclose(bench.pose, poses[-1], atol=1e-3)
+    assert max(ended.result.largest_offset) < 0.01
+
+
+def test_a_trajectory_tells_of_the_next_moments(bench):
+    bench.begin(GO_TO, pose=[0.5, 0.0, 0.0])
+    bench.until(lambda: len(bench.paths) > 3)
+    path = bench.paths[-1]
+    assert path.end == pytest.approx(bench.guidance.settings.horizon)
+    assert path.knots.shape[1] == 3
+
+
+def test_what_is_refused_says_why_and_what_is_under_way_goes_on(bench):
+    bench.holding()
+    ended = bench.does(GO_TO, pose=[1.9, 0.0, 0.0])
+    assert ended.status == ABORTED
+    assert not ended.result.reached
+    assert "from the table's edge" in ended.result.message
+    count = len(bench.paths)
+    bench.until(lambda: len(bench.paths) > count)
+    assert bench.paths[-1] is not None
+
+
+def test_a_base_activity_takes_the_place_of_another_without_a_break(bench):
+    handle = bench.holding()
+    bench.begin(GO_TO, pose=[0.3, 0.0, 0.0])
+    ended = bench.end(handle)
+    assert (ended.status, ended.result.message) == (ABORTED, "preempted by base/go_to")
+    bench.until(lambda: bench.states[-1].phase == "go_to")
+    assert None not in bench.paths
+
+
+def test_a_cancelled_hold_was_held(bench):
+    handle = bench.holding()
+    bench.until(lambda: bench.states[-1].elapsed > 1.1)
+    bench.after(handle.cancel_goal_async())
+    ended = bench.end(handle)
+    assert ended.status == CANCELED
+    assert ended.result.held
+    assert bench.coasts().phase == "done"
+
+
+def test_cancelled_on_its_way_it_brakes(bench):
+    handle = bench.begin(GO_TO, pose=[0.5, 0.0, 0.0])
+    bench.until(lambda: np.hypot(*bench.twist[:2]) > 0.002)
+    bench.after(handle.cancel_goal_async())
+    ended = bench.end(handle)
+    assert (ended.status, ended.result.message) == (CANCELED, "cancelled")
+    assert "brake" in [state.phase for state in bench.states]
+    bench.coasts()
+    assert np.abs(bench.twist).max() < 1e-3
+
+
+@pytest.mark.parametrize("topic", ["base/stop", "arm/stop"])
+def test_a_stop_ends_it_at_once(bench, topic):
+    handle = bench.holding()
+    bench.stops[topic].publish(Empty())
+    ended = bench.end(handle)
+    assert (ended.status, ended.result.message) == (ABORTED, f"stopped by {topic}")
+    state = bench.coasts()
+    assert (state.phase, state.reason) == ("abort", f"stopped by {topic}")
+
+
+@pytest.mark.parametrize("topic", ["base/state", "arm/joint_states"])
+def test_it_ends_when_base_or_joints_are_not_known_any_more(bench, topic):
+    handle = bench.holding()
+    bench.silent |= {topic}
+    ended = bench.end(handle)
+    assert ended.status == ABORTED
+    assert ended.result.message.startswith(f"{topic} is 0.")
+    bench.coasts()
+    ended = bench.does(HOLD)
+    assert ended.result.message.startswith(f"{topic} is ")
+
+
+def test_a_base_that_does_not_follow_ends_it(bench):
+    handle = bench.holding()
+    bench.obeys = False
+    bench.pose = np.array([0.0, 0.2, 0.0])
+    assert bench.end(handle).result.message == "the base is 0.200 m and 0.0 deg off"
+    bench.coasts()
+
+
+def test_a_clock_that_is_set_back_ends_it(spin):
+    bench = Bench(spin, time=100 * SECOND, use_sim_time=True)
+    handle = bench.holding()
+    bench.time = 10 * SECOND
+    ended = bench.end(handle)
+    assert ended.result.message == "the clock was set back"
+    bench.coasts()
+
+
+# --- activities of others -------------------------------------------------------------------------
+
+
+class Reach:
+    """A mission that moves the joints and closes the gripper, until it is cancelled."""
+
+    blind = False
+    over = None
+
+    def step(self, seen):
+        return Orders("reach", rates=np.full(4, 0.1), close=True, ended=self.over)
+
+    def cancel(self, reason):
+        self.over = Ended(False, reason)
+
+
+def reach(name, preempts):
+    return Kind(
+        name, HoldBase, lambda craft, seen, goal: Reach(), lambda *_: {}, lambda *_: {}, preempts
+    )
+
+
+@pytest.fixture
+def mission(spin, monkeypatch):
+    kinds = reach("mission/capture", ("base/",)), reach("mission/abort", ("base/", "mission/"))
+    monkeypatch.setattr(guidance_node, "KINDS", BASE + kinds)
+    bench = Bench(spin)
+    return bench, *kinds
+
+
+def test_a_mission_moves_joints_and_gripper_and_rests_the_joints_in_the_end(mission):
+    bench, capture, _ = mission
+    handle = bench.begin(capture)
+    bench.until(lambda: len(bench.rates) > 3 and bench.grips)
+    assert bench.grips[-1].data
+    assert list(bench.rates[-1].velocity) == [0.1] * 4
+    assert bench.rates[-1].name == ["joint_1", "joint_2", "joint_3", "joint_4"]
+    assert bench.paths[-1] is None
+    bench.after(handle.cancel_goal_async())
+    assert bench.end(handle).status == CANCELED
+    bench.until(lambda: list(bench.rates[-1].velocity) == [0.0] * 4)
+
+
+def test_a_mission_is_not_preempted_by_the_base_s_but_by_an_abort(mission):
+    bench, capture, abort = mission
+    hold = bench.holding()
+    running = bench.begin(capture)
+    assert bench.end(hold).result.message == "preempted by mission/capture"
+    for kind in (HOLD, capture):
+        ended = bench.does(kind)
+        assert (ended.status, ended.result.message) == (ABORTED, "mission/capture is under way")
+    bench.begin(abort)
+    assert bench.end(running).result.message == "preempted by mission/abort"

@@ -1,0 +1,281 @@
+"""The node navigation, fed with what sensors say of base and target, in simulated time."""
+
+from math import cos, sin
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Odometry
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import Imu, JointState
+from tf2_msgs.msg import TFMessage
+
+from fss_arm_msgs.msg import GripperState, ThrusterCommand
+from fss_arm_ros.convert import SECOND, pose_stamped, stamp_ns, to_time
+from fss_arm_ros.diagnostics import OK, WARN
+from fss_arm_ros.qos import SENSOR, sensor
+from fss_gnc.navigation_node import NavigationNode
+
+BEGIN = 500 * SECOND
+FRAME = SECOND // 100
+BASE, TARGET = (0.1, -0.2, 0.3), (1.2, 0.9, -1.0)  # at the begin
+DRIFT, TUMBLE = (0.02, 0.01, 0.05), (-0.01, 0.02, 0.15)
+
+
+def pose(at, by, t):
+    return tuple(np.add(at, np.multiply(by, t)).tolist())
+
+
+class Bench(Node):
+    """What sensors publish, and what is made of it."""
+
+    def __init__(self):
+        super().__init__("bench")
+        self.k = 0  # frames published
+        self.clock = self.create_publisher(Clock, "/clock", SENSOR)
+        self.base = self.create_publisher(PoseStamped, "vicon/fss/fss", SENSOR)
+        self.target = self.create_publisher(PoseStamped, "vicon/target/target", SENSOR)
+        self.gyro = self.create_publisher(Imu, "fog/imu", SENSOR)
+        self.joints = self.create_publisher(JointState, "joint_states", SENSOR)
+        self.pulses = self.create_publisher(ThrusterCommand, "thrusters/pulses", SENSOR)
+        self.gripper = self.create_publisher(GripperState, "gripper/state", SENSOR)
+        self.states, self.targets, self.transforms = [], [], []
+        self.create_subscription(Odometry, "base/state", self.states.append, sensor())
+        self.create_subscription(Odometry, "target/state", self.targets.append, sensor())
+        self.create_subscription(TFMessage, "/tf", self.transforms.append, sensor())
+
+    def ready(self):
+        publishers = self.base, self.target, self.gyro, self.joints, self.pulses, self.gripper
+        return all(p.get_subscription_count() for p in (*publishers, self.clock))
+
+    @property
+    def t(self):
+        """Since the begin [s]."""
+        return 0.01 * self.k
+
+    @property
+    def now(self):
+        return BEGIN + self.k * FRAME
+
+    def step(self, seen=True, gyro=True, joints=True, swapped=False, stamp=None):
+        """One frame."""
+        self.k += 1
+        stamp = self.now if stamp is None else stamp
+        self.clock.publish(Clock(clock=to_time(self.now)))
+        base, target = pose(BASE, DRIFT, self.t), pose(TARGET, TUMBLE, self.t)
+        if swapped:
+            base, target = target, base
+        if gyro:
+            imu = Imu()
+            imu.header.stamp, imu.angular_velocity.z = to_time(stamp), DRIFT[2]
+            self.gyro.publish(imu)
+        if seen:
+            self.base.publish(pose_stamped(stamp, "world", base))
+            self.target.publish(pose_stamped(stamp, "world", target))
+        if joints and self.k % 20 == 1:
+            message = JointState(
+                name=[f"joint_{i}" for i in range(1, 5)], position=[0.1] * 4, velocity=[0.0] * 4
+            )
+            message.header.stamp = to_time(stamp)
+            self.joints.publish(message)
+
+
+@pytest.fixture
+def fly(spin):
+    """fly(seconds, **how): let time pass; the nodes keep up."""
+    made = []
+
+    def start(**settings):
+        given = {"use_sim_time": True, **settings}
+        node = NavigationNode(parameter_overrides=[Parameter(k, value=v) for k, v in given.items()])
+        made[:] = [node, Bench()]
+        spin(made, made[1].ready)
+        return made
+
+    def go(seconds, **how):
+        node, bench = made or start()
+        for _ in range(round(100 * seconds)):
+            bench.step(**how)
+            now = bench.now
+            spin(made, lambda: node.get_clock().now().nanoseconds == now)
+            if how.get("seen", True) and not how.get("swapped") and "stamp" not in how:
+                spin(made, lambda: node.newest == now and node.base.filter.seen == now)
+        spin(made, lambda: node.base.published <= node.now())
+        return node, bench
+
+    go.start = start
+    return go
+
+
+def off(message, at, by):
+    """Of a state from a motion: position [m], heading [rad], velocity [m/s], turning [rad/s]."""
+    x, y, heading = pose(at, by, (stamp_ns(message.header.stamp) - BEGIN) / SECOND)
+    p, o = message.pose.pose.position, message.pose.pose.orientation
+    twist = message.twist.twist
+    own = complex(by[0], by[1]) * complex(cos(heading), -sin(heading))
+    return (
+        abs(complex(p.x - x, p.y - y)),
+        abs(np.angle(np.exp(1j * (2.0 * np.arctan2(o.z, o.w) - heading)))),
+        abs(complex(twist.linear.x, twist.linear.y) - own),
+        abs(twist.angular.z - by[2]),
+    )
+
+
+def test_base_and_target_are_known_with_their_covariance(fly, spin):
+    node, bench = fly(2.0)
+    spin([node, bench], lambda: len(bench.states) > 150 and len(bench.targets) > 150)
+    for message, at, by in ((bench.states[-1], BASE, DRIFT), (bench.targets[-1], TARGET, TUMBLE)):
+        assert max(off(message, at, by)) < 1e-3
+        pose_of, twist_of = (
+            np.reshape(m.covariance, (6, 6)) for m in (message.pose, message.twist)
+        )
+        for covariance in (pose_of, twist_of):
+            seen = covariance[np.ix_([0, 1, 5], [0, 1, 5])]
+            assert (np.linalg.eigvalsh(seen) > 0.0).all()
+            assert np.count_nonzero(covariance) <= 9
+        assert np.sqrt(pose_of[0, 0]) < 3e-4  # better than a single pose
+    state, transform = bench.states[-1], bench.transforms[-1].transforms[0]
+    for m in (state, transform):
+        assert (m.header.frame_id, m.child_frame_id) == ("world", "fss")
+    assert bench.targets[-1].child_frame_id == "target"
+    assert transform.transform.rotation == state.pose.pose.orientation
+    assert transform.transform.translation.x == state.pose.pose.position.x
+    health = node.health()
+    assert (health.level, health.message) == (OK, "knows")
+
+
+def test_it_predicts_through_a_second_and_ceases_in_three(fly, spin):
+    node, bench = fly(1.0)
+    bench.states.clear(), bench.targets.clear()
+    fly(1.0, seen=False)
+    spin([node, bench], lambda: len(bench.states) > 15 and len(bench.targets) > 15)
+    assert stamp_ns(bench.states[-1].header.stamp) > bench.now - SECOND // 10
+    assert max(off(bench.states[-1], BASE, DRIFT)) < 2e-3
+    deviation = bench.states[-1].pose.covariance[0] ** 0.5
+    assert 5e-4 < deviation < 5e-3
+    assert "base predicted, not seen for 1.0 s" in node.health().message
+    fly(2.0, seen=False)
+    newest = stamp_ns(bench.states[-1].header.stamp)
+    assert bench.now - 1.1 * SECOND < newest < bench.now - 0.9 * SECOND
+    assert node.health().message.startswith("base not seen for 3.0 s; target not seen")
+    bench.states.clear()
+    fly(0.2)
+    spin([node, bench], lambda: bench.states)
+    assert max(off(bench.states[-1], BASE, DRIFT)) < 2e-3
+    assert (node.health().level, node.base.filter.begun) == (OK, 1)
+
+
+def test_base_and_target_taken_for_each_other_are_named_and_not_used(fly, spin):
+    node, bench = fly(1.0)
+    fly(1.0, swapped=True)
+    words = node.health().message
+    assert "base is seen where target" in words
+    assert "target is seen where base" in words
+    spin([node, bench], lambda: max(off(bench.states[-1], BASE, DRIFT)[:2]) < 2e-3)
+    assert max(off(bench.targets[-1], TARGET, TUMBLE)[:2]) < 5e-3
+    fly(3.0, swapped=True)
+    assert node.health().message.startswith("base not seen for")
+    assert max(off(bench.states[-1], BASE, DRIFT)[:2]) < 5e-3  # the last one that was published
+    fly(0.3)
+    assert node.base.filter.begun == node.free.filter.begun == 1
+    spin([node, bench], lambda: node.health().values["base: pose of the target rejected"] == 400)
+
+
+def test_after_an_outage_the_swapped_ones_are_not_used_either(fly, spin):
+    node, bench = fly(1.0)
+    fly(3.0, seen=False)
+    fly(0.3, swapped=True)
+    assert node.base.filter.begun == node.free.filter.begun == 1
+    spin([node, bench], lambda: node.health().values["base: pose of the target rejected"] == 30)
+    assert node.health().level == WARN
+
+
+def test_without_gyro_it_goes_on_by_motion_capture_alone(fly, spin):
+    node, bench = fly(1.0)
+    fly(1.0, gyro=False)
+    assert node.health().message == "no gyro: by motion capture alone"
+    spin([node, bench], lambda: stamp_ns(bench.states[-1].header.stamp) == bench.now)
+    assert max(off(bench.states[-1], BASE, DRIFT)) < 2e-3
+
+
+def test_without_joints_it_says_so(fly, spin):
+    node, bench = fly(1.0, joints=False)
+    assert node.health().message.startswith("not every joint is heard")
+    spin([node, bench], lambda: stamp_ns(bench.states[-1].header.stamp) == bench.now)
+
+
+def test_known_thrust_carries_through_an_outage(fly, spin):
+    node, bench = fly(1.0)
+    on_time = np.zeros(8)
+    on_time[[2, 4]] = 1.0  # two that push forward, at the left and at the right
+    command = ThrusterCommand(on_time=on_time)
+    command.header.stamp = to_time(bench.now)
+    bench.pulses.publish(command)
+    spin([node, bench], lambda: node.navigation.inputs._pulses)
+    fly(1.0, seen=False)
+    spin([node, bench], lambda: stamp_ns(bench.states[-1].header.stamp) > bench.now - SECOND // 10)
+    gained = bench.states[-1].twist.twist.linear.x - DRIFT[0]
+    assert gained == pytest.approx(2 * 0.16 / 21.52, rel=0.5)  # the arm hangs on aside
+
+
+def test_a_stranger_s_messages_do_no_harm(fly, spin):
+    node, bench = fly(1.0)
+    nan, far = float("nan"), (1e300, -1e300, 0.0)
+    for k in range(5):
+        for bad in ((nan, 0.0, 0.0), far):
+            bench.base.publish(pose_stamped(bench.now + k, "world", bad))
+            bench.target.publish(pose_stamped(bench.now + k, "world", bad))
+        for stamp in (bench.now + 1000 * SECOND, 0):
+            bench.base.publish(pose_stamped(stamp, "world", (1.0, 1.0, 1.0)))
+        imu = Imu()
+        imu.header.stamp, imu.angular_velocity.z = to_time(bench.now), nan
+        bench.gyro.publish(imu)
+        joint = JointState(name=["joint_1", "joint_99"], position=[nan], velocity=[nan])
+        joint.header.stamp = to_time(bench.now + k)
+        bench.joints.publish(joint)
+        command = ThrusterCommand(on_time=np.full(8, nan))
+        command.header.stamp = to_time(bench.now + k)
+        bench.pulses.publish(command)
+        fly(0.02)
+    fly(0.2)
+    assert max(off(bench.states[-1], BASE, DRIFT)) < 2e-3
+    assert max(off(bench.targets[-1], TARGET, TUMBLE)) < 2e-3
+    values = node.health().values
+    assert values["begun anew"] == 0
+    assert values["vicon/fss/fss from the future"] == 5
+    assert values["vicon/fss/fss occluded"] == 5
+    assert values["base: gyro not finite rejected"] == 5
+    assert values["thrusters/pulses"] == 5
+    assert values["base: late rejected"] >= 5
+
+
+def test_a_clock_that_is_set_back_begins_anew(fly, spin, capfd):
+    node, bench = fly(1.0)
+    for k in range(60):
+        stamp = BEGIN - 100 * SECOND + k * FRAME
+        bench.step(stamp=stamp)
+        spin([node, bench], lambda now=bench.now: node.get_clock().now().nanoseconds == now)
+    spin([node, bench], lambda: stamp_ns(bench.states[-1].header.stamp) == stamp)
+    assert capfd.readouterr().err.count("begins anew") == 1
+
+
+def test_a_held_target_goes_with_the_gripper(fly, spin):
+    node, bench = fly(1.0)
+    bench.gripper.publish(GripperState(holds=True))
+    spin([node, bench], lambda: node.navigation.holds)
+    rest = (0.0, 0.0, 0.0)
+    still = {"base": pose(BASE, DRIFT, bench.t), "target": pose(TARGET, TUMBLE, bench.t)}
+    for k in range(150):  # both rest, then the base goes on alone, as far as is seen
+        moved = max(0.0, 2e-4 * (k - 50))
+        bench.step(seen=False, gyro=False)
+        bench.base.publish(pose_stamped(bench.now, "world", pose(still["base"], (1, 0, 0), moved)))
+        if k < 50:
+            bench.target.publish(pose_stamped(bench.now, "world", still["target"]))
+        spin([node, bench], lambda now=bench.now: node.base.filter.seen == now)
+    assert node.health().values["target"] == "held"
+    spin([node, bench], lambda: stamp_ns(bench.targets[-1].header.stamp) > bench.now - SECOND // 10)
+    there = pose(still["target"], (1, 0, 0), moved)
+    assert off(bench.targets[-1], there, rest)[0] < 5e-3
+    assert bench.targets[-1].twist.twist.linear.x != 0.0

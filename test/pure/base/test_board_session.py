@@ -1,0 +1,252 @@
+"""The session with the base's board: pulses counted, orders expired, loss, another's traces."""
+
+from math import inf, nan
+
+import pytest
+from base_link import SECOND, FakeBoard
+
+from fss_arm_driver.session import Arming, CommandError
+from fss_base_driver.protocol import BaseOrder, BaseState, Gripper, decode
+from fss_base_driver.session import BoardSession
+
+PERIOD, DELAY = SECOND // 20, SECOND // 500
+START = 1_700_000_000 * SECOND
+
+
+class Bench:
+    """A session and a board, with time."""
+
+    def __init__(self, **options):
+        self.key = options.get("key")
+        self.session, self.now = BoardSession(**options), START
+        self.restart()
+
+    def restart(self, boot=7, **options):
+        self.board = FakeBoard(boot, self.now - SECOND, self.key, **options)
+
+    def step(self, down=True, up=True, period=PERIOD):
+        """One period: a command down, telemetry up; what is believed."""
+        self.now += period - 2 * DELAY
+        data = self.session.command(self.now)
+        if down:
+            self.board.take(data, self.now + DELAY)
+        frame = self.board.telemetry(self.now + DELAY)
+        self.now += 2 * DELAY
+        return self.session.feed(frame, self.now) if up else self.session.tick(self.now)
+
+    def thrust(self, *on_times, age=0.0):
+        times = (*on_times, *(8 - len(on_times)) * [0.0])
+        self.session.thrust(times, self.now - round(age * SECOND), self.now)
+
+    def told(self):
+        return self.board.taken[-1]
+
+    def arm(self):
+        self.session.arm(self.now)
+        for _ in range(10):
+            self.step()
+        assert self.session.armed
+        return self
+
+
+@pytest.fixture
+def bench():
+    bench = Bench()
+    for _ in range(3):
+        bench.step()
+    assert not bench.session.lost
+    return bench
+
+
+@pytest.fixture
+def armed(bench):
+    return bench.arm()
+
+
+def test_nothing_is_opened_unarmed(bench):
+    for call in (lambda: bench.thrust(0.1), lambda: bench.session.grip(True, bench.now)):
+        with pytest.raises(CommandError, match="the base's board is disarmed, not armed"):
+            call()
+    bench.step()
+    assert bench.told().flags == 0
+    assert bench.board.state.opened == 8 * [0]
+
+
+def test_a_pulse_opens_its_valves_once_however_often_it_is_sent(armed):
+    armed.thrust(0.02, 0.0, 0.1)
+    for _ in range(12):
+        armed.step()
+    assert armed.board.state.opened == [20_000, 0, 100_000, 0, 0, 0, 0, 0]
+    pulses = [command.pulse for command in armed.board.taken]
+    assert pulses.count(1) >= 9  # repeated while it lives
+    assert pulses[-1] == 0
+
+
+def test_a_pulse_longer_than_the_lifetime_is_not_cut(armed):
+    armed.thrust(0.9)
+    for _ in range(25):
+        armed.step()
+    assert armed.board.state.opened[0] == 900_000
+
+
+def test_another_set_takes_the_next_number_and_65535_is_followed_by_1(armed):
+    armed.thrust(0.1)
+    armed.thrust(0.2)
+    assert armed.session.pulse.number == 2
+    armed.session._number = 65535
+    armed.thrust(0.1)
+    assert armed.session.pulse.number == 1
+
+
+def test_zeros_close_at_once(armed):
+    armed.thrust(1.0)
+    armed.step()
+    assert armed.board.valves(armed.now) == 1
+    armed.thrust()
+    armed.step()
+    assert armed.board.valves(armed.now) == 0
+    assert armed.session.armed
+
+
+@pytest.mark.parametrize(
+    ("on_times", "words"),
+    [
+        ((nan,), "on times are .*nan.*, expected 8 from 0 to 1 s"),
+        ((inf,), "on times are .*inf.*, expected 8"),
+        ((-1e-3,), "on times are .*-0.001.*, expected 8"),
+        ((1.001,), "on times are .*1.001.*, expected 8 from 0 to 1 s"),
+        (9 * (0.1,), "expected 8"),
+    ],
+)
+def test_impossible_times_are_refused_and_change_nothing(armed, on_times, words):
+    armed.thrust(0.5)
+    before = armed.session.pulse
+    with pytest.raises(CommandError, match=words):
+        armed.thrust(*on_times)
+    assert armed.session.pulse == before
+
+
+def test_an_old_command_is_refused(armed):
+    with pytest.raises(CommandError, match=r"the command is 0\.600 s old"):
+        armed.thrust(0.1, age=0.6)
+
+
+def test_a_pulse_held_back_beyond_its_lifetime_does_not_begin(armed):
+    armed.thrust(0.1)
+    late = armed.session.command(armed.now)
+    for _ in range(8):
+        armed.step(down=False)
+    armed.now += SECOND // 5
+    armed.board.take(late, armed.now)
+    assert armed.board.state.opened[0] == 0
+
+
+def test_stop_closes_and_latches_until_armed_anew(armed):
+    armed.thrust(1.0)
+    armed.step()
+    armed.session.stop()
+    armed.step()
+    assert armed.board.valves(armed.now) == 0
+    assert armed.board.state.flags() == BaseState.STOPPED
+    assert armed.session.arming is Arming.STOPPED
+    armed.arm()
+    assert armed.session.pulse.number == 0
+    armed.step()
+    assert armed.board.valves(armed.now) == 0
+
+
+def test_silence_closes_the_valves_within_the_watchdog(armed):
+    armed.thrust(1.0)
+    armed.step()
+    last = armed.board.clock(armed.board.state.gate.arrival)
+    armed.board.state.tick(armed.board.state.gate.arrival + 500_001)
+    assert last is not None
+    assert armed.board.state.flags() == BaseState.WATCHDOG
+    assert armed.board.state.valves() == 0
+    assert armed.board.state.opened[0] <= 500_001
+    armed.now += SECOND
+    armed.step()  # it finds that it stood still, and that the board has disarmed itself
+    assert armed.session.arming is Arming.DISARMED
+    assert "stood still" in armed.session.standstill
+
+
+def test_a_lost_board_is_disarmed_when_it_is_heard_again(armed):
+    armed.thrust(0.5)
+    for _ in range(21):
+        armed.step(up=False)
+    assert armed.session.lost
+    assert not armed.session.armed
+    for _ in range(3):
+        armed.step()
+    assert not armed.session.lost
+    assert armed.told().flags == 0
+
+
+def test_a_new_driver_counts_on_from_the_boards_pulse(armed):
+    armed.thrust(0.1)
+    armed.step()
+    board = armed.board
+    again = Bench(epoch=SECOND)
+    again.board, again.now = board, armed.now + SECOND
+    for _ in range(3):
+        again.step()
+    again.arm()
+    again.thrust(0.1)
+    assert again.session.pulse.number == 2
+    again.step()
+    assert board.valves(again.now) == 1
+
+
+def test_a_spent_board_disarms_the_driver_and_is_armed_anew():
+    from fss_base_driver.protocol import Limits
+
+    bench = Bench()
+    bench.restart(limits=Limits(total=200_000))
+    for _ in range(3):
+        bench.step()
+    bench.arm().thrust(1.0)
+    for _ in range(6):
+        bench.step()
+    assert bench.session.arming is Arming.DISARMED
+    bench.step()
+    assert bench.board.state.opened[0] == 200_000
+    bench.arm()
+
+
+def test_the_gripper_is_told_until_it_says_so_and_not_again(armed):
+    armed.session.grip(True, armed.now)
+    armed.step()
+    armed.step()
+    assert armed.board.state.gripper is Gripper.CLOSE
+    armed.step()
+    armed.step()
+    assert armed.told().gripper == Gripper.KEEP
+    armed.session.stop()
+    armed.step()
+    armed.arm()
+    assert armed.board.state.gripper is Gripper.CLOSE
+    armed.session.grip(False, armed.now)
+    armed.step()
+    assert armed.board.state.gripper is Gripper.OPEN
+
+
+def test_a_disarm_is_released_once_the_valves_are_closed(armed):
+    armed.thrust(1.0)
+    armed.step()
+    armed.session.disarm()
+    assert not armed.session.released
+    armed.step()
+    armed.step()
+    assert armed.session.released
+
+
+def test_signed_frames_work_and_others_are_refused():
+    key = bytes(range(16))
+    bench = Bench(key=key)
+    for _ in range(4):
+        bench.step()
+    bench.arm()
+    unsigned = FakeBoard(7, bench.board.born)
+    assert bench.session.feed(unsigned.telemetry(bench.now), bench.now) is None
+    assert bench.session.counts["signature"] == 1
+    assert decode(bench.session.command(bench.now), key).flags == BaseOrder.ARM

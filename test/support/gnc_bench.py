@@ -1,0 +1,76 @@
+"""What the nodes of fss_gnc hear, published by hand: base, target, joints, gripper, tank."""
+
+import numpy as np
+from nav_msgs.msg import Odometry
+from rclpy.node import Node
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64
+
+from fss_arm_msgs.msg import GripperState
+from fss_arm_ros.convert import SECOND, to_time
+from fss_arm_ros.qos import SENSOR
+
+FOLDED = (1.5, -1.5, -1.5, 1.5)
+RATE = 50.0  # [1/s]
+
+
+class FakeCraft(Node):
+    """Base, joints and what is beside them, each as long as it is not silent.
+
+    With `time` [ns] it keeps the clock, which tells 20 ms more each time.
+    """
+
+    def __init__(self, time=None):
+        super().__init__("fake_craft")
+        self.time, self.clock = time, time and self.create_publisher(Clock, "/clock", 10)
+        self.pose, self.twist = np.zeros(3), np.zeros(3)  # in the world
+        self.target = None  # (pose, twist)
+        self.q, self.qd = np.array(FOLDED), np.zeros(4)
+        self.holds, self.propellant = False, 0.1
+        self.silent, self.late = set(), 0.0  # topics; age of stamps [s]
+        kinds = {
+            "base/state": Odometry, "target/state": Odometry, "arm/joint_states": JointState,
+            "gripper/state": GripperState, "base/propellant": Float64,
+        }  # fmt: skip
+        self.topics = {name: self.create_publisher(kind, name, SENSOR)
+                       for name, kind in kinds.items()}  # fmt: skip
+        self.create_timer(1.0 / RATE, self.report)
+
+    def now(self):
+        return self.time or self.get_clock().now().nanoseconds
+
+    def report(self):
+        if self.time:
+            self.time += round(SECOND / RATE)
+            self.clock.publish(Clock(clock=to_time(self.time)))
+        stamp = to_time(self.now() - round(self.late * SECOND))
+        said = {
+            "base/state": odometry(self.pose, self.twist),
+            "arm/joint_states": JointState(
+                name=[f"joint_{i}" for i in range(1, 5)], position=list(map(float, self.q)),
+                velocity=list(map(float, self.qd)), effort=[0.1, -0.4, 0.2, 0.0],
+            ),
+            "gripper/state": GripperState(holds=self.holds),
+        }  # fmt: skip
+        if self.target:
+            said["target/state"] = odometry(*self.target)
+        for name, message in said.items():
+            message.header.stamp = stamp
+            if name not in self.silent:
+                self.topics[name].publish(message)
+        self.topics["base/propellant"].publish(Float64(data=self.propellant))
+
+
+def odometry(pose, twist):
+    """Pose and twist in the world, as the type has them."""
+    x, y, heading = map(float, pose)
+    message = Odometry()
+    message.pose.pose.position.x, message.pose.pose.position.y = x, y
+    message.pose.pose.orientation.z = float(np.sin(0.5 * heading))
+    message.pose.pose.orientation.w = float(np.cos(0.5 * heading))
+    v = complex(*twist[:2]) * np.exp(-1j * heading)
+    linear = message.twist.twist.linear
+    linear.x, linear.y = float(v.real), float(v.imag)
+    message.twist.twist.angular.z = float(twist[2])
+    return message
