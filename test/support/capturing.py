@@ -82,8 +82,8 @@ class Flight:
         q = np.array([at.real, at.imag, -1.4, *POSTURE])
         target = [[centre.real, centre.imag, case.heading], [*case.drift, case.spin]]
         self.plant = Plant(arm, q, None, World(target=settings.target), target)
-        self.craft = Craft(arm)
-        self.activity = activity or Capture(self.craft, settings)
+        self.craft = Craft(arm, settings)
+        self.activity = activity or Capture(self.craft)
         propulsion, self.valves = self.plant.world.propulsion, self.plant.thrusters.layout
         self.least = propulsion.minimum_on_time
         self.allocation = Allocation(self.valves, PERIOD, self.least)

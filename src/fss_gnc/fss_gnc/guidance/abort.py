@@ -13,7 +13,6 @@ import numpy.typing as npt
 from fss_arm_model.held import hold, with_held
 from fss_gnc.guidance.activity import Craft, Ended, Orders, Seen
 from fss_gnc.guidance.drift import Drift, Drifting
-from fss_gnc.guidance.mission_settings import MissionSettings
 from fss_gnc.guidance.rest import braking, slowing
 from fss_gnc.reference import Path
 
@@ -25,21 +24,19 @@ STILL = 0.01  # of a joint [rad/s]
 
 
 class Abort:
-    """The activity; it ends well if what drifts is safe.
+    """The activity; asked for as such, it ends well if what drifts is safe.
 
     Args:
         craft: whose base and arm.
-        settings: of the missions.
         reason: why.
-        begin: when, by the activity's time [s].
+        asked: for itself, and not as the end of something else.
     """
 
     blind = True
 
-    def __init__(
-        self, craft: Craft, settings: MissionSettings, reason: str, begin: float = 0.0
-    ) -> None:
-        self.p, self.settings, self.reason, self.begin = craft.arm.vector(), settings, reason, begin
+    def __init__(self, craft: Craft, reason: str, asked: bool = False) -> None:
+        self.p, self.reason, self.asked = craft.arm.vector(), reason, asked
+        self.settings = settings = craft.settings
         self.torques = settings.torque_share * np.array(
             [link.drive.max_torque for link in craft.arm.links]
         )
@@ -47,16 +44,29 @@ class Abort:
         self.drift: Drift | None = None
         self._push: Path | None = None
         self._held = False
-        self._known = self._quiet = begin
+        self._known = self._quiet = np.nan  # since when; NaN: it has not begun
 
     def step(self, seen: Seen) -> Orders:
         """Orders now."""
+        if np.isnan(self._known):
+            self._known = self._quiet = seen.t
         rates = self.joints.rates(self.p, seen)
         close = None if seen.holds is None else bool(seen.holds)
         return Orders("abort", self._path(seen), rates, close, ended=self._end(seen))
 
     def cancel(self, reason: str) -> None:
         """It goes on: there is nothing safer."""
+
+    @property
+    def safe(self) -> bool:
+        """Whether what drifts meets nothing within the horizon, as far as it is known."""
+        return self.drift is not None and self.drift.safe
+
+    @property
+    def target_clearance(self) -> float:
+        """Least distance to the target within the horizon [m]; NaN: there is none."""
+        known = self.drift is not None and np.isfinite(self.drift.target)
+        return self.drift.target if self.drift is not None and known else np.nan
 
     def _path(self, seen: Seen) -> Path | None:
         if seen.base is None or seen.q is None:
@@ -90,7 +100,7 @@ class Abort:
             return Ended(False, f"{self.reason}; the base is not known, valves closed")
         if seen.t - self._quiet < QUIET or self.drift is None or seen.base is None:
             return None
-        return Ended(False, self.reason)
+        return Ended(self.asked and self.drift.safe, self.reason)
 
 
 class Stopping:

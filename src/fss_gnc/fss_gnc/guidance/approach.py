@@ -43,7 +43,7 @@ class Points(NamedTuple):
     acceleration: Floats
 
 
-def quintic(begin: Floats, rate: Floats, end: Floats, duration: Floats, t: Floats) -> Floats:
+def quintic(begin: float, rate: float, end: float, duration: float, t: Floats) -> Floats:
     """Value, rate and acceleration (3, k) from a value and a rate to rest at another value."""
     T, u = duration, np.clip(t / duration, 0.0, 1.0)
     way, kick = end - begin, rate * T
@@ -116,17 +116,17 @@ class Way:
     def points(self, t: npt.ArrayLike) -> Points:
         """At times since its begin [s], seen from the target."""
         t, T, order = np.atleast_1d(np.asarray(t, dtype=float)), self.duration, self.order
-        d = quintic(self.begin[0], self.rate[0], self.end[0], T, t)
+        begin, speed, end = self.begin.tolist(), self.rate.tolist(), self.end.tolist()
+        d = quintic(begin[0], speed[0], end[0], T, t)
         if order.far is not None:
             half, far = order.share * T, order.far
-            out = quintic(self.begin[0], self.rate[0], far, half, t)
-            back = quintic(far, 0.0, self.end[0], T - half, np.maximum(t - half, 0.0))
+            out = quintic(begin[0], speed[0], far, half, t)
+            back = quintic(far, 0.0, end[0], T - half, np.maximum(t - half, 0.0))
             d = np.where(t > half, back, out)
-        since, until = np.array(order.round) * T
-        round_ = np.maximum(t - since, 0.0)
-        rate = 0.0 if since else self.rate[1]
-        phi = quintic(self.begin[1], rate, self.end[1], until - since, round_)
-        psi = quintic(self.begin[2], self.rate[2], self.end[2], min(until, 0.6 * T), t)
+        since, until = order.round[0] * T, order.round[1] * T
+        rate = 0.0 if since else speed[1]
+        phi = quintic(begin[1], rate, end[1], until - since, np.maximum(t - since, 0.0))
+        psi = quintic(begin[2], speed[2], end[2], min(until, 0.6 * T), t)
         return self.body.points(d, phi, psi)
 
 
@@ -156,7 +156,7 @@ class Planner:
 
     def standing(self) -> float:
         """Distance of the end effector from the target's centre where the way ends [m]."""
-        return float(np.hypot(*self.target.fixture[:2])) + self.settings.stand_off
+        return float(abs(complex(*self.target.fixture[:2]))) + self.settings.stand_off
 
     def side(self, heading: float) -> float:
         """Direction of the fixture from the target's centre, at a heading of it [rad]."""
@@ -246,7 +246,7 @@ class Planner:
         return np.column_stack([rows, joints])
 
 
-def coasted(pose: Floats, twist: Floats, com: complex, time: npt.ArrayLike) -> Floats:
+def coasted(pose: Floats, twist: Floats, com: complex, time: float | Floats) -> Floats:
     """Poses (..., 3) of the base a time later [s], base and arm turning as one body."""
     w = com * np.exp(1j * pose[..., 2])
     v = twist[..., 0] + 1j * twist[..., 1] + 1j * twist[..., 2] * w

@@ -15,10 +15,11 @@ import numpy as np
 import numpy.typing as npt
 
 from fss_arm_model.description import Arm
-from fss_arm_model.held import Approach, approach
+from fss_arm_model.held import Approach, approach, hold, with_held
+from fss_arm_model.momentum import momentum
 from fss_arm_motion.guard import Guard, GuardError
 from fss_gnc.guidance.abort import Abort
-from fss_gnc.guidance.activity import Craft, Ended, Orders, Seen
+from fss_gnc.guidance.activity import ActivityError, Craft, Ended, Orders, Seen
 from fss_gnc.guidance.approach import Planner, Points, Way
 from fss_gnc.guidance.detumble import Detumble
 from fss_gnc.guidance.mission_settings import MissionSettings
@@ -49,7 +50,6 @@ class Capture:
 
     Args:
         craft: whose base and arm.
-        settings: of the missions.
         reach: guidance of the reach.
         detumble: whether to take the motion away after the grip.
     """
@@ -59,20 +59,21 @@ class Capture:
     def __init__(
         self,
         craft: Craft,
-        settings: MissionSettings,
         reach: Reach | None = None,
         detumble: bool = True,
     ) -> None:
-        self.craft, self.settings, self.detumbles = craft, settings, detumble
+        self.craft, self.detumbles = craft, detumble
+        self.settings = settings = craft.settings
         self.p, self.target = craft.arm.vector(), settings.target
         self.guide = reach or GUIDES[settings.reach](craft.arm, settings)
-        self.planner, self.watch = Planner(self.p, settings), Watch(craft, settings)
+        self.planner, self.watch = Planner(self.p, settings), Watch(craft)
         self.guard = Guard(craft.arm, settings)
         self.phase, self.since, self.attempts = "wait", 0.0, 0
         self.met: Approach | None = None
         self.posture: Floats | None = None  # that the approach holds
         self.after: Detumble | Abort | None = None
         self.captured = False
+        self.momentum = np.full(3, np.nan)  # at the grip, of all that is held together
         self._way: tuple[float, Way] | None = None  # and when it begins
         self._sought, self._moved = -np.inf, 0.0
         self._path: Path | None = None
@@ -82,7 +83,7 @@ class Capture:
         if self.after is None:
             reason = self._reason(seen)
             if reason:
-                self.cancel(reason, seen.t)
+                self.cancel(reason)
         if self.after is not None:
             return self._told(self.after.step(seen))
         if seen.base is None or seen.q is None or seen.target is None:
@@ -97,10 +98,12 @@ class Capture:
                "grip": self._reach}  # fmt: skip
         return act[self.phase](seen, q, qd, state)
 
-    def cancel(self, reason: str, t: float = 0.0) -> None:
+    def cancel(self, reason: str) -> None:
         """Abort."""
-        if not isinstance(self.after, Abort):
-            self.after = Abort(self.craft, self.settings, reason, t)
+        if isinstance(self.after, Detumble):
+            self.after.cancel(reason)
+        elif self.after is None:
+            self.after = Abort(self.craft, reason)
             self.phase = "abort"
 
     def _told(self, orders: Orders) -> Orders:
@@ -180,8 +183,9 @@ class Capture:
             self._path = None
             self.guide.begin(q, qd)
             self._begin("reach", seen.t)
-        elif (ahead * spin < 0.0 or abs(ahead) > PATIENCE * abs(spin)) and abs(ahead) > FACING:
-            if seen.t > self._sought + RETRY:
+        elif abs(ahead) > FACING and seen.t > self._sought + RETRY:
+            late = ahead * spin < 0.0 or abs(ahead) > PATIENCE * abs(spin)
+            if late:
                 self._seek(seen.t, q, qd, state)
 
     def _facing(self, state: Floats, way: Way, ahead: float) -> float:
@@ -209,7 +213,7 @@ class Capture:
     def _retreat(self, t: float) -> None:
         """Back off, gripper open, to another approach."""
         if self.attempts >= self.settings.attempts:
-            self.cancel(f"not captured in {self.attempts} reaches", t)
+            self.cancel(f"not captured in {self.attempts} reaches")
             return
         self._way, self._sought = None, -np.inf
         self._begin("wait", t)
@@ -229,12 +233,27 @@ class Capture:
 
     def _grasped(self, seen: Seen) -> Orders:
         self.captured = True
+        q, qd = seen.floating
+        if seen.target is not None:
+            place = hold(self.p, q, seen.target.pose)
+            self.momentum = momentum(with_held(self.p, self.target, place), q, qd)
         if not self.detumbles:
-            q, _ = seen.floating
             return self._told(Orders("done", None, np.zeros(q.size - 3), ended=Ended(True)))
         self._path = None
-        self.after = Detumble(self.craft, self.settings, seen.t)
+        self.after = Detumble(self.craft)
         return self._told(self.after.step(seen))
+
+
+def begin(craft: Craft, reach: str, detumble: bool) -> Capture:
+    """The activity with a guidance of the reach by its name; empty: the settings'.
+
+    Raises:
+        ActivityError: there is none of this name.
+    """
+    name = reach or craft.settings.reach
+    if name not in GUIDES:
+        raise ActivityError(f"reach is {name!r}, expected {' or '.join(GUIDES)}")
+    return Capture(craft, GUIDES[name](craft.arm, craft.settings), detumble)
 
 
 def on_target(points: Points, t: float, state: Floats) -> Path:

@@ -6,7 +6,6 @@ import numpy.typing as npt
 from fss_arm_model.held import hold, with_held
 from fss_gnc.guidance.abort import Abort, Stopping
 from fss_gnc.guidance.activity import Craft, Ended, Orders, Seen
-from fss_gnc.guidance.mission_settings import MissionSettings
 from fss_gnc.guidance.rest import braking
 from fss_gnc.guidance.watch import Watch
 from fss_gnc.reference import Path
@@ -22,32 +21,37 @@ class Detumble:
 
     Args:
         craft: whose base and arm.
-        settings: of the missions.
-        begin: when, by the activity's time [s].
     """
 
     blind = True
 
-    def __init__(self, craft: Craft, settings: MissionSettings, begin: float = 0.0) -> None:
-        self.craft, self.settings, self.begin = craft, settings, begin
+    def __init__(self, craft: Craft) -> None:
+        self.craft = craft
+        self.settings = settings = craft.settings
         self.p = craft.arm.vector()
         torques = np.array([link.drive.max_torque for link in craft.arm.links])
         self.joints = Stopping(settings.torque_share * torques)
-        self.watch = Watch(craft, settings)
+        self.watch = Watch(craft)
         self.abort: Abort | None = None
+        self.twist = np.full(3, np.nan)  # of the base
         self._path: Path | None = None
         self._held = False
-        self._moving = begin
+        self._begun = self._moving = np.nan
 
     def step(self, seen: Seen) -> Orders:
         """Orders now."""
+        if np.isnan(self._begun):
+            self._begun = seen.t
         if self.abort is None:
-            reason = self.watch.reason(seen, self._path, self.settings.detumble_timeout, self.begin)
+            reason = self.watch.reason(
+                seen, self._path, self.settings.detumble_timeout, self._begun
+            )
             if reason:
-                self.cancel(reason, seen.t)
+                self.cancel(reason)
         if self.abort is not None:
             return self.abort.step(seen)
         q, qd = seen.floating
+        self.twist = qd[:3]
         if seen.holds and seen.target is not None and not self._held:
             place = hold(self.p, q, seen.target.pose)
             self.p, self._held = with_held(self.p, self.settings.target, place), True
@@ -60,10 +64,9 @@ class Detumble:
         over = self._path is not None and seen.t - max(self._moving, self._path.end) >= CALM
         return Orders("detumble", self._path, rates, ended=Ended(True) if over else None)
 
-    def cancel(self, reason: str, t: float | None = None) -> None:
+    def cancel(self, reason: str) -> None:
         """Abort."""
-        begin = self.begin if t is None else t
-        self.abort = self.abort or Abort(self.craft, self.settings, reason, begin)
+        self.abort = self.abort or Abort(self.craft, reason)
 
     def _is_still(self, qd: Floats) -> bool:
         s = self.settings

@@ -1,4 +1,4 @@
-"""What base and arm meet if they drift, joints held, and the least push after which it is nothing."""
+"""What base and arm meet as they drift, joints held, and the least push that prevents it."""
 
 from typing import NamedTuple
 
@@ -7,10 +7,10 @@ import numpy.typing as npt
 
 from fss_arm_model import layout
 from fss_arm_model.clearance import gaps, sizes, with_edge, with_target
-from fss_gnc.guidance.activity import Body
 from fss_gnc.guidance.approach import Body as Rigid
 from fss_gnc.guidance.approach import coasted
 from fss_gnc.guidance.mission_settings import MissionSettings
+from fss_gnc.reference import Body
 
 Floats = npt.NDArray[np.float64]
 

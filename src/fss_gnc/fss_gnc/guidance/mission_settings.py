@@ -1,17 +1,18 @@
-"""The parameters of the missions: what they know, where they stand, and when they give up."""
+"""The parameters of the missions beside those of the guidance: all of the node `guidance`'s."""
 
 from dataclasses import dataclass
 
 from fss_arm_model.held import Target
 from fss_arm_model.settings import FINITE, NOT_NEGATIVE, POSITIVE, above, like, one_of, setting
 from fss_arm_motion.guard_settings import GuardSettings
+from fss_gnc.guidance.settings import GuidanceSettings
 
 REACHES = ("jacobian", "predictive")
 
 
 @dataclass(frozen=True)
-class MissionSettings(GuardSettings):
-    """Of capture, detumble and abort."""
+class MissionSettings(GuidanceSettings, GuardSettings):
+    """The parameters of a GuidanceNode, those of capture, detumble and abort included."""
 
     target_mass: float = like(Target, "mass")
     target_inertia: float = like(Target, "inertia")
@@ -33,10 +34,7 @@ class MissionSettings(GuardSettings):
         0.08, "distance of the end effector from the fixture before it reaches for it", unit="m",
         check=NOT_NEGATIVE,
     )  # fmt: skip
-    keep_out: float = setting(
-        0.26, "radius about the target that no body enters in the approach", unit="m",
-        check=NOT_NEGATIVE,
-    )  # fmt: skip
+    keep_out: float = like(GuidanceSettings, "keep_out", 0.26)
     edge_room: float = setting(
         0.1, "least distance of all bodies to the table's edge on the planned way", unit="m",
         check=NOT_NEGATIVE,
@@ -73,12 +71,6 @@ class MissionSettings(GuardSettings):
         0.5, "share of the joints' largest torques that slowing down may take",
         check=above(0.0, 1.0),
     )  # fmt: skip
-    still: float = setting(
-        0.005, "speed at which base and target count as stopped", unit="m/s", check=POSITIVE
-    )
-    turning_still: float = setting(
-        0.008, "turn rate at which base and target count as stopped", unit="rad/s", check=POSITIVE
-    )
     # when it is aborted
     wait_timeout: float = setting(60.0, "longest wait for a clear way", unit="s", check=POSITIVE)
     approach_timeout: float = setting(300.0, "longest approach", unit="s", check=POSITIVE)
@@ -98,14 +90,8 @@ class MissionSettings(GuardSettings):
         0.02, "distance of base or arm to the target at which the mission is aborted", unit="m",
         check=NOT_NEGATIVE,
     )  # fmt: skip
-    max_offset: float = setting(
-        0.15, "farthest from its reference that the base may be", unit="m", check=POSITIVE
-    )
-    max_turn: float = setting(
-        0.35, "most that the base may be turned from its reference", unit="rad", check=POSITIVE
-    )
     max_propellant: float = setting(
-        0.05, "most propellant that a mission may use", unit="kg", check=POSITIVE
+        0.06, "most propellant that a mission may use", unit="kg", check=POSITIVE
     )
     max_torque: float = setting(
         3.0, "torque of a joint at which the mission is aborted", unit="N m", check=POSITIVE

@@ -110,7 +110,7 @@ class Predictive:
             white[:, t] = MEMORY * white[:, t - 1] + np.sqrt(1.0 - MEMORY**2) * white[:, t]
         self._noise = SPREAD * white
         self._noise[0] = 0.0
-        self._times = STEP * np.arange(1, STEPS + 1)
+        self._times: Floats = STEP * np.arange(1.0, STEPS + 1.0)
         self.plan, self.momentum = np.zeros((STEPS, arm.n)), np.zeros(3)
 
     def begin(self, q: Floats, qd: Floats) -> None:

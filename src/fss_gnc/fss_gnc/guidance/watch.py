@@ -4,7 +4,6 @@ import numpy as np
 
 from fss_gnc.guidance.activity import Craft, Seen
 from fss_gnc.guidance.drift import Drifting
-from fss_gnc.guidance.mission_settings import MissionSettings
 from fss_gnc.reference import Path, off
 
 STOPPED = 6.0  # in which the valves stop the base [s]
@@ -14,9 +13,9 @@ PATIENCE = 0.3  # for which a torque may exceed its limit [s]
 class Watch:
     """Says why a mission has to be aborted, if it has."""
 
-    def __init__(self, craft: Craft, settings: MissionSettings) -> None:
-        self.settings, self.p = settings, craft.arm.vector()
-        self.drifting = Drifting(self.p, settings)
+    def __init__(self, craft: Craft) -> None:
+        self.settings = settings = craft.settings
+        self.drifting = Drifting(craft.arm.vector(), settings)
         self.largest_torque = 0.0
         self.edge = self.target = np.nan  # clearances [m]
         self._had = np.nan  # propellant [kg]
