@@ -18,6 +18,7 @@ setup(
     entry_points={
         "console_scripts": [
             "base = fss_base_driver.base_node:main",
+            "check = fss_base_driver.check:main",
             "mocap = fss_base_driver.mocap_node:main",
             "subjects = fss_base_driver.subjects_node:main",
         ],

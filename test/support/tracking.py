@@ -5,17 +5,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from fss_arm_model.description import load
-from fss_gnc.navigation import EstimatorSettings, Navigation
+from fss_arm_model.held import Target
+from fss_gnc.navigation import Navigation
+from fss_gnc.navigation.body_filter import POSE
+from fss_gnc.navigation.body_filter import RATE as TURN_RATE
 from fss_sim.link.instruments import Encoder
 from fss_sim.noise import PRESETS
 from fss_sim.plant.drives import VELOCITY
 from fss_sim.plant.plant import Demand, Plant, World
-from fss_sim.plant.target import Target
+from fss_sim.plant.surroundings import Surroundings
 from fss_sim.sensors import RATE, Sensors
 
 SECOND = 1_000_000_000
 FRAME = SECOND // RATE
 READ = 20  # frames from one reading of a joint to its next
+PLANNED = 5  # frames from one telling of the plan to the next
 PERIOD = 10  # frames from one command of the valves to the next
 
 
@@ -28,6 +32,7 @@ class Tracked:
     nis: dict  # of the base, by what was measured
     rejected: dict  # of the base
     error: np.ndarray  # (k, 6) of the base
+    variance: np.ndarray  # (k, 6) that it is said to have
 
 
 def nees(state, pose, twist):
@@ -37,37 +42,49 @@ def nees(state, pose, twist):
     return error @ np.linalg.solve(state.covariance, error), error
 
 
+def ramp(was, wanted, slopes, t):
+    """Rates of joints on their way from one to another."""
+    return was + np.clip(wanted - was, -slopes * t, slopes * t)
+
+
 def track(
     seed, frames, *, arm="config/truth.yaml", known=None, outage=(0, 0), moving=True,
-    thrusting=True, preset="default", settings=None, gyro=True,
+    thrusting=True, planned=True, told=True, preset="default", settings=None,
+    of_target=None, gyro=True,
 ):  # fmt: skip
     """Fly with random pulses of thrusters and a moving arm; poses are missing in the outage."""
     rng = np.random.default_rng((7, seed))
     arm = load(arm)
     noise = PRESETS[preset]
-    world = World(target=Target())
-    q = np.concatenate([rng.uniform(-0.5, 0.5, 2), rng.uniform(-3, 3, 1), rng.uniform(-1, 1, 4)])
+    world = World(surroundings=Surroundings(table=(20.0, 20.0)), target=Target())
+    q = np.concatenate([rng.uniform(-0.1, 0.1, 2), rng.uniform(-3, 3, 1), rng.uniform(-1, 1, 4)])
     qd = np.concatenate([rng.normal(0, [0.02, 0.02, 0.05]), np.zeros(4)])
     drifting = rng.normal(0, [0.02, 0.02, 0.15])
     plant = Plant(arm, q, qd, world, [[1.0, 1.0, 1.0], drifting])
     sensors = Sensors(noise, seed)
-    navigation = Navigation(load(known) if known else arm, settings or EstimatorSettings())
+    navigation = Navigation(load(known) if known else arm, settings, of_target)
     encoders = [Encoder(noise.encoder_error, rng.uniform(-np.pi, np.pi)) for _ in range(arm.n)]
-    demands, base, target, errors = np.zeros(arm.n), [], [], []
+    base, target, errors, variances = [], [], [], []
+    was, wanted, slopes, since = *np.zeros((2, arm.n)), np.ones(arm.n), 0.0  # of the rates
     nis = {"pose": [], "gyro": []}
     for frame in range(frames):
         now = frame * FRAME
         if moving and frame % 150 == 100:  # a ramp to another rate, then to rest
-            going = rng.random() < 0.7
-            demands = rng.uniform(-0.2, 0.2, arm.n) * going
+            was, since = ramp(was, wanted, slopes, frame / RATE - since), frame / RATE
+            wanted = -np.sign(plant.q[3:]) * rng.uniform(0.0, 0.2, arm.n) * (rng.random() < 0.7)
             slopes = rng.uniform(0.05, 0.5, arm.n)
             for i in range(arm.n):
-                plant.command(i, Demand(VELOCITY, demands[i], abs(demands[i]), slopes[i]))
+                plant.command(i, Demand(VELOCITY, wanted[i], abs(wanted[i]), slopes[i]))
+        if planned and frame % PLANNED == 2:  # as the node arm tells it
+            ahead = [now + k * SECOND // 10 for k in range(6)]
+            rates = [ramp(was, wanted, slopes, t / SECOND - since) for t in ahead]
+            navigation.inputs.plan(ahead, rates)
         if thrusting and frame % PERIOD == 0:
             on_times = np.round(rng.uniform(0.0, 0.1, 8) * (rng.random(8) < 0.3), 3)
             on_times[on_times < 0.01] = 0.0
             plant.thrust(on_times)
-            navigation.pulses(now, on_times)
+            if told:
+                navigation.pulses(now, on_times)
         plant.advance(1.0 / RATE)
         now += FRAME
         for i, motion in enumerate(plant.motions()):
@@ -79,16 +96,22 @@ def track(
             target=plant.target[0].tolist(),
         )  # fmt: skip
         if gyro and navigation.base.rate(now, seen.rate):
-            nis["gyro"].append(navigation.base.nis[2.0][-1])
+            nis["gyro"].append(navigation.base.nis[TURN_RATE][-1])
         if not outage[0] <= frame < outage[1]:
-            if navigation.base.pose(now, *seen.base.pose):
-                nis["pose"].append((navigation.base.nis[1.0] or [0])[-1])
+            if navigation.base.pose(now, *seen.base.pose) and frame:
+                nis["pose"].append(navigation.base.nis[POSE][-1] / 3.0)
             navigation.target_pose(now, *seen.target.pose)
         navigation.predict(now)
         square, error = nees(navigation.base.state(), plant.q[:3], plant.qd[:3])
         base.append(np.nan if navigation.base.lost(now) else square)
         errors.append(error)
+        variances.append(navigation.base.state().covariance.diagonal())
         target.append(nees(navigation.target.state(), *plant.target)[0])
     return Tracked(
-        np.array(base), np.array(target), nis, navigation.base.rejected, np.array(errors)
+        np.array(base),
+        np.array(target),
+        nis,
+        navigation.base.rejected,
+        np.array(errors),
+        np.array(variances),
     )

@@ -17,6 +17,7 @@ MEASUREMENTS = frozenset(
         "sensor_msgs/msg/Imu",
         "geometry_msgs/msg/PoseStamped",
         "fss_arm_msgs/msg/LinkTelemetry",
+        "fss_arm_msgs/msg/BaseTelemetry",
         "fss_arm_msgs/msg/GripperState",
     }
 )

@@ -8,6 +8,8 @@ from rosbags.interfaces import QosDurability
 from fss_arm_bags.definitions import MEASUREMENTS
 from fss_arm_bags.reader import Topic
 
+ORDERS = ("command", "wrench", "trajectory", "stop")  # last words of topics that move something
+IN_PLACE = ("/robot_description", "/thrusters/pulses")  # beside measurements
 OF_ROS = ("/clock", "/rosout", "/parameter_events")
 
 
@@ -19,12 +21,12 @@ def choose(recorded: Mapping[str, Topic], wanted: Collection[str] = ()) -> dict[
         wanted: names of those to play in place; all that may be, as `played_as` says, by default.
 
     Raises:
-        ValueError: a topic is wanted that moves the arm or is not in the bags.
+        ValueError: a topic is wanted that moves something or is not in the bags.
     """
     chosen = [topic if topic[0] == "/" else f"/{topic}" for topic in wanted]
     for topic in chosen:
         if is_command(topic):
-            raise ValueError(f"topics: {topic} moves the arm and is never played")
+            raise ValueError(f"topics: {topic} moves something and is never played")
         if topic not in recorded:
             raise ValueError(f"topics: {topic} is not in the bags, which have {list(recorded)}")
     if chosen:
@@ -36,7 +38,8 @@ def choose(recorded: Mapping[str, Topic], wanted: Collection[str] = ()) -> dict[
 def is_command(topic: str) -> bool:
     """Whether a topic makes something move; such are never played."""
     parts = topic.strip("/").split("/")
-    return parts[-1] == "command" or bool({"arm", "thrusters"} & set(parts))
+    thrusts = "thrusters" in parts and parts[-1] != "pulses"  # which says what was commanded
+    return parts[-1] in ORDERS or "arm" in parts or thrusts
 
 
 def played_as(topic: str, msgtype: str) -> str | None:
@@ -47,7 +50,7 @@ def played_as(topic: str, msgtype: str) -> str | None:
     """
     if is_command(topic) or topic in OF_ROS:
         return None
-    if msgtype in MEASUREMENTS or topic.endswith("/robot_description"):
+    if msgtype in MEASUREMENTS or topic.endswith(IN_PLACE):
         return topic
     return f"recorded{topic}"
 

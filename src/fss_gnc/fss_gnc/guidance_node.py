@@ -6,7 +6,6 @@ what it wanted.
 """
 
 import sys
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -251,10 +250,10 @@ class GuidanceNode(Node):
             self.rates.publish(self.joint_rates(np.zeros(self.craft.arm.n), now))
         phase = "done" if ended.well else "abort"
         self.state.publish(self.mission(flight, Orders(phase, ended=ended)))
-        say: Callable[[str], Any] = (
-            self.get_logger().info if ended.well else self.get_logger().warning
-        )
-        say(f"{flight.kind.name} ended{': ' if ended.message else ''}{ended.message}")
+        if ended.well:
+            self.get_logger().info(f"{flight.kind.name} ended")
+        else:
+            self.get_logger().warning(f"{flight.kind.name} ended: {ended.message}")
         flight.over.set_result(ended)
 
     def joint_rates(self, rates: Floats, now: int) -> JointState:

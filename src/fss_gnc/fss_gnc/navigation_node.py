@@ -170,9 +170,9 @@ class NavigationNode(Node):
     def on_pulses(self, message: ThrusterCommand) -> None:
         """Valves were opened."""
         t = stamp_ns(message.header.stamp)
-        if self.is_timely("thrusters/pulses", t):
-            if not self.navigation.pulses(t, message.on_time):
-                self.refused["thrusters/pulses"] += 1
+        timely = self.is_timely("thrusters/pulses", t)
+        if timely and not self.navigation.pulses(t, message.on_time):
+            self.refused["thrusters/pulses"] += 1
 
     def on_gripper(self, message: GripperState) -> None:
         """Whether the target is held."""

@@ -1,5 +1,6 @@
 """The node navigation, fed with what sensors say of base and target, in simulated time."""
 
+from functools import partial
 from math import cos, sin
 
 import numpy as np
@@ -82,6 +83,11 @@ class Bench(Node):
             self.joints.publish(message)
 
 
+def has_heard(node, now, taken):
+    seen = not taken or node.newest == node.base.filter.seen == now
+    return seen and node.get_clock().now().nanoseconds == now
+
+
 @pytest.fixture
 def fly(spin):
     """fly(seconds, **how): let time pass; the nodes keep up."""
@@ -98,11 +104,8 @@ def fly(spin):
         node, bench = made or start()
         for _ in range(round(100 * seconds)):
             bench.step(**how)
-            now = bench.now
-            spin(made, lambda: node.get_clock().now().nanoseconds == now)
-            if how.get("seen", True) and not how.get("swapped") and "stamp" not in how:
-                spin(made, lambda: node.newest == now and node.base.filter.seen == now)
-        spin(made, lambda: node.base.published <= node.now())
+            taken = how.get("seen", True) and not how.get("swapped")
+            spin(made, partial(has_heard, node, bench.now, taken))
         return node, bench
 
     go.start = start

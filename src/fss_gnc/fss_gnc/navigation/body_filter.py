@@ -28,6 +28,7 @@ FAR = 1e4  # from the world's origin no body is [m]
 MEMORY = 600_000_000  # [ns]
 STRIDE = 20_000_000  # of a prediction, within which the heading counts as constant [ns]
 HELD_POSITION, HELD_HEADING = 0.003, 0.01  # deviations of what is held, by the arm [m], [rad]
+LEVER = 0.5  # what changes the turn rate at once changes the speed by about so much of it [m]
 GATE = 5.0  # deviations beyond which a measurement is rejected
 NIS_KEPT = 200  # measurements of a kind
 #: What an event is: time passes, a pose, a rate, the pose of what is held, a push.
@@ -43,16 +44,10 @@ def _step(  # type: ignore[no-untyped-def]
     """Predict by dt, and take a measurement if it is within the gate.
 
     One that is beyond, but within if the body was kicked since the last one, is taken as that.
-
-    Args:
-        x0: (7,), P0: (7, 7).
-        acceleration: (3,) in the body's axes; noise: (3, 3) its density in them.
-        z: (3,) measured.
-        control: dt, density of the bias, what is measured, variances of position, heading and
-            rate, the square of the gate, variances of a kick in speed and in turn rate.
-
-    Writes:
-        x, P, and out (3,): the square of the innovation's distance, 1 if it was taken, else 0, and 0.
+    The acceleration (3,) and its noise's density (3, 3) are in the body's axes. The control: dt,
+    density of the bias, what is measured, variances of position, heading and rate, square of the
+    gate, variances of a kick in speed and in turn rate. In out: the square of the innovation's
+    distance, and 1 if it was taken, else 0.
     """
     dt, what, gate = control[0], control[2], control[6]
     middle = x0[2] + 0.5 * dt * x0[5]
@@ -89,7 +84,7 @@ def _step(  # type: ignore[no-untyped-def]
     if what == PUSH:
         for i in range(3):
             P[3 + i, 3 + i] += z[i]
-    if what == NOTHING or what == PUSH:
+    if what in (NOTHING, PUSH):
         return
     rows = 1 if what == RATE else 3
     y, D, h = x.copy(), P.copy(), np.zeros(7)  # h: covariance of the state with what is measured
@@ -101,7 +96,8 @@ def _step(  # type: ignore[no-untyped-def]
                 D[i, j] = P[i, j]
         if kicked:
             for i in range(3):
-                kick = control[8] if i == 2 else control[7]
+                line = LEVER**2 * control[8] if what == RATE else control[7]
+                kick = control[8] if i == 2 else line
                 D[i, i] += kick * dt * dt
                 D[i, 3 + i] += kick * dt
                 D[3 + i, i] += kick * dt

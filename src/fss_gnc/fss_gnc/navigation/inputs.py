@@ -9,71 +9,85 @@ come, and the filter takes what followed the last one again. Until then they are
 plan is heard; and a joint may change beside it as it did of late, which is noise.
 """
 
-from collections import deque
 from collections.abc import Sequence
 from math import isfinite
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from fss_arm_model.dynamics import inertia_matrix, inverse_dynamics
-from fss_arm_model.kernels import Floats
-from fss_arm_model.thrusters import layout
+from fss_arm_model.kernels import Floats, kernel
+from fss_arm_model.layout import count
+from fss_arm_model.thrusters import COUNT, layout
 
 from .settings import EstimatorSettings
 
 SECOND = 1_000_000_000
-KEPT = 2 * SECOND  # of pulses, for measurements that come late
-UNHEARD = SECOND // 2  # a joint that is silent for longer may do anything
-FOREVER = 1 << 62  # [ns]
+UNHEARD = 0.5  # a joint that is silent for longer may do anything [s]
+FOLLOWS = 0.2  # how long a joint may be off from its plan in the same way [s]
 RESTS = 1e-4  # change of a joint's rate that the base does not feel [rad/s]
+READINGS, PULSES, POINTS = 8, 32, 16  # kept of each joint, of commands to the valves, of a plan
+NEVER, FOREVER = -np.inf, np.inf
 
 
-class _Pulses(NamedTuple):
-    """The valves from one command to the next."""
+@kernel(
+    "(n,k),(n,k),(p),(p,v),(v,w),(w,w),(w,n),(w),(w,w),(q),(q,n),(c)->(w),(w,w)"
+)  # fmt: skip
+def _over(  # type: ignore[no-untyped-def]
+    read_at, rates, opened, closed, valves, mobility, by_joint, still, sure, planned_at, planned,
+    control, acceleration, noise,
+):  # fmt: skip
+    """Mean acceleration (3,) and noise (3, 3) of the base from begin to end, in its own axes.
 
-    begin: int  # [ns]
-    ends: tuple[int, ...]  # of each valve that is to open
-    wrenches: tuple[tuple[float, float, float], ...]  # of each
-
-
-class _Joint:
-    """One joint's newest readings."""
-
-    def __init__(self) -> None:
-        self.t: deque[int] = deque(maxlen=8)
-        self.qd: deque[float] = deque(maxlen=8)
-        self.q = 0.0
-
-    def changed(self, begin: int, end: int) -> float:
-        """By how much its rate changes from one time to another, straight between readings."""
-        t, qd, change = self.t, self.qd, 0.0
-        for k in range(len(t) - 1, 0, -1):
-            if t[k] <= begin:
+    Newest entries stand last, times never used are NEVER. The control: begin, end, relative
+    variance of the thrust, variance of a plan's acceleration by its square.
+    """
+    begin, end = control[0], control[1]
+    span = end - begin
+    for i in range(3):
+        acceleration[i] = still[i]
+        for j in range(3):
+            noise[i, j] = sure[i, j]
+    if span <= 0.0:
+        return
+    for joint in range(read_at.shape[0]):
+        gained = loose = 0.0
+        for k in range(read_at.shape[1] - 1, 0, -1):
+            first, last = read_at[joint, k - 1], read_at[joint, k]
+            if first == NEVER or last <= begin:
                 break
-            overlap = min(end, t[k]) - max(begin, t[k - 1])
-            if overlap > 0:
-                change += (qd[k] - qd[k - 1]) * overlap / (t[k] - t[k - 1])
-        return change
-
-    def density(self) -> float:
-        """The square of its change between two readings, by time: the larger of the last two."""
-        t, qd = self.t, self.qd
-        return max(
-            (
-                (qd[k] - qd[k - 1]) ** 2 / ((t[k] - t[k - 1]) * 1e-9)
-                for k in range(len(t) - 1, max(len(t) - 3, 0), -1)
-            ),
-            default=0.0,
-        )
-
-
-class _Plan(NamedTuple):
-    """What the joints are to do."""
-
-    t: list[int]  # [ns]
-    qd: Floats  # (k, n) rates, straight between these times
+            overlap = min(end, last) - max(begin, first)
+            if overlap > 0.0:
+                gained += (rates[joint, k] - rates[joint, k - 1]) * overlap / (last - first)
+        if read_at[joint, -1] <= begin:
+            for k in range(planned_at.shape[0] - 1):
+                overlap = min(end, planned_at[k + 1]) - max(begin, planned_at[k])
+                if overlap > 0.0:
+                    gained += planned[k, joint] * overlap
+            loose = control[3] * (gained / span) ** 2
+        for i in range(3):
+            acceleration[i] += by_joint[i, joint] * gained / span
+            for j in range(3):
+                noise[i, j] += by_joint[i, joint] * loose * by_joint[j, joint]
+    wrench, following = np.zeros(3), end
+    for k in range(opened.shape[0] - 1, -1, -1):
+        since = max(begin, opened[k])
+        for valve in range(valves.shape[0]):
+            lasts = min(closed[k, valve], following) - since
+            if lasts > 0.0:
+                for i in range(3):
+                    wrench[i] += valves[valve, i] * lasts / span
+        following = min(following, opened[k])
+        if opened[k] <= begin:
+            break
+    thrust = np.zeros(3)
+    for i in range(3):
+        for j in range(3):
+            thrust[i] += mobility[i, j] * wrench[j]
+        acceleration[i] += thrust[i]
+    for i in range(3):
+        square = thrust[2] ** 2 if i == 2 else thrust[0] ** 2 + thrust[1] ** 2
+        noise[i, i] += control[2] * square
 
 
 class KnownInputs:
@@ -87,38 +101,43 @@ class KnownInputs:
     def __init__(self, p: npt.ArrayLike, settings: EstimatorSettings | None = None) -> None:
         self.settings = s = settings or EstimatorSettings()
         self.valves = layout(s.thrust, s.thruster_lever)
-        self.delay = round(SECOND * s.valve_delay)
-        self._pulses: deque[_Pulses] = deque()
-        self._plan: _Plan | None = None
         self._quiet = np.diag(np.square([s.acceleration, s.acceleration, s.angular_acceleration]))
+        self._opened, self._closed = np.full(PULSES, NEVER), np.zeros((PULSES, COUNT))
+        self._control = [0.0, 0.0, s.thrust_error**2, s.joint_change_error**2 * FOLLOWS]
+        self._origin: int | None = None  # what times in arrays count from [ns]
+        self._joints(count(np.asarray(p)))
         self.describe(p)
+
+    def _joints(self, n: int) -> None:
+        """There are n, of which nothing is known."""
+        self.n = n
+        self._read_at, self._rates = np.full((n, READINGS), NEVER), np.zeros((n, READINGS))
+        self._angles = np.zeros(n)
+        self._planned_at, self._planned = np.full(POINTS, NEVER), np.zeros((POINTS, n))
+
+    def _seconds(self, t: int) -> float:
+        """A time [ns] as in the arrays [s]."""
+        if self._origin is None:
+            self._origin = t
+        return (t - self._origin) * 1e-9
 
     def describe(self, p: npt.ArrayLike) -> None:
         """The arm is another: a calibration passed, or the gripper holds something."""
         self.p = np.asarray(p, dtype=float)
-        n = (len(self.p) - 8) // 6
-        if n != len(getattr(self, "joints", ())):
-            self.joints = [_Joint() for _ in range(n)]
-        self._model(-1, 0.0)
+        if count(self.p) != self.n:
+            self._joints(count(self.p))
+        self._model(NEVER, 0.0)
 
     def pulses(self, t: int, on_times: npt.ArrayLike) -> bool:
         """Valves open for a time each [s], from t [ns] on; these replace those before."""
         times = np.asarray(on_times, dtype=float)
-        if times.shape != (len(self.valves),) or not (np.isfinite(times) & (times >= 0.0)).all():
+        if times.shape != (COUNT,) or not (np.isfinite(times) & (times >= 0.0)).all():
             return False
-        if self._pulses and t <= self._pulses[-1].begin - self.delay:
+        begin = self._seconds(t) + self.settings.valve_delay
+        if begin <= self._opened[-1]:
             return False
-        opened = np.flatnonzero(times)
-        begin = t + self.delay
-        self._pulses.append(
-            _Pulses(
-                begin,
-                tuple(begin + int(SECOND * times[k]) for k in opened),
-                tuple(map(tuple, self.valves[opened].tolist())),
-            )
-        )
-        while self._pulses[0].begin < t - KEPT and len(self._pulses) > 1:
-            self._pulses.popleft()
+        self._opened[:-1], self._closed[:-1] = self._opened[1:], self._closed[1:]
+        self._opened[-1], self._closed[-1] = begin, begin + times
         return True
 
     def joint(self, i: int, t: int, q: float, qd: float, omega: float) -> int | None:
@@ -127,120 +146,89 @@ class KnownInputs:
         Returns:
             Since when what is known is another than it was [ns]; None: it is as it was.
         """
-        joint = self.joints[i]
-        if not (isfinite(q) and isfinite(qd)) or (joint.t and t <= joint.t[-1]):
+        at, rates = self._read_at[i], self._rates[i]
+        now = self._seconds(t)
+        if not (isfinite(q) and isfinite(qd)) or now <= at[-1]:
             return None
-        if joint.t and t - joint.t[-1] > UNHEARD:
-            joint.t.clear()
-            joint.qd.clear()
-        before, was = (joint.t[-1], joint.qd[-1]) if joint.t else (t, qd)
-        joint.t.append(t)
-        joint.qd.append(qd)
-        joint.q = q
-        self._model(max(t, self._newest), omega)
-        return before if abs(qd - was) > RESTS else None
+        before = float(at[-1])
+        if now - before > UNHEARD:  # what it did meanwhile is not known
+            at[:], before, rates[-1] = NEVER, now, qd
+        changed = abs(qd - rates[-1]) > RESTS
+        at[:-1], rates[:-1] = at[1:], rates[1:]
+        at[-1], rates[-1], self._angles[i] = now, qd, q
+        self._model(max(now, self._newest), omega)
+        return t - round((now - before) * SECOND) if changed else None
 
     def plan(self, times: Sequence[int], rates: npt.ArrayLike) -> bool:
         """The joints are to have rates (k, n) [rad/s] at times [ns]; False: that is no plan."""
-        t, qd = list(times), np.asarray(rates, dtype=float)
-        if qd.shape != (len(t), len(self.joints)) or not np.isfinite(qd).all() or t != sorted(t):
+        t, qd = np.array([self._seconds(at) for at in times]), np.asarray(rates, dtype=float)
+        k = len(t)
+        if qd.shape != (k, self.n) or not np.isfinite(qd).all() or (np.diff(t) <= 0.0).any():
             return False
-        self._plan = _Plan(t, qd) if len(t) > 1 else None
+        if k > POINTS:
+            t, qd, k = t[:POINTS], qd[:POINTS], POINTS
+        self._planned_at[:], self._planned[:] = NEVER, 0.0
+        if k > 1:
+            self._planned_at[-k:] = t
+            self._planned[-k:-1] = np.diff(qd, axis=0) / np.diff(t)[:, None]
         return True
-
-    def _planned(self, begin: int, end: int) -> Floats | None:
-        """By how much the joints' rates are to change meanwhile; None: nothing is planned."""
-        if self._plan is None or not self._plan.t[0] <= begin < end <= self._plan.t[-1]:
-            return None
-        t, qd = self._plan
-        first, last = (
-            np.array([np.interp(at, t, column) for column in qd.T]) for at in (begin, end)
-        )
-        return last - first
 
     @property
     def heard(self) -> bool:
         """Whether every joint was."""
-        return all(joint.t for joint in self.joints)
+        return bool((self._read_at[:, -1] > NEVER).all())
 
     def heard_at(self, t: int) -> bool:
         """Whether every joint was within UNHEARD before t [ns]."""
-        return all(joint.t and t - joint.t[-1] <= UNHEARD for joint in self.joints)
+        return bool((self._read_at[:, -1] > self._seconds(t) - UNHEARD).all())
 
     def joints_at(self, t: int) -> tuple[Floats, Floats]:
         """Angles and rates of the joints at t [ns], (n,) each, by their newest readings."""
-        q, qd = np.zeros((2, len(self.joints)))
-        for i, joint in enumerate(self.joints):
-            q[i] = joint.q
-            if joint.t and t - joint.t[-1] <= UNHEARD:
-                qd[i] = joint.qd[-1]
-                q[i] += qd[i] * (t - joint.t[-1]) * 1e-9
-        return q, qd
+        return self._extrapolated(self._seconds(t))
 
-    def _model(self, t: int, omega: float) -> None:
-        """Linearize about the joints as they are at t [ns], the base turning at omega [rad/s]."""
+    def _extrapolated(self, t: float) -> tuple[Floats, Floats]:
+        age = t - self._read_at[:, -1]
+        qd = np.where(age <= UNHEARD, self._rates[:, -1], 0.0)
+        return self._angles + qd * np.where(age <= UNHEARD, age, 0.0), qd
+
+    def _late(self) -> Floats:
+        """Squares of the changes between two readings, by time: the larger of the last two."""
+        t, qd = self._read_at[:, -3:], self._rates[:, -3:]
+        known = t[:, :-1] > NEVER
+        spans = np.where(known, t[:, 1:] - np.where(known, t[:, :-1], 0.0), 1.0)
+        found: Floats = (np.where(known, np.diff(qd), 0.0) ** 2 / spans).max(axis=1)
+        return found
+
+    def _model(self, t: float, omega: float) -> None:
+        """Linearize about the joints as they are at t [s], the base turning at omega [rad/s]."""
         self._newest, self._omega, s = t, omega, self.settings
-        heard = [bool(joint.t) and t - joint.t[-1] <= UNHEARD for joint in self.joints]
-        angles, rates = self.joints_at(t)
+        angles, rates = self._extrapolated(t) if t > NEVER else (self._angles, 0.0 * self._angles)
         q, qd = np.append(np.zeros(3), angles), np.append([0.0, 0.0, omega], rates)
         H = inertia_matrix(self.p, q)
         self.mobility = np.linalg.inv(H[:3, :3])
         self._by_joint = -self.mobility @ H[:3, 3:]
         still = np.zeros(len(q))
         self._still = -self.mobility @ inverse_dynamics(self.p, q, qd, still)[:3]
-        step = 2.0 * (s.joint_rate_error * qd[3:]) ** 2 / 0.2  # by readings, each 0.2 s or so
-        late = np.array([joint.density() for joint in self.joints])
+        step = 2.0 * (s.joint_rate_error * rates) ** 2 / FOLLOWS  # from one reading to the next
+        late, read_at = self._late(), self._read_at[:, -1]
+        heard = t - read_at <= UNHEARD if t > NEVER else np.zeros(self.n, bool)
         even = step + s.joint_change_error**2 * late
         loose = np.where(heard, step + late, s.unheard_change**2)
         self._read = self._quiet + self._by_joint * even @ self._by_joint.T
         self._tail = self._quiet + self._by_joint * loose @ self._by_joint.T
-        newest = [joint.t[-1] if joint.t else -1 for joint in self.joints]
-        self._from, self._until = min(newest), max(newest)
-        self._silent = min(
-            (last for last, h in zip(newest, heard, strict=True) if h), default=FOREVER
-        )
-        self._silent += UNHEARD  # when the next one falls silent
+        self._from = float(read_at.min())
+        # When the next one falls silent.
+        self._silent = float(read_at[heard].min()) + UNHEARD if heard.any() else FOREVER
 
     def over(self, begin: int, end: int) -> tuple[Floats, Floats]:
         """The mean acceleration of the base and its noise, in its own axes; see Inputs."""
-        if end > max(self._silent, self._newest):
-            self._model(end, self._omega)
-        a, noise = self._still, self._tail if end > self._from else self._read
-        changes = None
-        if begin < self._until and end > begin:
-            changes = np.array([joint.changed(begin, end) for joint in self.joints])
-        if end > self._from and (planned := self._planned(begin, end)) is not None:
-            # Of joints that were not read since; a reading within counts up to its time.
-            unread = [joint.t[-1] <= begin if joint.t else True for joint in self.joints]
-            planned = planned * unread
-            off = self.settings.joint_change_error**2 * planned**2 / ((end - begin) * 1e-9)
-            noise = noise + self._by_joint * off @ self._by_joint.T
-            changes = planned if changes is None else planned + changes
-        if changes is not None:
-            a = a + self._by_joint @ changes / ((end - begin) * 1e-9)
-        wrench = self._wrench(begin, end)
-        if wrench is not None:
-            thrust = self.mobility @ wrench
-            a = a + thrust
-            off = self.settings.thrust_error**2
-            line, turn = off * (thrust[0] ** 2 + thrust[1] ** 2), off * thrust[2] ** 2
-            noise = noise + np.diag([line, line, turn])
-        return a, noise
-
-    def _wrench(self, begin: int, end: int) -> list[float] | None:
-        """The mean wrench of the valves; None: none is open."""
-        if end <= begin:
-            return None
-        x = y = turn = 0.0
-        following = end
-        for pulses in reversed(self._pulses):
-            since = max(begin, pulses.begin)
-            for close, (fx, fy, torque) in zip(pulses.ends, pulses.wrenches, strict=True):
-                if (open_for := min(close, following) - since) > 0:
-                    x, y, turn = x + open_for * fx, y + open_for * fy, turn + open_for * torque
-            following = min(following, pulses.begin)
-            if pulses.begin <= begin:
-                break
-        if x == y == turn == 0.0:
-            return None
-        return [x / (end - begin), y / (end - begin), turn / (end - begin)]
+        control = self._control
+        control[0], control[1] = self._seconds(begin), self._seconds(end)
+        if control[1] > max(self._silent, self._newest):
+            self._model(control[1], self._omega)
+        found = _over(
+            self._read_at, self._rates, self._opened, self._closed, self.valves, self.mobility,
+            self._by_joint, self._still, self._tail if control[1] > self._from else self._read,
+            self._planned_at, self._planned, control,
+        )  # fmt: skip
+        return found[0], found[1]

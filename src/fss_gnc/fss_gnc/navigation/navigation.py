@@ -130,8 +130,8 @@ class Navigation:
         self.target.predict(t)
 
     def _weigh(self) -> None:
-        is_known = self.place is not None
-        self.inputs.describe(with_held(self.p, self.body, self.place) if is_known else self.p)
+        place = self.place
+        self.inputs.describe(self.p if place is None else with_held(self.p, self.body, place))
 
     def _state(self, t: int) -> tuple[Floats, Floats]:
         """Base and joints at t [ns], and their rates, (3 + n,) each."""

@@ -1,0 +1,273 @@
+"""The command `check`: opens each valve in turn and compares how the base moves with the layout."""
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Callable
+from math import isfinite
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import rclpy
+from geometry_msgs.msg import PoseStamped
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from rich.console import Console
+from rich.table import Table
+from sensor_msgs.msg import Imu, JointState
+from std_srvs.srv import SetBool
+
+from fss_arm_model.description import Arm, described
+from fss_arm_model.thrusters import COUNT, layout
+from fss_arm_msgs.msg import BaseTelemetry, ThrusterCommand
+from fss_arm_ros.command_line import Parser
+from fss_arm_ros.convert import SECOND, PoseError, joint_readings, planar_pose, stamp_ns
+from fss_arm_ros.qos import COMMAND, subscribe_sensor
+from fss_base_driver.thrust import Body, Floats, Thrust, TrackError, estimate, order, verdict
+
+PASS, FAIL, NOT_TRIED = "pass", "fail", "not tried"
+EXIT_CODES = {PASS: 0, FAIL: 2, NOT_TRIED: 3}
+CANNOT, INTERRUPTED = 1, 130
+PATIENCE = 10.0  # with whoever shall answer [s]
+DISCOVERY = 1.0  # of topics that are to be heard [s]
+
+
+class CheckError(RuntimeError):
+    """The check cannot be carried out; the message says why."""
+
+
+class Finding(NamedTuple):
+    """What came of one valve, from 1."""
+
+    valve: int
+    verdict: str
+    words: str
+    thrust: Thrust | None = None
+
+
+class Tester(Node):
+    """Opens valves by the node `base`, and hears what the base does then."""
+
+    def __init__(self) -> None:
+        super().__init__("check", enable_rosout=False, start_parameter_services=False)
+        self.poses: list[tuple[float, float, float, float]] = []  # [s], [m], [m], [rad]
+        self.rates: list[tuple[float, float]] = []  # [s], [rad/s]
+        self.telemetry: list[BaseTelemetry] = []
+        self.sent: list[ThrusterCommand] = []
+        self.joints: dict[int, float] = {}
+        subscribe_sensor(self, PoseStamped, "vicon/fss/fss", self.on_pose)
+        subscribe_sensor(self, Imu, "fog/imu", self.on_imu)
+        subscribe_sensor(self, JointState, "joint_states", self.on_joints)
+        subscribe_sensor(self, BaseTelemetry, "base/telemetry", self.telemetry.append)
+        subscribe_sensor(self, ThrusterCommand, "thrusters/pulses", self.sent.append)
+        self.command = self.create_publisher(ThrusterCommand, "thrusters/command", COMMAND)
+        self.arming = self.create_client(SetBool, "base/arm")
+
+    def on_pose(self, message: PoseStamped) -> None:
+        """Keep a pose that says something."""
+        try:
+            pose = planar_pose(message.pose)
+        except PoseError:
+            return
+        self.poses.append((stamp_ns(message.header.stamp) / SECOND, *pose))
+
+    def on_imu(self, message: Imu) -> None:
+        """Keep a rate of turn."""
+        rate = message.angular_velocity.z
+        if isfinite(rate):
+            self.rates.append((stamp_ns(message.header.stamp) / SECOND, rate))
+
+    def on_joints(self, message: JointState) -> None:
+        """Keep the joints' last angles."""
+        self.joints |= {i: q for i, q, _, _ in joint_readings(message) if isfinite(q)}
+
+    def wait(self, condition: Callable[[], Any], timeout: float) -> bool:
+        """Listen until the condition holds, or for so long; whether it does."""
+        until = time.monotonic() + timeout
+        while not (holds := bool(condition())) and (left := until - time.monotonic()) > 0.0:
+            rclpy.spin_once(self, timeout_sec=min(left, 0.1))
+        return holds
+
+    def arm(self, data: bool) -> None:
+        """Arm the board, or disarm it.
+
+        Raises:
+            CheckError: it is not done.
+        """
+        if not self.arming.wait_for_service(PATIENCE):
+            raise CheckError("no node `base` answers on base/arm: does it run in this ROS domain?")
+        answer = self.arming.call_async(SetBool.Request(data=data))
+        if not self.wait(answer.done, PATIENCE):
+            raise CheckError("the node `base` does not answer on base/arm")
+        if not answer.result().success:
+            raise CheckError(answer.result().message)
+
+    def angles(self, arm: Arm) -> list[float]:
+        """Those of the arm's joints.
+
+        Raises:
+            CheckError: not all are heard.
+        """
+        self.wait(lambda: len(self.joints) >= arm.n, DISCOVERY + PATIENCE)
+        if missing := [i for i in range(1, arm.n + 1) if i not in self.joints]:
+            raise CheckError(f"joint_states say nothing of joints {missing}: give --q")
+        return [self.joints[i] for i in range(1, arm.n + 1)]
+
+    def pulse(self, valve: int, on_time: float) -> float:
+        """Open a valve, from 0; when it was sent [s].
+
+        Raises:
+            CheckError: the node `base` did not send it.
+        """
+        self.sent.clear()
+        message = ThrusterCommand()
+        message.on_time[valve] = on_time
+        message.header.stamp = self.get_clock().now().to_msg()
+        self.command.publish(message)
+        if not self.wait(lambda: self.sent, 1.0):
+            raise CheckError("the node `base` sent no pulse: its log says why")
+        return stamp_ns(self.sent[0].header.stamp) / SECOND
+
+    def try_valve(self, valve: int, body: Body, rows: Floats, given: argparse.Namespace) -> Finding:
+        """Open one valve, from 0, and judge by the motion."""
+        for kept in (self.poses, self.rates, self.telemetry):
+            kept.clear()
+        self.wait(lambda: False, given.before)
+        begin = self.pulse(valve, given.on_time)
+        self.wait(lambda: False, given.on_time + given.after)
+        if not any(frame.valves >> valve & 1 for frame in self.telemetry):
+            return Finding(valve + 1, FAIL, "the board did not open it")
+        poses = np.array(sorted(self.poses)).reshape(-1, 4)
+        poses[:, 3] = np.unwrap(poses[:, 3])
+        try:
+            found = estimate(body, poses, sorted(self.rates), begin, given.on_time)
+        except TrackError as error:
+            return Finding(valve + 1, NOT_TRIED, str(error))
+        words = verdict(found, rows, valve, given.tolerance)
+        return Finding(valve + 1, FAIL if words else PASS, words, found)
+
+
+def as_yaml(findings: list[Finding], when: str) -> str:
+    """The result, as it is written; with all valves found, also as the node's parameter."""
+    lines = ["# What `ros2 run fss_base_driver check` found.", f"when: {json.dumps(when)}"]
+    lines += ["valves:"]
+    for found in sorted(findings):
+        lines += [f"  - valve: {found.valve}", f"    verdict: {json.dumps(found.verdict)}"]
+        lines += [f"    words: {json.dumps(found.words)}"] if found.words else []
+        if thrust := found.thrust:
+            lines += [f"    force: [{thrust.force[0]:.4f}, {thrust.force[1]:.4f}]  # [N]"]
+            lines += [f"    torque: {thrust.torque:.5f}  # about the base's origin [N m]"]
+            lines += [f"    deviation: [{thrust.deviation[0]:.4f}, {thrust.deviation[1]:.5f}]"]
+    rows = {f.valve: [*f.thrust.force, f.thrust.torque] for f in findings if f.thrust}
+    if len(rows) == COUNT:
+        numbers = [f"{x:.5f}" for valve in sorted(rows) for x in rows[valve]]
+        lines += [
+            "# The parameter of the node `base`, as measured:",
+            f"layout: [{', '.join(numbers)}]",
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def table(findings: list[Finding]) -> Table:
+    """The result, to print."""
+    shown = Table("valve", "force x, y [N]", "torque [N m]", "1 sigma [N, N m]", "", box=None)
+    for found in sorted(findings):
+        cells = ["-", "-", "-"]
+        if thrust := found.thrust:
+            cells[0] = f"{thrust.force[0]:+.3f}, {thrust.force[1]:+.3f}"
+            cells[1] = f"{thrust.torque:+.4f}"
+            cells[2] = f"{thrust.deviation[0]:.3f}, {thrust.deviation[1]:.4f}"
+        words = f"{found.verdict}: {found.words}" if found.words else found.verdict
+        shown.add_row(str(found.valve), *cells, words)
+    return shown
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    p = Parser(
+        prog="check",
+        description="Open each valve of the base in turn, by the running node `base`, and compare "
+        "how the base moves (vicon/fss/fss, fog/imu) with the valves' layout. The base floats "
+        "freely, its joints hold.",
+        epilog="Exit codes: 0 pass, 1 cannot be carried out, 2 fail, 3 something was not tried, "
+        "130 interrupted.",
+    )
+    p.add_argument("--arm", default="", help="the arm's description (default: the paper's)")
+    p.add_argument("--q", type=float, nargs="+", help="joint angles [rad], if nobody tells them")
+    p.add_argument("--thrust", type=float, default=0.16, help="of a thruster [N] (default 0.16)")
+    p.add_argument("--lever", type=float, default=0.11, help="of a thruster [m] (default 0.11)")
+    p.add_argument("--layout", type=float, nargs=3 * COUNT, help="as the parameter of `base`")
+    p.add_argument("--valves", type=int, nargs="+", help="which to try (default: all)")
+    p.add_argument("--on-time", type=float, default=1.0, help="of each pulse [s] (default 1)")
+    p.add_argument("--before", type=float, default=3.0, help="time before it [s] (default 3)")
+    p.add_argument("--after", type=float, default=4.0, help="time after it [s] (default 4)")
+    p.add_argument("--tolerance", type=float, default=0.2, help="as a part (default 0.2)")
+    p.add_argument("--yes", action="store_true", help="ask nobody whether the base is free")
+    p.add_argument("--output", default="base_check.yaml", help="what is written")
+    return p
+
+
+def main() -> int:
+    """Run as `ros2 run fss_base_driver check`."""
+    command = parser()
+    given = command.parse_args()
+    for name in ("thrust", "lever", "on_time", "before", "after", "tolerance"):
+        if not 0.0 < getattr(given, name) < 60.0:
+            command.error(f"--{name.replace('_', '-')} is {getattr(given, name)}, expected above 0")
+    if not set(given.valves or [1]) <= set(range(1, COUNT + 1)):
+        command.error(f"--valves is {given.valves}, expected 1 to {COUNT}")
+    findings: list[Finding] = []
+    try:
+        arm = described(given.arm)
+        if given.q and len(given.q) != arm.n:
+            command.error(f"--q has {len(given.q)} angles, expected {arm.n}")
+        if not given.yes:
+            input("The base floats freely, all joints hold, nobody is near? Enter to begin: ")
+        run(arm, given, findings)
+    except (CheckError, ValueError, OSError) as error:
+        print(f"check: {error}", file=sys.stderr)
+        return CANNOT
+    except (EOFError, KeyboardInterrupt) as end:
+        print("check: no more input" if isinstance(end, EOFError) else "", file=sys.stderr)
+        return CANNOT if isinstance(end, EOFError) else INTERRUPTED
+    finally:  # whatever ended it, what was found cost a person's time
+        if findings:
+            when = time.strftime("%Y-%m-%dT%H:%M:%S%z")
+            Path(given.output).write_text(as_yaml(findings, when), encoding="utf-8")
+            Console().print(table(findings))
+            print(f"written to {given.output}")
+    verdicts = {found.verdict for found in findings}
+    return next(EXIT_CODES[v] for v in (FAIL, NOT_TRIED, PASS) if v in verdicts)
+
+
+def run(arm: Arm, given: argparse.Namespace, findings: list[Finding]) -> None:
+    """Try what was asked for, and leave the board disarmed.
+
+    Raises:
+        CheckError: it cannot be carried out.
+    """
+    rows = np.reshape(given.layout, (COUNT, 3)) if given.layout else None
+    rows = layout(given.thrust, given.lever) if rows is None else rows
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)  # to disarm at the end
+    try:
+        tester = Tester()
+        tester.wait(lambda: tester.telemetry, PATIENCE)  # else the answer to arming says why
+        body = Body.of(arm, given.q or tester.angles(arm))
+        tester.arm(True)
+        try:
+            if not tester.wait(lambda: tester.poses, PATIENCE):
+                raise CheckError("vicon/fss/fss is silent: the base is not seen")
+            for valve in order(rows):
+                if valve + 1 in (given.valves or range(1, COUNT + 1)):
+                    findings.append(tester.try_valve(valve, body, rows, given))
+                    print(f"valve {valve + 1}: {findings[-1].verdict} {findings[-1].words}")
+        finally:
+            tester.arm(False)
+    finally:
+        rclpy.try_shutdown()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,176 @@
+"""What a valve pushes with, from how the base moves before and after one pulse of it.
+
+Base and arm, its joints held, are one rigid body of mass M, inertia I about its centre of mass c,
+which lies at c in the base's frame. A pulse from t = 0 to T adds to the motion of c, and to the
+heading, along each axis
+
+    x(t) = x_0 + v_0 t + a t^2 / 2 + dv s(t),   s(t) = 0, t^2 / 2T, t - T/2   before, in, after it
+
+where a is what else pushes (a tilted table, a hose). The gyro sees the heading's rate with a bias
+of its own. Least squares give dv and domega; force and torque about the base's origin are, in its
+axes,
+
+    F = M R(-theta) dv / T,   tau = I domega / T + c x F
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from fss_arm_model.description import Arm
+from fss_arm_model.dynamics import inertia_matrix
+
+Floats = npt.NDArray[np.float64]
+
+LEAST = 20  # poses before a pulse, and after it
+
+
+class TrackError(ValueError):
+    """A track is too short to say anything; the message says what is missing."""
+
+
+class Body(NamedTuple):
+    """Base and arm with its joints held."""
+
+    mass: float  # [kg]
+    inertia: float  # about its centre of mass [kg m^2]
+    com: tuple[float, float]  # in the base's frame [m]
+
+    @classmethod
+    def of(cls, arm: Arm, q: npt.ArrayLike) -> "Body":
+        """An arm at joint angles q, (n) [rad]."""
+        H = inertia_matrix(arm.vector(), np.concatenate([np.zeros(3), np.asarray(q, float)]))
+        mass = float(H[0, 0])
+        x, y = float(H[1, 2]) / mass, -float(H[0, 2]) / mass
+        return cls(mass, float(H[2, 2]) - mass * (x * x + y * y), (x, y))
+
+
+@dataclass(frozen=True)
+class Thrust:
+    """Mean force and torque of a valve while it was open."""
+
+    force: tuple[float, float]  # along the base's axes [N]
+    torque: float  # about the base's origin [N m]
+    deviation: tuple[float, float]  # of each force, and of the torque, 1 sigma [N, N m]
+
+    @property
+    def size(self) -> float:
+        """[N]."""
+        return float(np.hypot(*self.force))
+
+
+def estimate(
+    body: Body, poses: npt.ArrayLike, rates: npt.ArrayLike, begin: float, duration: float
+) -> Thrust:
+    """What pushed the base for `duration` from `begin` on [s].
+
+    Args:
+        body: what is pushed.
+        poses: (k, 4) time [s], x, y [m], heading [rad, without jumps] of the base.
+        rates: (m, 2) time [s] and rate of turn by the gyro [rad/s]; m may be 0.
+        begin: of the pulse [s].
+        duration: of the pulse [s].
+
+    Raises:
+        TrackError: there are not enough poses before, or after, the pulse.
+    """
+    track, gyro = np.asarray(poses, float).reshape(-1, 4), np.asarray(rates, float).reshape(-1, 2)
+    t, heading = track[:, 0] - begin, track[:, 3]
+    before, after = int((t < 0.0).sum()), int((t > duration).sum())
+    if min(before, after) < LEAST:
+        raise TrackError(
+            f"{before} poses before the pulse and {after} after it, expected {LEAST} each"
+        )
+    turn = np.exp(1j * heading)
+    com = track[:, 1] + 1j * track[:, 2] + turn * complex(*body.com)
+    design = np.column_stack([np.ones_like(t), t, 0.5 * t * t, _gained(t, duration)])
+    push, spread = zip(*(_fit(design, axis) for axis in (com.real, com.imag)), strict=True)
+    omega, blur = _turned(design, heading, gyro[:, 0] - begin, gyro[:, 1], duration)
+    middle = turn[np.abs(t - 0.5 * duration).argmin()]
+    force = body.mass * complex(*push) / duration / middle
+    offset = complex(*body.com).conjugate() * force  # whose imaginary part is c x F
+    of_force = body.mass * float(np.hypot(*spread)) / duration / np.sqrt(2.0)
+    of_torque = np.hypot(body.inertia * blur / duration, abs(complex(*body.com)) * of_force)
+    return Thrust(
+        (float(force.real), float(force.imag)),
+        float(body.inertia * omega / duration + offset.imag),
+        (float(of_force), float(of_torque)),
+    )
+
+
+def _gained(t: Floats, duration: float) -> Floats:
+    """s(t) [s]."""
+    inside = np.clip(t, 0.0, duration)
+    return 0.5 * inside * inside / duration + np.maximum(t - duration, 0.0)
+
+
+def _fit(design: Floats, y: Floats) -> tuple[float, float]:
+    """The last coefficient and its deviation, by the scatter about the fit."""
+    solution = np.linalg.lstsq(design, y, rcond=None)[0]
+    left = y - design @ solution
+    variance = left @ left / (len(y) - design.shape[1])
+    return float(solution[-1]), float(np.sqrt(variance * np.linalg.inv(design.T @ design)[-1, -1]))
+
+
+def _turned(
+    design: Floats, heading: Floats, t: Floats, rate: Floats, duration: float
+) -> tuple[float, float]:
+    """Change of the rate of turn and its deviation [rad/s], by heading and gyro together."""
+    results = [_fit(design, heading)]
+    if len(t) >= LEAST:
+        ramp = np.clip(t / duration, 0.0, 1.0)
+        results.append(_fit(np.column_stack([np.ones_like(t), t, ramp]), rate))
+    weights = [1.0 / max(deviation, 1e-12) ** 2 for _, deviation in results]
+    mean = sum(w * value for w, (value, _) in zip(weights, results, strict=True)) / sum(weights)
+    return mean, float(1.0 / np.sqrt(sum(weights)))
+
+
+def order(layout: npt.ArrayLike) -> list[int]:
+    """All valves, from 0, each next one that leaves the base as slow as can be."""
+    rows = np.asarray(layout, float)
+    rows = rows / np.maximum(np.abs(rows).max(axis=0), 1e-12)
+    total, rest, done = np.zeros(3), list(range(len(rows))), []
+    while rest:
+        best = min(rest, key=lambda i: (round(float(np.linalg.norm(total + rows[i])), 9), i))
+        rest.remove(best)
+        done.append(best)
+        total = total + rows[best]
+    return done
+
+
+def verdict(found: Thrust, layout: npt.ArrayLike, valve: int, tolerance: float = 0.2) -> str:
+    """What of a valve, from 0, does not fit its layout, in words; empty: all fits.
+
+    Args:
+        found: by the base's motion.
+        layout: (k, 3) as the node `base` has it.
+        valve: from 0.
+        tolerance: of thrust and lever, as a part of them.
+    """
+    rows = np.asarray(layout, float)
+    sizes = np.hypot(rows[:, 0], rows[:, 1])
+    levers = np.abs(rows[:, 2]).max() / sizes.max()
+    slack = 3.0 * np.array([found.deviation[0]] * 2 + [found.deviation[1]])
+    if found.size < 0.2 * sizes[valve] + slack[0]:
+        return f"no thrust: {found.size:.3f} N, expected {sizes[valve]:.3f} N"
+    seen = np.array([*found.force, found.torque])
+    scale = np.array([1.0, 1.0, 1.0 / levers])
+    fits = [
+        bool((np.abs(seen - row) * scale <= tolerance * size + slack * scale).all())
+        for row, size in zip(rows, sizes, strict=True)
+    ]
+    if fits[valve]:
+        return ""
+    others = [i + 1 for i, fit in enumerate(fits) if fit]
+    if others:
+        return f"pushes as valve {others[0]} should: are their wires or hoses swapped?"
+    along = rows[valve, :2] @ seen[:2] / sizes[valve]
+    if abs(along - found.size) > tolerance * sizes[valve] + slack[0]:
+        return f"pushes along ({seen[0]:.3f}, {seen[1]:.3f}) N, expected {tuple(rows[valve, :2])} N"
+    if abs(found.size - sizes[valve]) > tolerance * sizes[valve] + slack[0]:
+        return f"thrust is {found.size:.3f} N, expected {sizes[valve]:.3f} N"
+    return (
+        f"torque is {found.torque:.4f} N m, expected {rows[valve, 2]:.4f} N m: is the lever right?"
+    )

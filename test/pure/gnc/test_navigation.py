@@ -1,0 +1,149 @@
+"""Navigation on the simulated table, with the simulator's default errors: is it as good as it says?
+
+NEES is the square of the error by its covariance, NIS that of an innovation; of k runs with d
+degrees of freedom k NEES is chi-square with k d (Bar-Shalom, Li, Kirubarajan, section 5.4).
+"""
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+from tracking import track
+
+from fss_arm_model.description import load
+from fss_gnc.navigation import EstimatorSettings, Navigation
+from fss_gnc.navigation.settings import TargetErrors
+
+DOF = 6  # of pose and twist
+EVEN = 1.0 - 1e-3  # probability of both sides of the bounds
+OUTAGE = (400, 500)  # frames
+#: As if nothing but what is known acted, which is so of bodies that drift on the simulated table.
+EXACT = EstimatorSettings(acceleration=2e-6, angular_acceleration=2e-6, bias_walk=1e-6)
+EXACT_TARGET = TargetErrors(acceleration=2e-6, angular_acceleration=2e-6)
+
+
+def bounds(runs):
+    """Of the mean NEES of so many runs at one time."""
+    low, high = chi2.ppf([0.5 - 0.5 * EVEN, 0.5 + 0.5 * EVEN], DOF * runs) / runs
+    return float(low), float(high)
+
+
+def fly(runs, frames, **how):
+    """NEES (runs, frames) of base and target, and the mean NIS of the base by what it is of."""
+    flights = [track(seed, frames, **how) for seed in range(runs)]
+    nis = {
+        kind: float(np.mean(np.concatenate([f.nis[kind] for f in flights])))
+        for kind in ("pose", "gyro")
+    }
+    return np.array([f.base for f in flights]), np.array([f.target for f in flights]), nis
+
+
+def drift(runs):
+    """Base and target drift: errors are the sensors' alone, and the bounds have two sides."""
+    low, high = bounds(runs)
+    base, target, nis = fly(
+        runs, 500, moving=False, thrusting=False, settings=EXACT, of_target=EXACT_TARGET
+    )
+    marks = slice(100, None, 50)
+    found = base.mean(axis=0)[marks], target.mean(axis=0)[marks]
+    print(f"drift: bounds {low:.2f} to {high:.2f}; NEES", *(f.round(2) for f in found), nis)
+    for at_marks in found:
+        assert ((low < at_marks) & (at_marks < high)).all()
+    assert 0.98 < nis["pose"] < 1.02
+    assert 0.96 < nis["gyro"] < 1.04
+
+
+def disturb(runs, **how):
+    """Thrusters fire, the arm moves, poses are missing for 1 s; as much noise as is the default.
+
+    That allows for a table that is not level, so NEES lies below 6 but where a joint has begun to
+    move and has not been read since.
+    """
+    base, target, nis = fly(runs, 650, outage=OUTAGE, **how)
+    known = base[:, 100:]
+    in_outage = base[:, slice(*OUTAGE)].mean()
+    beyond = (known > chi2.ppf(0.99, DOF)).mean()
+    print(
+        f"disturbed {how}: NEES {known.mean():.2f}, outage {in_outage:.2f}, target "
+        f"{target[:, 100:].mean():.2f}, {100 * beyond:.1f}% beyond 99%, NIS {nis}"
+    )
+    assert np.isfinite(known).all()
+    assert 1.0 < target[:, 100:].mean() < DOF
+    assert 0.9 < nis["pose"] < 1.1
+    return known.mean(), in_outage, beyond, nis
+
+
+def test_drifting_bodies_are_where_they_are_said_to_be():
+    drift(12)
+
+
+def test_thrust_arm_and_an_outage_leave_it_consistent():
+    mean, in_outage, beyond, _ = disturb(8)
+    assert 3.0 < mean < DOF
+    assert 1.5 < in_outage < DOF
+    assert beyond < 0.02
+
+
+@pytest.mark.slow
+def test_200_drifts():
+    drift(200)
+
+
+@pytest.mark.slow
+def test_200_flights_with_plans():
+    mean, in_outage, beyond, nis = disturb(200)
+    assert 3.0 < mean < DOF
+    assert 1.5 < in_outage < DOF
+    assert beyond < 0.01
+    assert nis["gyro"] < 1.0
+
+
+@pytest.mark.slow
+def test_200_flights_of_which_nobody_tells_the_plan():
+    """When a joint sets off it is not known for 0.2 s, and the gate takes it as a kick."""
+    mean, in_outage, beyond, _ = disturb(200, planned=False)
+    assert 3.0 < mean < 1.2 * DOF
+    assert 1.5 < in_outage < DOF
+    assert beyond < 0.1
+
+
+@pytest.mark.slow
+def test_200_flights_with_an_arm_known_from_its_drawings():
+    mean, in_outage, beyond, _ = disturb(200, known="config/cad.yaml")
+    assert 3.0 < mean < DOF
+    assert 1.5 < in_outage < DOF
+    assert beyond < 0.02
+
+
+def test_without_known_inputs_an_outage_takes_it_away():
+    """What thrust and arm do is worth knowing: else the error outgrows its deviation."""
+    told, untold = (
+        [track(seed, 500, outage=OUTAGE, moving=False, told=told) for seed in range(3)]
+        for told in (True, False)
+    )
+    lost, kept = (max(np.abs(f.error[499, :2]).max() for f in fs) for fs in (untold, told))
+    assert lost > 2.0 * kept
+    assert max(f.base[499] for f in untold) > chi2.ppf(0.99, DOF)
+    assert max(f.base[499] for f in told) < chi2.ppf(0.999, DOF)
+
+
+def test_without_gyro_heading_is_that_of_motion_capture():
+    found = track(5, 400, gyro=False, moving=False)
+    assert np.abs(found.error[100:, 2]).max() < 5.0 * 8.7e-4
+    assert found.base[100:].mean() < DOF
+
+
+def test_a_late_motion_capture_is_allowed_for():
+    """The base turns; poses older than their stamps seem to lag behind the gyro's turning."""
+    arm = load("config/truth.yaml")
+    off = {}
+    for told in (0, 30_000_000):
+        navigation = Navigation(arm)
+        for k in range(200):
+            t = k * 10_000_000
+            navigation.base.rate(t, 0.5 * np.cos(2e-9 * t))
+            seen = (t - 30_000_000) * 1e-9
+            navigation.base.pose(t - told, 0.1 * seen, 0.0, 0.25 * np.sin(2.0 * seen))
+        state = navigation.base.state()
+        off[told] = abs(state.pose[0] - 0.1e-9 * state.t)
+    assert off[30_000_000] < 5e-4
+    assert off[0] > 2e-3
