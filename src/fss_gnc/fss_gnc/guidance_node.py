@@ -41,7 +41,7 @@ from fss_gnc.guidance.activity import (
     Seen,
 )
 from fss_gnc.guidance.kinds import KINDS, Kind
-from fss_gnc.guidance.settings import GuidanceSettings
+from fss_gnc.guidance.mission_settings import MissionSettings
 from fss_gnc.latest import Latest
 from fss_gnc.reference import Body
 
@@ -68,7 +68,7 @@ class GuidanceNode(Node):
 
     def __init__(self, **options: Any) -> None:
         super().__init__("guidance", **options)
-        self.settings = s = declare(self, GuidanceSettings)
+        self.settings = s = declare(self, MissionSettings)
         self.craft = Craft(described(s.arm), s)
         Account(self.craft).update(at_rest(self.craft.arm.n))  # loads the kernels: that takes long
         self.flight: Flight | None = None
@@ -297,7 +297,7 @@ def at_rest(n: int) -> Seen:
 
 def main() -> int:
     """Run as `ros2 run fss_gnc guidance`."""
-    return run(GuidanceNode, GuidanceSettings)
+    return run(GuidanceNode, MissionSettings)
 
 
 if __name__ == "__main__":

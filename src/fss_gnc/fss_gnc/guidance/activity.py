@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fss_arm_model.description import Arm
-from fss_gnc.guidance.settings import GuidanceSettings
+from fss_gnc.guidance.mission_settings import MissionSettings
 from fss_gnc.reference import Body, Path
 
 Floats = npt.NDArray[np.float64]
@@ -85,4 +85,4 @@ class Craft:
     """The spacecraft as the guidance knows it."""
 
     arm: Arm
-    settings: GuidanceSettings = field(default_factory=GuidanceSettings)
+    settings: MissionSettings = field(default_factory=MissionSettings)

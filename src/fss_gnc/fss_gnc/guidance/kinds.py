@@ -7,7 +7,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from fss_arm_msgs.action import FollowPoses, GoToPose, HoldBase
+from fss_arm_msgs.action import AbortMission, Capture, Detumble, FollowPoses, GoToPose, HoldBase
+from fss_gnc.guidance import abort, capture, detumble
 from fss_gnc.guidance.account import Account
 from fss_gnc.guidance.activity import Activity, Craft, Ended, Orders, Seen
 from fss_gnc.guidance.base_motion import AlongPath, follow, go_to, hold
@@ -59,5 +60,39 @@ BASE = (
     ),
 )  # fmt: skip
 
-#: mission/* comes here: capture and detumble with preempts=("base/",), abort with both.
-KINDS: tuple[Kind, ...] = BASE
+
+def _captured(mission: capture.Capture, account: Account, ended: Ended) -> dict[str, Any]:
+    return {
+        "captured": mission.captured, "stopped": ended.well and mission.detumbles,
+        "phase": "done" if ended.well else mission.phase, "duration": account.elapsed,
+        "propellant": account.propellant, "momentum": mission.momentum,
+        "largest_torque": account.largest_torque,
+    }  # fmt: skip
+
+
+MISSIONS = (
+    Kind(
+        "mission/capture", Capture,
+        lambda craft, seen, goal: capture.begin(craft, goal.reach, goal.detumble),
+        _captured,
+        lambda _, orders: {"phase": orders.phase, "fixture_distance": orders.fixture_distance},
+        preempts=("base/",),
+    ),
+    Kind(
+        "mission/detumble", Detumble, lambda craft, seen, goal: detumble.Detumble(craft),
+        lambda _, account, ended: {
+            "stopped": ended.well, "duration": account.elapsed, "propellant": account.propellant,
+        },
+        lambda mission, _: {"twist": mission.twist},
+        preempts=("base/",),
+    ),
+    Kind(
+        "mission/abort", AbortMission,
+        lambda craft, seen, goal: abort.Abort(craft, goal.reason or "asked for", asked=True),
+        lambda mission, *_: {"safe": mission.safe},
+        lambda mission, _: {"target_clearance": mission.target_clearance},
+        preempts=("base/", "mission/"),
+    ),
+)  # fmt: skip
+
+KINDS: tuple[Kind, ...] = BASE + MISSIONS

@@ -1,7 +1,7 @@
-"""Rehearse a capture on a simulated test bed: approach, grip, stop the target; show what happened.
+"""Rehearse a capture by the nodes that fly the spacecraft, on a simulated test bed; show it.
 
-Stands for the spacecraft's computer: it listens to VICON and the links, and lets fss_sim.guidance
-decide. It steps the test bed's time, so that the rehearsal is the same on a slow computer.
+Time is simulated, at a chosen speed. This program does what a person does: it arms links and base,
+asks for mission/capture, and reads the recording.
 """
 
 import argparse
@@ -13,108 +13,55 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import rclpy
-from geometry_msgs.msg import PoseStamped
+from rclpy.action import ActionClient
 from rclpy.parameter import Parameter
-from sensor_msgs.msg import JointState
-from std_msgs.msg import Bool
+from rclpy.task import Future
+from std_srvs.srv import SetBool
 
 from fss_arm_bags.reader import open_bags
 from fss_arm_model.description import Arm, load
 from fss_arm_model.held import Target
 from fss_arm_model.kinematics import joint_positions
-from fss_arm_model.thrusters import layout
-from fss_arm_msgs.msg import GripperState, LinkCommand, ThrusterCommand
-from fss_arm_msgs.srv import StepTime
-from fss_arm_ros.convert import SECOND, planar_pose, stamp_ns
-from fss_arm_ros.qos import COMMAND, SENSOR
-from fss_sim.guidance import PERIOD, Guidance
-from fss_sim.plant.thrusters import Propulsion
+from fss_arm_msgs.action import Capture
+from fss_arm_msgs.msg import MissionState
+from fss_arm_ros.convert import SECOND, stamp_ns
+from fss_arm_ros.qos import LATCHED
 from fss_sim.rehearsal.domain import CONFIG, Domain
 from fss_sim.rehearsal.person import LINKS, Operator, own_domain
 from fss_sim.rehearsal.processes import Nodes, RehearsalError, rehearse, results
-from fss_sim.sensors import RATE
 
 TARGET = Target(mass=10.0, inertia=0.25)
+POSTURE = [0.95, 1.3, 1.36, -1.23]  # compact: it reaches well from there, and turns in little room
 BEGIN = {
-    "base": [-1.0, -0.75, 0.3],
-    "q": [0.9, -1.4, 1.2, -0.6],
+    "base": [-1.1, -1.1, -1.4],
+    "q": POSTURE,
     "target_mass": TARGET.mass,
     "target_inertia": TARGET.inertia,
-    "target_pose": [1.05, 0.75, -0.3],
-    "target_twist": [-0.012, 0.008, 0.15],
+    "target_pose": [0.0, 0.0, -0.3],
+    "target_twist": [-0.006, 0.004, 0.15],
 }
-MAX_DURATION = 300.0  # [s] of the mission
-STRIDE = 5  # frames at once; a driver whose clock is farther behind refuses telemetry as untimely
+PATIENCE = 120.0  # for all to be armed, and known [s]
+MAX_DURATION = 600.0  # [s] of the mission, in the computer's time
 AGREE = 1e-9  # momentum before and after the capture [N s, N m s]
 
 
-class Pilot(Operator):
-    """Hands what is seen to the guidance and its orders on; lets time pass between."""
+class Person(Operator):
+    """Arms links and base, and asks for the capture."""
 
-    def __init__(self, arm: Arm, domain: Domain) -> None:
+    def __init__(self, domain: Domain) -> None:
         super().__init__(domain, parameter_overrides=[Parameter("use_sim_time", value=True)])
-        propulsion = Propulsion()
-        self.guidance = Guidance(arm, TARGET, layout(propulsion.thrust, propulsion.lever))
-        self.joints: dict[str, tuple[int, float, float]] = {}  # stamp, angle, rate
-        self.holds, self.now = False, 0
-        tracks = self.guidance.base, self.guidance.tip, self.guidance.body
-        for subject, track in zip(("fss", "end_effector", "target"), tracks, strict=True):
-            self.create_subscription(
-                PoseStamped, f"vicon/{subject}/{subject}", self.on_pose(track.update), SENSOR
-            )
-        self.create_subscription(JointState, "joint_states", self.on_joints, SENSOR)
-        self.create_subscription(GripperState, "gripper/state", self.on_gripper, SENSOR)
-        self.thrust = self.create_publisher(ThrusterCommand, "thrusters/command", COMMAND)
-        self.grip = self.create_publisher(Bool, "gripper/command", COMMAND)
-        self.links = [
-            self.create_publisher(LinkCommand, f"link_{i}/command", COMMAND) for i in self.armed
-        ]
-        self.stepping = self.create_client(StepTime, "sim/step")
+        self.base = self.create_client(SetBool, "base/arm")
+        self.capture = ActionClient(self, Capture, "mission/capture")
+        self.phase = ""
+        self.create_subscription(MissionState, "mission/state", self.on_state, LATCHED)
 
-    def on_pose(self, update: Callable[..., None]) -> Callable[[PoseStamped], None]:
-        """Follow a subject."""
+    def on_state(self, message: MissionState) -> None:
+        """Say each phase."""
+        if message.mission and message.phase != self.phase:
+            self.phase = message.phase
+            print(f"{message.elapsed:6.1f} s  {self.phase}  {message.reason}".rstrip())
 
-        def take(message: PoseStamped) -> None:
-            self.now = stamp_ns(message.header.stamp)
-            update(self.now / SECOND, planar_pose(message.pose))
-
-        return take
-
-    def on_joints(self, message: JointState) -> None:
-        """One link's angle and rate."""
-        at = stamp_ns(message.header.stamp)
-        self.joints[message.name[0]] = at, message.position[0], message.velocity[0]
-
-    def on_gripper(self, message: GripperState) -> None:
-        """Whether it holds the target."""
-        self.holds = message.holds
-
-    def pass_time(self, seconds: float, fresh: bool = True) -> None:
-        """Let time pass, and hear all that was seen meanwhile, joints at most a second ago.
-
-        Raises:
-            RehearsalError: it is not heard.
-        """
-        for _ in range(round(seconds * RATE) // STRIDE):
-            stamp = self.step()
-        if fresh:
-            self.wait(
-                lambda: (
-                    len(self.joints) == LINKS
-                    and min(at for at, _, _ in self.joints.values()) > stamp - SECOND
-                ),
-                "the links are not heard",
-            )
-
-    def step(self) -> int:
-        """Let a stride pass, and hear VICON of its end; the time then [ns]."""
-        answer = self.stepping.call_async(StepTime.Request(frames=STRIDE))
-        self.wait(answer.done, "sim/step does not answer")
-        stamp = stamp_ns(answer.result().stamp)
-        self.wait(lambda: self.now >= stamp, "VICON is not heard")
-        return stamp
-
-    def wait(self, until: Callable[[], bool], complaint: str, timeout: float = 60.0) -> None:
+    def wait(self, until: Callable[[], bool], complaint: str, timeout: float = PATIENCE) -> None:
         """Spin until something holds.
 
         Raises:
@@ -126,67 +73,68 @@ class Pilot(Operator):
                 raise RehearsalError(complaint)
             rclpy.spin_once(self, timeout_sec=0.05)
 
-    def arm_links(self) -> None:
-        """Arm all links, as a person does; time must pass meanwhile.
+    def after(self, future: Future, complaint: str, timeout: float = PATIENCE) -> Any:
+        """What a future brings.
+
+        Raises:
+            RehearsalError: nothing within `timeout` [s].
+        """
+        self.wait(future.done, complaint, timeout)
+        return future.result()
+
+    def arm_all(self) -> None:
+        """Arm the links and the base.
 
         Raises:
             RehearsalError: they do not get armed.
         """
-        self.wait(self.stepping.service_is_ready, "there is no test bed")
         self.wait(self.arm.service_is_ready, "there is no node `arm`")
-        deadline = time.monotonic() + 60.0
+        deadline = time.monotonic() + PATIENCE
         while not all(self.armed.values()):
             if time.monotonic() > deadline:
                 raise RehearsalError(f"links are not armed: {self.armed}")
             self.keep_armed()
-            self.pass_time(0.1, fresh=False)
+            rclpy.spin_once(self, timeout_sec=0.05)
+        self.wait(self.base.service_is_ready, "there is no node `base`")
+        request, answer = SetBool.Request(data=True), None
+        while answer is None or not answer.success:
+            if time.monotonic() > deadline:
+                raise RehearsalError(f"the base is not armed: {answer and answer.message}")
+            answer = self.after(self.base.call_async(request), "node `base` does not answer")
 
-    def fly(self, progress: Callable[[str], None]) -> bool:
-        """See the mission through; return whether it came to its end.
+    def fly(self, reach: str) -> Capture.Result:
+        """See the mission through.
 
         Raises:
-            RehearsalError: what is needed is not heard, or somebody else drives links here.
+            RehearsalError: nobody flies it, or not to its end.
         """
-        phase = ""
-        while self.now < MAX_DURATION * SECOND:
-            self.pass_time(PERIOD)
-            self.drives_alone()
-            seen = np.array([self.joints[f"joint_{i}"] for i in self.armed])
-            qd = seen[:, 2]
-            q = seen[:, 1] + qd * (self.now - seen[:, 0]) / SECOND
-            orders = self.guidance.orders(q, qd, self.holds)
-            if orders.phase != phase:
-                phase = orders.phase
-                progress(f"{self.now / SECOND:6.1f} s  {phase}")
-            stamp = self.get_clock().now().to_msg()
-            command = ThrusterCommand(on_time=orders.on_times)
-            command.header.stamp = stamp
-            self.thrust.publish(command)
-            self.grip.publish(Bool(data=orders.close))
-            for link, rate in zip(self.links, orders.rates, strict=True):
-                link_command = LinkCommand(
-                    mode=LinkCommand.VELOCITY, set_point=rate, time_to_live=1.0
-                )
-                link_command.header.stamp = stamp
-                link.publish(link_command)
-            if phase == "done":
-                return True
-        return False
+        self.wait(self.capture.server_is_ready, "there is no node `guidance`")
+        sent = self.capture.send_goal_async(Capture.Goal(reach=reach, detumble=True))
+        handle = self.after(sent, "node `guidance` does not answer")
+        answer = handle.get_result_async()
+        return self.after(answer, "the mission does not end", MAX_DURATION).result
 
 
-def start_all(nodes: Nodes, arm: Path, out: Path, seed: int) -> None:
-    """Start test bed, recorder, links and arm."""
-    clock = {"use_sim_time": True}
+def start_all(nodes: Nodes, arm: Path, out: Path, seed: int, speed: float) -> None:
+    """Start test bed, recorder, and what flies the spacecraft."""
+    clock, ports = {"use_sim_time": True}, nodes.domain.ports(2 * LINKS + 2)
+    board, base = ports[2 * LINKS :]
     nodes.start("record", "fss_arm_bags", "record", output=out / "bag", **clock)
     nodes.start(
-        "testbed", "fss_sim", "testbed", arm=arm, seed=seed, ports=nodes.domain.ports(LINKS),
-        keep_clock=True, paused=True, truth_rate=50.0, **BEGIN,
+        "testbed", "fss_sim", "testbed", arm=arm, seed=seed, ports=ports[:LINKS], board_port=board,
+        keep_clock=True, speed=speed, truth_rate=50.0, telemetry_rate=20.0, **BEGIN,
     )  # fmt: skip
     nodes.start(
         "links", "fss_arm_driver", "link", arm=arm, urls=nodes.domain.urls(LINKS), rate=20.0,
-        timeout=10.0, watchdog=10.0, **clock,
+        **clock,
     )  # fmt: skip
-    nodes.start("arm", "fss_arm_driver", "arm", arm=arm, time_to_live=10.0, **clock)
+    nodes.start("arm", "fss_arm_driver", "arm", arm=arm, rate=20.0, **clock)
+    url = f"udp://127.0.0.1:{board}?bind={base}"
+    nodes.start("base", "fss_base_driver", "base", url=url, **clock)
+    target = {"target_mass": TARGET.mass, "target_inertia": TARGET.inertia}
+    for name in ("navigation", "control"):
+        nodes.start(name, "fss_gnc", name, arm=arm, **target, **clock)
+    nodes.start("guidance", "fss_gnc", "guidance", arm=arm, posture=POSTURE, **target, **clock)
 
 
 class Flight(NamedTuple):
@@ -202,6 +150,8 @@ class Flight(NamedTuple):
     impulse: np.ndarray  # of it, given from outside
     error: np.ndarray  # of the audit: momentum and energy
     propellant: np.ndarray
+    planned: np.ndarray  # (m, 3) where the base was to be
+    phases: list[tuple[float, str]]  # since when [s]
 
 
 def read(bag: Path) -> Flight:
@@ -212,6 +162,8 @@ def read(bag: Path) -> Flight:
     """
     with open_bags(bag) as bags:
         truths = [message for _, _, _, message in bags.messages({"/sim/truth"})]
+    with open_bags(bag) as bags:
+        states = [message for _, _, _, message in bags.messages({"/mission/state"})]
     if not truths:
         raise RehearsalError(f"there is no sim/truth in {bag}")
 
@@ -220,9 +172,15 @@ def read(bag: Path) -> Flight:
 
     stamps = np.array([stamp_ns(message.header.stamp) for message in truths]) / SECOND
     error = np.column_stack([column("momentum_error"), column("energy_error")])
+    phases: list[tuple[float, str]] = []
+    for state in states:
+        if state.mission and (not phases or phases[-1][1] != state.phase):
+            phases.append((stamp_ns(state.header.stamp) / SECOND, state.phase))
+    planned = np.array([state.reference for state in states]).reshape(-1, 3)
     return Flight(
         stamps, column("q"), column("qd"), column("target"), column("target_twist"),
         column("holds"), column("momentum"), column("impulse"), error, column("propellant"),
+        planned, phases,
     )  # fmt: skip
 
 
@@ -261,6 +219,7 @@ def plot(arm: Arm, flight: Flight, path: Path) -> None:
     k = int(np.argmax(flight.holds)) if flight.holds.any() else len(flight.time) - 1
     for i, shade in ((0, 0.35), (k, 0.65), (len(flight.time) - 1, 1.0)):
         draw(above, arm, flight.q[i], flight.target[i], shade)
+    above.plot(*flight.planned[:, :2].T, "C2-", lw=3, alpha=0.4, label="base, planned")
     above.plot(*flight.q[:, :2].T, "C0:", lw=1, label="base")
     above.plot(*flight.target[:, :2].T, "C3:", lw=1, label="target")
     above.legend(loc="upper left")
@@ -285,10 +244,16 @@ def plot(arm: Arm, flight: Flight, path: Path) -> None:
         panel = figure.add_subplot(grid[row, 1])
         for name, values in lines:
             panel.plot(flight.time, values, lw=1, label=name)
-        panel.axvline(flight.time[k], color="0.5", lw=0.8, ls="--")
+        for since, phase in flight.phases:
+            panel.axvline(since, color="0.5", lw=0.8, ls="--")
+            if row == 0:
+                at = since, 1.0
+                panel.annotate(
+                    phase, at, xycoords=("data", "axes fraction"), fontsize=6, rotation=90
+                )
         panel.set_title(title, fontsize=10)
         panel.legend(fontsize=8)
-    panel.set_xlabel("time [s]; dashed: capture")
+    panel.set_xlabel("time [s]; dashed: phases")
     figure.savefig(path, dpi=120)
     plt.close(figure)
 
@@ -310,23 +275,39 @@ def main() -> int:
     """Run; the exit code is 0 if the target was captured and stopped, and momentum stayed."""
     parser = argparse.ArgumentParser("mission.sh", description=__doc__)
     parser.add_argument("--seed", type=int, default=1, help="of the simulated errors")
+    parser.add_argument("--speed", type=float, default=1.0, help="in multiples of real time")
+    parser.add_argument("--reach", default="", help="its guidance: jacobian or predictive")
     parser.add_argument("--out", type=Path, help="folder for the results (out/mission-TIME)")
     options = parser.parse_args()
     out = results(options.out, "mission")
     arm = load(CONFIG / "arm.yaml")
     with own_domain() as domain, Nodes(out / "logs", print, domain) as nodes:
-        print(f"starting simulator, drivers, recorder and arm, in ROS domain {domain.number}")
-        start_all(nodes, CONFIG / "arm.yaml", out, options.seed)
-        pilot = Pilot(arm, domain)
-        pilot.arm_links()
-        ended = pilot.fly(print)
-        pilot.destroy_node()
+        print(f"starting simulator, drivers, recorder and guidance, in ROS domain {domain.number}")
+        start_all(nodes, CONFIG / "arm.yaml", out, options.seed, options.speed)
+        person = Person(domain)
+        person.arm_all()
+        result = person.fly(options.reach)
+        person.destroy_node()
     flight = read(out / "bag")
-    good = accept(flight, print) and ended
+    good = accept(flight, print) and result.stopped
+    for line in budget(result):
+        print(line)
     plot(arm, flight, out / "mission.png")
     for name, what in (("bag", "recording"), ("mission.png", "drawing"), ("logs", "of the nodes")):
         print(f"{what:>16}  {out / name}")
     return 0 if good else 2
+
+
+def budget(result: Capture.Result) -> list[str]:
+    """What the mission took, as its node says."""
+    x, y, turning = result.momentum.tolist()
+    end = "captured and stopped" if result.stopped else f"{result.phase}: {result.message}"
+    return [
+        f"by the guidance: {end}",
+        f"  time {result.duration:.1f} s, propellant {1e3 * result.propellant:.1f} g",
+        f"  momentum at the grip {x:+.3f}, {y:+.3f} N s, {turning:+.4f} N m s",
+        f"  largest joint torque {result.largest_torque:.2f} N m",
+    ]
 
 
 if __name__ == "__main__":

@@ -1,0 +1,116 @@
+"""How often a capture succeeds: `python bench/bench_capture.py [--reach predictive] [--runs 280]`.
+
+Flies missions in the pure loop of test/support/capturing.py: the plant with the default errors of
+the sensors, navigation, control and guidance, over a grid of the target's spin and heading, of the
+base's distance and of seeds, which also draw the target's drift. With --faults, missions in which
+something fails in each phase. Each run is a line of JSON in --out; the table is of all of them.
+"""
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, replace
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "test/support"))
+
+from capturing import SETTINGS, Case, Flight
+
+SPINS = (-0.3, -0.15, -0.05, 0.0, 0.05, 0.15, 0.3)  # [rad/s]
+HEADINGS = 8
+SEEDS = range(1, 6)
+DISTANCES = (1.4, 1.6, 1.8)  # [m]
+PHASES = ("approach", "reach", "grip", "detumble")
+FAULTS = (
+    *(("outage", lasts) for lasts in (1.0, 3.0, 10.0)),
+    *((fault, 0.0) for fault in ("open", "closed", "gyro", "link")),
+)
+
+
+def grid() -> Iterator[Case]:
+    """The missions, in an order of chance, so that any number of them shows the whole."""
+    rows = list(product(SPINS, range(HEADINGS), SEEDS))
+    for k in np.random.default_rng(0).permutation(len(rows)):
+        spin, eighth, seed = rows[k]
+        drift = tuple(np.random.default_rng(seed).uniform(-0.008, 0.008, 2).tolist())
+        heading = 2.0 * np.pi * eighth / HEADINGS
+        yield Case(spin, heading, DISTANCES[(eighth + seed) % len(DISTANCES)], seed, drift)
+
+
+def failures() -> Iterator[Case]:
+    """Missions in which something fails."""
+    for (fault, lasts), phase, seed in product(FAULTS, PHASES, (1, 2, 3)):
+        spin = (-0.1, 0.1, 0.2)[seed - 1]
+        yield Case(spin, float(seed), 1.6, seed, fault=fault, phase=phase, lasts=lasts)
+
+
+def fly(case: Case, reach: str) -> dict[str, Any]:
+    """One of them."""
+    begin = time.process_time()
+    flown = Flight(case, settings=replace(SETTINGS, reach=reach)).fly()
+    flown.wall = time.process_time() - begin
+    return {**asdict(flown), "reach": reach}
+
+
+def report(rows: list[dict[str, Any]]) -> None:
+    """The table."""
+    print(
+        f"{len(rows)} runs, {sum(r['time'] for r in rows) / sum(r['wall'] for r in rows):.0f} times real time"
+    )
+    print(
+        "| spin [rad/s] | runs | captured and stopped | time [s] | propellant [g] | torque [N m] | contacts |"
+    )
+    print("|---:|---:|---:|---:|---:|---:|---:|")
+    for spin in sorted({abs(r["case"]["spin"]) for r in rows}):
+        some = [r for r in rows if abs(r["case"]["spin"]) == spin]
+        good = [r for r in some if r["captured"] and r["well"]] or [
+            dict.fromkeys(("time", "propellant", "torque"), np.nan)
+        ]
+        times, used, torque = ([r[k] for r in good] for k in ("time", "propellant", "torque"))
+        share = 100.0 * sum(r["captured"] and r["well"] for r in some) / len(some)
+        print(
+            f"| {spin:.2f} | {len(some)} | {share:.0f} % | {np.median(times):.0f} (to {max(times):.0f}) "
+            f"| {1e3 * np.median(used):.0f} (to {1e3 * max(used):.0f}) | {max(torque):.2f} "
+            f"| {sum(bool(r['contact']) for r in some)} |"
+        )
+    for r in rows:
+        if not (r["captured"] and r["well"]) or r["contact"]:
+            c = r["case"]
+            print(
+                f"spin {c['spin']} heading {c['heading']:.2f} seed {c['seed']} {c['fault']} {c['phase']} {c['lasts'] or ''}: "
+                f"{r['phases']} {'captured' if r['captured'] else ''} {r['message']} contact: {r['contact']} spin at the end {r['spin']:.3f}"
+            )
+
+
+def main() -> None:
+    """Fly, and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--reach", default="jacobian")
+    parser.add_argument("--runs", type=int, default=280)
+    parser.add_argument("--faults", action="store_true")
+    parser.add_argument("--processes", type=int, default=1)
+    parser.add_argument("--out", type=Path, default=Path("out/capture.jsonl"))
+    options = parser.parse_args()
+    cases = list(failures() if options.faults else grid())[: options.runs]
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    rows = []
+    with ProcessPoolExecutor(options.processes) as pool, options.out.open("w") as file:
+        for row in pool.map(fly, cases, [options.reach] * len(cases)):
+            rows.append(row)
+            print(json.dumps(row), file=file, flush=True)
+    report(rows)
+
+
+if __name__ == "__main__":
+    main()

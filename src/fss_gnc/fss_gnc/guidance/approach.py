@@ -1,0 +1,268 @@
+"""The way of the base, arm held, to where the end effector stands before the target's fixture.
+
+Seen from the target, which drifts evenly, and by what the end effector points at:
+
+    c = s (d - k),   s = exp(i phi),   theta = phi + pi - theta_E + psi
+
+with c the centre of mass from the target's, d the end effector's distance if it points straight
+at the target (psi = 0) from the side s, and k, theta_E the centre of mass seen from the end
+effector and the latter's heading in the base: d brings it in, phi takes it round the target, and
+psi turns it. Each is a polynomial of time that begins with the present motion and ends at rest.
+
+The fixture turns with the target. For each time of arrival, earliest first, the side is the one
+that the fixture then faces, both ways round and several orders of going round and coming in are
+tried, and the first is taken that the valves can drive, that stays on the table and out of the
+keep-out zone, and does so, too, for a while whenever all thrust ends on it (passive safety, as for
+a visiting vehicle: Fehse, Automated Rendezvous and Docking of Spacecraft, 2003, section 4.4).
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import pi
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from fss_arm_model import layout
+from fss_arm_model.clearance import gaps, sizes, with_edge, with_target
+from fss_arm_model.dynamics import inverse_dynamics
+from fss_arm_model.kinematics import tip_in_base
+from fss_arm_model.momentum import system_com
+from fss_gnc.guidance.mission_settings import MissionSettings
+
+Floats = npt.NDArray[np.float64]
+Complexes = npt.NDArray[np.complex128]
+
+
+class Points(NamedTuple):
+    """Poses of the base in the world, twists and accelerations, (k, 3) each."""
+
+    pose: Floats
+    twist: Floats
+    acceleration: Floats
+
+
+def quintic(begin: float, rate: float, end: float, duration: float, t: Floats) -> Floats:
+    """Value, rate and acceleration (3, k) from a value and a rate to rest at another value."""
+    T, u = duration, np.clip(t / duration, 0.0, 1.0)
+    way, kick = end - begin, rate * T
+    a, b, c = 10 * way - 6 * kick, -15 * way + 8 * kick, 6 * way - 3 * kick
+    value = begin + u * (kick + u * u * (a + u * (b + u * c)))
+    first = (kick + u * u * (3 * a + u * (4 * b + u * 5 * c))) / T
+    second = u * (6 * a + u * (12 * b + u * 20 * c)) / T**2
+    return np.stack([value, first, second])
+
+
+class Body:
+    """Base and arm with joints held: where its centre of mass is, and what it points at."""
+
+    def __init__(self, p: Floats, q_m: npt.ArrayLike) -> None:
+        self.p, self.q_m = p, np.array(q_m, dtype=float)
+        x, y, self.tip_heading = (float(v) for v in tip_in_base(p, self.q_m))
+        self.com = complex(*system_com(p, np.concatenate([np.zeros(3), self.q_m])))
+        self.k = (self.com - complex(x, y)) * np.exp(-1j * self.tip_heading)
+
+    def polar(self, pose: Floats, twist: Floats) -> tuple[Floats, Floats] | None:
+        """d, phi, psi and their rates, from the base's pose and twist seen from the target."""
+        turned = np.exp(1j * pose[2]) * self.com
+        c = complex(*pose[:2]) + turned
+        v = complex(*twist[:2]) + 1j * twist[2] * turned
+        across = abs(c) ** 2 - self.k.imag**2
+        if across <= 0.0:
+            return None
+        d = self.k.real + np.sqrt(across)
+        s = c / (d - self.k)
+        along = v / s
+        round_ = along.imag / (d - self.k.real)
+        psi = pose[2] - (np.angle(s) + pi - self.tip_heading)
+        psi = (psi + pi) % (2.0 * pi) - pi
+        inward = along.real - round_ * self.k.imag
+        return (
+            np.array([d, np.angle(s), psi]),
+            np.array([inward, round_, twist[2] - round_]),
+        )
+
+    def points(self, d: Floats, phi: Floats, psi: Floats) -> Points:
+        """Of the base, seen from the target; each given with rate and acceleration, (3, k)."""
+        s, arm = np.exp(1j * phi[0]), d[0] - self.k
+        v = s * (d[1] + 1j * phi[1] * arm)
+        a = s * (d[2] + 2j * phi[1] * d[1] + (1j * phi[2] - phi[1] ** 2) * arm)
+        heading = phi[0] + pi - self.tip_heading + psi[0]
+        omega, alpha = phi[1] + psi[1], phi[2] + psi[2]
+        w = self.com * np.exp(1j * heading)
+        return Points(
+            _rows(s * arm - w, heading),
+            _rows(v - 1j * omega * w, omega),
+            _rows(a - (1j * alpha - omega**2) * w, alpha),
+        )
+
+
+def _rows(along: Complexes, turning: Floats) -> Floats:
+    return np.stack([along.real, along.imag, turning], axis=-1)
+
+
+@dataclass(frozen=True)
+class Way:
+    """From where it begins to the stand-off, in the target's drifting frame."""
+
+    body: Body
+    begin: Floats  # (3,) d, phi, psi
+    rate: Floats  # (3,)
+    end: Floats  # (3,)
+    duration: float  # [s]
+    order: "Order"
+
+    def points(self, t: npt.ArrayLike) -> Points:
+        """At times since its begin [s], seen from the target."""
+        t, T, order = np.atleast_1d(np.asarray(t, dtype=float)), self.duration, self.order
+        begin, speed, end = self.begin.tolist(), self.rate.tolist(), self.end.tolist()
+        d = quintic(begin[0], speed[0], end[0], T, t)
+        if order.far is not None:
+            half, far = order.share * T, order.far
+            out = quintic(begin[0], speed[0], far, half, t)
+            back = quintic(far, 0.0, end[0], T - half, np.maximum(t - half, 0.0))
+            d = np.where(t > half, back, out)
+        since, until = order.round[0] * T, order.round[1] * T
+        rate = 0.0 if since else speed[1]
+        phi = quintic(begin[1], rate, end[1], until - since, np.maximum(t - since, 0.0))
+        psi = quintic(begin[2], speed[2], end[2], min(until, 0.6 * T), t)
+        return self.body.points(d, phi, psi)
+
+
+class Order(NamedTuple):
+    """When it comes in and when it goes round, as shares of the duration."""
+
+    round: tuple[float, float]  # from when to when phi changes
+    share: float = 0.0  # until when d goes elsewhere first
+    far: float | None = None  # and where that is [m]; None: straight in
+
+
+class Planner:
+    """Finds ways.
+
+    Args:
+        p: Arm.vector(), as heavy as it is now.
+        settings: of the missions.
+    """
+
+    def __init__(self, p: Floats, settings: MissionSettings) -> None:
+        self.p, self.settings, self.target = p, settings, settings.target
+        n = (p.size - layout.BASE_SIZE) // layout.LINK_SIZE
+        self._pairs = np.array([*with_target(n), *with_edge(n)], dtype=float)
+        room = settings.keep_out - settings.target_radius
+        self._room = np.array([room] * (n + 2) + [settings.edge_room] * (n + 2))
+        self._sizes = sizes(settings, settings.target_radius, settings.gripper_length)
+
+    def standing(self) -> float:
+        """Distance of the end effector from the target's centre where the way ends [m]."""
+        return float(abs(complex(*self.target.fixture[:2]))) + self.settings.stand_off
+
+    def side(self, heading: float) -> float:
+        """Direction of the fixture from the target's centre, at a heading of it [rad]."""
+        return heading + float(np.angle(complex(*self.target.fixture[:2])))
+
+    def load(self, q: Floats, qd: Floats, qdd: Floats) -> Floats:
+        """Share of the valves' authority that the base's motion takes, (k,)."""
+        w = inverse_dynamics(self.p, q, qd, qdd)[..., :3]
+        return load(w, q[..., 2], self.settings)
+
+    def find(self, q: Floats, qd: Floats, state: Floats, lead: float) -> Way | None:
+        """The quickest way of base and arm from q, qd (3 + n,); None: there is none.
+
+        Args:
+            q: state; its joints are held.
+            qd: its rate; those of the joints do not count.
+            state: (2, 3) pose and twist of the target.
+            lead: the way ends so long before the fixture faces the arm [s].
+        """
+        body = Body(self.p, q[3:])
+        drift = np.array([*state[1, :2], 0.0])
+        apart = np.array([*(q[:2] - state[0, :2]), q[2]])
+        here = body.polar(apart, qd[:3] - drift)
+        if here is None:
+            return None
+        for way in self._ways(body, *here, state, lead):
+            if self._is_clear(way, state):
+                return way
+        return None
+
+    def _ways(
+        self, body: Body, here: Floats, rate: Floats, state: Floats, lead: float
+    ) -> Iterator[Way]:
+        standing = self.standing()
+        off = max(float(here[0]), standing)
+        orders = (
+            Order((0.0, 1.0)), Order((0.0, 0.6), 0.45, off), Order((0.3, 1.0), 0.5, standing),
+            Order((0.0, 0.6), 0.4, off + 0.3), Order((0.1, 0.8), 0.2, off + 0.1),
+        )  # fmt: skip
+        t = 6.0
+        while t < self.settings.longest_way:
+            facing = self.side(float(state[0, 2] + state[1, 2] * (t + lead)))
+            round_ = (facing - here[1] + pi) % (2.0 * pi) - pi
+            for turn in (round_, round_ - np.copysign(2.0 * pi, round_)):
+                end = np.array([standing, here[1] + turn, 0.0])
+                for order in orders:
+                    way = Way(body, here, rate, end, t, order)
+                    if self._can_drive(way):
+                        yield way
+            t += max(1.0, 0.05 * t)
+
+    def _can_drive(self, way: Way) -> bool:
+        points = way.points(np.linspace(0.0, way.duration, 25))
+        q, qd, qdd = (self._with_joints(rows, way) for rows in points)
+        qd[:, 3:] = qdd[:, 3:] = 0.0
+        return bool(self.load(q, qd, qdd).max() <= self.settings.authority)
+
+    def _is_clear(self, way: Way, state: Floats) -> bool:
+        t = np.linspace(0.0, way.duration, 40)[1:]
+        seen = way.points(t)
+        drift = np.array([*state[1, :2], 0.0])
+        target = state[0, :2] + t[:, None] * state[1, :2]
+        pose = seen.pose + np.column_stack([target, np.zeros(t.size)])
+        # What is too near at the begin may become no nearer.
+        room = np.minimum(self._room, self.room(np.concatenate([pose[0], way.body.q_m]), state[0]))
+        if (self.gaps_of(pose, way.body, target) < room - 1e-3).any():
+            return False
+        for ahead in np.array([0.25, 0.5, 0.75, 1.0]) * self.settings.coast:
+            later = coasted(pose, seen.twist + drift, way.body.com, ahead)
+            gone = target + ahead * state[1, :2]
+            if (self.gaps_of(later, way.body, gone) < np.minimum(room, 0.02)).any():
+                return False
+        return True
+
+    def room(self, q: Floats, target: Floats) -> Floats:
+        """The gaps of all bodies to target and edge, (g,)."""
+        return np.asarray(gaps(self.p, q, self._pairs, self._sizes, target[:2]))
+
+    def gaps_of(self, pose: Floats, body: Body, target: Floats) -> Floats:
+        """The gaps with the base at poses (k, 3) and the target at (k, 2), (k, g)."""
+        q = np.column_stack([pose, np.broadcast_to(body.q_m, (len(pose), body.q_m.size))])
+        return np.asarray(gaps(self.p, q, self._pairs, self._sizes, target))
+
+    @staticmethod
+    def _with_joints(rows: Floats, way: Way) -> Floats:
+        joints = np.broadcast_to(way.body.q_m, (len(rows), way.body.q_m.size))
+        return np.column_stack([rows, joints])
+
+
+def coasted(pose: Floats, twist: Floats, com: complex, time: float | Floats) -> Floats:
+    """Poses (..., 3) of the base a time later [s], base and arm turning as one body."""
+    w = com * np.exp(1j * pose[..., 2])
+    v = twist[..., 0] + 1j * twist[..., 1] + 1j * twist[..., 2] * w
+    heading = pose[..., 2] + time * twist[..., 2]
+    at = pose[..., 0] + 1j * pose[..., 1] + w + time * v - com * np.exp(1j * heading)
+    return np.stack([at.real, at.imag, heading], axis=-1)
+
+
+def load(wrench: Floats, heading: Floats, settings: MissionSettings) -> Floats:
+    """Share of the valves' authority that wrenches (..., 3) in world axes take, (...).
+
+    Four valves of thrust T and lever l push along each axis: together they give what has
+
+        |f_x|, |f_y| <= 2 T,   |f_x| + |f_y| + |tau| / l <= 4 T
+    """
+    force = (wrench[..., 0] + 1j * wrench[..., 1]) * np.exp(-1j * heading) / settings.thrust
+    x, y = np.abs(force.real), np.abs(force.imag)
+    torque = np.abs(wrench[..., 2]) / (settings.thrust * settings.lever)
+    return np.asarray(np.maximum(0.5 * np.maximum(x, y), 0.25 * (x + y + torque)))

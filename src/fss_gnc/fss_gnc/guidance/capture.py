@@ -1,0 +1,263 @@
+"""The capture of a tumbling target, phase by phase.
+
+wait      until base, arm and target are known, and there is a clear way
+approach  along it, joints held, and stay before the target until the fixture is about to face
+reach     valves closed, so that momentum stays; the arm takes the gripper to the fixture
+grip      the gripper closes, the arm goes on following
+detumble  the target held, all comes to rest
+done
+abort     from any of them
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+
+from fss_arm_model.description import Arm
+from fss_arm_model.held import Approach, approach, hold, with_held
+from fss_arm_model.momentum import momentum
+from fss_arm_motion.guard import Guard, GuardError
+from fss_gnc.guidance.abort import Abort
+from fss_gnc.guidance.activity import ActivityError, Craft, Ended, Orders, Seen
+from fss_gnc.guidance.approach import Planner, Points, Way
+from fss_gnc.guidance.detumble import Detumble
+from fss_gnc.guidance.mission_settings import MissionSettings
+from fss_gnc.guidance.predictive import Predictive
+from fss_gnc.guidance.reach import Jacobian, Reach, wrapped
+from fss_gnc.guidance.watch import Watch
+from fss_gnc.reference import Path, off
+
+Floats = npt.NDArray[np.float64]
+
+GUIDES: dict[str, Callable[[Arm, MissionSettings], Reach]] = {
+    "jacobian": Jacobian, "predictive": Predictive,
+}  # fmt: skip
+
+AHEAD = np.linspace(0.0, 2.0, 9)  # of the reference that is told [s]
+SETTLED = 3.0  # for which all must be known, joints at rest, before a way is sought [s]
+RETRY = 2.0  # between searches for a way [s]
+NEAR, STRAIGHT = 0.03, 0.05  # of the stand-off for the reach to begin [m], [rad]
+SLOW, SLOW_TURN = 0.008, 0.008  # past the target then [m/s], [rad/s]
+FACING = 0.25  # of the fixture's angle when the reach begins [rad]
+LOST_ANGLE, LOST_DISTANCE = 1.2, 0.35  # beyond which a reach is given up [rad], [m]
+LATE = 5.0  # before the end of a way, in which no other is sought [s]
+PATIENCE = 25.0  # to stay for the fixture to come round, else another side is sought [s]
+
+
+class Capture:
+    """The activity.
+
+    Args:
+        craft: whose base and arm.
+        reach: guidance of the reach.
+        detumble: whether to take the motion away after the grip.
+    """
+
+    blind = True
+
+    def __init__(
+        self,
+        craft: Craft,
+        reach: Reach | None = None,
+        detumble: bool = True,
+    ) -> None:
+        self.craft, self.detumbles = craft, detumble
+        self.settings = settings = craft.settings
+        self.p, self.target = craft.arm.vector(), settings.target
+        self.guide = reach or GUIDES[settings.reach](craft.arm, settings)
+        self.planner, self.watch = Planner(self.p, settings), Watch(craft)
+        self.guard = Guard(craft.arm, settings)
+        self.phase, self.since, self.attempts = "wait", 0.0, 0
+        self.met: Approach | None = None
+        self.posture: Floats | None = None  # that the approach holds
+        self.after: Detumble | Abort | None = None
+        self.captured = False
+        self.momentum = np.full(3, np.nan)  # at the grip, of all that is held together
+        self._way: tuple[float, Way] | None = None  # and when it begins
+        self._sought, self._moved = -np.inf, 0.0
+        self._path: Path | None = None
+
+    def step(self, seen: Seen) -> Orders:
+        """Orders now."""
+        if self.after is None:
+            reason = self._reason(seen)
+            if reason:
+                self.cancel(reason)
+        if self.after is not None:
+            return self._told(self.after.step(seen))
+        if seen.base is None or seen.q is None or seen.target is None:
+            self._moved = seen.t
+            return Orders("wait", close=False)
+        q, qd = seen.floating
+        state = np.array([seen.target.pose, seen.target.twist])
+        self.met = approach(self.p, q, qd, self.target, state)
+        if seen.holds:
+            return self._grasped(seen)
+        act = {"wait": self._wait, "approach": self._approach, "reach": self._reach,
+               "grip": self._reach}  # fmt: skip
+        return act[self.phase](seen, q, qd, state)
+
+    def cancel(self, reason: str) -> None:
+        """Abort."""
+        if isinstance(self.after, Detumble):
+            self.after.cancel(reason)
+        elif self.after is None:
+            self.after = Abort(self.craft, reason)
+            self.phase = "abort"
+
+    def _told(self, orders: Orders) -> Orders:
+        self.phase = orders.phase
+        return orders
+
+    def _begin(self, phase: str, t: float) -> None:
+        self.phase, self.since = phase, t
+
+    def _reason(self, seen: Seen) -> str:
+        s = self.settings
+        timeouts = {
+            "wait": s.wait_timeout, "approach": s.approach_timeout, "reach": s.reach_timeout + 5.0,
+            "grip": s.grip_timeout + 5.0,
+        }  # fmt: skip
+        if seen.target is None and self.phase != "wait":
+            return "target/state is not known"
+        if self.phase == "wait" and (seen.base is None or seen.q is None or seen.target is None):
+            late = seen.t - self.since > s.wait_timeout
+            return "base, arm or target are not known" if late else ""
+        return self.watch.reason(seen, self._path, timeouts[self.phase], self.since)
+
+    def _wait(self, seen: Seen, q: Floats, qd: Floats, state: Floats) -> Orders:
+        self._path = None
+        if self.posture is None:
+            self.posture = (
+                np.array(self.settings.posture) if self.settings.posture else q[3:].copy()
+            )
+        is_there = np.abs(q[3:] - self.posture).max() < 0.02 and np.abs(qd[3:]).max() < 0.01
+        self._moved = self._moved if is_there else seen.t
+        if seen.t >= max(self._sought + RETRY, self._moved + SETTLED):
+            self._seek(seen.t, q, qd, state)
+        return Orders("wait", None, self._still(q), False)
+
+    def _seek(self, t: float, q: Floats, qd: Floats, state: Floats) -> None:
+        self._sought = t
+        assert self.posture is not None
+        held = np.concatenate([q[:3], self.posture])
+        way = self.planner.find(held, qd, state, self.settings.lead)
+        if way is not None:
+            self._way = t, way
+            if self.phase != "approach":
+                self._begin("approach", t)
+
+    def _still(self, q: Floats) -> Floats:
+        """Rates that take the joints to the posture of the approach, and hold them there."""
+        if self.posture is None:
+            return np.zeros(q.size - 3)
+        return np.clip(0.5 * (self.posture - q[3:]), -0.15, 0.15)
+
+    def _approach(self, seen: Seen, q: Floats, qd: Floats, state: Floats) -> Orders:
+        assert self._way is not None
+        begin, way = self._way
+        points = way.points(seen.t - begin + AHEAD)
+        self._path = on_target(points, seen.t, state)
+        left = begin + way.duration - seen.t
+        facing = self._facing(state, way, max(left, 0.0) + self.settings.lead)
+        if left > LATE and abs(facing) > FACING and seen.t > self._sought + RETRY:
+            self._seek(seen.t, q, qd, state)  # the target turns otherwise than it seemed to
+        elif left <= 0.0:
+            self._arrived(seen, q, qd, state, way)
+        return Orders(
+            "approach", self._path, self._still(q), False, keep_out=self.settings.keep_out,
+            fixture_distance=self.met.distance if self.met else np.nan,
+        )  # fmt: skip
+
+    def _arrived(self, seen: Seen, q: Floats, qd: Floats, state: Floats, way: Way) -> None:
+        assert self._path is not None
+        now = self._path.at(seen.t)
+        apart, moving = off(q[:3], now.pose), qd[:3] - now.twist
+        there = np.hypot(*apart[:2]) < NEAR and abs(apart[2]) < STRAIGHT
+        there &= np.hypot(*moving[:2]) < SLOW and abs(moving[2]) < SLOW_TURN
+        spin = float(state[1, 2])
+        ahead = self._facing(state, way, self.settings.lead)
+        if there and abs(ahead) < FACING:
+            self.attempts += 1
+            self._path = None
+            self.guide.begin(q, qd)
+            self._begin("reach", seen.t)
+        elif abs(ahead) > FACING and seen.t > self._sought + RETRY:
+            late = ahead * spin < 0.0 or abs(ahead) > PATIENCE * abs(spin)
+            if late:
+                self._seek(seen.t, q, qd, state)
+
+    def _facing(self, state: Floats, way: Way, ahead: float) -> float:
+        """Angle that the fixture has to turn yet to face the arm, a time ahead [s]."""
+        return wrapped(
+            float(way.end[1]) - self.planner.side(float(state[0, 2] + ahead * state[1, 2]))
+        )
+
+    def _reach(self, seen: Seen, q: Floats, qd: Floats, state: Floats) -> Orders:
+        """Towards the fixture, and closing there; the arm goes on following while it closes."""
+        assert self.met is not None
+        s, met = self.settings, self.met
+        near = met.distance < s.grip_distance and abs(met.angle) < s.grip_angle
+        lost = abs(met.angle) > LOST_ANGLE or met.distance > LOST_DISTANCE
+        timeout = s.reach_timeout if self.phase == "reach" else s.grip_timeout
+        if lost or seen.t - self.since > timeout:
+            self._retreat(seen.t)
+        elif self.phase == "reach" and near and met.speed < s.grip_speed:
+            self._begin("grip", seen.t)
+        rates = self._guarded(self.guide.rates(q, state), q, qd, state)
+        return Orders(
+            self.phase, None, rates, self.phase == "grip", s.keep_out, fixture_distance=met.distance
+        )
+
+    def _retreat(self, t: float) -> None:
+        """Back off, gripper open, to another approach."""
+        if self.attempts >= self.settings.attempts:
+            self.cancel(f"not captured in {self.attempts} reaches")
+            return
+        self._way, self._sought = None, -np.inf
+        self._begin("wait", t)
+
+    def _guarded(self, rates: Floats, q: Floats, qd: Floats, state: Floats) -> Floats:
+        """The rates, or as much of them as keeps links off target and base."""
+        for share in (1.0, 0.5, 0.25):
+            try:
+                self.guard.check_command(
+                    q[3:], qd[3:], 0.2, velocity=share * rates, base=q[:3], twist=qd[:3],
+                    target=state,
+                )  # fmt: skip
+            except GuardError:
+                continue
+            return share * rates
+        return np.zeros(rates.size)
+
+    def _grasped(self, seen: Seen) -> Orders:
+        self.captured = True
+        q, qd = seen.floating
+        if seen.target is not None:
+            place = hold(self.p, q, seen.target.pose)
+            self.momentum = momentum(with_held(self.p, self.target, place), q, qd)
+        if not self.detumbles:
+            return self._told(Orders("done", None, np.zeros(q.size - 3), ended=Ended(True)))
+        self._path = None
+        self.after = Detumble(self.craft)
+        return self._told(self.after.step(seen))
+
+
+def begin(craft: Craft, reach: str, detumble: bool) -> Capture:
+    """The activity with a guidance of the reach by its name; empty: the settings'.
+
+    Raises:
+        ActivityError: there is none of this name.
+    """
+    name = reach or craft.settings.reach
+    if name not in GUIDES:
+        raise ActivityError(f"reach is {name!r}, expected {' or '.join(GUIDES)}")
+    return Capture(craft, GUIDES[name](craft.arm, craft.settings), detumble)
+
+
+def on_target(points: Points, t: float, state: Floats) -> Path:
+    """Points AHEAD of t [s], seen from the target, in the world as it drifts."""
+    drift = np.array([*state[1, :2], 0.0])
+    pose = points.pose + np.array([*state[0, :2], 0.0]) + AHEAD[:, None] * drift
+    return Path(t + AHEAD, np.stack([pose, points.twist + drift, points.acceleration], axis=1))

@@ -1,0 +1,77 @@
+"""Base, arm and what it holds come to rest, by references that joints and valves can follow."""
+
+import numpy as np
+import numpy.typing as npt
+
+from fss_arm_model.held import hold, with_held
+from fss_gnc.guidance.abort import Abort, Stopping
+from fss_gnc.guidance.activity import Craft, Ended, Orders, Seen
+from fss_gnc.guidance.rest import braking
+from fss_gnc.guidance.watch import Watch
+from fss_gnc.reference import Path
+
+Floats = npt.NDArray[np.float64]
+
+ARM_STILL = 0.01  # rate of a joint below which the base is slowed down [rad/s]
+CALM = 2.0  # for which all must be still [s]
+
+
+class Detumble:
+    """The activity.
+
+    Args:
+        craft: whose base and arm.
+    """
+
+    blind = True
+
+    def __init__(self, craft: Craft) -> None:
+        self.craft = craft
+        self.settings = settings = craft.settings
+        self.p = craft.arm.vector()
+        torques = np.array([link.drive.max_torque for link in craft.arm.links])
+        self.joints = Stopping(settings.torque_share * torques)
+        self.watch = Watch(craft)
+        self.abort: Abort | None = None
+        self.twist = np.full(3, np.nan)  # of the base
+        self._path: Path | None = None
+        self._held = False
+        self._begun = self._moving = np.nan
+
+    def step(self, seen: Seen) -> Orders:
+        """Orders now."""
+        if np.isnan(self._begun):
+            self._begun = seen.t
+        if self.abort is None:
+            reason = self.watch.reason(
+                seen, self._path, self.settings.detumble_timeout, self._begun
+            )
+            if reason:
+                self.cancel(reason)
+        if self.abort is not None:
+            return self.abort.step(seen)
+        q, qd = seen.floating
+        self.twist = qd[:3]
+        if seen.holds and seen.target is not None and not self._held:
+            place = hold(self.p, q, seen.target.pose)
+            self.p, self._held = with_held(self.p, self.settings.target, place), True
+        rates = self.joints.rates(self.p, seen)
+        if self._path is None and not rates.any() and np.abs(qd[3:]).max() < ARM_STILL:
+            # What the joints give the base ends with their motion; the rest is momentum.
+            self._path = braking(self.p, q, qd, self.settings, seen.t)
+        if self._path is None or not self._is_still(qd):
+            self._moving = seen.t
+        over = self._path is not None and seen.t - max(self._moving, self._path.end) >= CALM
+        return Orders("detumble", self._path, rates, ended=Ended(True) if over else None)
+
+    def cancel(self, reason: str) -> None:
+        """Abort."""
+        self.abort = self.abort or Abort(self.craft, reason)
+
+    def _is_still(self, qd: Floats) -> bool:
+        s = self.settings
+        return bool(
+            np.hypot(*qd[:2]) < s.still
+            and abs(qd[2]) < s.turning_still
+            and np.abs(qd[3:]).max() < s.turning_still
+        )

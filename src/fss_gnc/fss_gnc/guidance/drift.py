@@ -1,0 +1,98 @@
+"""What base and arm meet as they drift, joints held, and the least push that prevents it."""
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from fss_arm_model import layout
+from fss_arm_model.clearance import gaps, sizes, with_edge, with_target
+from fss_gnc.guidance.approach import Body as Rigid
+from fss_gnc.guidance.approach import coasted
+from fss_gnc.guidance.mission_settings import MissionSettings
+from fss_gnc.reference import Body
+
+Floats = npt.NDArray[np.float64]
+
+SAMPLES = 16  # on the way
+DIRECTIONS = 16
+SPEEDS = (0.0, 0.25, 0.5, 0.75, 1.0)  # shares of the drift speed
+TURN_ARM = 0.5  # what a turn rate counts as a speed [m]
+
+
+class Drift(NamedTuple):
+    """How base and arm may drift."""
+
+    twist: Floats  # (3,) of the base, at the begin
+    edge: float  # least gap to the table's edge [m]
+    target: float  # and to the target [m]; inf: there is none
+    safe: bool
+
+
+class Drifting:
+    """Looks ahead; p is what it says on Planner."""
+
+    def __init__(self, p: Floats, settings: MissionSettings) -> None:
+        self.p, self.settings = p, settings
+        n = (p.size - layout.BASE_SIZE) // layout.LINK_SIZE
+        self._edge, self._target = list(with_edge(n)), list(with_target(n))
+        self._sizes = sizes(settings, settings.target_radius, settings.gripper_length)
+
+    def clearances(self, q: Floats, target: Floats | None) -> tuple[float, float]:
+        """Least gaps to the edge, and of base and links, without the gripper, to the target [m]."""
+        edge = float(gaps(self.p, q, self._edge, self._sizes).min())
+        if target is None:
+            return edge, np.inf
+        apart = gaps(self.p, q, self._target[:-1], self._sizes, target[:2])
+        return edge, float(apart.min())
+
+    def as_is(
+        self, q: Floats, qd: Floats, target: Body | None, horizon: float | None = None
+    ) -> Drift:
+        """What comes of the present motion; the target, if not held, drifts as well."""
+        return self._looked(Rigid(self.p, q[3:]), q, np.atleast_2d(qd[:3]), target, horizon)[0]
+
+    def away(self, q: Floats, qd: Floats, target: Body | None) -> Drift:
+        """The motion that is safe and asks for the least change; the best if none is safe."""
+        s, body = self.settings, Rigid(self.p, q[3:])
+        w = body.com * np.exp(1j * q[2])
+        around = np.exp(2j * np.pi * np.arange(DIRECTIONS) / DIRECTIONS)
+        base = complex(*target.twist[:2]) if target is not None else 0j
+        of_com = np.append(np.outer(SPEEDS, around).ravel() * s.drift_speed, 0j)
+        of_com = np.concatenate([of_com, base + of_com])
+        own = complex(*qd[:2]) + 1j * qd[2] * w
+        order = np.argsort(np.abs(of_com - own))
+        twists = np.column_stack([of_com.real, of_com.imag, np.zeros(of_com.size)])[order]
+        found = self._looked(body, q, np.vstack([qd[:3], twists]), target)
+        safe = [drift for drift in found if drift.safe]
+        return safe[0] if safe else max(found, key=lambda drift: min(drift.edge, drift.target))
+
+    def _looked(
+        self,
+        body: Rigid,
+        q: Floats,
+        twists: Floats,
+        target: Body | None,
+        horizon: float | None = None,
+    ) -> list[Drift]:
+        s = self.settings
+        ahead = np.linspace(0.0, horizon or s.drift_horizon, SAMPLES)
+        poses = coasted(q[None, None, :3], twists[:, None, :], body.com, ahead)
+        held = np.broadcast_to(body.q_m, (*poses.shape[:2], body.q_m.size))
+        states = np.concatenate([poses, held], axis=-1)
+        edge = gaps(self.p, states, self._edge, self._sizes).min(axis=(1, 2))
+        near = np.full(len(twists), np.inf)
+        kept = np.ones(len(twists), dtype=bool)
+        if target is not None:
+            at = target.pose[:2] + ahead[:, None] * target.twist[:2]
+            all_gaps = gaps(self.p, states, self._target, self._sizes, at).min(axis=2)
+            near = all_gaps.min(axis=1)
+            # What is near already, as the gripper at the fixture is, comes no nearer.
+            kept = near >= np.minimum(s.least_target, all_gaps[:, 0] - 1e-3)
+            kept &= all_gaps[:, -1] >= s.least_target
+        first = gaps(self.p, states[:, 0], self._edge, self._sizes).min(axis=1)
+        kept &= edge >= np.minimum(s.least_edge, first - 1e-3)
+        return [
+            Drift(twist, float(e), float(t), bool(k))
+            for twist, e, t, k in zip(twists, edge, near, kept, strict=True)
+        ]

@@ -1,0 +1,57 @@
+"""To rest: base and joints slow down as gently as valves and joints' torques ask for."""
+
+import numpy as np
+import numpy.typing as npt
+
+from fss_arm_model.dynamics import inverse_dynamics
+from fss_arm_model.free_floating import free_torques
+from fss_arm_model.momentum import momentum
+from fss_gnc.guidance.approach import load
+from fss_gnc.guidance.mission_settings import MissionSettings
+from fss_gnc.reference import Path
+
+Floats = npt.NDArray[np.float64]
+
+SHORTEST, LONGEST = 0.5, 120.0  # time to come to rest [s]
+
+
+def braking(
+    p: Floats,
+    q: Floats,
+    qd: Floats,
+    settings: MissionSettings,
+    start: float,
+    to: npt.ArrayLike = (0.0, 0.0, 0.0),
+) -> Path:
+    """Of the base from its twist to another, joints held, in the least time that valves allow.
+
+    Args:
+        p: (8 + 6 n,) Arm.vector(), what is held included.
+        q: (3 + n,) state.
+        qd: (3 + n,) its rate.
+        settings: of the missions.
+        start: when it begins [s].
+        to: twist at its end [m/s, m/s, rad/s].
+    """
+    end, still = np.asarray(to, dtype=float), np.zeros(q.size - 3)
+    duration, twist = SHORTEST, np.concatenate([qd[:3], still])
+    while duration < LONGEST:
+        change = np.concatenate([(end - qd[:3]) / duration, still])
+        wrench = inverse_dynamics(p, q, twist, change)[:3]
+        if load(wrench, q[2], settings) <= settings.authority:
+            break
+        duration *= 1.25
+    pose = q[:3] + 0.5 * duration * (qd[:3] + end)
+    knots = np.array([[q[:3], qd[:3]], [pose, end]])
+    return Path(np.array([start, start + duration]), knots)
+
+
+def slowing(p: Floats, q: Floats, qd: Floats, torques: Floats) -> float:
+    """Time in which the joints come to rest within torques (n,), all afloat [s]."""
+    duration, L = SHORTEST, momentum(p, q, qd)[2]
+    while duration < LONGEST:
+        needed, _ = free_torques(p, q[3:], qd[3:], -qd[3:] / duration, L)
+        if (np.abs(needed) <= torques).all():
+            break
+        duration *= 1.25
+    return duration

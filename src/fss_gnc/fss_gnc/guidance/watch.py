@@ -1,0 +1,78 @@
+"""What ends a mission: limits, looked at in every step."""
+
+import numpy as np
+
+from fss_gnc.guidance.activity import Craft, Seen
+from fss_gnc.guidance.drift import Drifting
+from fss_gnc.reference import Path, off
+
+STOPPED = 6.0  # in which the valves stop the base [s]
+PATIENCE = 0.3  # for which a torque may exceed its limit [s]
+
+
+class Watch:
+    """Says why a mission has to be aborted, if it has."""
+
+    def __init__(self, craft: Craft) -> None:
+        self.settings = settings = craft.settings
+        self.drifting = Drifting(craft.arm.vector(), settings)
+        self.largest_torque = 0.0
+        self.edge = self.target = np.nan  # clearances [m]
+        self._had = np.nan  # propellant [kg]
+        self._strained: float | None = None  # since when [s]
+
+    def reason(
+        self, seen: Seen, path: Path | None, timeout: float, since: float, near: bool = True
+    ) -> str:
+        """Why; empty: there is no reason.
+
+        Args:
+            seen: now.
+            path: that the base should be on; None: it drifts.
+            timeout: of the phase [s].
+            since: when that began [s].
+            near: whether base and arm must keep off the target.
+        """
+        s = self.settings
+        if seen.base is None:
+            return "base/state is not known"
+        if seen.q is None or seen.qd is None:
+            return "arm/joint_states are not known"
+        if seen.t - since > timeout:
+            return f"it took more than {timeout:g} s"
+        q, qd = seen.floating
+        target = None if seen.target is None or seen.holds else seen.target.pose
+        self.edge, self.target = self.drifting.clearances(q, target)
+        if self.edge < s.least_edge:
+            return f"{self.edge:.3f} m from the table's edge, at least {s.least_edge:g} m expected"
+        if near and self.target < s.least_target:
+            return f"{self.target:.3f} m from the target, at least {s.least_target:g} m expected"
+        if path is not None:
+            apart = off(seen.base.pose, path.at(seen.t).pose)
+            distance, turn = float(np.hypot(*apart[:2])), abs(float(apart[2]))
+            if distance > s.max_offset or turn > s.max_turn:
+                return f"{distance:.3f} m and {np.degrees(turn):.1f} deg off the reference"
+            ahead = self.drifting.as_is(q, qd, None, STOPPED)
+            if ahead.edge < 0.0:
+                return f"drifting, it would touch the table's edge within {STOPPED:g} s"
+        return self._spent(seen) or self._strain(seen)
+
+    def _spent(self, seen: Seen) -> str:
+        self._had = seen.propellant if np.isnan(self._had) else self._had
+        used = self._had - seen.propellant
+        if used > self.settings.max_propellant:
+            return f"{1e3 * used:.1f} g of propellant used"
+        return ""
+
+    def _strain(self, seen: Seen) -> str:
+        if seen.effort is None:
+            return ""
+        torque = float(np.nanmax(np.abs(seen.effort), initial=0.0))
+        self.largest_torque = max(self.largest_torque, torque)
+        if torque <= self.settings.max_torque:
+            self._strained = None
+        elif self._strained is None:
+            self._strained = seen.t
+        elif seen.t - self._strained > PATIENCE:
+            return f"{torque:.2f} N m at a joint, at most {self.settings.max_torque:g} N m expected"
+        return ""
