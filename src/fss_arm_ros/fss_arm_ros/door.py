@@ -57,13 +57,14 @@ RULES = {
     "fss_arm_msgs/GripperState": Rule(ALL),
     "fss_arm_msgs/KinematicCalibration": RESULT,
     "fss_arm_msgs/KinematicObservations": RESULT,
-    "fss_arm_msgs/LinkCommand": Rule(ALL),  # the driver answers what it refuses
+    "fss_arm_msgs/LinkCommand": Rule(ALL),  # drivers answer what they refuse
     "fss_arm_msgs/LinkPath": Rule(ALL),
     "fss_arm_msgs/LinkTelemetry": Rule(frozenset({"clock_deviation", "round_trip"})),
     "fss_arm_msgs/Maneuvers": RESULT,
     "fss_arm_msgs/MissionState": Rule(ALL),
     "fss_arm_msgs/ThrusterCommand": Rule(ALL),
     "geometry_msgs/PoseStamped": Rule(ALL),  # motion capture does not always see its subjects
+    "geometry_msgs/WrenchStamped": Rule(ALL),
     "nav_msgs/Odometry": Rule(also=(_is_pose,)),
     "sensor_msgs/BatteryState": Rule(ALL),
     "sensor_msgs/JointState": Rule(

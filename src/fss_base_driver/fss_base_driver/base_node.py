@@ -28,6 +28,7 @@ from fss_arm_driver.transport import Transport, open_transport
 from fss_arm_msgs.msg import BaseTelemetry, GripperState, ThrusterCommand
 from fss_arm_ros.convert import SECOND, stamp_ns
 from fss_arm_ros.diagnostics import Diagnostics, Health
+from fss_arm_ros.door import subscribe
 from fss_arm_ros.pace import pace
 from fss_arm_ros.parameters import declare, declare_live
 from fss_arm_ros.qos import SENSOR, command
@@ -93,9 +94,9 @@ class BaseNode(Node):
         self.propellant = publish(Float64, "base/propellant")
         self.pulses = publish(ThrusterCommand, "thrusters/pulses")
         lives = command(s.command_lifetime)
-        self.create_subscription(ThrusterCommand, "thrusters/command", self.on_thrust, lives)
+        subscribe(self, ThrusterCommand, "thrusters/command", self.on_thrust, lives)
         lives = command(s.wrench_lifetime)
-        self.create_subscription(WrenchStamped, "base/wrench", self.on_wrench, lives)
+        subscribe(self, WrenchStamped, "base/wrench", self.on_wrench, lives)
         self.create_subscription(Bool, "gripper/command", self.on_grip, command(1.0))
         for topic in ("base/stop", "arm/stop"):
             self.create_subscription(Empty, topic, self.on_stop, 10)

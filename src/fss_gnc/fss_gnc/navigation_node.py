@@ -23,6 +23,7 @@ from fss_arm_msgs.msg import (
 from fss_arm_ros.calibrated import Calibrated
 from fss_arm_ros.convert import SECOND, PoseError, joint_readings, planar_pose, stamp_ns
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
+from fss_arm_ros.door import subscribe
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED, SENSOR, subscribe_sensor
 from fss_arm_ros.run import run
@@ -85,7 +86,7 @@ class NavigationNode(Node):
             (KinematicCalibration, "calibration/kinematic"),
             (DynamicCalibration, "calibration/dynamic"),
         ):
-            self.create_subscription(kind, topic, partial(self.on_calibration, topic), LATCHED)
+            subscribe(self, kind, topic, partial(self.on_calibration, topic), LATCHED)
         self.create_timer(1.0 / s.rate, self.go_on)
         self.diagnostics = Diagnostics(self, self.health)
 

@@ -41,7 +41,7 @@ def calibration(**fields):
     ("message", "why"),
     [
         (JointState(name=["a", "b"], position=[1.0, nan], effort=[inf, 0.0]), ""),
-        (JointState(name=["a", "b"], position=[1.0]), "position has 1 elements, expected 2, or none"),
+        (JointState(name=["a", "b"], position=[1.0]), "has 1 elements, expected 2, or none"),
         (JointState(name=["a"], velocity=[1e308]), "velocity is 1e+308, expected at most 1e+12"),
         (odometry(), ""),
         (odometry(x=nan), "x is nan, expected a number"),
