@@ -116,8 +116,9 @@ class BaseSettings(Settings):
     )  # fmt: skip
     layout: tuple[float, ...] = setting(
         (),
-        "instead of thrust and lever: of each valve in turn force along x and y [N] and torque "
-        "about the base's origin [N m], 24 numbers",
+        "instead of thrust and lever: of each valve in turn force along x and y and torque about "
+        "the base's origin, 24 numbers",
+        unit="N, N, N m",
         check=FINITE,
     )
     minimum_on_time: float = setting(
@@ -142,7 +143,7 @@ class BaseSettings(Settings):
         1.75e-4, "white noise of one sample of the gyro, 1 sigma", unit="rad/s", check=NOT_NEGATIVE
     )
     bias_time: float = setting(
-        10.0, "for how long base/find_gyro_bias averages", unit="s", check=between(0.1, 3600.0)
+        10.0, "time over which base/find_gyro_bias averages", unit="s", check=between(0.1, 3600.0)
     )
     bias_scatter: float = setting(
         0.001, "scatter of the gyro's frames above which the base is not at rest", unit="rad/s",
@@ -225,7 +226,7 @@ class FogSettings(Settings):
     base_frame: str = like(BaseSettings, "base_frame")
     gyro_noise: float = like(BaseSettings, "gyro_noise")
     latency: float = setting(
-        0.009, "from the middle of a rate's averaging to the end of its line", unit="s",
+        0.009, "time from the middle of a rate's averaging to the end of its line", unit="s",
         check=NOT_NEGATIVE,
     )  # fmt: skip
 
