@@ -1,4 +1,4 @@
-// What the core needs of the board that it runs on. Nothing here may block.
+// What the core needs of the hardware that it runs on. Nothing here may block.
 #pragma once
 
 #include <stddef.h>
@@ -8,12 +8,6 @@ namespace fss {
 
 class Board {
  public:
-  // The computer's frames. `receive` gives the next one, cut to `room`, and its size, 0 if none has
-  // come; `answer` has `send` send to where that one came from, from now on.
-  virtual size_t receive(uint8_t* data, size_t room) = 0;
-  virtual void answer() = 0;
-  virtual void send(const uint8_t* frame) = 0;
-
   // The serial line to the servo drive, 8N1.
   virtual void set_baud(uint32_t baud) = 0;
   virtual size_t read(uint8_t* data, size_t room) = 0;

@@ -9,7 +9,7 @@
 #include <stdint.h>
 
 #include "board.hpp"
-#include "frame.hpp"
+#include "link_frame.hpp"
 
 namespace fss {
 

@@ -10,7 +10,6 @@ namespace {
 constexpr uint16_t kMagic = 0x4653;
 constexpr uint8_t kVersion = 2;
 constexpr size_t kCrcAt = 52, kSignatureAt = 56, kSignatureSize = 16;
-constexpr uint32_t kShortest = 1000, kLongest = 60000000;  // segments [us]
 
 // CRC-32 as zlib's, four bits at a time.
 uint32_t crc32(const uint8_t* data, size_t size) {
@@ -44,117 +43,49 @@ bool signature_fits(const uint8_t* data, const Key& key) {
   return difference == 0;
 }
 
-bool is_mode(uint8_t number) {
-  switch (static_cast<Mode>(number)) {
-    case Mode::Off:
-    case Mode::Current:
-    case Mode::Velocity:
-    case Mode::Position:
-    case Mode::Path:
-      return true;
-  }
-  return false;
-}
-
-bool has_meaning(const uint8_t* data, const Command& command) {
-  const uint8_t flags = command.flags;
-  if (command.link == 0 || flags & ~(kArm | kStop | kHold | kClearFaults | kHome)) return false;
-  if (!is_mode(data[28]) || data[29] != 0 || command.watchdog == 0) return false;
-  if (command.velocity < 0 || command.acceleration < 0) return false;
-  const bool numbers = command.set_point >= 1 && command.set_point <= 0xFFFF;
-  if (command.mode == Mode::Path && !numbers) return false;
-  if (load<uint64_t>(data + 44) != 0) return false;
-  if (!(flags & kArm)) return !(flags & kHome);
-  return !(flags & kStop) && command.boot != 0 && command.expiry != 0;
-}
-
-bool has_meaning(const Segment& segment) {
-  if (segment.link == 0 || segment.flags & ~kLast || segment.boot == 0) return false;
-  if (segment.path == 0 || segment.index == 0xFFFF) return false;
-  if (segment.flags & kLast && segment.end.velocity != 0) return false;
-  const uint64_t duration = segment.end.time - segment.begin.time;
-  return duration >= kShortest && duration <= kLongest && segment.end.time > segment.begin.time;
-}
-
-Command read_command(const uint8_t* data) {
-  Command command;
-  command.link = data[4];
-  command.flags = data[5];
-  command.boot = load<uint16_t>(data + 6);
-  command.sequence = load<uint32_t>(data + 8);
-  command.clock = load<uint64_t>(data + 12);
-  command.expiry = load<uint64_t>(data + 20);
-  command.mode = static_cast<Mode>(data[28]);
-  command.watchdog = load<uint16_t>(data + 30);
-  command.set_point = load<int32_t>(data + 32);
-  command.velocity = load<int32_t>(data + 36);
-  command.acceleration = load<int32_t>(data + 40);
-  return command;
-}
-
-Segment read_segment(const uint8_t* data) {
-  Segment segment;
-  segment.link = data[4];
-  segment.flags = data[5];
-  segment.boot = load<uint16_t>(data + 6);
-  segment.sequence = load<uint32_t>(data + 8);
-  segment.clock = load<uint64_t>(data + 12);
-  segment.path = load<uint16_t>(data + 20);
-  segment.index = load<uint16_t>(data + 22);
-  segment.begin.time = load<uint64_t>(data + 24);
-  segment.end.time = segment.begin.time + load<uint32_t>(data + 32);
-  segment.begin.position = load<int32_t>(data + 36);
-  segment.begin.velocity = load<int32_t>(data + 40);
-  segment.end.position = load<int32_t>(data + 44);
-  segment.end.velocity = load<int32_t>(data + 48);
-  return segment;
-}
-
 }  // namespace
 
-void encode(const Telemetry& frame, const Key& key, uint8_t* data) {
+void begin_frame(Kind kind, const Header& header, uint8_t* data) {
+  memset(data, 0, kFrameSize);
   store(data, kMagic);
   data[2] = kVersion;
-  data[3] = static_cast<uint8_t>(Kind::Telemetry);
-  data[4] = frame.link;
-  data[5] = frame.flags;
-  store(data + 6, frame.boot);
-  store(data + 8, frame.sequence);
-  store(data + 12, frame.clock);
-  store(data + 20, frame.echo);
-  store(data + 24, frame.turnaround);
-  store(data + 28, frame.position);
-  store(data + 32, frame.velocity);
-  store(data + 36, frame.current);
-  data[38] = static_cast<uint8_t>(frame.mode);
-  data[39] = static_cast<uint8_t>(frame.slow_id);
-  store(data + 40, frame.status);
-  store(data + 44, frame.torque, 3);
-  data[47] = frame.torque_age;
-  store(data + 48, frame.slow_value);
+  data[3] = static_cast<uint8_t>(kind);
+  data[4] = header.link;
+  data[5] = header.flags;
+  store(data + 6, header.boot);
+  store(data + 8, header.sequence);
+  store(data + 12, header.clock);
+}
+
+void seal_frame(const Key& key, uint8_t* data) {
   store(data + kCrcAt, crc32(data, kCrcAt));
   sign(data, key, data + kSignatureAt);
 }
 
-Refusal decode(const uint8_t* data, size_t size, const Key& key, Frame& frame) {
+Refusal check_frame(const uint8_t* data, size_t size, const Key& key, Kind first, Kind last) {
   if (size != kFrameSize) return Refusal::Length;
   if (load<uint16_t>(data) != kMagic) return Refusal::Magic;
   if (data[2] != kVersion) return Refusal::Version;
   const auto kind = static_cast<Kind>(data[3]);
-  if (kind != Kind::Command && kind != Kind::Segment) return Refusal::Kind;
+  if (kind < first || kind > last) return Refusal::Kind;
   if (load<uint32_t>(data + kCrcAt) != crc32(data, kCrcAt)) return Refusal::Crc;
-  if (!signature_fits(data, key)) return Refusal::Signature;
-  if (kind == Kind::Command) {
-    const Command command = read_command(data);
-    if (!has_meaning(data, command)) return Refusal::Field;
-    frame.command = command;
-  } else {
-    const Segment segment = read_segment(data);
-    if (!has_meaning(segment)) return Refusal::Field;
-    frame.segment = segment;
-  }
-  frame.kind = kind;
-  return Refusal::None;
+  return signature_fits(data, key) ? Refusal::None : Refusal::Signature;
+}
+
+Header read_header(const uint8_t* data) {
+  Header header;
+  header.link = data[4];
+  header.flags = data[5];
+  header.boot = load<uint16_t>(data + 6);
+  header.sequence = load<uint32_t>(data + 8);
+  header.clock = load<uint64_t>(data + 12);
+  return header;
+}
+
+bool has_meaning(const Order& order) {
+  if (order.watchdog == 0) return false;
+  if (!(order.flags & kArm)) return true;
+  return !(order.flags & kStop) && order.boot != 0 && order.expiry != 0;
 }
 
 }  // namespace fss

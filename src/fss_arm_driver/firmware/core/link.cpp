@@ -47,22 +47,18 @@ void Link::poll(uint64_t now) {
   torque_.poll(board_, now);
   uint8_t datagram[kFrameSize + 1];  // a byte more shows that it is too long
   for (int i = 0; i < kBatch; ++i) {
-    const size_t size = board_.receive(datagram, sizeof datagram);
+    const size_t size = computer_.receive(datagram, sizeof datagram);
     if (size == 0) break;
-    if (gate_.take(datagram, size, now, armed_ ? &paths_ : nullptr) == Taken::Command) {
-      board_.answer();
-      obey(gate_.command());
-    }
+    if (!take(datagram, size, now)) gate_.refuse();
   }
   drive_.listen(now);
   watch(now);
   follow(now);
   drive_.talk(now);
   if (drive_.position_clock() != read_at_) {
-    const uint64_t since = now - gate_.arrival();
     read_at_ = drive_.position_clock();
-    echo_ = gate_.taken() ? static_cast<uint32_t>(gate_.command().clock) : 0;
-    turnaround_ = gate_.taken() ? static_cast<uint32_t>(since < UINT32_MAX ? since : UINT32_MAX) : 0;
+    echo_ = gate_.echo();
+    turnaround_ = gate_.turnaround(now);
   }
   report();
 }
@@ -73,6 +69,20 @@ uint8_t Link::flags() const {
                               (drive_.referenced() ? kReferenced : 0) |
                               (paths_.following() ? kFollowing : 0) |
                               (paths_.broken() ? kBroken : 0));
+}
+
+// Whether these bytes are a command or a segment that is taken.
+bool Link::take(const uint8_t* data, size_t size, uint64_t now) {
+  Frame frame;
+  if (decode(data, size, key_, frame) != Refusal::None) return false;
+  if (frame.kind == Kind::Segment) {
+    return armed_ && gate_.is_current(frame.segment) && paths_.take(frame.segment, now);
+  }
+  if (!gate_.take(frame.command, now)) return false;
+  computer_.answer();
+  command_ = frame.command;
+  obey(command_);
+  return true;
 }
 
 void Link::obey(const Command& command) {
@@ -115,17 +125,16 @@ void Link::watch(uint64_t now) {
     disarm();
     watchdog_ = true;
     hold();
-  } else if (gate_.command().expiry < now) {
+  } else if (command_.expiry < now) {
     paths_.leave();
     hold();
   }
 }
 
 void Link::follow(uint64_t now) {
-  const Command& command = gate_.command();
-  if (!armed_ || !is_path(command) || command.expiry < now || !drive_.is_open(now)) return;
+  if (!armed_ || !is_path(command_) || command_.expiry < now || !drive_.is_open(now)) return;
   if (drive_.refuses()) paths_.fail();
-  drive_.demand(paths_.demand(now, Drive::kLead, command, drive_.measured()));
+  drive_.demand(paths_.demand(now, Drive::kLead, command_, drive_.measured()));
 }
 
 void Link::disarm() {
@@ -165,7 +174,7 @@ void Link::report() {
   ++sequence_;
   uint8_t data[kFrameSize];
   encode(frame, key_, data);
-  board_.send(data);
+  computer_.send(data);
 }
 
 // By turns; while a path is held, it every other time.

@@ -2,9 +2,11 @@
 // See docs/reference/protocol.md, The link.
 #pragma once
 
+#include <stddef.h>
 #include <stdint.h>
 
 #include "board.hpp"
+#include "computer.hpp"
 #include "drive.hpp"
 #include "gate.hpp"
 #include "path.hpp"
@@ -18,19 +20,23 @@ constexpr uint32_t kPeriod = 200000;    // of telemetry [us]
 class Link {
  public:
   // `number` of the link, 1 beside the base; `boot` not as at the last start, never 0.
-  Link(uint8_t number, uint16_t boot, const Key& key, Board& board, uint32_t period = kPeriod)
-      : number_(number), boot_(boot), key_(key), period_(period), board_(board), drive_(board),
-        gate_(number, boot, key) {}
+  Link(uint8_t number, uint16_t boot, const Key& key, Board& board, Computer& computer,
+       uint32_t period = kPeriod)
+      : number_(number), boot_(boot), key_(key), period_(period), board_(board),
+        computer_(computer), drive_(board),
+        gate_(number, boot, key.size != 0) {}
 
   // To be called without pause; `now` is the time since the start [us].
   void poll(uint64_t now);
 
   uint8_t flags() const;
   const Gate& gate() const { return gate_; }
+  const Command& command() const { return command_; }  // the last one taken
   const Drive& drive() const { return drive_; }
   const Follower& paths() const { return paths_; }
 
  private:
+  bool take(const uint8_t* data, size_t size, uint64_t now);
   void obey(const Command& command);
   void watch(uint64_t now);
   void follow(uint64_t now);
@@ -45,8 +51,10 @@ class Link {
   const Key key_;
   const uint32_t period_;
   Board& board_;
+  Computer& computer_;
   Drive drive_;
   Gate gate_;
+  Command command_ = {};
   Follower paths_;
   Torque torque_;
   bool armed_ = false;

@@ -6,7 +6,7 @@
 #include <stdint.h>
 
 #include "drive.hpp"
-#include "frame.hpp"
+#include "link_frame.hpp"
 
 namespace fss {
 

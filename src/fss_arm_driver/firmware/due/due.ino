@@ -3,6 +3,7 @@
 #include <Arduino.h>
 
 #include "due_board.hpp"
+#include "due_computer.hpp"
 #include "link.hpp"
 #include "settings.hpp"
 
@@ -10,19 +11,12 @@ static const uint64_t kDriveTime = 2000000;      // to find the drive and bring 
 static const uint32_t kPatience = 10000;         // without a network [ms]
 static const uint32_t kHardwareWatchdog = 1000;  // [ms]
 
-static LINK_BOARD board;
-
-// A random number that is never 0: the board has no memory to count its starts in.
-static uint16_t start_number() {
-  uint16_t number = 0;
-  pmc_enable_periph_clk(ID_TRNG);
-  trng_enable(TRNG);
-  while (number == 0) number = static_cast<uint16_t>(trng_read_output_data(TRNG));
-  return number;
-}
+static DueBoard board;
+static COMPUTER computer;
+static fss::DueClock the_clock;
 
 static fss::Link& firmware() {
-  static fss::Link link(kLink, start_number(), kKey, board);
+  static fss::Link link(kLink, fss::start_number(), kKey, board, computer);
   return link;
 }
 
@@ -33,8 +27,8 @@ void watchdogSetup() {}
 void setup() {
   board.begin();
   // The last program may have ended in the midst of a move: the drive comes first.
-  while (board.now() < kDriveTime) firmware().poll(board.now());
-  while (!board.connect()) {}
+  while (the_clock.now() < kDriveTime) firmware().poll(the_clock.now());
+  while (!computer.connect(WIFI_NETWORK, WIFI_PASSWORD, kPort)) {}
   watchdogEnable(kHardwareWatchdog);
 }
 
@@ -43,10 +37,10 @@ void setup() {
 void loop() {
   static uint32_t online = 0, looked = 0;
   watchdogReset();
-  firmware().poll(board.now());
+  firmware().poll(the_clock.now());
   const uint32_t now = millis();
   if (now - looked < 1000) return;
   looked = now;
-  if (board.online()) online = now;
+  if (computer.online()) online = now;
   if (now - online > kPatience && !(firmware().flags() & fss::kArmed)) NVIC_SystemReset();
 }

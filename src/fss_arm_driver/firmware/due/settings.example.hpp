@@ -10,6 +10,6 @@ static const uint8_t kLink = 1;  // 1 beside the base
 // The link's key, 16 to 32 bytes, as in the computer's file of keys; size 0: frames are not signed.
 static const fss::Key kKey = {0, {}};
 
-#define LINK_BOARD WifiBoard  // or WireBoard
+#define COMPUTER fss::WifiComputer  // or fss::WireComputer
 #define WIFI_NETWORK "fss"
 #define WIFI_PASSWORD "change me"

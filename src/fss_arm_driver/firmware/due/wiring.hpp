@@ -3,8 +3,7 @@
 
 #include <Arduino.h>
 
-#define DRIVE_LINE Serial1     // the RS-232 shield: TX1 is pin 18, RX1 is pin 19
-#define COMPUTER_LINE Serial2  // a wire instead of Wi-Fi: TX2 is pin 16, RX2 is pin 17
+#define DRIVE_LINE Serial1  // the RS-232 shield: TX1 is pin 18, RX1 is pin 19
 
 static const int kTorqueDataPin = 5;
 static const int kTorqueClockPin = 6;

@@ -1,5 +1,5 @@
 // A board without hardware: a simulated drive on its serial line, and a torque converter with 80
-// samples a second. How frames come and go is for others to say.
+// samples a second.
 #pragma once
 
 #include <stdint.h>

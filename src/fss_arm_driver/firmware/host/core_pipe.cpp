@@ -26,40 +26,17 @@
 //
 // Bytes are hexadecimal, `-` for none. Time is simulated: nothing here depends on the machine's.
 
-#include <stdio.h>
-#include <stdlib.h>
-
-#include <algorithm>
-#include <deque>
 #include <optional>
-#include <utility>
 
 #include "bench_board.hpp"
-#include "frame.hpp"
 #include "link.hpp"
 #include "path.hpp"
+#include "pipe_computer.hpp"
 #include "stream.hpp"
 #include "text.hpp"
 
 namespace fss {
 namespace {
-
-Bytes bytes(Words& words) { return from_hex(words.next()); }
-
-template <typename Integer>
-Integer number(Words& words) {
-  const std::string word = words.next();
-  const bool negative = word[0] == '-';
-  return negative ? static_cast<Integer>(strtoll(word.c_str(), nullptr, 10))
-                  : static_cast<Integer>(strtoull(word.c_str(), nullptr, 10));
-}
-
-template <typename... Integers>
-std::string joined(Integers... integers) {
-  std::string text;
-  ((text += (text.empty() ? "" : " ") + std::to_string(integers)), ...);
-  return text;
-}
 
 std::string digest(Words& words) {
   const Key key = key_of(bytes(words));
@@ -95,13 +72,11 @@ std::string encoded(Words& words) {
 }
 
 std::string decoded(Words& words) {
-  static const char* const refusals[] = {"",    "length",    "magic", "version", "kind",
-                                         "crc", "signature", "field"};
   const Key key = key_of(bytes(words));
   const Bytes data = bytes(words);
   Frame frame;
   const Refusal refusal = decode(data.data(), data.size(), key, frame);
-  if (refusal != Refusal::None) return refusals[static_cast<int>(refusal)];
+  if (refusal != Refusal::None) return word(refusal);
   if (frame.kind == Kind::Segment) {
     const Segment& segment = frame.segment;
     const Knot &begin = segment.begin, &end = segment.end;
@@ -171,32 +146,14 @@ std::string leave() {
 
 constexpr uint64_t kStep = 100;  // between two polls [us]
 
-class PipeBoard : public BenchBoard {
- public:
-  size_t receive(uint8_t* data, size_t room) override {
-    if (inbox.empty()) return 0;
-    const Bytes datagram = inbox.front();
-    inbox.pop_front();
-    const size_t size = std::min(room, datagram.size());
-    std::copy_n(datagram.begin(), size, data);
-    return size;
-  }
-  void answer() override {}
-  void send(const uint8_t* frame) override {
-    outbox += (outbox.empty() ? "" : " ") + to_hex(frame, kFrameSize);
-  }
-
-  std::deque<Bytes> inbox;
-  std::string outbox;
-};
-
 struct World {
   void poll() {
     board.pass(now);
     link->poll(now);
   }
 
-  PipeBoard board;
+  BenchBoard board;
+  PipeComputer computer;
   std::optional<Link> link;
   uint64_t now = 0;
 };
@@ -206,14 +163,14 @@ std::optional<World> world;
 std::string start(Words& words) {
   const auto link = number<uint8_t>(words);
   const auto boot = number<uint16_t>(words);
-  world->link.emplace(link, boot, key_of(bytes(words)), world->board);
+  world->link.emplace(link, boot, key_of(bytes(words)), world->board, world->computer);
   return "done";
 }
 
 std::string send(Words& words) {
   const uint32_t refused = world->link->gate().refused();
   const Bytes data = bytes(words);
-  world->board.inbox.push_back(data);
+  world->computer.inbox.push_back(data);
   world->poll();
   return !data.empty() && world->link->gate().refused() == refused ? "taken" : "refused";
 }
@@ -221,8 +178,7 @@ std::string send(Words& words) {
 std::string run(Words& words) {
   const uint64_t end = world->now + number<uint64_t>(words);
   for (; world->now < end; world->now += kStep) world->poll();
-  const std::string frames = std::exchange(world->board.outbox, "");
-  return frames.empty() ? "-" : frames;
+  return world->computer.take_sent();
 }
 
 std::string joint() {
@@ -275,10 +231,6 @@ std::string answer(const char* line) {
 }  // namespace fss
 
 int main() {
-  char line[4096];
-  while (fgets(line, sizeof line, stdin)) {
-    printf("%s\n", fss::answer(line).c_str());
-    fflush(stdout);
-  }
+  fss::converse(fss::answer);
   return 0;
 }

@@ -19,6 +19,7 @@
 #include "bench_board.hpp"
 #include "blake2s.hpp"
 #include "bytes.hpp"
+#include "fuzzing.hpp"
 #include "link.hpp"
 #include "stream.hpp"
 
@@ -31,46 +32,6 @@ constexpr uint64_t kPatience = 5'000'000;  // for a disarmed link to come to res
 constexpr uint64_t kOutdated = 50'000;     // no set-point goes on for longer [us],
 constexpr uint64_t kLost = 600'000;        // or than this, after noise on the drive's line
 constexpr size_t kGrowth = 20'000;         // of what the simulated drive keeps at times [bytes]
-
-using Data = uint8_t[kFrameSize];
-
-uint32_t crc32(const uint8_t* data, size_t size) {
-  uint32_t crc = 0xFFFFFFFF;
-  for (size_t i = 0; i < 8 * size; ++i) {
-    const bool odd = (crc ^ static_cast<uint32_t>(data[i / 8] >> i % 8)) & 1;
-    crc = crc >> 1 ^ (odd ? 0xEDB88320 : 0);
-  }
-  return ~crc;
-}
-
-void seal(uint8_t* frame, const Key& key) {
-  store(frame + 52, crc32(frame, 52));
-  memset(frame + 56, 0, 16);
-  if (key.size) blake2s(key, frame, 56, frame + 56, 16);
-}
-
-class FuzzBoard : public BenchBoard {
- public:
-  size_t receive(uint8_t* data, size_t room) override {
-    const size_t size = std::min(room, size_);
-    memcpy(data, datagram_, size);
-    size_ = 0;
-    return size;
-  }
-  void answer() override {}
-  void send(const uint8_t* frame) override { ++sent[frame[3] == 1]; }
-
-  void put(const uint8_t* data, size_t size) {
-    size_ = std::min(size, sizeof datagram_);
-    memcpy(datagram_, data, size_);
-  }
-
-  unsigned long long sent[2] = {};  // what is not telemetry, and what is
-
- private:
-  uint8_t datagram_[100] = {};
-  size_t size_ = 0;
-};
 
 class Fuzzer {
  public:
@@ -89,11 +50,11 @@ class Fuzzer {
     restart();
     printf("  taken %llu commands and %llu segments, refused %llu, telemetry %llu, starts %u\n"
            "  paths followed for %.0f s, broken %llu times, turns of the joint %.0f\n",
-           taken_, kept_, refused_, board_.sent[1], boot_ - 1,
+           taken_, kept_, refused_, computer_.sent[1], boot_ - 1,
            1e-6 * static_cast<double>(followed_), broken_, way_ / 240'000);
     const size_t heap = __sanitizer_get_current_allocated_bytes();
     check(heap < heap_ + kGrowth, "the heap grows");
-    check(board_.sent[1] > count / 4000 && board_.sent[0] == 0, "telemetry does not flow");
+    check(computer_.sent[1] > count / 4000 && computer_.sent[0] == 0, "telemetry does not flow");
     check(taken_ > count / 50, "hardly anything was taken");
     check(kept_ > count / 200, "hardly a segment was taken");
     check(broken_ >= count / 100'000 && followed_ > count, "hardly a path was followed");
@@ -140,7 +101,7 @@ class Fuzzer {
   // The link's electronics, not the drive: a new clock, nothing remembered.
   void restart() {
     if (link_) taken_ += link_->gate().taken(), refused_ += link_->gate().refused();
-    link_.emplace(uint8_t{2}, ++boot_, key_, board_);
+    link_.emplace(uint8_t{2}, ++boot_, key_, board_, computer_);
   }
 
   // Until all that has come is read, so that nothing but an input can change anything then.
@@ -270,7 +231,7 @@ class Fuzzer {
     poll();
     const uint8_t flags = link_->flags();
     const uint32_t taken = link_->gate().taken(), refused = link_->gate().refused();
-    board_.put(data, size);
+    computer_.put(data, size);
     poll();
     if (size == 0 || link_->gate().refused() > refused) {
       check(link_->gate().taken() == taken, "it was refused and taken");
@@ -287,7 +248,7 @@ class Fuzzer {
       return;
     }
     Data same;
-    const Command& command = link_->gate().command();
+    const Command& command = link_->command();
     memset(same, 0, kFrameSize);
     store(same, uint16_t{0x4653});
     same[2] = 2;
@@ -342,7 +303,8 @@ class Fuzzer {
 
   std::mt19937 random_;
   const Key key_;
-  FuzzBoard board_;
+  BenchBoard board_;
+  FuzzComputer computer_{Kind::Telemetry};
   std::optional<Link> link_;
   uint16_t boot_ = 0;
   unsigned long long taken_ = 0, refused_ = 0;  // before the last start

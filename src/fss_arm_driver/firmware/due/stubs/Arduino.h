@@ -27,6 +27,7 @@ void watchdogReset();
 void watchdogSetup();
 }
 void delayMicroseconds(uint32_t microseconds);
+uint32_t __get_PRIMASK();
 void noInterrupts();
 void interrupts();
 void trng_enable(Trng* generator);
