@@ -12,18 +12,18 @@ from fss_arm_driver.protocol import Command, Segment, Telemetry, decode, encode
 os.environ.setdefault("ASAN_OPTIONS", "detect_leaks=0")
 
 ROOT = Path(__file__).parents[2]
-SOURCES = ROOT / "src/fss_arm_driver/firmware"
-BUILT = ROOT / "build/firmware"
+LINK, BASE = "fss_arm_driver", "fss_base_driver"  # the packages that have firmware
 
 
-def build(target: str) -> Path:
-    """Make one of the programs, or wait until another test process has; return its path."""
-    BUILT.mkdir(parents=True, exist_ok=True)
-    with (BUILT / ".lock").open("w") as lock:
+def build(target: str, package: str = LINK) -> Path:
+    """Make one of a firmware's programs, or wait until another test process has; return its path."""
+    built = ROOT / "build" / ("firmware" if package == LINK else "base_firmware")
+    built.mkdir(parents=True, exist_ok=True)
+    with (built / ".lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        path = BUILT / target
+        path = built / target
         made = subprocess.run(
-            ["make", "-s", "-j2", "-C", SOURCES, f"BUILD={BUILT}", path],
+            ["make", "-s", "-j2", "-C", ROOT / "src" / package / "firmware", f"BUILD={built}", path],
             capture_output=True,
             text=True,
         )
@@ -39,10 +39,11 @@ EMULATOR = """qemu-system-arm -M mps2-an385 -nographic -monitor none -serial non
 class Core:
     """The firmware's core at a pipe: requests in, answers out."""
 
-    def __init__(self, cortex_m3: bool = False) -> None:
-        emulated = [*EMULATOR.split(), build("core_pipe_m3.elf")] if cortex_m3 else None
+    def __init__(self, cortex_m3: bool = False, package: str = LINK) -> None:
+        program = "core_pipe" if package == LINK else "base_pipe"
+        emulated = [*EMULATOR.split(), build(f"{program}_m3.elf", package)] if cortex_m3 else None
         self.process = subprocess.Popen(
-            emulated or [build("core_pipe")],
+            emulated or [build(program, package)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,

@@ -1,0 +1,333 @@
+"""The firmware of the base's board on this computer, under sanitizers, beside its Python table."""
+
+import random
+import re
+import shutil
+import subprocess
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+from base_board import BOOT, GO, KEY, QUIET, SECOND, STOP, opens
+from base_firmware import FirmwareBoard, board_core
+from base_firmware_vectors import cases
+from firmware import BASE, Core, build
+
+from fss_base_driver.protocol import (
+    NO_ON_TIMES,
+    VALVES,
+    BaseOrder,
+    BaseSlow,
+    BaseState,
+    BoardState,
+    Gripper,
+    Hand,
+    Limits,
+    Measured,
+    board_gate,
+    encode,
+)
+
+VECTORS = Path(__file__).parents[2] / "vectors/base_firmware.txt"
+MS = 1000
+TIGHT = Limits(longest=200_000, allowance=150_000, duty=30, total=500_000)
+FOREVER = VALVES * (0xFFFF,)
+
+
+@pytest.fixture(scope="module")
+def core() -> Iterator[Core]:
+    core = board_core()
+    yield core
+    core.close()
+
+
+@pytest.fixture
+def board(core) -> FirmwareBoard:
+    """A board at one second."""
+    board = FirmwareBoard(core)
+    board.run(SECOND)
+    return board
+
+
+def test_the_vectors_are_what_the_python_codec_says():
+    lines = VECTORS.read_text().splitlines()
+    assert lines == [f"{request} = {answer}" for request, answer in cases(seed=1, count=40)]
+
+
+def test_the_firmware_agrees_with_the_vectors(core):
+    lines = VECTORS.read_text().splitlines()
+    answers = {answer.split()[0] for line in lines for answer in [line.split(" = ")[1]]}
+    assert answers >= {"command", "length", "magic", "version", "kind", "crc", "signature", "field"}
+    for line in lines:
+        request, answer = line.split(" = ")
+        assert core.ask(request) == answer, request
+
+
+def test_the_firmware_agrees_with_the_python_codec_on_random_frames(core):
+    for request, answer in cases(seed=2, count=1000):
+        assert core.ask(request) == answer, request
+
+
+# --- beside the table of states ------------------------------------------------------------------
+
+
+def clumsy(rng, clock, sequence, number):
+    """A command as a computer in trouble may send it: repeated, late, of another start."""
+    flags = rng.choice([0, 0, BaseOrder.STOP, *30 * [BaseOrder.ARM]])
+    command = replace(
+        QUIET, flags=flags, sequence=sequence + rng.choice([1, 1, 1, 1, 1, 1, 0, -1, 5]),
+        clock=clock + rng.randint(-1000, 0), boot=rng.choice([*12 * [BOOT], BOOT + 1]),
+        watchdog=rng.choice([100, 500]),
+    )  # fmt: skip
+    if flags != BaseOrder.ARM:
+        return command
+    times = tuple(rng.choice([0, 0, 1, 77, 300, 2500, 0xFFFF]) for _ in range(VALVES))
+    pulse = (number + rng.choice([0, 0, 1, 1, 1, -1])) & 0xFFFF
+    return replace(
+        command, pulse=pulse, on_times=times if pulse else NO_ON_TIMES,
+        gripper=rng.choice([0, 0, 1, 2]), expiry=clock + rng.randint(-10_000, 400_000),
+    )  # fmt: skip
+
+
+def same_as(board, table, measured):
+    """Check that both know the same now; return what is seen."""
+    table.tick(board.clock)
+    seen = board.valves()
+    wanted = (table.valves(), table.flags(), table.pulse, table.left, tuple(table.opened))
+    assert seen == wanted
+    for frame in measured:
+        expected = table.telemetry(frame.clock, frame.sequence, Measured())
+        for name in ("flags", "echo", "turnaround", "valves", "pulse", "pulse_age"):
+            assert getattr(frame, name) == getattr(expected, name), name
+        told = Hand.TOLD_TO_CLOSE
+        assert frame.gripper & told == expected.gripper & told
+        if frame.slow_id >= BaseSlow.LEFT or frame.slow_id == BaseSlow.REFUSED:
+            assert (frame.slow_id, frame.slow_value) == (expected.slow_id, expected.slow_value)
+    return seen
+
+
+@pytest.mark.parametrize("key", [None, KEY])
+@pytest.mark.parametrize("seed", range(6))
+def test_it_does_what_the_table_says_to_the_microsecond(core, seed, key):
+    limits = TIGHT if seed % 3 else Limits()
+    board = FirmwareBoard(core, key=key, limits=limits)
+    board.run(SECOND)
+    table = BoardState(board_gate(BOOT, key), limits)
+    rng, sequence, seen, opened = random.Random(seed), 100, set(), 0
+    for _ in range(400):
+        command = clumsy(rng, board.clock, sequence, table.pulse)
+        taken = board.send(command)
+        assert table.receive(encode(command, key), board.clock) == taken
+        sequence = command.sequence if taken else sequence
+        for _ in range(rng.randrange(1, 4)):
+            pause = rng.choice([rng.randint(1, 1000), rng.randint(1, 60_000)])
+            pause = rng.choice([*30 * [pause], 600_000])
+            while pause > 0:  # no further than to the next frame, so that it is of now
+                step = min(pause, 50_000 - board.clock % 50_000)
+                frames = board.run(step)
+                pause -= step
+                known = same_as(board, table, frames)
+                seen.add(known.flags)
+                opened |= known.driven
+    assert opened == 255
+    assert {flag for flags in seen for flag in BaseState if flags & flag} >= {
+        BaseState.ARMED, BaseState.STOPPED, BaseState.WATCHDOG, BaseState.LIMITED,
+    }  # fmt: skip
+    assert any(flags & BaseState.SPENT for flags in seen) == (limits is TIGHT)
+    # What a table of time says is what the valves do, but for the step of the timer.
+    real, known = board.opened(), board.valves().opened
+    pulses = 800
+    assert all(0 <= r - k <= 100 * pulses for r, k in zip(real, known, strict=True))
+
+
+# --- by itself -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("hangs", [False, True])
+@pytest.mark.parametrize("on_time", [1, 77, 1000, 10_000])
+def test_a_valve_closes_by_itself_within_a_step_of_the_timer(board, on_time, hangs):
+    assert board.send(QUIET)
+    assert board.send(opens((on_time, *7 * (0,)), watchdog=5000))
+    board.run(2 * SECOND, hangs)
+    assert 100 * on_time <= board.opened()[0] <= 100 * on_time + 100
+    assert board.opened()[1:] == 7 * [0]
+
+
+@pytest.mark.parametrize("hangs", [False, True])
+@pytest.mark.parametrize("watchdog", [100, 500])
+def test_in_silence_all_close_within_the_watchdog_though_its_loop_hangs(board, watchdog, hangs):
+    assert board.send(QUIET)
+    assert board.send(opens(8 * (10_000,), watchdog=watchdog))
+    assert board.valves().driven == 255
+    board.run(SECOND, hangs)
+    assert board.valves()[:2] == (0, BaseState.WATCHDOG)
+    assert max(board.opened()) <= MS * watchdog + 100
+
+
+def test_a_command_that_expires_closes_though_the_loop_hangs(board):
+    assert board.send(QUIET)
+    assert board.send(opens(8 * (10_000,), expiry=board.clock + 60 * MS))
+    board.run(400 * MS, hangs=True)
+    assert board.valves()[:2] == (0, BaseState.ARMED)
+    assert max(board.opened()) <= 60 * MS + 100
+
+
+@pytest.mark.parametrize("hangs", [False, True])
+def test_limits_hold_whatever_is_asked(core, hangs):
+    """Whoever asks for all valves, always, for 20 s has each for its allowance and duty."""
+    board = FirmwareBoard(core, limits=replace(TIGHT, total=100 * SECOND))
+    assert board.send(QUIET)
+    for k in range(200):
+        asked = opens(FOREVER, 1 + k, 2 + k, expiry=board.clock + SECOND)
+        assert board.send(replace(asked, watchdog=500))
+        board.run(100 * MS, hangs)
+    most = TIGHT.allowance + TIGHT.duty * board.clock // 100
+    assert 0.97 * most < min(board.opened())
+    assert max(board.valves().opened) <= most
+    assert max(board.opened()) <= most + 200 * 100
+    assert board.valves().flags == BaseState.ARMED | BaseState.LIMITED
+
+
+def test_a_pulse_is_cut_to_the_longest(board):
+    assert board.send(QUIET)
+    assert board.send(opens((0xFFFF, *7 * (0,)), watchdog=5000))
+    board.run(3 * SECOND)
+    assert SECOND <= board.opened()[0] <= SECOND + 100
+    assert board.valves().flags & BaseState.LIMITED
+
+
+@pytest.mark.parametrize("stopped", [STOP, replace(STOP, boot=0, sequence=0), QUIET])
+def test_a_stop_and_a_disarm_close_at_once(board, stopped):
+    assert board.send(QUIET)
+    assert board.send(opens(FOREVER))
+    board.run(10 * MS)
+    assert board.send(replace(stopped, sequence=stopped.sequence and 3))
+    assert board.valves().driven == 0
+    board.run(SECOND)
+    assert max(board.opened()) == 10 * MS
+
+
+# --- what it tells -------------------------------------------------------------------------------
+
+
+def test_it_measures_twenty_times_a_second_whatever_arrives(board):
+    for _ in range(40):
+        board.send(bytes(72))
+    frames = board.run(2 * SECOND)
+    assert len(frames) == 40
+    assert {later.clock - frame.clock for frame, later in pairwise(frames)} == {50_000}
+    assert {later.sequence - frame.sequence for frame, later in pairwise(frames)} == {1}
+    slow = {BaseSlow(frame.slow_id): frame.slow_value for frame in frames}
+    assert slow == {
+        BaseSlow.TANK: 20_000, BaseSlow.SUPPLY: 7000, BaseSlow.BATTERY: 148,
+        BaseSlow.TEMPERATURE: 215, BaseSlow.FIRMWARE: 1 << 16, BaseSlow.REFUSED: 40,
+        BaseSlow.FAULTS: 0, BaseSlow.LEFT: 300_000, **dict.fromkeys(range(9, 17), 0),
+    }  # fmt: skip
+
+
+def test_of_the_gyro_nothing_is_lost_between_frames(board):
+    board.tell("gyro -300 1")
+    frames = board.run(10 * SECOND)
+    for frame, later in [(frames[0], frames[1]), (frames[3], frames[170])]:
+        samples = (later.gyro_samples - frame.gyro_samples) & 0xFFFF
+        total = (later.gyro_sum - frame.gyro_sum + (1 << 31)) % (1 << 32) - (1 << 31)
+        assert samples == (later.clock - frame.clock) // 1000
+        assert total == -300 * samples
+
+
+def test_a_gyro_is_sampled_though_the_loop_hangs_and_one_that_is_silent_adds_nothing(board):
+    before = board.run(50_000)[-1]
+    board.run(SECOND, hangs=True)
+    after = board.run(50_000)[-1]
+    assert after.gyro_samples - before.gyro_samples == (after.clock - before.clock) // 1000
+    board.tell("gyro 5 0")
+    frames = board.run(SECOND)
+    assert frames[-1].gyro_samples == frames[0].gyro_samples
+
+
+def test_a_wire_that_is_cut_or_shorted_is_told(board):
+    board.tell("fail 0 0 1 128")
+    assert board.send(QUIET)
+    assert board.send(opens((1000, 1000, *6 * (0,))))
+    frames = board.run(SECOND)  # of which the pulse is long over
+    (faults,) = {frame.slow_value for frame in frames if frame.slow_id == BaseSlow.FAULTS}
+    assert faults == 1 | 1 << 15
+    board.tell("fail 0 0 0 0")
+    board.run(SECOND)
+    frames = board.run(SECOND)
+    (faults,) = {frame.slow_value for frame in frames if frame.slow_id == BaseSlow.FAULTS}
+    assert faults == 1  # until valve 1 is driven again
+
+
+def test_the_gripper_takes_its_time_and_is_not_opened_by_a_stop(board):
+    board.tell("hold 1")
+    assert board.send(QUIET)
+    assert board.send(opens(gripper=Gripper.CLOSE))
+    assert board.run(100 * MS)[-1].gripper == Hand.TOLD_TO_CLOSE
+    assert board.send(replace(STOP, sequence=3))
+    assert board.run(400 * MS)[-1].gripper == Hand.TOLD_TO_CLOSE | Hand.CLOSED | Hand.HOLDS
+    assert board.send(opens(gripper=Gripper.OPEN, sequence=4))
+    assert board.run(400 * MS)[-1].gripper & Hand.TOLD_TO_CLOSE
+
+
+def test_the_tank_empties_by_what_is_open(board):
+    assert board.send(QUIET)
+    assert board.send(opens(8 * (5000,), watchdog=2000))
+    assert {f.slow_value for f in board.run(400 * MS) if f.slow_id == BaseSlow.SUPPLY} <= {6600}
+    frames = board.run(SECOND)
+    (tank,) = {frame.slow_value for frame in frames if frame.slow_id == BaseSlow.TANK}
+    assert tank == 20_000 - 40
+
+
+@pytest.mark.parametrize("inputs", [20_000, pytest.param(10_000_000, marks=pytest.mark.slow)])
+def test_random_and_damaged_inputs(inputs):
+    program = build("base_fuzz", BASE)
+    fuzz = subprocess.run([program, str(inputs)], capture_output=True, text=True)
+    assert fuzz.returncode == 0, fuzz.stdout + fuzz.stderr
+
+
+# --- on the Due's processor ----------------------------------------------------------------------
+
+needs_arm = pytest.mark.skipif(
+    not shutil.which("arm-none-eabi-g++"), reason="arm-none-eabi-g++ is not installed"
+)
+needs_emulator = pytest.mark.skipif(
+    not shutil.which("qemu-system-arm"), reason="qemu-system-arm is not installed"
+)
+
+
+@needs_arm
+def test_it_fits_the_due_and_never_asks_for_memory():
+    program = build("due.elf", BASE)
+    sizes = subprocess.check_output(["arm-none-eabi-size", program], text=True).splitlines()[1]
+    text, data, bss = (int(size) for size in sizes.split()[:3])
+    assert text + data < 12_000
+    assert data + bss < 2_000
+    names = subprocess.check_output(["arm-none-eabi-nm", "-C", program], text=True)
+    assert "fss::Base::poll" in names
+    assert "TC3_Handler" in names
+    assert not re.search(r"malloc|operator new|sbrk", names)
+
+
+def life(core):
+    """What a board says while it is armed, flown, left alone, and flown again."""
+    board = FirmwareBoard(core, key=KEY, limits=TIGHT)
+    said = [board.run(SECOND), board.send(replace(QUIET, clock=5))]
+    for k in range(12):
+        command = replace(GO, pulse=1 + k // 2, sequence=2 + k, clock=6 + k)
+        said += [board.send(command), board.run(50_000 + 37 * k), board.valves()]
+    return [*said, board.run(700 * MS, hangs=True), board.run(SECOND), board.opened()]
+
+
+@needs_arm
+@needs_emulator
+@pytest.mark.slow
+def test_a_cortex_m3_agrees_with_the_vectors_and_with_this_computer(core):
+    emulated = board_core(cortex_m3=True)
+    for line in VECTORS.read_text().splitlines():
+        request, answer = line.split(" = ")
+        assert emulated.ask(request) == answer, request
+    assert life(emulated) == life(core)
+    emulated.close()

@@ -1,0 +1,65 @@
+"""The firmware of the base's board, in simulated time."""
+
+from typing import NamedTuple
+
+from firmware import BASE, Core
+
+from fss_base_driver.protocol import BaseCommand, BaseTelemetry, Limits, decode, encode
+
+
+class Valves(NamedTuple):
+    """What the firmware knows of them."""
+
+    driven: int
+    flags: int
+    pulse: int
+    left: int  # [us]
+    opened: tuple[int, ...]  # [us]
+
+
+class FirmwareBoard:
+    """The board's electronics, the model of its hardware behind them."""
+
+    def __init__(
+        self, core: Core, boot: int = 7, key: bytes | None = None, limits: Limits | None = None
+    ) -> None:
+        self.core, self.key = core, key
+        self.clock = 0  # [us]
+        most = limits or Limits()
+        bounds = f"{most.longest} {most.allowance} {most.duty} {most.total}"
+        self.tell(f"start {boot} {key.hex() if key else '-'} {bounds}")
+
+    def tell(self, request: str) -> None:
+        """Let something happen to it."""
+        assert self.core.ask(request) == "done"
+
+    def send(self, frame: BaseCommand | bytes) -> bool:
+        """Deliver a datagram; whether it was taken."""
+        data = frame if isinstance(frame, bytes) else encode(frame, self.key)
+        answer = self.core.ask(f"send {data.hex() or '-'}")
+        assert answer in ("taken", "refused")
+        return answer == "taken"
+
+    def run(self, microseconds: int, hangs: bool = False) -> list[BaseTelemetry]:
+        """Let time pass; what it sent meanwhile. What hangs is its loop."""
+        answer = self.core.ask(f"{'hang' if hangs else 'run'} {microseconds}")
+        self.clock += microseconds
+        frames = [
+            decode(bytes.fromhex(frame), self.key) for frame in answer.split() if frame != "-"
+        ]
+        assert all(isinstance(frame, BaseTelemetry) for frame in frames)
+        return frames
+
+    def valves(self) -> Valves:
+        """What its firmware knows of them now."""
+        driven, flags, pulse, left, *opened = map(int, self.core.ask("valves").split())
+        return Valves(driven, flags, pulse, left, tuple(opened))
+
+    def opened(self) -> list[int]:
+        """For how long each really was open [us]."""
+        return [int(time) for time in self.core.ask("opened").split()]
+
+
+def board_core(cortex_m3: bool = False) -> Core:
+    """The core of its firmware at a pipe."""
+    return Core(cortex_m3, BASE)
