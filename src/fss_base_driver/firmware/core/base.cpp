@@ -81,6 +81,7 @@ void Base::watch_currents() {
 }
 
 void Base::report() {
+  const Readings readings = board_.readings();
   BaseTelemetry frame;
   frame.link = kBoard;
   frame.boot = boot_;
@@ -98,7 +99,7 @@ void Base::report() {
     frame.valves = valves_.open();
     frame.pulse = valves_.pulse();
     frame.pulse_age = valves_.pulse_age();
-    frame.slow_value = slow_value(frame.slow_id);
+    frame.slow_value = slow_value(frame.slow_id, readings);
   }
   frame.turnaround = gate_.turnaround(frame.clock);
   ++sequence_;
@@ -107,12 +108,12 @@ void Base::report() {
   computer_.send(data);
 }
 
-int32_t Base::slow_value(BaseSlow slow) const {
+int32_t Base::slow_value(BaseSlow slow, const Readings& readings) const {
   switch (slow) {
-    case BaseSlow::Tank: return board_.readings().tank;
-    case BaseSlow::Supply: return board_.readings().supply;
-    case BaseSlow::Battery: return board_.readings().battery;
-    case BaseSlow::Temperature: return board_.readings().temperature;
+    case BaseSlow::Tank: return readings.tank;
+    case BaseSlow::Supply: return readings.supply;
+    case BaseSlow::Battery: return readings.battery;
+    case BaseSlow::Temperature: return readings.temperature;
     case BaseSlow::Firmware: return kBaseFirmware;
     case BaseSlow::Refused: return static_cast<int32_t>(gate_.refused());
     case BaseSlow::Faults: return faults_;

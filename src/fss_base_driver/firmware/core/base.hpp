@@ -39,7 +39,7 @@ class Base {
   bool take(const uint8_t* data, size_t size, uint64_t now);
   void watch_currents();
   void report();
-  int32_t slow_value(BaseSlow slow) const;
+  int32_t slow_value(BaseSlow slow, const Readings& readings) const;
 
   const uint16_t boot_;
   const Key key_;

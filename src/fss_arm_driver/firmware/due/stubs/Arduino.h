@@ -1,17 +1,28 @@
-// As much of the Arduino Due's core and of the Wi-Fi shield's library as due.ino uses, declared so
-// that it can be compiled without them. Nothing here runs.
+// As much of the Arduino Due's core and of the Wi-Fi shield's library as the sketches use, declared
+// so that they can be compiled without them. Nothing here runs.
 #pragma once
 
 #include <stddef.h>
 #include <stdint.h>
 #include <string.h>
 
-constexpr int LOW = 0, HIGH = 1, OUTPUT = 1, INPUT_PULLUP = 2, A0 = 54;
+constexpr int LOW = 0, HIGH = 1, INPUT = 0, OUTPUT = 1, INPUT_PULLUP = 2;
+constexpr int A0 = 54, A1 = 55, A2 = 56, A3 = 57, A4 = 58;
 constexpr int WL_CONNECTED = 3;
-constexpr uint32_t ID_TRNG = 41;
+constexpr uint32_t ID_TC3 = 30, ID_TRNG = 41, VARIANT_MCK = 84000000;
+constexpr uint32_t TC_CMR_TCCLKS_TIMER_CLOCK1 = 0, TC_CMR_WAVSEL_UP_RC = 2u << 13, TC_CMR_WAVE = 1u << 15,
+                   TC_IER_CPCS = 1u << 4;
 
 struct Trng;
 extern Trng* const TRNG;
+
+struct Tc {
+  struct {
+    uint32_t TC_IER;
+  } TC_CHANNEL[3];
+};
+extern Tc* const TC1;
+enum IRQn_Type { TC3_IRQn = 30 };
 
 extern "C" {
 void pinMode(uint32_t pin, uint32_t mode);
@@ -25,7 +36,14 @@ uint32_t pmc_enable_periph_clk(uint32_t id);
 void watchdogEnable(uint32_t milliseconds);
 void watchdogReset();
 void watchdogSetup();
+void TC3_Handler();
 }
+void TC_Configure(Tc* timer, uint32_t channel, uint32_t mode);
+void TC_SetRC(Tc* timer, uint32_t channel, uint32_t value);
+void TC_Start(Tc* timer, uint32_t channel);
+uint32_t TC_GetStatus(Tc* timer, uint32_t channel);
+void NVIC_SetPriority(IRQn_Type interrupt, uint32_t priority);
+void NVIC_EnableIRQ(IRQn_Type interrupt);
 void delayMicroseconds(uint32_t microseconds);
 uint32_t __get_PRIMASK();
 void noInterrupts();
