@@ -1,5 +1,9 @@
-"""The firmware of the base's board, in simulated time."""
+"""The firmware of the base's board, in simulated time; or emulated, in real time."""
 
+import socket
+import time
+from contextlib import suppress
+from threading import Event, Thread
 from typing import NamedTuple
 
 from firmware import BASE, Core
@@ -63,3 +67,35 @@ class FirmwareBoard:
 def board_core(cortex_m3: bool = False) -> Core:
     """The core of its firmware at a pipe."""
     return Core(cortex_m3, BASE)
+
+
+class Emulation:
+    """The board's firmware on an emulated Cortex-M3, in real time, at a UDP port."""
+
+    def __init__(self, key: bytes) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.bind(("127.0.0.1", 0))
+        self._socket.settimeout(0.001)
+        self.port = self._socket.getsockname()[1]
+        self._board = FirmwareBoard(board_core(cortex_m3=True), key=key)
+        self._ended = Event()
+        self._thread = Thread(target=self._run)
+        self._thread.start()
+
+    def _run(self) -> None:
+        begin, peer = time.monotonic_ns() // 1000, None
+        while not self._ended.is_set():
+            frames = self._board.run(max(time.monotonic_ns() // 1000 - begin - self._board.clock, 1))
+            for frame in frames:
+                if peer:
+                    self._socket.sendto(encode(frame, self._board.key), peer)
+            with suppress(TimeoutError):
+                data, sender = self._socket.recvfrom(100)
+                peer = sender if self._board.send(data) else peer
+
+    def close(self) -> None:
+        """End it."""
+        self._ended.set()
+        self._thread.join()
+        self._socket.close()
+        self._board.core.close()

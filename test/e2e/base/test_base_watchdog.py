@@ -1,0 +1,119 @@
+"""The base's node and its board's own code: valves of a computer that dies close by themselves."""
+
+import shutil
+import signal
+import socket
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from base_firmware import Emulation
+from firmware import BASE, build
+from rclpy.node import Node
+from std_srvs.srv import SetBool
+
+from fss_arm_driver.transport import open_transport
+from fss_arm_msgs.msg import BaseTelemetry, ThrusterCommand
+from fss_arm_ros.qos import COMMAND
+from fss_base_driver import protocol
+from fss_base_driver.protocol import BaseSlow, BaseState
+
+KEY = bytes(range(16))
+MS = 1000
+
+
+def free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+@pytest.fixture
+def keys(tmp_path: Path) -> Path:
+    path = tmp_path / "keys"
+    path.touch(0o600)
+    path.write_text(f"0 {KEY.hex()}\n")
+    return path
+
+
+@pytest.fixture(params=["--udp 0", "--tcp 0", "--pty", "emulated"])
+def url(request, keys) -> Iterator[str]:
+    """Where the firmware is: a process, or on an emulated board."""
+    if request.param == "emulated":
+        if not (shutil.which("arm-none-eabi-g++") and shutil.which("qemu-system-arm")):
+            pytest.skip("arm-none-eabi-g++ or qemu-system-arm is not installed")
+        board = Emulation(KEY)
+        yield f"udp://127.0.0.1:{board.port}?bind={free_port()}"
+        board.close()
+        return
+    command = [build("fss_base", BASE), *request.param.split(), "--keys", str(keys)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as board:
+        _, _, way, place = board.stdout.readline().split()[:4]  # "base at udp 40001, signed"
+        place = place.rstrip(",")
+        forms = {"udp": f"udp://127.0.0.1:{place}?bind={free_port()}",
+                 "tcp": f"tcp://127.0.0.1:{place}", "serial": f"serial://{place}"}  # fmt: skip
+        yield forms[way]
+        board.kill()
+
+
+class Person(Node):
+    """Arms the base, opens all its valves, and sees them."""
+
+    def __init__(self):
+        super().__init__("person")
+        self.telemetry = None
+        self.create_subscription(BaseTelemetry, "base/telemetry", self.see, 10)
+        self.arming = self.create_client(SetBool, "base/arm")
+        self.thrust = self.create_publisher(ThrusterCommand, "thrusters/command", COMMAND)
+
+    def see(self, telemetry):
+        self.telemetry = telemetry
+
+    def open_all(self):
+        command = ThrusterCommand(on_time=8 * [1.0])
+        command.header.stamp = self.get_clock().now().to_msg()
+        self.thrust.publish(command)
+
+
+def test_valves_of_a_driver_killed_in_mid_pulse_close_within_the_watchdog(spin, start, url, keys):
+    driver = start("fss_base_driver.base_node", "--ros-args", "-p", f"url:={url}", "-p",
+                   f"keys:={keys}")  # fmt: skip
+    person = Person()
+    spin(person, lambda: person.telemetry and person.arming.service_is_ready(), 30.0)
+    spin(person, person.thrust.get_subscription_count)
+    armed = person.arming.call_async(SetBool.Request(data=True))
+    assert spin(person, armed.done, 20.0)
+    assert armed.result().success, armed.result().message
+    person.open_all()
+    spin(person, lambda: person.telemetry.valves == 255)
+    driver.stop(signal.SIGKILL)
+
+    transport = open_transport(url)
+    frames: list[protocol.BaseTelemetry] = []
+
+    def listen() -> bool:
+        transport.wait(0.1)
+        frames.extend(protocol.decode(data, KEY) for data in transport.receive())
+        slow = {frame.slow_id for frame in frames if frame.flags & BaseState.WATCHDOG}
+        return slow >= set(range(BaseSlow.OPEN_1, BaseSlow.OPEN_8 + 1))
+
+    spin(person, listen, 20.0)
+    transport.close()
+    tripped = [frame for frame in frames if frame.flags & BaseState.WATCHDOG]
+    before = [frame for frame in frames if not frame.flags & BaseState.WATCHDOG]
+    opened = [frame.slow_value for frame in tripped if frame.slow_id >= BaseSlow.OPEN_1]
+    begun = tripped[0].clock - tripped[0].turnaround  # at the latest: a repetition may follow
+    print(f"open after {[round(frame.turnaround / MS) for frame in before if frame.valves]} ms of "
+          f"silence, told closed after {tripped[0].turnaround / MS:.0f} ms; were open for "
+          f"{min(opened)} to {max(opened)} ms of the 1000 told, the last command came "
+          f"{(begun - tripped[0].clock + 100 * tripped[0].pulse_age) / MS:.0f} ms into it")  # fmt: skip
+    assert all(frame.turnaround <= 500 * MS for frame in before)
+    assert any(frame.valves == 255 for frame in before)
+    assert not any(frame.valves for frame in tripped)
+    assert not tripped[0].flags & BaseState.ARMED
+    assert max(opened) - min(opened) == 0
+    # From the pulse's begin to the last command, and the watchdog time: not a millisecond more.
+    until_last = 100 * tripped[0].pulse_age - tripped[0].turnaround
+    assert max(opened) == pytest.approx(500 + until_last / MS, abs=1.1)
+    assert max(opened) < 1000
