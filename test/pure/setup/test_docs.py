@@ -20,6 +20,7 @@ PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))]
 SYSTEM = {
     *(".", "cd", "cmake", "colcon", "cp", "export", "make", "python", "ssh", "sudo", "systemctl"),
     *("awk", "arduino-cli", "fast-discovery-server", "build/firmware/fss_link"),
+    "build/base_firmware/fss_base",
 }
 
 

@@ -20,7 +20,7 @@ class BaseBoard {
   // Has these valves open and all others closed; bit i - 1: valve i.
   virtual void open(uint8_t valves) = 0;
 
-  // The gyro's next sample, if one has come; of an analogue one the board takes them.
+  // The gyro's next sample, if there is one.
   virtual bool gyro(int32_t& counts) = 0;
 
   virtual uint8_t currents() = 0;  // which valves draw current

@@ -36,7 +36,6 @@ static fss::Base& firmware() {
 
 extern "C" void TC3_Handler() {
   TC_GetStatus(TC1, 0);  // which acknowledges the interrupt
-  board.count_tick();
   firmware().tick(the_clock.now());
   if (millis() - alive < patience) watchdogReset();
 }

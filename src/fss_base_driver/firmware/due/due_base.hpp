@@ -5,10 +5,37 @@
 
 #include "base_board.hpp"
 #include "due_computer.hpp"
+#include "gyro_line.hpp"
+#include "settings.hpp"
 #include "wiring.hpp"
 
 static const uint32_t kTickRate = 10000;  // of the timer [Hz]: an on time's unit
-static const uint8_t kGyroTicks = 10;     // from one sample of the gyro to the next
+
+// Sampled by the timer, 1000 times a second: what the loop samples it samples at no steady rate.
+class AnalogueGyro {
+ public:
+  void begin() {}
+  bool sample(int32_t& counts) {
+    if (++ticks_ % 10 != 0) return false;
+    counts = static_cast<int32_t>(analogRead(kGyroPin)) - kGyroZero;
+    return true;
+  }
+
+ private:
+  uint8_t ticks_ = 0;
+};
+
+// At the RS-232 shield's line: RX1 is pin 19.
+class SerialGyro {
+ public:
+  void begin() { Serial1.begin(38400); }
+  bool sample(int32_t& counts) {
+    return Serial1.available() > 0 && line_.take(static_cast<char>(Serial1.read()), counts);
+  }
+
+ private:
+  fss::GyroLine line_;
+};
 
 class DueBase : public fss::BaseBoard {
  public:
@@ -24,6 +51,7 @@ class DueBase : public fss::BaseBoard {
     pinMode(kGripperClosedPin, INPUT_PULLUP);
     pinMode(kGripperHoldsPin, INPUT_PULLUP);
     analogReadResolution(12);
+    gyro_.begin();
   }
 
   // Has TC3_Handler called `kTickRate` times a second from now on.
@@ -44,16 +72,7 @@ class DueBase : public fss::BaseBoard {
     open_ = valves;
   }
 
-  // By the timer, as what the loop samples it samples at no steady rate.
-  bool gyro(int32_t& counts) override {
-    if (!due_) return false;
-    due_ = false;
-    counts = static_cast<int32_t>(analogRead(kGyroPin)) - kGyroZero;
-    return true;
-  }
-  void count_tick() {
-    if (++ticks_ % kGyroTicks == 0) due_ = true;
-  }
+  bool gyro(int32_t& counts) override { return gyro_.sample(counts); }
 
   uint8_t currents() override {
     uint8_t currents = 0;
@@ -94,6 +113,6 @@ class DueBase : public fss::BaseBoard {
     return static_cast<int32_t>(analogRead(static_cast<uint32_t>(pin))) * full_scale / 4095;
   }
 
-  uint8_t open_ = 0, locks_ = 0, ticks_ = 0;
-  bool due_ = false;
+  GYRO gyro_;
+  uint8_t open_ = 0, locks_ = 0;
 };

@@ -13,6 +13,7 @@ static const fss::Key kKey = {0, {}};
 // Longest pulse, allowance [us], duty [%], total time [us].
 static const fss::Limits kValveLimits = fss::kLimits;
 
+#define GYRO AnalogueGyro           // or SerialGyro
 #define COMPUTER fss::WifiComputer  // or fss::WireComputer
 #define WIFI_NETWORK "fss"
 #define WIFI_PASSWORD "change me"

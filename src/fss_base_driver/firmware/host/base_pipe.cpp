@@ -2,6 +2,7 @@
 //
 //   encode KEY FIELD...         the frame of telemetry with these fields, in their order
 //   decode KEY DATA             `command FIELD...`, or why it is none
+//   gyro_lines DATA             the samples in what a gyro sends
 //
 //   start BOOT KEY [LONGEST ALLOWANCE DUTY TOTAL]
 //                               the electronics, the hardware behind them; time begins
@@ -20,6 +21,7 @@
 
 #include "base.hpp"
 #include "bench_base.hpp"
+#include "gyro_line.hpp"
 #include "pipe_computer.hpp"
 #include "text.hpp"
 
@@ -60,6 +62,16 @@ std::string decoded(Words& words) {
                                          command.pulse, command.watchdog);
   for (const uint16_t time : command.on_times) text += " " + joined(time);
   return text + " " + joined(static_cast<int>(command.grip));
+}
+
+std::string sampled(Words& words) {
+  GyroLine line;
+  std::string text;
+  int32_t counts;
+  for (const uint8_t byte : bytes(words)) {
+    if (line.take(static_cast<char>(byte), counts)) text += (text.empty() ? "" : " ") + joined(counts);
+  }
+  return text.empty() ? "-" : text;
 }
 
 // --- the board in simulated time ----------------------------------------------------------------
@@ -143,6 +155,7 @@ std::string answer(const char* line) {
   const std::string request = words.next();
   if (request == "encode") return encoded(words);
   if (request == "decode") return decoded(words);
+  if (request == "gyro_lines") return sampled(words);
   if (request == "start") {
     world.emplace();
     return start(words);
