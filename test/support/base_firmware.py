@@ -83,10 +83,10 @@ class Emulation:
         self._thread.start()
 
     def _run(self) -> None:
-        begin, peer = time.monotonic_ns() // 1000, None
+        begin, peer = time.monotonic_ns(), None
         while not self._ended.is_set():
-            frames = self._board.run(max(time.monotonic_ns() // 1000 - begin - self._board.clock, 1))
-            for frame in frames:
+            clock = (time.monotonic_ns() - begin) // 1000
+            for frame in self._board.run(max(clock - self._board.clock, 1)):
                 if peer:
                     self._socket.sendto(encode(frame, self._board.key), peer)
             with suppress(TimeoutError):

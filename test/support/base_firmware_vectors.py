@@ -8,7 +8,7 @@ As firmware_vectors.py does for the links, from docs/reference/base_protocol.md.
 import random
 from collections.abc import Iterator
 from dataclasses import astuple, replace
-from itertools import islice
+from itertools import chain, islice
 
 from firmware_vectors import KEYS, damaged, hexed
 
@@ -28,8 +28,8 @@ from fss_base_driver.protocol import (
 
 def words(frame: BaseFrame) -> str:
     """The fields as `base_pipe` has them."""
-    values = [v for value in astuple(frame) for v in (value if isinstance(value, tuple) else [value])]
-    return " ".join(str(int(value)) for value in values)
+    values = (value if isinstance(value, tuple) else (value,) for value in astuple(frame))
+    return " ".join(str(int(value)) for value in chain.from_iterable(values))
 
 
 def verdict(data: bytes, key: bytes | None) -> str:
@@ -40,7 +40,6 @@ def verdict(data: bytes, key: bytes | None) -> str:
         frame = decode(data, key)
     except FrameError as error:
         return error.reason.value
-    # A command's words are in the order of the Python codec, its on times among them.
     return f"command {words(frame)}"
 
 

@@ -16,14 +16,15 @@ LINK, BASE = "fss_arm_driver", "fss_base_driver"  # the packages that have firmw
 
 
 def build(target: str, package: str = LINK) -> Path:
-    """Make one of a firmware's programs, or wait until another test process has; return its path."""
+    """Make one of a firmware's programs, or wait until another process has; return its path."""
     built = ROOT / "build" / ("firmware" if package == LINK else "base_firmware")
     built.mkdir(parents=True, exist_ok=True)
+    sources = ROOT / "src" / package / "firmware"
     with (built / ".lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         path = built / target
         made = subprocess.run(
-            ["make", "-s", "-j2", "-C", ROOT / "src" / package / "firmware", f"BUILD={built}", path],
+            ["make", "-s", "-j2", "-C", sources, f"BUILD={built}", path],
             capture_output=True,
             text=True,
         )
