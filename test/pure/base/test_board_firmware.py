@@ -248,19 +248,19 @@ def test_a_gyro_is_sampled_though_the_loop_hangs_and_one_that_is_silent_adds_not
 
 
 LINES = [
-    ("  0.00000 1\r\n", "0"),
-    (" -0.01234 1\r\n  375.00000 1\r\n", "-1234 37500000"),
-    ("+1.5 1\n2 1\n0.1234567 1\n", "150000 200000 12345"),
-    ("  0.10000 0\r\n", "-"),  # it says that it is not valid
-    ("0.1\n1\n\n 1\n- 1\n. 1\n1.2.3 1\n--1 1\n1e3 1\n0.1 1x\n9999 1\n" + 40 * "9" + " 1\n", "-"),
-    ("0.1 x1\nDSP-3000\n0.5 1\n", "50000"),
+    ("  0.000000 1\r\n", "0"),
+    (" -0.012345 1\r\n  375.000000 1\r\n", "-1234 37500000"),
+    ("  0.100000 0\r\n", "-"),  # it says that it is not valid
+    ("0.100000\n1\n\n 1\n- 1\n.500000 1\n1.2.3 1\n--1.000000 1\n-.\n0.100000 1x\n", "-"),
+    ("2 1\n0.12345 1\n0.1234567 1\n376.000000 1\n" + 40 * "9" + ".000000 1\n", "-"),
+    ("0.1 x1\nDSP-3000\n0.500000 1\n", "50000"),
     ("", "-"),
 ]
 
 
 @pytest.mark.parametrize(("text", "counts"), LINES)
 def test_lines_of_a_serial_gyro(core, text, counts):
-    before = "12.5 1\n"  # may be the end of a line whose beginning was lost
+    before = "2.500000 1\n"  # may be the end of a line whose beginning was lost
     assert core.ask(f"gyro_lines {(before + text).encode().hex()}") == counts
 
 

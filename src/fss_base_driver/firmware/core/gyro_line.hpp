@@ -1,5 +1,6 @@
-// A gyro that sends its rate of turn as lines of text, "  -0.01234 1": degrees per second, clockwise,
-// and 1 if that is valid. So do the fibre-optic ones of KVH's DSP-3000 series, 100 times a second.
+// A gyro that sends its rate of turn as lines of text, "-12.345678 1": degrees per second with six
+// decimals, and 1 if it is valid. So does KVH's DSP-3000, 100 times a second (its technical manual,
+// chapter 2). Lines have no check sum: one that has lost a byte is told by its form alone.
 #pragma once
 
 #include <stdint.h>
@@ -17,8 +18,8 @@ class GyroLine {
       part_ = Start;
       return valid;
     }
-    if (byte == ' ') part_ = part_ == Digits ? Flag : part_ == Sign ? Wrong : part_;
-    else if (part_ == Start && (byte == '-' || byte == '+')) negative_ = byte == '-', part_ = Sign;
+    if (byte == ' ') part_ = part_ == Start || part_ >= Flag ? part_ : places_ == 6 ? Flag : Wrong;
+    else if (part_ == Start && byte == '-') negative_ = true, part_ = Sign;
     else if (part_ == Digits && byte == '.' && !fraction_) fraction_ = true;
     else if (part_ <= Digits && byte >= '0' && byte <= '9') digit(byte - '0');
     else part_ = part_ == Flag && byte == '1' ? Valid : Wrong;
@@ -28,21 +29,23 @@ class GyroLine {
  private:
   enum Part : uint8_t { Start, Sign, Digits, Flag, Valid, Wrong };
   static constexpr int32_t kUnits = 100000;  // in a degree per second
+  static constexpr int32_t kMost = 375 * kUnits;
 
-  // Those beyond the unit are dropped.
+  // What is below the unit is dropped.
   void digit(int32_t digit) {
-    part_ = Digits;
     if (fraction_) {
       value_ += digit * place_;
       place_ /= 10;
+      ++places_;
     } else {
       value_ = 10 * value_ + digit * kUnits;
-      if (value_ >= 1000 * kUnits) part_ = Wrong;
     }
+    part_ = value_ > kMost || places_ > 6 ? Wrong : Digits;
   }
 
   Part part_ = Wrong;  // at the start it may be in the midst of a line
   bool negative_ = false, fraction_ = false;
+  uint8_t places_ = 0;  // behind the point
   int32_t value_ = 0, place_ = kUnits / 10;
 };
 

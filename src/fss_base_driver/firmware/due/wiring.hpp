@@ -23,4 +23,4 @@ static const int32_t kSupplyFullScale = 16000;     // [0.1 kPa]
 static const int32_t kTemperatureFullScale = 3300; // [0.1 deg C], of 10 mV per deg C
 static const int32_t kGyroZero = 2048;             // at no rate of turn [counts]
 
-static const uint16_t kPort = 5001;  // that the board listens on
+static const uint16_t kPort = 5000;  // that the board listens on

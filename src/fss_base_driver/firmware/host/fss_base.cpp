@@ -1,7 +1,7 @@
 // The firmware as a process on this computer, the model of the base's hardware behind it:
 //
-//   fss_base --udp 5001 [--keys FILE]     datagrams, on this host's port (0: any)
-//   fss_base --tcp 5001 [--keys FILE]     a byte stream, on this host's port
+//   fss_base --udp 5000 [--keys FILE]     datagrams, on this host's port (0: any)
+//   fss_base --tcp 5000 [--keys FILE]     a byte stream, on this host's port
 //   fss_base --pty [--keys FILE]          a serial line, at a pseudo-terminal
 //
 // Prints one line that says where it is, and runs until it is killed.
