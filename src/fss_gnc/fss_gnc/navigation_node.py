@@ -179,7 +179,7 @@ class NavigationNode(Node):
 
     def on_gripper(self, message: GripperState) -> None:
         """Whether the target is held."""
-        self.navigation.gripper(stamp_ns(message.header.stamp), message.holds)
+        self.navigation.gripper(message.holds)
 
     def on_calibration(self, topic: str, message: Any) -> None:
         """Know the arm better, if it passed."""
