@@ -26,6 +26,7 @@ def flyer(tmp_path_factory):
         start(nodes, speed=SPEED, base={"timeout": 4.0, "watchdog": 4.0})
         flyer = Flyer(nodes)
         flyer.begin()
+        flyer.stop_drifting()  # and all is under way
         yield flyer
         flyer.close()
     rclpy.try_shutdown()
