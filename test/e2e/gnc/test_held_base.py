@@ -89,7 +89,6 @@ def test_whoever_is_killed_leaves_no_valve_open(flyer, name):
     flyer.pass_time(3.0)
     flyer.nodes.processes[name].send_signal(signal.SIGKILL)
     flyer.nodes.processes[name].wait()
-    flyer.pass_time(0.1)
     killed = flyer.t
     flyer.pass_time(LIMITS[name] + 4.0)
     times = np.array([1e-9 * stamp_ns(t.header.stamp) for t in flyer.truths])
