@@ -14,6 +14,7 @@ for i in 1 2 3 4; do
     -p "url:=udp://192.168.1.1$i:5001?bind=600$i"
 done
 node arm fss_arm_driver arm --ros-args -p arm:=$arm
+# node base fss_base_driver base --ros-args -p url:=udp://192.168.1.20:5000?bind=6000    # docs/how-to/base.md
 # node mocap fss_base_driver mocap --ros-args -p system:=vicon -p host:=192.168.1.2    # docs/how-to/mocap.md
 node kinematic fss_arm_calib kinematic --ros-args -p arm:=$arm \
   -p output:=out/arm.yaml -p state_file:=out/observations.json

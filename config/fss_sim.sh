@@ -5,7 +5,8 @@ export ROS_DOMAIN_ID=0
 arm=config/truth.yaml
 
 node record fss_arm_bags record --ros-args -p output:=out/fss_sim/bags
-node testbed fss_sim testbed --ros-args -p arm:=$arm -p preset:=paper
+node testbed fss_sim testbed --ros-args -p arm:=$arm -p preset:=paper    # with the base's board: -p board_port:=5010
+# node base fss_base_driver base --ros-args -p url:=udp://127.0.0.1:5010?bind=6010
 for i in 1 2 3 4; do
   node "link_$i" fss_arm_driver link --ros-args -p arm:=$arm -p link:=$i \
     -p "url:=udp://127.0.0.1:500$i?bind=600$i"

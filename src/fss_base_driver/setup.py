@@ -18,7 +18,8 @@ setup(
     entry_points={
         "console_scripts": [
             "base = fss_base_driver.base_node:main",
-            "check = fss_base_driver.check:main",
+            "check = fss_base_driver.check_node:main",
+            "fog = fss_base_driver.fog_node:main",
             "mocap = fss_base_driver.mocap_node:main",
             "subjects = fss_base_driver.subjects_node:main",
         ],

@@ -370,7 +370,10 @@ class BaseNode(Node):
             return self.board_health(self.now(), more)
 
     def close(self) -> None:
-        """Give the port back."""
+        """Close all valves, and give the port back."""
+        with self.lock:
+            self.session.disarm()
+            self.transport.send(self.session.command(self.now()))
         self.receiver.close()
         self.transport.close()
 

@@ -14,10 +14,12 @@ from fss_arm_model.settings import (
     SettingError,
     Settings,
     between,
+    like,
     one_of,
     setting,
 )
 from fss_arm_model.thrusters import layout
+from fss_base_driver.dsp3000 import BAUD
 from fss_base_driver.protocol import BOARD, VALVES
 
 SYSTEMS = ("vicon", "vrpn", "optitrack", "qualisys", "mock")
@@ -114,8 +116,9 @@ class BaseSettings(Settings):
     )  # fmt: skip
     layout: tuple[float, ...] = setting(
         (),
-        "instead of thrust and lever: of each valve in turn force along x and y [N] and torque "
-        "about the base's origin [N m], 24 numbers",
+        "instead of thrust and lever: of each valve in turn force along x and y and torque about "
+        "the base's origin, 24 numbers",
+        unit="N, N, N m",
         check=FINITE,
     )
     minimum_on_time: float = setting(
@@ -140,7 +143,7 @@ class BaseSettings(Settings):
         1.75e-4, "white noise of one sample of the gyro, 1 sigma", unit="rad/s", check=NOT_NEGATIVE
     )
     bias_time: float = setting(
-        10.0, "for how long base/find_gyro_bias averages", unit="s", check=between(0.1, 3600.0)
+        10.0, "time over which base/find_gyro_bias averages", unit="s", check=between(0.1, 3600.0)
     )
     bias_scatter: float = setting(
         0.001, "scatter of the gyro's frames above which the base is not at rest", unit="rad/s",
@@ -212,3 +215,25 @@ class GyroSettings(Settings):
 def live_kinds() -> dict[str, type]:
     """The parameters of a BaseNode that may be set while it runs, by prefix."""
     return {**{f"valve_{i}": ValveSettings for i in range(1, VALVES + 1)}, "gyro": GyroSettings}
+
+
+@dataclass(frozen=True)
+class FogSettings(Settings):
+    """The parameters of a FogNode."""
+
+    device: str = setting("/dev/ttyUSB0", "serial port that the gyro is on")
+    baud: int = setting(BAUD, "rate of the serial port", unit="1/s", check=between(300, 4_000_000))
+    base_frame: str = like(BaseSettings, "base_frame")
+    gyro_noise: float = like(BaseSettings, "gyro_noise")
+    latency: float = setting(
+        0.009, "time from the middle of a rate's averaging to the end of its line", unit="s",
+        check=NOT_NEGATIVE,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class FogCorrection(Settings):
+    """Of the gyro's rates, while the node runs."""
+
+    scale: float = setting(1.0, "factor of its rates; -1 turns the gyro over", check=FINITE)
+    bias: float = like(GyroSettings, "bias")

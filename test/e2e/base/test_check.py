@@ -23,7 +23,7 @@ def test_a_valve_that_does_not_open_is_found_and_the_others_fit(spin, start, tmp
     output = tmp_path / "found.yaml"
     start("fss_base_driver.base_node", "--ros-args", "-p", f"url:=udp://127.0.0.1:{port}?bind=0")
     check = start(
-        "fss_base_driver.check", *ALONE, "--valves", 1, 3, "--before", 2, "--after", 3,
+        "fss_base_driver.check_node", *ALONE, "--valves", 1, 3, "--before", 2, "--after", 3,
         "--output", output,
     )  # fmt: skip
     spin(bed, lambda: check.process.poll() is not None, 90.0)
@@ -46,6 +46,6 @@ def test_a_valve_that_does_not_open_is_found_and_the_others_fit(spin, start, tmp
     ],
 )
 def test_what_cannot_be_done_is_said(start, args, code, words):
-    check = start("fss_base_driver.check", *args)
+    check = start("fss_base_driver.check_node", *args)
     assert check.wait(30.0) == code
     assert words in check.output

@@ -1,10 +1,12 @@
 """The node of the base's board: a board behind a fake transport, and real topics."""
 
+import time
 from math import inf, isnan, nan
 
 import pytest
-from base_link import GYRO_RATE, SECOND, FakeBoardTransport
+from base_link import GYRO_RATE, SECOND, FakeBoard, FakeBoardTransport
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from driver_wire import ENDS
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -328,3 +330,37 @@ def test_wrong_parameters_are_named(ros, parameters, words):
     overrides = [Parameter(name, value=value) for name, value in parameters.items()]
     with pytest.raises(ValueError, match=words):
         BaseNode(transport, parameter_overrides=overrides)
+
+
+def test_a_node_that_ends_closes_the_valves(armed):
+    armed.user.open(1.0)
+    armed.until(lambda: armed.board.valves(armed.transport.clock()))
+    armed.node.close()
+    assert not armed.board.valves(armed.transport.clock())
+    assert armed.board.state.flags() == 0
+
+
+@pytest.mark.parametrize("kind", ENDS)
+def test_a_pulse_goes_over_udp_tcp_and_rs232(spin, tmp_path, kind):
+    end, board = ENDS[kind](tmp_path), FakeBoard(boot=2, born=time.time_ns() - SECOND)
+    values = {"url": end.url, "timeout": 5.0, "watchdog": 2.0}
+    overrides = [Parameter(name, value=value) for name, value in values.items()]
+    node, user = BaseNode(parameter_overrides=overrides), User()
+
+    def serve(condition):
+        if frame := end.receive(0.0):
+            board.take(frame, time.time_ns())
+            end.send(board.telemetry(time.time_ns()))
+        return condition()
+
+    def until(condition):
+        spin([node, user], lambda: serve(condition), 15.0)
+
+    until(lambda: len(user.telemetry) > 3 and user.arm.service_is_ready())
+    answer = user.arm.call_async(SetBool.Request(data=True))
+    until(answer.done)
+    assert answer.result().success, answer.result().message
+    until(user.thrust.get_subscription_count)
+    user.open(0.05)
+    until(lambda: board.state.opened[0] == 50_000)
+    end.close()

@@ -16,6 +16,7 @@ PACKAGES = sorted(path.parent.name for path in SOURCES.glob("*/setup.py"))
 #: Fields that are ratios, shares or factors, or have their kind's unit; with the class where others
 #: have a unit.
 DIMENSIONLESS = {
+    *("FogCorrection.scale", "stuck_open", "stuck_closed"),
     *("clock_drift", "gear_ratio", "gyro_scale", "ReplaySettings.rate", "speed", "tolerance"),
     *("battery", "corruption", "dead", "dropout", "duplication", "frozen", "loss", "occlusion"),
     *("braking", "reordering", "swap"),

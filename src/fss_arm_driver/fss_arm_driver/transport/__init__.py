@@ -4,10 +4,19 @@ from urllib.parse import SplitResult, parse_qs, urlsplit
 
 from fss_arm_driver.transport.base import BATCH, Transport, TransportError
 from fss_arm_driver.transport.copley import CopleyTransport
-from fss_arm_driver.transport.stream import serial, tcp
+from fss_arm_driver.transport.stream import Serial, open_port, serial, tcp
 from fss_arm_driver.transport.udp import UdpTransport
 
-__all__ = ["BATCH", "FORMS", "Transport", "TransportError", "UdpTransport", "open_transport"]
+__all__ = [
+    "BATCH",
+    "FORMS",
+    "Serial",
+    "Transport",
+    "TransportError",
+    "UdpTransport",
+    "open_port",
+    "open_transport",
+]
 
 #: What a URL may be, by its scheme.
 FORMS = {

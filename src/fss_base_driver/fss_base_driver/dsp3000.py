@@ -1,0 +1,68 @@
+"""A KVH DSP-3000 fibre-optic gyro on a serial port: its lines of text to rates.
+
+The unit with the 100 Hz asynchronous interface (technical manual 54-0215 Rev. C, chapter 2):
+RS-232, 38400 baud, 8N1, about 100 lines a second, (-)xxx.xxxxxx, a space, and 1 for valid or 0 for
+a fault. In its default mode the number is the rate in degrees per second, averaged since the line
+before.
+"""
+
+import re
+from math import radians
+from typing import NamedTuple
+
+BAUD = 38_400
+RATE = 100.0  # lines a second, give or take 3 %
+LARGEST = 375.0  # rate that it measures [deg/s]
+LONGEST = 64  # bytes without an end of line that are none [bytes]
+_LINE = re.compile(rb"\s*(-?\d{1,3}\.\d{6})\s+([01])\s*")
+
+
+class Counts(NamedTuple):
+    """What has come."""
+
+    rates: int = 0
+    faults: int = 0  # the gyro says that its rate is not valid
+    noise: int = 0  # lines that are none, or say an impossible rate
+
+
+class Lines:
+    """Finds rates in a stream that is fed in pieces of any size.
+
+    Lines have no check sum: one that is cut, or of which a bit flipped, is told by its form and its
+    size alone. What comes before the first end of line is dropped, as it may be the rest of one.
+    """
+
+    def __init__(self) -> None:
+        self.counts = Counts()
+        self._rest: bytes | None = None  # None: up to the next end of line all is skipped
+
+    def feed(self, data: bytes) -> list[float]:
+        """The rates whose lines end in `data`, in order [rad/s]."""
+        first, *ended = data.split(b"\n")
+        if not ended:
+            if self._rest is not None:
+                self._rest += data
+                if len(self._rest) > LONGEST:
+                    self._rest = None
+                    self._count(noise=1)
+            return []
+        lines = [] if self._rest is None else [self._rest + first]
+        *whole, self._rest = ended
+        found = [self._rate(line) for line in [*lines, *whole]]
+        return [rate for rate in found if rate is not None]
+
+    def _rate(self, line: bytes) -> float | None:
+        """What a line says [rad/s]; None: nothing that counts."""
+        match = _LINE.fullmatch(line)
+        if match is None or abs(degrees := float(match[1])) > LARGEST:
+            self._count(noise=1)
+        elif match[2] == b"0":
+            self._count(faults=1)
+        else:
+            self._count(rates=1)
+            return radians(degrees)
+        return None
+
+    def _count(self, rates: int = 0, faults: int = 0, noise: int = 0) -> None:
+        was = self.counts
+        self.counts = Counts(was.rates + rates, was.faults + faults, was.noise + noise)

@@ -1,0 +1,117 @@
+"""The node `fog`: a fibre-optic gyro on a serial port of this computer, to fog/imu."""
+
+import os
+import sys
+import time
+from contextlib import suppress
+from dataclasses import replace
+from select import select
+from threading import Event, Lock, Thread
+from typing import Any
+
+from rclpy.node import Node
+from sensor_msgs.msg import Imu
+
+from fss_arm_driver.transport import Serial, open_port
+from fss_arm_ros.convert import SECOND
+from fss_arm_ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
+from fss_arm_ros.parameters import declare, declare_live
+from fss_arm_ros.qos import SENSOR
+from fss_arm_ros.run import RCLError, run
+from fss_base_driver import messages
+from fss_base_driver.dsp3000 import Lines
+from fss_base_driver.settings import FogCorrection, FogSettings
+
+AGAIN = 0.5  # from one try to open the port to the next [s]
+AWAKE = 0.2  # so often the thread sees that it shall end [s]
+
+
+class FogNode(Node):
+    """Publishes the rate of turn that a KVH DSP-3000 measures, in place of the board's gyro."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__("fog", **options)
+        self.settings = settings = declare(self, FogSettings, live=True)
+        self.correction, self.lines = FogCorrection(), Lines()
+        self.imu = self.create_publisher(Imu, "fog/imu", SENSOR)
+        self.lock, self.closing = Lock(), Event()
+        self.trouble, self.stamp = "nothing heard yet", 0
+        self.before, self.then = self.lines.counts, time.monotonic()
+        declare_live(self, {"gyro": FogCorrection}, self.on_live)
+        self.port: Serial | None = open_port(settings.device, settings.baud)
+        self.diagnostics = Diagnostics(self, self.health, settings.device)
+        self.thread = Thread(target=self.listen, daemon=True)
+        self.thread.start()
+
+    def on_live(self, _: str, field: str, value: float) -> None:
+        """A parameter was set."""
+        self.correction = replace(self.correction, **{field: value})
+
+    def listen(self) -> None:
+        """Read the port, and open it again when it is lost, until closed."""
+        while not self.closing.is_set():
+            try:
+                if self.port is None:
+                    self.port = open_port(self.settings.device, self.settings.baud)
+                    self.lines = Lines()
+                if select([self.port], [], [], AWAKE)[0]:
+                    self.take(os.read(self.port.fileno(), 4096), time.time_ns())
+            except RCLError:
+                return  # shut down meanwhile
+            except (OSError, ValueError) as error:
+                self.drop()
+                self.trouble = f"cannot use the port: {getattr(error, 'strerror', None) or error}"
+                self.closing.wait(AGAIN)
+
+    def take(self, data: bytes, arrival: int) -> None:
+        """Publish the rates that have come, the last of them just now."""
+        if not data:
+            raise ConnectionResetError("the device is gone")
+        with self.lock:
+            rates = self.lines.feed(data)
+        for late, rate in zip(range(len(rates) - 1, -1, -1), rates, strict=True):
+            self.publish(arrival - round(SECOND * (self.settings.latency + 0.01 * late)), rate)
+
+    def publish(self, stamp: int, rate: float) -> None:
+        """Publish a rate; stamps never run back."""
+        self.stamp, self.trouble = max(stamp, self.stamp + 1), ""
+        settings, gyro = self.settings, self.correction
+        rate = gyro.scale * rate - gyro.bias
+        message = messages.imu(self.stamp, rate, settings.gyro_noise, settings.base_frame)
+        self.imu.publish(message)
+
+    def drop(self) -> None:
+        """Close the port."""
+        port, self.port = self.port, None
+        if port:
+            with suppress(OSError):
+                port.close()
+
+    def health(self) -> Health:
+        """Whether rates come, and are valid."""
+        now, counts = time.monotonic(), self.lines.counts
+        grown = [new - old for new, old in zip(counts, self.before, strict=True)]
+        rate = max(grown[0], 0) / max(now - self.then, 1e-9)
+        self.before, self.then = counts, now
+        values = {"rate [1/s]": rate, **counts._asdict()}
+        if not rate:
+            why = self.trouble or "its rates are not valid" * bool(grown[1])
+            return Health(ERROR, f"the gyro is lost: {why or 'silent'}", values)
+        if grown[1] or grown[2]:
+            return Health(WARN, "some lines are not valid", values)
+        return Health(OK, "the gyro is heard", values)
+
+    def close(self) -> None:
+        """End the thread and give the port back."""
+        self.closing.set()
+        self.thread.join()
+        self.drop()
+
+
+def main() -> int:
+    """Run as `ros2 run fss_base_driver fog`."""
+    return run(FogNode, FogSettings)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
