@@ -13,6 +13,7 @@ from running import OWN
 from fss_arm_ros.convert import stamp_ns
 from fss_sim.rehearsal.processes import Nodes
 
+SPEED = 0.5  # of the time, that a busy computer keeps up with it
 EXAMPLE = Path(__file__).parents[3] / "docs/examples/own_controller.py"
 #: After which valves must be shut: what it said lives so long, and half a second for the computer.
 LIMITS = {"guidance": 1.5, "navigation": 1.1, "control": 0.8}
@@ -22,9 +23,10 @@ LIMITS = {"guidance": 1.5, "navigation": 1.1, "control": 0.8}
 def flyer(tmp_path_factory):
     rclpy.init(args=[])
     with Nodes(tmp_path_factory.mktemp("nodes"), print, OWN) as nodes:
-        start(nodes, speed=1.0, base={"timeout": 4.0, "watchdog": 4.0})
+        start(nodes, speed=SPEED, base={"timeout": 4.0, "watchdog": 4.0})
         flyer = Flyer(nodes)
         flyer.begin()
+        flyer.stop_drifting()  # and all is under way
         yield flyer
         flyer.close()
     rclpy.try_shutdown()
@@ -67,12 +69,15 @@ def test_a_controller_of_one_s_own_flies_base_and_arm(flyer):
     flyer.pass_time(1.5)  # until nothing of guidance is in force any more
     here, since = pose(flyer), flyer.t
     flyer.nodes.run("own_controller", [sys.executable, str(EXAMPLE)], use_sim_time=True)
-    flyer.until(lambda: abs(flyer.truths[-1].qd[3]) > 0.05)
-    flyer.pass_time(8.0)
+    try:
+        flyer.until(lambda: abs(flyer.truths[-1].qd[3]) > 0.005)
+        flyer.pass_time(8.0)
+    finally:
+        flyer.nodes.stop("own_controller")
     offset, turned = flyer.off(here, since)
-    assert offset < 0.1
-    assert turned < 6.0
-    flyer.nodes.stop("own_controller")
+    print(f"{1e3 * offset:.1f} mm, {turned:.2f} deg")
+    assert offset < 0.02
+    assert turned < 3.0
     flyer.until(lambda: abs(flyer.truths[-1].qd[3]) < 1e-3)
 
 
@@ -84,7 +89,6 @@ def test_whoever_is_killed_leaves_no_valve_open(flyer, name):
     flyer.pass_time(3.0)
     flyer.nodes.processes[name].send_signal(signal.SIGKILL)
     flyer.nodes.processes[name].wait()
-    flyer.pass_time(0.1)
     killed = flyer.t
     flyer.pass_time(LIMITS[name] + 4.0)
     times = np.array([1e-9 * stamp_ns(t.header.stamp) for t in flyer.truths])

@@ -260,3 +260,15 @@ def test_an_occluded_base_is_counted(run, spin):
     bench.pose.publish(nothing)
     spin([node, bench], lambda: node.health().values["poses occluded"] == 1)
     assert not bench.states
+
+
+def test_the_base_s_state_is_left_to_navigation(ros):
+    node = BaseReactionNode(parameter_overrides=[Parameter("publish_state", value=False)])
+    topics = node.get_publisher_names_and_types_by_node("base_reaction", "/")
+    published = {name for name, _ in topics}
+    assert "/base_reaction" in published
+    assert not {"/base/state", "/tf"} & published
+    for k in range(100):
+        node.on_pose(seen(0.01 * k))
+    assert node.filter.t == BEGIN + 99 * SECOND // 100
+    node.destroy_node()

@@ -22,6 +22,7 @@ DIMENSIONLESS = {
     *("braking", "reordering", "swap"),
     *("max_condition", "max_relative", "min_probability", "min_redundancy", "outlier"),
     "LimitSettings.share",
+    *("thrust_error", "joint_rate_error", "joint_change_error"),
     *("DriftSettings.mass_deviation", "Event.value", "PoseGains.damping", "PoseGains.integral"),
 }
 
