@@ -8,7 +8,7 @@ from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
-MASS, INERTIA = 14.0, 1.5  # of base and arm together [kg], [kg m^2]
+MASS, INERTIA = 20.0, 10.0  # of base and arm, stretched, about its origin [kg], [kg m^2]
 STIFFNESS, DAMPING = 0.1, 0.6  # of the base per mass [1/s^2], [1/s]
 
 
@@ -41,9 +41,9 @@ class OwnController(Node):
     def on_joints(self, state):
         """Swing joint 1; the others rest."""
         now = self.get_clock().now()
-        aim = 0.2 * sin(0.1e-9 * now.nanoseconds)  # [rad]
+        aim = 0.1 * sin(0.1e-9 * now.nanoseconds)  # [rad]
         q_1 = state.position[list(state.name).index("joint_1")]
-        command = JointState(name=["joint_1"], velocity=[max(-0.03, min(0.03, aim - q_1))])
+        command = JointState(name=["joint_1"], velocity=[max(-0.01, min(0.01, aim - q_1))])
         command.header.stamp = now.to_msg()
         self.rates.publish(command)
 

@@ -28,7 +28,8 @@ class Bench(FakeCraft):
 
     def __init__(self, spin, time=None, **parameters):
         super().__init__(time)
-        overrides = [Parameter(name, value=value) for name, value in parameters.items()]
+        quick = {"acceleration": 0.01, "turn_acceleration": 0.02, **parameters}
+        overrides = [Parameter(name, value=value) for name, value in quick.items()]
         self.guidance = GuidanceNode(parameter_overrides=overrides)
         self.run, self.paths, self.states, self.rates, self.grips = spin, [], [], [], []
         self.obeys, self.feedback = True, []

@@ -25,11 +25,11 @@ class GuidanceSettings(Extents):
     )  # fmt: skip
     speed: float = setting(0.06, "most speed of the base", unit="m/s", check=POSITIVE)
     acceleration: float = setting(
-        0.006, "most acceleration of the base", unit="m/s^2", check=POSITIVE
+        0.003, "most acceleration of the base", unit="m/s^2", check=POSITIVE
     )
     turn_rate: float = setting(0.1, "most turn rate of the base", unit="rad/s", check=POSITIVE)
     turn_acceleration: float = setting(
-        0.015, "most angular acceleration of the base", unit="rad/s^2", check=POSITIVE
+        0.003, "most angular acceleration of the base", unit="rad/s^2", check=POSITIVE
     )
     tolerance: float = setting(
         0.02, "distance from a goal at which the base has reached it", unit="m", check=POSITIVE
