@@ -13,6 +13,7 @@ from running import OWN
 from fss_arm_ros.convert import stamp_ns
 from fss_sim.rehearsal.processes import Nodes
 
+pytestmark = pytest.mark.slow
 SPEED = 0.5  # of the time, that a busy computer keeps up with it
 EXAMPLE = Path(__file__).parents[3] / "docs/examples/own_controller.py"
 #: After which valves must be shut: what it said lives so long, and half a second for the computer.
