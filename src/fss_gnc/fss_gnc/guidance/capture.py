@@ -86,14 +86,14 @@ class Capture:
                 self.cancel(reason)
         if self.after is not None:
             return self._told(self.after.step(seen))
+        if seen.holds and seen.base is not None and seen.q is not None:
+            return self._grasped(seen)
         if seen.base is None or seen.q is None or seen.target is None:
             self._moved = seen.t
             return Orders("wait", close=False)
         q, qd = seen.floating
         state = np.array([seen.target.pose, seen.target.twist])
         self.met = approach(self.p, q, qd, self.target, state)
-        if seen.holds:
-            return self._grasped(seen)
         act = {"wait": self._wait, "approach": self._approach, "reach": self._reach,
                "grip": self._reach}  # fmt: skip
         return act[self.phase](seen, q, qd, state)
@@ -119,7 +119,7 @@ class Capture:
             "wait": s.wait_timeout, "approach": s.approach_timeout, "reach": s.reach_timeout + 5.0,
             "grip": s.grip_timeout + 5.0,
         }  # fmt: skip
-        if seen.target is None and self.phase != "wait":
+        if seen.target is None and self.phase != "wait" and not seen.holds:
             return "target/state is not known"
         if self.phase == "wait" and (seen.base is None or seen.q is None or seen.target is None):
             late = seen.t - self.since > s.wait_timeout
