@@ -41,9 +41,9 @@ class OwnController(Node):
     def on_joints(self, state):
         """Swing joint 1; the others rest."""
         now = self.get_clock().now()
-        aim = 0.3 * sin(0.3e-9 * now.nanoseconds)  # [rad]
+        aim = 0.2 * sin(0.1e-9 * now.nanoseconds)  # [rad]
         q_1 = state.position[list(state.name).index("joint_1")]
-        command = JointState(name=["joint_1"], velocity=[max(-0.2, min(0.2, aim - q_1))])
+        command = JointState(name=["joint_1"], velocity=[max(-0.03, min(0.03, aim - q_1))])
         command.header.stamp = now.to_msg()
         self.rates.publish(command)
 

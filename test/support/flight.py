@@ -112,9 +112,12 @@ class Flyer(Node):
                 return handle
         raise TimeoutError(ended.result().result.message)
 
-    def open_valves(self):
-        """Whether a valve is open, in truth."""
-        return any(self.truths[-1].valves)
+    def stop_drifting(self):
+        """Hold for a while, so that the base rests."""
+        handle = self.holding()
+        self.pass_time(5.0)
+        self.after(handle.cancel_goal_async())
+        self.end(handle)
 
     def off(self, pose, since=0.0):
         """Farthest from a pose since a time: [m], [deg]."""

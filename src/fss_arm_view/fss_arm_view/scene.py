@@ -7,6 +7,7 @@ archetype. rerun's plane has its y axis downwards, so y is drawn negated.
 
 import re
 from collections.abc import Sequence
+from itertools import pairwise
 from math import cos, degrees, pi, sin
 from typing import Any, NamedTuple
 
@@ -46,6 +47,7 @@ PALETTE = (
 LEGEND = (
     ("base and arm, measured", STEEL),
     ("base as predicted", GHOST),
+    ("path of the base", STEEL),
     ("path of the centre of mass", GHOST),
     ("path of the end effector", TIP),
     ("manipulability of the floating arm", TIP),
@@ -179,6 +181,27 @@ def trail(points: Sequence[tuple[float, float]], what: str, colour: Colour) -> D
     return f"table/{what}", rr.LineStrips2D([flat(points)], colors=colour, radii=0.006)
 
 
+def route(points: Sequence[tuple[float, float]]) -> Lines:
+    """A way that is planned, dashed: of each piece between its points the first half."""
+    ends = np.asarray(points, dtype=float).reshape(-1, 2)
+    dashes = [flat([a, 0.5 * (a + b)]) for a, b in pairwise(ends)]
+    return Lines(dashes, GHOST, 0.008)
+
+
+def circle(centre: tuple[float, float], radius: float, colour: Colour) -> Lines:
+    """What is to be kept out of."""
+    angle = np.linspace(0.0, 2.0 * pi, 65)
+    around = np.column_stack([np.cos(angle), np.sin(angle)])
+    return Lines([flat(np.array(centre) + radius * around)], colour, 0.006)
+
+
+def phase(text: str) -> Drawing:
+    """What the mission does, beneath the table."""
+    place = flat([(-TABLE / 2.0, -TABLE / 2.0 - 0.12)])
+    word = rr.Points2D(place, colors=STEEL, radii=0.001, labels=[text], show_labels=True)
+    return "table/phase", word
+
+
 def place(pose: npt.ArrayLike) -> Drawing:
     """Where the base is, with all that moves with it."""
     x, y, heading = np.asarray(pose, dtype=float)
@@ -272,11 +295,11 @@ def _series(name: str, colour: Colour, width: float) -> Any:
 
 def blueprint() -> Any:
     """The table at the left, base reaction beside it, the links at the right, events below."""
-    a = TABLE / 2.0 + 0.1
+    a, legend_height = TABLE / 2.0 + 0.1, 0.2 * LEGEND_ROWS
     table = rrb.Spatial2DView(
         origin="table",
         name="table from above, 4 m x 4 m",
-        visual_bounds=rrb.VisualBounds2D(x_range=[-a, a], y_range=[-a - 0.2 * LEGEND_ROWS, a]),
+        visual_bounds=rrb.VisualBounds2D(x_range=[-a, a], y_range=[-a - legend_height, a + 0.2]),
     )
     last = rrb.VisibleTimeRange(
         TIMELINE,

@@ -4,6 +4,7 @@ import os
 import socket
 import sys
 from collections import Counter, defaultdict, deque
+from collections.abc import Iterable
 from contextlib import suppress
 from functools import partial
 from ipaddress import ip_address
@@ -18,6 +19,7 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Empty
+from trajectory_msgs.msg import MultiDOFJointTrajectory
 from visualization_msgs.msg import Marker, MarkerArray
 
 from fss_arm_model.description import described
@@ -26,6 +28,7 @@ from fss_arm_msgs.msg import (
     DynamicCalibration,
     KinematicCalibration,
     LinkTelemetry,
+    MissionState,
     ThrusterCommand,
 )
 from fss_arm_ros.calibrated import Calibrated
@@ -43,6 +46,7 @@ from .sink import CONNECT, FILE, NATIVE, WEB, Sink, Viewer, host, new_file, open
 LEAST_PLUME = 0.2  # a shorter pulse of a thruster is drawn so long [s]
 
 OLD = 3 * SECOND  # of a prediction: the ghost goes
+LIVES = 2 * SECOND  # what a mission says, unless it says it again
 
 LEVELS = {OK: "INFO", WARN: "WARN", ERROR: "ERROR"}
 
@@ -90,10 +94,13 @@ class ViewNode(Node):
         self.legend = [text for text, _ in scene.LEGEND]
         self.stamps: dict[str, Stamps] = defaultdict(Stamps)  # of each stream
         self.valves_until = [0] * 8
+        self.mission, self.path, self.keep_out = "", list[tuple[float, float]](), 0.0
+        # Times of the newest pose when a mission, its path, and any path came [ns].
+        self.told = self.routed = self.planned = -LIVES
         self.difference: npt.NDArray[np.float64] | None = None  # measured less predicted base
         self.differs_until = 0  # when it is too old to be drawn
         self.trails: dict[str, deque[tuple[float, float]]] = {
-            what: deque(maxlen=scene.TRAIL) for what in ("tip_path", "com_path")
+            what: deque(maxlen=scene.TRAIL) for what in ("tip_path", "com_path", "base_path")
         }
         for topic, message in self.outlines.items():
             self.on_outlines(topic, message)
@@ -106,6 +113,9 @@ class ViewNode(Node):
             (PoseStamped, s.tip_topic, self.on_tip),
             (PoseStamped, s.target_topic, self.on_target),
             (ThrusterCommand, "thrusters/command", self.on_thrust),
+            (ThrusterCommand, "thrusters/pulses", self.on_thrust),
+            (MissionState, "mission/state", self.on_mission),
+            (MultiDOFJointTrajectory, "base/trajectory", self.on_trajectory),
             (BaseReaction, "base_reaction", self.on_reaction),
             (DiagnosticArray, "/diagnostics", self.on_diagnostics),
         ):
@@ -163,7 +173,12 @@ class ViewNode(Node):
             if self.difference is not None and self.t < self.differs_until:
                 parts.append(scene.base(pose - self.difference, scene.GHOST))
             parts.append(scene.base(pose, scene.STEEL))
+            if self.path and self.t < self.planned + LIVES:
+                parts.append(scene.route([pose[:2], *self.path]))
             self.sink.put(self.t, [scene.together("arm", parts), scene.place(pose)])
+            if self.t > self.told + LIVES:
+                self.entitle("")
+            self.trace(self.t, "base_path", pose[:2], scene.STEEL)
 
     def on_tip(self, message: PoseStamped) -> None:
         """A pose of the end effector: its path."""
@@ -174,8 +189,39 @@ class ViewNode(Node):
         """A pose of the target."""
         if self.sink.due("target") and (pose := _pose(message)):
             self.explain("target", scene.PURPLE)
-            target = scene.together("target", [scene.base(pose, scene.PURPLE)])
-            self.sink.put(stamp_ns(message.header.stamp), [target])
+            parts = [scene.base(pose, scene.PURPLE)]
+            if self.keep_out > 0.0 and self.t < self.told + LIVES:
+                parts.append(scene.circle(pose[:2], self.keep_out, scene.RED))
+            self.sink.put(stamp_ns(message.header.stamp), [scene.together("target", parts)])
+
+    def on_mission(self, message: MissionState) -> None:
+        """What the guidance does, where it goes, and what it keeps out of."""
+        self.told, self.keep_out = self.t, message.keep_out if isfinite(message.keep_out) else 0.0
+        if message.path:
+            self.routed = self.t
+            self.plan(zip(message.path[::3], message.path[1::3], strict=False))
+        words = f"{message.mission}: {message.phase}" if message.mission else ""
+        words += f", {message.reason}" if message.reason else ""
+        self.entitle(words, "WARN" if message.reason else "INFO")
+
+    def on_trajectory(self, message: MultiDOFJointTrajectory) -> None:
+        """Where the base is to go; a mission's own path is drawn in its place."""
+        if self.t > self.routed + LIVES:
+            poses = [point.transforms[0] for point in message.points if point.transforms]
+            self.plan((pose.translation.x, pose.translation.y) for pose in poses)
+
+    def entitle(self, words: str, level: str = "INFO") -> None:
+        """Say what the mission does, if that is new."""
+        if words != self.mission:
+            self.mission = words
+            self.sink.put(self.t, [scene.phase(words)])
+            self.say(words or "no mission", level)
+
+    def plan(self, points: Iterable[tuple[float, float]]) -> None:
+        """Where the base is to go, drawn with its next pose."""
+        self.path = [(x, y) for x, y in points if isfinite(x) and isfinite(y)]
+        self.planned = self.t
+        self.explain("path planned", scene.GHOST)
 
     def on_thrust(self, message: ThrusterCommand) -> None:
         """Thrusters fire: until when their plumes are drawn."""

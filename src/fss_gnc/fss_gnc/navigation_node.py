@@ -66,6 +66,7 @@ class NavigationNode(Node):
         self.known = Calibrated(described(s.arm))
         self.latency = round(s.latency * SECOND)
         self.refused: Counter[str] = Counter()
+        self.pulses = 0  # commands to the valves that were heard
         self.state = self.create_publisher(Odometry, "base/state", SENSOR)
         self.target = self.create_publisher(Odometry, "target/state", SENSOR)
         self.transform = self.create_publisher(TFMessage, "/tf", SENSOR)
@@ -165,18 +166,20 @@ class NavigationNode(Node):
         if list(message.joint_names) != names or not self.navigation.inputs.plan(
             times, [point.velocities for point in message.points]
         ):
-            self.refused["arm/planned"] += 1
+            self.refused["arm/planned refused"] += 1
 
     def on_pulses(self, message: ThrusterCommand) -> None:
         """Valves were opened."""
         t = stamp_ns(message.header.stamp)
         timely = self.is_timely("thrusters/pulses", t)
-        if timely and not self.navigation.pulses(t, message.on_time):
-            self.refused["thrusters/pulses"] += 1
+        if timely and self.navigation.pulses(t, message.on_time):
+            self.pulses += 1
+        elif timely:
+            self.refused["thrusters/pulses refused"] += 1
 
     def on_gripper(self, message: GripperState) -> None:
         """Whether the target is held."""
-        self.navigation.gripper(stamp_ns(message.header.stamp), message.holds)
+        self.navigation.gripper(message.holds)
 
     def on_calibration(self, topic: str, message: Any) -> None:
         """Know the arm better, if it passed."""
@@ -215,6 +218,7 @@ class NavigationNode(Node):
             "target": self.free.lost or ("held" if n.holds else "known"),
             "NIS of poses, 3 if as expected": mean(n.base.nis[POSE]),
             "NIS of rates, 1 if as expected": mean(n.base.nis[RATE]),
+            "pulses heard": self.pulses,
             "begun anew": max(n.base.begun - 1, 0),
             **self.refused,
             **{f"base: {what} rejected": count for what, count in n.base.rejected.items()},

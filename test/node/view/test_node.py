@@ -12,11 +12,12 @@ from urllib.request import Request, urlopen
 import pytest
 import rerun_cli
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from geometry_msgs.msg import Point, PoseStamped
+from geometry_msgs.msg import Point, PoseStamped, Transform
 from rclpy.parameter import Parameter
 from running import wait_until
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Empty, Header
+from trajectory_msgs.msg import MultiDOFJointTrajectory, MultiDOFJointTrajectoryPoint
 from view_bench import BEGIN, Bench
 from view_flight import Flight
 from visualization_msgs.msg import Marker, MarkerArray
@@ -28,6 +29,7 @@ from fss_arm_msgs.msg import (
     DynamicCalibration,
     KinematicCalibration,
     LinkTelemetry,
+    MissionState,
     ThrusterCommand,
 )
 from fss_arm_ros.convert import SECOND, pose_stamped, to_time
@@ -74,16 +76,19 @@ def test_what_is_published_is_shown(spin, flight, tmp_path):
     tells = bench.create_publisher(LinkTelemetry, "link_2/telemetry", SENSOR)
     stops = bench.create_publisher(Empty, "arm/stop", 10)
     dynamic = bench.create_publisher(DynamicCalibration, "calibration/dynamic", LATCHED)
-    thrust = bench.create_publisher(ThrusterCommand, "thrusters/command", SENSOR)
+    thrust = bench.create_publisher(ThrusterCommand, "thrusters/pulses", SENSOR)
+    mission = bench.create_publisher(MissionState, "mission/state", SENSOR)
+    way = bench.create_publisher(MultiDOFJointTrajectory, "base/trajectory", SENSOR)
     target = bench.create_publisher(PoseStamped, "vicon/target/target", SENSOR)
     used = (bench.joints, bench.pose, bench.calibration, reacts, tells, stops, dynamic)
-    used += (thrust, target)
+    used += (thrust, target, mission, way)
     spin([node, bench], lambda: all(p.get_subscription_count() for p in used))
     reacts.publish(BaseReaction())
     for sequence in (1, 2, 5):  # two are missing
         tells.publish(LinkTelemetry(link=2, sequence=sequence, current=120))
     stops.publish(Empty())
     thrust.publish(ThrusterCommand(on_time=[0.0, 9.0, *[0.0] * 6]))
+    mission.publish(MissionState(mission="capture", phase="reach"))
     target.publish(pose_stamped(1, "world", (1.0, 1.0, 0.0)))
     dynamic.publish(
         DynamicCalibration(calibration=Calibration(verdict="fail", reason="no maneuvers"))
@@ -100,8 +105,47 @@ def test_what_is_published_is_shown(spin, flight, tmp_path):
     shown = written(node, file)
     for entity in ("/table/arm", "/plot/angle/link_1", "/plot/loss/link_2"):
         assert entity in shown
+    assert "capture: reach" in shown
     for entity in ("/table/centre_of_mass", "/table/target", "arm/stop", "too few", "no maneuvers"):
         assert entity in shown
+
+
+def drawn_by(node):
+    """What a view draws, by entity; the newest."""
+    drawn = {}
+    node.sink.put = lambda t, drawings: drawn.update(dict(drawings))
+    return drawn
+
+
+def test_a_mission_s_phase_path_and_zone_are_shown_as_long_as_it_tells_them(ros, tmp_path):
+    node = view(mode="file", file=str(tmp_path / "view.rrd"), rate=1e9)
+    drawn = drawn_by(node)
+
+    def strips(seconds):
+        t = BEGIN + int(seconds * SECOND)
+        node.on_base(pose_stamped(t, "world", (0.1 * seconds, 0.0, 0.0)))
+        node.on_target(pose_stamped(t, "world", (1.0, 1.0, 0.0)))
+        return [len(drawn[what][0].strips) for what in ("table/arm", "table/target")]
+
+    plain = strips(0.0)
+    path = [0.5, 0.0, 0.0, 1.0, 0.5, 1.0]
+    node.on_mission(MissionState(mission="capture", phase="approach", path=path, keep_out=0.6))
+    route, zone = 2, 1  # from the base over two poses; about the target
+    assert strips(0.1) == [plain[0] + route, plain[1] + zone]
+    assert node.mission == "capture: approach"
+    assert "path planned" in node.legend
+    node.on_mission(MissionState(mission="capture", phase="abort", reason="base lost"))
+    assert node.mission == "capture: abort, base lost"
+    assert strips(0.2) == [plain[0] + route, plain[1]]
+    assert strips(3.0) == plain
+    assert node.mission == ""
+    assert drawn["table/base_path"]
+    where = MultiDOFJointTrajectory()
+    where.points = [MultiDOFJointTrajectoryPoint(transforms=[Transform()]) for _ in range(3)]
+    node.on_trajectory(where)
+    assert strips(3.1)[0] == plain[0] + 3
+    node.close()
+    node.destroy_node()
 
 
 @pytest.mark.parametrize("measured", ["joints", "base"])

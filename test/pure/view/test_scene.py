@@ -45,6 +45,14 @@ def test_a_base_shows_its_heading():
     np.testing.assert_allclose(nose, [1.0, -2.0 - scene.BASE / 2], atol=1e-6)
 
 
+def test_a_planned_way_is_dashed_and_a_zone_lies_about_its_centre():
+    way = scene.route([(0.0, 0.0), (1.0, 0.0), (1.0, 2.0)])
+    np.testing.assert_allclose(way.strips, [[[0, 0], [0.5, 0]], [[1, 0], [1, -1]]], atol=1e-12)
+    assert scene.route([]).strips == []
+    (around,) = scene.circle((1.0, 2.0), 0.5, scene.RED).strips
+    np.testing.assert_allclose(np.hypot(*(around - (1.0, -2.0)).T), 0.5)
+
+
 def test_a_reaction_is_plotted_in_degrees_and_what_is_unknown_is_left_out():
     message = BaseReaction(torque=0.3, torque_measured=float("nan"))
     message.predicted[2], message.predicted_deviation[2] = np.pi / 2, np.pi / 180

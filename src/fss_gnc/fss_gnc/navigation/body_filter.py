@@ -24,10 +24,12 @@ from .settings import Bounds, SensorErrors
 Pose = tuple[float, float, float]  # x [m], y [m], heading [rad]
 
 SECOND = 1_000_000_000
+FORGOTTEN = 60 * SECOND  # without a measurement: what was is of no use
 FAR = 1e4  # from the world's origin no body is [m]
 MEMORY = 600_000_000  # [ns]
 STRIDE = 20_000_000  # of a prediction, within which the heading counts as constant [ns]
 HELD_POSITION, HELD_HEADING = 0.003, 0.01  # deviations of what is held, by the arm [m], [rad]
+NONE = np.zeros(3)  # where nothing is measured
 LEVER = 0.5  # what changes the turn rate at once changes the speed by about so much of it [m]
 GATE = 5.0  # deviations beyond which a measurement is rejected
 NIS_KEPT = 200  # measurements of a kind
@@ -224,7 +226,7 @@ class BodyFilter:
         self._seeing = [e.position_error**2, e.heading_error**2]
         self._holding = [HELD_POSITION**2, HELD_HEADING**2]
         kicks = [e.kick**2, e.angular_kick**2]
-        self._control = [0.0, e.bias_walk**2, 0.0, 0.0, 0.0, e.rate_error**2, 0.0, *kicks]
+        self._control = np.array([0.0, e.bias_walk**2, 0.0, 0.0, 0.0, e.rate_error**2, 0.0, *kicks])
 
     @property
     def t(self) -> int:
@@ -237,7 +239,7 @@ class BodyFilter:
         if not hypot(x, y) < FAR:
             self.rejected["pose far away"] += 1
             return False
-        if not self.events:
+        if not self.events or t > self.t + FORGOTTEN:
             return self._begin(t, pose)
         if self.lost(t) and self._other(t, pose):  # whose pose may be within so wide a gate
             return False
@@ -265,7 +267,7 @@ class BodyFilter:
     def predict(self, t: int) -> None:
         """Go on to t [ns], without a measurement."""
         while self.events and self.t < t:
-            self._apply(_Event(min(self.t + STRIDE, t), NOTHING, np.zeros(3), *self.events[-1][3:]))
+            self._apply(_Event(min(self.t + STRIDE, t), NOTHING, NONE, *self.events[-1][3:]))
 
     def state(self) -> BodyState:
         """The newest estimate."""
@@ -322,11 +324,12 @@ class BodyFilter:
 
     def _insert(self, t: int, what: float, z: Pose) -> bool:
         """Take a measurement at its time, and those after it again."""
-        if t <= self.events[0].t:
+        if not self.events[0].t < t <= self.t + FORGOTTEN:
             self.rejected["late"] += 1
             return False
         later = self._since(t) if t < self.t else ()
-        square, taken = self._apply(_Event(t, what, z, *self.events[-1][3:]))
+        _, _, _, x, P = self.events[-1]
+        square, taken = self._apply(_Event(t, what, np.array(z), x, P))
         for event in later:
             self._apply(event)
         if taken and what in self.nis:
@@ -346,10 +349,10 @@ class BodyFilter:
         """Go on to an event; the square of its innovation's distance, and whether it was taken."""
         last = self.events[-1]
         while event.t - last.t > STRIDE:  # the heading turns meanwhile
-            x, P, _ = self._stepped(last, last.t + STRIDE, NOTHING, (0.0, 0.0, 0.0))
-            last = _Event(last.t + STRIDE, NOTHING, (0.0, 0.0, 0.0), x, P)
+            x, P, _ = self._stepped(last, last.t + STRIDE, NOTHING, NONE)
+            last = _Event(last.t + STRIDE, NOTHING, NONE, x, P)
         x, P, (square, taken, _) = self._stepped(last, event.t, event.what, event.z)
-        self.events.append(event._replace(x=x, P=P))
+        self.events.append(_Event(event.t, event.what, event.z, x, P))
         while self.events[0].t < event.t - MEMORY and len(self.events) > 2:
             self.events.popleft()
         return float(square), taken > 0.0

@@ -103,7 +103,7 @@ class KnownInputs:
         self.valves = layout(s.thrust, s.thruster_lever)
         self._quiet = np.diag(np.square([s.acceleration, s.acceleration, s.angular_acceleration]))
         self._opened, self._closed = np.full(PULSES, NEVER), np.zeros((PULSES, COUNT))
-        self._control = [0.0, 0.0, s.thrust_error**2, s.joint_change_error**2 * FOLLOWS]
+        self._control = np.array([0.0, 0.0, s.thrust_error**2, s.joint_change_error**2 * FOLLOWS])
         self._origin: int | None = None  # what times in arrays count from [ns]
         self._joints(count(np.asarray(p)))
         self.describe(p)
@@ -180,7 +180,7 @@ class KnownInputs:
 
     def heard_at(self, t: int) -> bool:
         """Whether every joint was within UNHEARD before t [ns]."""
-        return bool((self._read_at[:, -1] > self._seconds(t) - UNHEARD).all())
+        return self.heard and bool((self._read_at[:, -1] > self._seconds(t) - UNHEARD).all())
 
     def joints_at(self, t: int) -> tuple[Floats, Floats]:
         """Angles and rates of the joints at t [ns], (n,) each, by their newest readings."""
@@ -223,12 +223,13 @@ class KnownInputs:
     def over(self, begin: int, end: int) -> tuple[Floats, Floats]:
         """The mean acceleration of the base and its noise, in its own axes; see Inputs."""
         control = self._control
-        control[0], control[1] = self._seconds(begin), self._seconds(end)
-        if control[1] > max(self._silent, self._newest):
-            self._model(control[1], self._omega)
+        until = self._seconds(end)
+        control[0], control[1] = self._seconds(begin), until
+        if until > self._silent and until > self._newest:
+            self._model(until, self._omega)
         found = _over(
             self._read_at, self._rates, self._opened, self._closed, self.valves, self.mobility,
-            self._by_joint, self._still, self._tail if control[1] > self._from else self._read,
+            self._by_joint, self._still, self._tail if until > self._from else self._read,
             self._planned_at, self._planned, control,
         )  # fmt: skip
         return found[0], found[1]

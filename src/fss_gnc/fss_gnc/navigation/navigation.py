@@ -112,13 +112,13 @@ class Navigation:
                 self.place = self.place + EASED * off
         return believed
 
-    def gripper(self, t: int, holds: bool) -> None:
-        """Take whether the gripper holds the target at t [ns]."""
+    def gripper(self, holds: bool) -> None:
+        """Take whether the gripper holds the target."""
         if holds == self.holds:
             return
         self._carried.held, self.place = holds, None
         for body in (self.base, self.target):
-            body.push(min(t, body.t), *GRIP)
+            body.push(body.t, *GRIP)
         self._weigh()
 
     def predict(self, t: int) -> None:
