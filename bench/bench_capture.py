@@ -33,8 +33,8 @@ SEEDS = range(1, 6)
 DISTANCES = (1.4, 1.6, 1.8)  # [m]
 PHASES = ("approach", "reach", "grip", "detumble")
 FAULTS = (
-    *(("outage", lasts) for lasts in (1.0, 3.0, 10.0)),
-    *((fault, 0.0) for fault in ("open", "closed", "gyro", "link")),
+    *((fault, 0.0) for fault in ("link", "open", "closed", "gyro")),
+    *(("outage", lasts) for lasts in (10.0, 3.0, 1.0)),
 )
 
 
@@ -50,7 +50,7 @@ def grid() -> Iterator[Case]:
 
 def failures() -> Iterator[Case]:
     """Missions in which something fails."""
-    for (fault, lasts), phase, seed in product(FAULTS, PHASES, (1, 2, 3)):
+    for seed, (fault, lasts), phase in product((1, 2, 3), FAULTS, PHASES):
         spin = (-0.1, 0.1, 0.2)[seed - 1]
         yield Case(spin, float(seed), 1.6, seed, fault=fault, phase=phase, lasts=lasts)
 

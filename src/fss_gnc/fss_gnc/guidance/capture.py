@@ -23,11 +23,13 @@ from fss_gnc.guidance.abort import Abort
 from fss_gnc.guidance.activity import ActivityError, Craft, Ended, Orders, Seen
 from fss_gnc.guidance.approach import Planner, Points, Way
 from fss_gnc.guidance.detumble import Detumble
+from fss_gnc.guidance.drift import Drifting
 from fss_gnc.guidance.mission_settings import MissionSettings
 from fss_gnc.guidance.predictive import Predictive
 from fss_gnc.guidance.reach import Jacobian, Reach, wrapped
+from fss_gnc.guidance.rest import braking, slowing
 from fss_gnc.guidance.watch import Watch
-from fss_gnc.reference import Path, off
+from fss_gnc.reference import Body, Path, off
 
 Floats = npt.NDArray[np.float64]
 
@@ -262,6 +264,23 @@ def begin(craft: Craft, reach: str, detumble: bool) -> Capture:
     if name not in GUIDES:
         raise ActivityError(f"reach is {name!r}, expected {' or '.join(GUIDES)}")
     return Capture(craft, GUIDES[name](craft.arm, craft.settings), detumble)
+
+
+def load(craft: Craft) -> None:
+    """Load the kernels of the missions, which takes long, before one is under way."""
+    p, s, n = craft.arm.vector(), craft.settings, craft.arm.n
+    q, rest = np.array([-1.0, -1.0, 0.0, *n * [0.3]]), np.zeros(3 + n)
+    target = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.1]])
+    Guard(craft.arm, s)
+    next(Planner(p, s).search(q, rest, target, s.lead), None)
+    Drifting(p, s).away(q, rest, Body(*target))
+    braking(p, q, rest, s, 0.0)
+    slowing(p, q, rest, np.ones(n))
+    approach(p, q, rest, s.target, target)
+    for guide in GUIDES.values():
+        reach = guide(craft.arm, s)
+        reach.begin(q, rest)
+        reach.rates(q, target)
 
 
 def on_target(points: Points, t: float, state: Floats) -> Path:
