@@ -226,7 +226,7 @@ class Flight:
         if not self.struck("outage"):
             self.navigation.base.pose(now, *sight.base.pose)
             self.navigation.target_pose(now, *sight.target.pose)
-        self.navigation.gripper(now, plant.holds)
+        self.navigation.gripper(plant.holds)
         self.navigation.predict(now)
 
     def judge(self):

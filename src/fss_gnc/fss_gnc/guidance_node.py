@@ -30,6 +30,7 @@ from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import COMMAND, LATCHED, command, subscribe_sensor
 from fss_arm_ros.run import run
 from fss_gnc import messages
+from fss_gnc.guidance import capture
 from fss_gnc.guidance.account import Account
 from fss_gnc.guidance.activity import (
     Activity,
@@ -71,6 +72,7 @@ class GuidanceNode(Node):
         self.settings = s = declare(self, MissionSettings)
         self.craft = Craft(described(s.arm), s)
         Account(self.craft).update(at_rest(self.craft.arm.n))  # loads the kernels: that takes long
+        capture.load(self.craft)
         self.flight: Flight | None = None
         self.base = Latest[Body]("base/state", s.max_age)
         self.target = Latest[Body]("target/state", s.max_age)

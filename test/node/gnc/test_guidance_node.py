@@ -15,10 +15,11 @@ from fss_arm_ros.convert import SECOND
 from fss_arm_ros.qos import LATCHED
 from fss_gnc import guidance_node, messages
 from fss_gnc.guidance.activity import Ended, Orders
-from fss_gnc.guidance.kinds import BASE, HoldBase, Kind
+from fss_gnc.guidance.kinds import BASE, MISSIONS, HoldBase, Kind
 from fss_gnc.guidance_node import GuidanceNode
 
 HOLD, GO_TO, FOLLOW = BASE
+CAPTURE, DETUMBLE, ABORT = MISSIONS
 ENDED = GoalStatus.STATUS_SUCCEEDED, GoalStatus.STATUS_ABORTED, GoalStatus.STATUS_CANCELED
 DONE, ABORTED, CANCELED = ENDED
 
@@ -268,3 +269,48 @@ def test_a_mission_is_not_preempted_by_the_base_s_but_by_an_abort(mission):
         assert (ended.status, ended.result.message) == (ABORTED, "mission/capture is under way")
     bench.begin(abort)
     assert bench.end(running).result.message == "preempted by mission/abort"
+
+
+def before_a_target(bench):
+    """The base at rest, arm folded, with a target on the table."""
+    bench.pose, bench.q = np.array([-1.0, -1.0, -1.4]), np.array([0.95, 1.3, 1.36, -1.23])
+    bench.target = np.zeros(3), np.array([0.0, 0.0, 0.1])
+    bench.until(lambda: bench.guidance.target.value is not None)
+
+
+def test_a_capture_approaches_and_an_abort_takes_its_place(bench):
+    before_a_target(bench)
+    handle = bench.begin(CAPTURE, detumble=True)
+    bench.until(lambda: bench.states[-1].phase == "approach", 60.0)
+    bench.until(lambda: bench.paths[-1] is not None)
+    assert bench.states[-1].mission == "capture"
+    assert bench.grips[-1].data is False
+    ended = bench.does(ABORT, reason="enough")
+    assert (ended.status, ended.result.safe, ended.result.message) == (DONE, True, "enough")
+    capture = bench.end(handle)
+    assert (capture.status, capture.result.message) == (ABORTED, "preempted by mission/abort")
+    assert not capture.result.captured
+    bench.coasts()
+
+
+def test_a_capture_whose_target_is_lost_ends_with_valves_closed_and_joints_at_rest(bench):
+    before_a_target(bench)
+    handle = bench.begin(CAPTURE, detumble=True)
+    bench.until(lambda: bench.states[-1].phase == "approach", 60.0)
+    bench.target = None
+    ended = bench.end(handle)
+    assert (ended.status, ended.result.phase) == (ABORTED, "abort")
+    assert ended.result.message == "target/state is not known"
+    bench.coasts()
+    assert np.abs(bench.rates[-1].velocity).max() == 0.0
+
+
+def test_a_capture_by_an_unknown_reach_is_refused(bench):
+    ended = bench.does(CAPTURE, reach="magic")
+    assert ended.result.message == "reach is 'magic', expected jacobian or predictive"
+
+
+def test_what_rests_is_detumbled(bench):
+    bench.holds = True
+    ended = bench.does(DETUMBLE)
+    assert (ended.status, ended.result.stopped) == (DONE, True)

@@ -168,24 +168,26 @@ class Planner:
         return load(w, q[..., 2], self.settings)
 
     def find(self, q: Floats, qd: Floats, state: Floats, lead: float) -> Way | None:
-        """The quickest way of base and arm from q, qd (3 + n,); None: there is none.
+        """The quickest way, as `search` finds it; None: there is none."""
+        return next((way for way in self.search(q, qd, state, lead) if way), None)
+
+    def search(self, q: Floats, qd: Floats, state: Floats, lead: float) -> Iterator[Way | None]:
+        """Ways of base and arm from q, qd (3 + n,), the quickest first; None: a try that is none.
 
         Args:
             q: state; its joints are held.
             qd: its rate; those of the joints do not count.
             state: (2, 3) pose and twist of the target.
-            lead: the way ends so long before the fixture faces the arm [s].
+            lead: a way ends so long before the fixture faces the arm [s].
         """
         body = Body(self.p, q[3:])
         drift = np.array([*state[1, :2], 0.0])
         apart = np.array([*(q[:2] - state[0, :2]), q[2]])
         here = body.polar(apart, qd[:3] - drift)
         if here is None:
-            return None
+            return
         for way in self._ways(body, *here, state, lead):
-            if self._is_clear(way, state):
-                return way
-        return None
+            yield way if self._can_drive(way) and self._is_clear(way, state) else None
 
     def _ways(
         self, body: Body, here: Floats, rate: Floats, state: Floats, lead: float
@@ -203,9 +205,7 @@ class Planner:
             for turn in (round_, round_ - np.copysign(2.0 * pi, round_)):
                 end = np.array([standing, here[1] + turn, 0.0])
                 for order in orders:
-                    way = Way(body, here, rate, end, t, order)
-                    if self._can_drive(way):
-                        yield way
+                    yield Way(body, here, rate, end, t, order)
             t += max(1.0, 0.05 * t)
 
     def _can_drive(self, way: Way) -> bool:

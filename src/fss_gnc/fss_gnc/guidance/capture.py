@@ -9,7 +9,8 @@ done
 abort     from any of them
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from itertools import islice
 
 import numpy as np
 import numpy.typing as npt
@@ -22,11 +23,13 @@ from fss_gnc.guidance.abort import Abort
 from fss_gnc.guidance.activity import ActivityError, Craft, Ended, Orders, Seen
 from fss_gnc.guidance.approach import Planner, Points, Way
 from fss_gnc.guidance.detumble import Detumble
+from fss_gnc.guidance.drift import Drifting
 from fss_gnc.guidance.mission_settings import MissionSettings
 from fss_gnc.guidance.predictive import Predictive
 from fss_gnc.guidance.reach import Jacobian, Reach, wrapped
+from fss_gnc.guidance.rest import braking, slowing
 from fss_gnc.guidance.watch import Watch
-from fss_gnc.reference import Path, off
+from fss_gnc.reference import Body, Path, off
 
 Floats = npt.NDArray[np.float64]
 
@@ -36,7 +39,9 @@ GUIDES: dict[str, Callable[[Arm, MissionSettings], Reach]] = {
 
 AHEAD = np.linspace(0.0, 2.0, 9)  # of the reference that is told [s]
 SETTLED = 3.0  # for which all must be known, joints at rest, before a way is sought [s]
-RETRY = 2.0  # between searches for a way [s]
+TRIES = 24  # ways that are looked at in a step, which must not take long
+LONGEST = 6.0  # that a search may take; where all was then is too old [s]
+RETRY = 2.0  # on a way before another is sought [s]
 NEAR, STRAIGHT = 0.03, 0.05  # of the stand-off for the reach to begin [m], [rad]
 SLOW, SLOW_TURN = 0.008, 0.008  # past the target then [m/s], [rad/s]
 FACING = 0.25  # of the fixture's angle when the reach begins [rad]
@@ -76,6 +81,7 @@ class Capture:
         self.momentum = np.full(3, np.nan)  # at the grip, of all that is held together
         self._way: tuple[float, Way] | None = None  # and when it begins
         self._sought, self._moved = -np.inf, 0.0
+        self._search: Iterator[Way | None] | None = None
         self._path: Path | None = None
 
     def step(self, seen: Seen) -> Orders:
@@ -86,14 +92,14 @@ class Capture:
                 self.cancel(reason)
         if self.after is not None:
             return self._told(self.after.step(seen))
+        if seen.holds and seen.base is not None and seen.q is not None:
+            return self._grasped(seen)
         if seen.base is None or seen.q is None or seen.target is None:
             self._moved = seen.t
             return Orders("wait", close=False)
         q, qd = seen.floating
         state = np.array([seen.target.pose, seen.target.twist])
         self.met = approach(self.p, q, qd, self.target, state)
-        if seen.holds:
-            return self._grasped(seen)
         act = {"wait": self._wait, "approach": self._approach, "reach": self._reach,
                "grip": self._reach}  # fmt: skip
         return act[self.phase](seen, q, qd, state)
@@ -119,7 +125,7 @@ class Capture:
             "wait": s.wait_timeout, "approach": s.approach_timeout, "reach": s.reach_timeout + 5.0,
             "grip": s.grip_timeout + 5.0,
         }  # fmt: skip
-        if seen.target is None and self.phase != "wait":
+        if seen.target is None and self.phase != "wait" and not seen.holds:
             return "target/state is not known"
         if self.phase == "wait" and (seen.base is None or seen.q is None or seen.target is None):
             late = seen.t - self.since > s.wait_timeout
@@ -134,19 +140,23 @@ class Capture:
             )
         is_there = np.abs(q[3:] - self.posture).max() < 0.02 and np.abs(qd[3:]).max() < 0.01
         self._moved = self._moved if is_there else seen.t
-        if seen.t >= max(self._sought + RETRY, self._moved + SETTLED):
+        if seen.t >= self._moved + SETTLED:
             self._seek(seen.t, q, qd, state)
         return Orders("wait", None, self._still(q), False)
 
     def _seek(self, t: float, q: Floats, qd: Floats, state: Floats) -> None:
-        self._sought = t
-        assert self.posture is not None
-        held = np.concatenate([q[:3], self.posture])
-        way = self.planner.find(held, qd, state, self.settings.lead)
-        if way is not None:
-            self._way = t, way
-            if self.phase != "approach":
-                self._begin("approach", t)
+        """Look for a way, a few tries in a step, from where base and arm are when it begins."""
+        if self._search is None or t > self._sought + LONGEST:
+            assert self.posture is not None
+            held = np.concatenate([q[:3], self.posture])
+            self._sought = t
+            self._search = self.planner.search(held, qd, state, self.settings.lead)
+        for way in islice(self._search, TRIES):
+            if way is not None:
+                self._way, self._search = (self._sought, way), None
+                if self.phase != "approach":
+                    self._begin("approach", t)
+                return
 
     def _still(self, q: Floats) -> Floats:
         """Rates that take the joints to the posture of the approach, and hold them there."""
@@ -161,7 +171,7 @@ class Capture:
         self._path = on_target(points, seen.t, state)
         left = begin + way.duration - seen.t
         facing = self._facing(state, way, max(left, 0.0) + self.settings.lead)
-        if left > LATE and abs(facing) > FACING and seen.t > self._sought + RETRY:
+        if left > LATE and abs(facing) > FACING and seen.t > begin + RETRY:
             self._seek(seen.t, q, qd, state)  # the target turns otherwise than it seemed to
         elif left <= 0.0:
             self._arrived(seen, q, qd, state, way)
@@ -183,7 +193,7 @@ class Capture:
             self._path = None
             self.guide.begin(q, qd)
             self._begin("reach", seen.t)
-        elif abs(ahead) > FACING and seen.t > self._sought + RETRY:
+        elif abs(ahead) > FACING:
             late = ahead * spin < 0.0 or abs(ahead) > PATIENCE * abs(spin)
             if late:
                 self._seek(seen.t, q, qd, state)
@@ -215,7 +225,7 @@ class Capture:
         if self.attempts >= self.settings.attempts:
             self.cancel(f"not captured in {self.attempts} reaches")
             return
-        self._way, self._sought = None, -np.inf
+        self._way, self._search = None, None
         self._begin("wait", t)
 
     def _guarded(self, rates: Floats, q: Floats, qd: Floats, state: Floats) -> Floats:
@@ -254,6 +264,23 @@ def begin(craft: Craft, reach: str, detumble: bool) -> Capture:
     if name not in GUIDES:
         raise ActivityError(f"reach is {name!r}, expected {' or '.join(GUIDES)}")
     return Capture(craft, GUIDES[name](craft.arm, craft.settings), detumble)
+
+
+def load(craft: Craft) -> None:
+    """Load the kernels of the missions, which takes long, before one is under way."""
+    p, s, n = craft.arm.vector(), craft.settings, craft.arm.n
+    q, rest = np.array([-1.0, -1.0, 0.0, *n * [0.3]]), np.zeros(3 + n)
+    target = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.1]])
+    Guard(craft.arm, s)
+    next(Planner(p, s).search(q, rest, target, s.lead), None)
+    Drifting(p, s).away(q, rest, Body(*target))
+    braking(p, q, rest, s, 0.0)
+    slowing(p, q, rest, np.ones(n))
+    approach(p, q, rest, s.target, target)
+    for guide in GUIDES.values():
+        reach = guide(craft.arm, s)
+        reach.begin(q, rest)
+        reach.rates(q, target)
 
 
 def on_target(points: Points, t: float, state: Floats) -> Path:

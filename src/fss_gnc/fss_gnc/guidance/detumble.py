@@ -41,7 +41,7 @@ class Detumble:
     def step(self, seen: Seen) -> Orders:
         """Orders now."""
         if np.isnan(self._begun):
-            self._begun = seen.t
+            self._begun = self._moving = seen.t
         if self.abort is None:
             reason = self.watch.reason(
                 seen, self._path, self.settings.detumble_timeout, self._begun

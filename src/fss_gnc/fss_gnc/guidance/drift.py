@@ -17,7 +17,7 @@ Floats = npt.NDArray[np.float64]
 SAMPLES = 16  # on the way
 DIRECTIONS = 16
 SPEEDS = (0.0, 0.25, 0.5, 0.75, 1.0)  # shares of the drift speed
-TURN_ARM = 0.5  # what a turn rate counts as a speed [m]
+MORE = 0.1  # room that a push makes beyond the least, as it takes its time [m]
 
 
 class Drift(NamedTuple):
@@ -63,7 +63,7 @@ class Drifting:
         own = complex(*qd[:2]) + 1j * qd[2] * w
         order = np.argsort(np.abs(of_com - own))
         twists = np.column_stack([of_com.real, of_com.imag, np.zeros(of_com.size)])[order]
-        found = self._looked(body, q, np.vstack([qd[:3], twists]), target)
+        found = self._looked(body, q, np.vstack([qd[:3], twists]), target, more=MORE)
         safe = [drift for drift in found if drift.safe]
         return safe[0] if safe else max(found, key=lambda drift: min(drift.edge, drift.target))
 
@@ -74,6 +74,7 @@ class Drifting:
         twists: Floats,
         target: Body | None,
         horizon: float | None = None,
+        more: float = 0.0,
     ) -> list[Drift]:
         s = self.settings
         ahead = np.linspace(0.0, horizon or s.drift_horizon, SAMPLES)
@@ -88,10 +89,10 @@ class Drifting:
             all_gaps = gaps(self.p, states, self._target, self._sizes, at).min(axis=2)
             near = all_gaps.min(axis=1)
             # What is near already, as the gripper at the fixture is, comes no nearer.
-            kept = near >= np.minimum(s.least_target, all_gaps[:, 0] - 1e-3)
-            kept &= all_gaps[:, -1] >= s.least_target
+            kept = near >= np.minimum(s.least_target + more, all_gaps[:, 0] - 1e-3)
+            kept &= all_gaps[:, -1] >= s.least_target + more
         first = gaps(self.p, states[:, 0], self._edge, self._sizes).min(axis=1)
-        kept &= edge >= np.minimum(s.least_edge, first - 1e-3)
+        kept &= edge >= np.minimum(s.least_edge + more, first - 1e-3)
         return [
             Drift(twist, float(e), float(t), bool(k))
             for twist, e, t, k in zip(twists, edge, near, kept, strict=True)

@@ -126,11 +126,11 @@ def start_all(nodes: Nodes, arm: Path, out: Path, seed: int, speed: float) -> No
     )  # fmt: skip
     nodes.start(
         "links", "fss_arm_driver", "link", arm=arm, urls=nodes.domain.urls(LINKS), rate=20.0,
-        **clock,
+        timeout=10.0, watchdog=10.0, **clock,
     )  # fmt: skip
-    nodes.start("arm", "fss_arm_driver", "arm", arm=arm, rate=20.0, **clock)
+    nodes.start("arm", "fss_arm_driver", "arm", arm=arm, rate=20.0, time_to_live=10.0, **clock)
     url = f"udp://127.0.0.1:{board}?bind={base}"
-    nodes.start("base", "fss_base_driver", "base", url=url, **clock)
+    nodes.start("base", "fss_base_driver", "base", url=url, timeout=10.0, **clock)
     target = {"target_mass": TARGET.mass, "target_inertia": TARGET.inertia}
     for name in ("navigation", "control"):
         nodes.start(name, "fss_gnc", name, arm=arm, **target, **clock)

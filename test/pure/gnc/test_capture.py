@@ -1,0 +1,173 @@
+"""The capture and its parts, flown on the plant with late and noisy senses."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from capturing import POSTURE, SETTINGS, Case, Flight
+
+from fss_arm_model.description import paper_arm
+from fss_arm_model.kinematics import tip_pose
+from fss_gnc.guidance.abort import Abort
+from fss_gnc.guidance.activity import ActivityError, Craft, Seen
+from fss_gnc.guidance.approach import Planner, coasted
+from fss_gnc.guidance.capture import GUIDES, begin
+from fss_gnc.guidance.detumble import Detumble
+from fss_gnc.guidance.drift import Drifting
+from fss_gnc.guidance.reach import fixtures
+from fss_gnc.guidance.rest import braking, slowing
+from fss_gnc.reference import Body
+
+ARM = paper_arm()
+P = ARM.vector()
+CRAFT = Craft(ARM, SETTINGS)
+AT_REST = np.zeros(7)
+
+
+def state(heading=0.5, spin=0.1, drift=(0.0, 0.0)):
+    return np.array([[0.0, 0.0, heading], [*drift, spin]])
+
+
+def at(x, y, heading, posture=POSTURE):
+    return np.array([x, y, heading, *posture])
+
+
+@pytest.mark.parametrize("reach", GUIDES)
+def test_it_captures_a_tumbling_target_and_stops_it(reach):
+    flight = Flight(Case(spin=0.15, distance=1.4), settings=replace(SETTINGS, reach=reach))
+    flown = flight.fly()
+    assert flown.phases == ["wait", "approach", "reach", "grip", "detumble"]
+    assert flown.well
+    assert flown.captured
+    assert flown.safe
+    assert abs(flown.spin) < 0.01
+    assert np.abs(flight.plant.imbalance).max() < 1e-9
+    assert flight.activity.momentum[2] == pytest.approx(flown.momentum, abs=2e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("phase", ["approach", "reach", "detumble"])
+@pytest.mark.parametrize("fault", ["outage", "link"])
+def test_what_fails_ends_the_mission_safely(fault, phase):
+    flown = Flight(Case(spin=0.1, distance=1.4, fault=fault, phase=phase, lasts=10.0)).fly()
+    assert "abort" in flown.phases
+    assert flown.safe
+
+
+def test_a_way_ends_before_the_fixture_and_meets_nothing_whenever_thrust_ends():
+    planner, q, target = Planner(P, SETTINGS), at(-1.0, -1.0, -1.4), state()
+    way = planner.find(q, AT_REST, target, SETTINGS.lead)
+    end = way.points(way.duration)
+    t = way.duration + SETTINGS.lead
+    facing = fixtures(target, SETTINGS, np.array([t]))[0]
+    tip = tip_pose(P, np.concatenate([end.pose[0], POSTURE]))
+    assert np.hypot(*(tip[:2] - facing[:2])) == pytest.approx(SETTINGS.stand_off, abs=1e-6)
+    assert np.cos(tip[2] - facing[2]) == pytest.approx(1.0, abs=1e-6)
+    np.testing.assert_allclose(end.twist, 0.0, atol=1e-9)
+    times = np.linspace(0.0, way.duration, 60)
+    points = way.points(times)
+    np.testing.assert_allclose(points.pose[0], q[:3], atol=1e-9)
+    for ahead in np.linspace(0.0, SETTINGS.coast, 7):
+        poses = coasted(points.pose, points.twist, way.body.com, ahead)
+        gaps = planner.gaps_of(poses, way.body, np.zeros((60, 2)))
+        assert gaps.min() > 0.0
+
+
+def test_a_way_is_as_its_rates_and_accelerations_say():
+    way = Planner(P, SETTINGS).find(at(-1.0, -1.0, -1.4), AT_REST, state(), 3.0)
+    t, step = np.linspace(1.0, way.duration - 1.0, 9), 1e-4
+    ahead, now, behind = (way.points(t + k * step) for k in (1, 0, -1))
+    np.testing.assert_allclose(now.twist, (ahead.pose - behind.pose) / (2 * step), atol=1e-7)
+    np.testing.assert_allclose(
+        now.acceleration, (ahead.twist - behind.twist) / (2 * step), atol=1e-7
+    )
+
+
+def test_there_is_no_way_where_there_is_no_room():
+    target = state(spin=0.0, heading=0.0)
+    target[0, :2] = 1.8, 0.0  # its fixture faces the edge
+    assert Planner(P, SETTINGS).find(at(-1.0, 0.0, 0.0), AT_REST, target, 3.0) is None
+
+
+@pytest.mark.parametrize("reach", GUIDES)
+def test_a_reach_goes_to_the_fixture(reach):
+    guide = GUIDES[reach](ARM, SETTINGS)
+    q = at(0.0, 0.0, 0.0)
+    x, y, heading = tip_pose(P, q)
+    centre = complex(x, y) + 0.25 * np.exp(1j * heading)
+    target = np.array([[centre.real, centre.imag, heading + np.pi], [0.0, 0.0, 0.0]])
+    guide.begin(q, AT_REST)
+    from fss_arm_model.momentum import generalized_jacobian
+
+    tip = generalized_jacobian(P, q) @ guide.rates(q, target)
+    inward = np.array([np.cos(heading), np.sin(heading)])
+    assert tip[:2] @ inward > 0.01
+
+
+def test_an_unknown_reach_is_refused():
+    with pytest.raises(ActivityError, match="reach is 'magic', expected jacobian or predictive"):
+        begin(CRAFT, "magic", True)
+
+
+def test_joints_slow_down_within_their_torques():
+    q, qd = at(0.0, 0.0, 0.0), np.concatenate([np.zeros(3), [1.0, -1.0, 1.0, -1.0]])
+    gentle, hard = (slowing(P, q, qd, np.full(4, torque)) for torque in (0.2, 1.0))
+    assert gentle > hard
+
+
+def test_the_base_brakes_within_the_valves_authority():
+    q, qd = at(0.0, 0.0, 0.0), np.concatenate([[0.05, 0.0, 0.0], np.zeros(4)])
+    path = braking(P, q, qd, SETTINGS, 2.0)
+    assert path.at(path.end).pose[0] == pytest.approx(0.025 * (path.end - 2.0))
+    assert 0.05 / (path.end - 2.0) < 0.32 / 21.5
+
+
+def test_an_abort_turns_away_from_the_target_and_then_drifts():
+    q = at(-0.75, -0.75, -1.9)
+    closing = np.array([0.03, 0.03, 0.0])
+    seen = Seen(
+        0.0, Body(q[:3], closing), Body(np.zeros(3), np.zeros(3)), q[3:], np.zeros(4), holds=False
+    )
+    orders = Abort(CRAFT, "test").step(seen)
+    assert orders.phase == "abort"
+    assert orders.path is not None
+    end = orders.path.knots[-1, 1]
+    after = np.concatenate([orders.path.knots[-1, 0], q[3:]])
+    assert Drifting(P, SETTINGS).as_is(after, np.concatenate([end, np.zeros(4)]), seen.target).safe
+
+
+def test_an_abort_leaves_the_valves_closed_where_the_base_is_not_known_or_drifts_safely():
+    q = at(-0.75, -0.75, -1.9)
+    away = Body(q[:3], np.array([-0.01, -0.01, 0.0]))
+    rest = Body(np.zeros(3), np.zeros(3))
+    for base in (None, away):
+        orders = Abort(CRAFT, "test").step(Seen(0.0, base, rest, q[3:], np.zeros(4), holds=False))
+        assert orders.path is None
+        np.testing.assert_allclose(orders.rates, 0.0)
+
+
+def test_an_abort_that_is_asked_for_ends_well_when_the_drift_is_safe():
+    q = at(-0.75, -0.75, -1.9)
+    abort = Abort(CRAFT, "test", asked=True)
+    base, rest = Body(q[:3], np.array([-0.01, -0.01, 0.0])), Body(np.zeros(3), np.zeros(3))
+    ends = [
+        abort.step(Seen(t, base, rest, q[3:], np.zeros(4), holds=False)).ended for t in (0.0, 4.0)
+    ]
+    assert ends[0] is None
+    assert ends[1].well
+
+
+def test_a_detumble_that_is_cancelled_is_aborted():
+    q = at(0.0, 0.0, 0.0)
+    mission = Detumble(CRAFT)
+    seen = Seen(0.0, Body(q[:3], np.zeros(3)), None, q[3:], np.zeros(4), holds=True)
+    assert mission.step(seen).phase == "detumble"
+    mission.cancel("enough")
+    assert mission.step(replace(seen, t=0.1)).phase == "abort"
+
+
+def test_what_rests_is_detumbled_at_once():
+    q, mission = at(0.0, 0.0, 0.0), Detumble(CRAFT)
+    seen = Seen(0.0, Body(q[:3], np.zeros(3)), None, q[3:], np.zeros(4), holds=True)
+    ends = [mission.step(replace(seen, t=0.5 * k)).ended for k in range(10)]
+    assert next(end for end in ends if end).well
