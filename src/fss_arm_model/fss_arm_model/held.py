@@ -12,7 +12,9 @@ import numpy as np
 import numpy.typing as npt
 
 from . import layout
+from .dynamics import inertia_matrix
 from .kinematics import tip_jacobian, tip_pose
+from .momentum import momentum, system_com
 from .settings import FINITE, POSITIVE, Settings, setting
 
 Floats = npt.NDArray[np.float64]
@@ -103,3 +105,20 @@ def with_held(p: Floats, target: Target, place: Floats) -> Floats:
 def _length(p: Floats) -> float:
     """Of the last link [m]."""
     return float(layout.each(p, layout.LENGTH)[-1])
+
+
+def momentum_of_both(
+    p: Floats, q: Floats, qd: Floats, target: Target, state: npt.ArrayLike
+) -> Floats:
+    """Of the arm and a free target at `state`, (2, 3) pose and twist, which a grip leaves as it is.
+
+    Returns:
+        (3,) linear, and angular about their common centre of mass [N s, N s, N m s].
+    """
+    (x, y, _), (vx, vy, omega) = np.asarray(state, dtype=float)
+    px, py, L = momentum(p, q, qd)
+    mass, M = float(inertia_matrix(p, q)[0, 0]), target.mass
+    apart = complex(x, y) - complex(*system_com(p, q))
+    past = complex(vx, vy) - complex(px, py) / mass
+    about = mass * M / (mass + M) * (np.conj(apart) * past).imag  # of the two as points
+    return np.array([px + M * vx, py + M * vy, L + target.inertia * omega + about])

@@ -5,8 +5,17 @@ import pytest
 from model_arms import random_arm
 
 from fss_arm_model.dynamics import inertia_matrix
-from fss_arm_model.held import Target, approach, held, held_jacobian, hold, with_held
+from fss_arm_model.held import (
+    Target,
+    approach,
+    held,
+    held_jacobian,
+    hold,
+    momentum_of_both,
+    with_held,
+)
 from fss_arm_model.kinematics import tip_pose
+from fss_arm_model.momentum import momentum
 
 TARGET = Target(mass=9.0, inertia=0.2, fixture=(0.15, 0.05, 0.3))
 
@@ -34,6 +43,13 @@ def test_arm_and_body_together_have_the_inertia_of_both(n):
     M = np.diag([TARGET.mass, TARGET.mass, TARGET.inertia])
     whole = inertia_matrix(with_held(p, TARGET, place), q)
     np.testing.assert_allclose(whole, inertia_matrix(p, q) + J.T @ M @ J, rtol=1e-10, atol=1e-10)
+
+
+@pytest.mark.parametrize("n", [1, 4, 7])
+def test_a_body_that_moves_with_the_last_link_has_the_momentum_of_one_held(n):
+    p, q, qd, place = drawn(n)
+    both = momentum_of_both(p, q, qd, TARGET, held(p, q, qd, place))
+    np.testing.assert_allclose(both, momentum(with_held(p, TARGET, place), q, qd), atol=1e-12)
 
 
 def test_the_fixture_is_met_straight_and_at_rest():

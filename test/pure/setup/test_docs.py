@@ -6,6 +6,7 @@ import shlex
 import subprocess
 import sys
 from dataclasses import fields
+from importlib import import_module
 from importlib.metadata import distribution
 from itertools import pairwise
 from pathlib import Path
@@ -80,6 +81,13 @@ def test_files_of_the_repository_that_are_named_are_there(page):
     assert not [name for name in named if not (ROOT / name).exists()]
 
 
+def check_goal(name, kind, fields):
+    """Of an action: its name is in the table, its type has these fields."""
+    assert f"`{name.lstrip('/')}`" in (ROOT / "docs/reference/topics.md").read_text()
+    package, _, action = kind.split("/")
+    getattr(import_module(f"{package}.action"), action).Goal(**yaml.safe_load(fields))
+
+
 @pytest.mark.parametrize("words", list(commands()))
 def test_each_command_can_be_given(words):
     program, *arguments = [word for word in words if word != "..."]
@@ -89,6 +97,8 @@ def test_each_command_can_be_given(words):
         assert all((ROOT / name).exists() for name in named), named
     elif [program, *arguments[:1]] == ["ros2", "run"]:
         check_node(*arguments[1:])
+    elif arguments[:2] == ["action", "send_goal"]:
+        check_goal(*(word for word in arguments[2:] if word != "--feedback"))
     elif program == "ros2":
         assert arguments[0] == "security"  # of the distribution; not among the wheels
     else:

@@ -21,7 +21,7 @@ DIMENSIONLESS = {
     *("battery", "corruption", "dead", "dropout", "duplication", "frozen", "loss", "occlusion"),
     *("braking", "reordering", "swap"),
     *("max_condition", "max_relative", "min_probability", "min_redundancy", "outlier"),
-    "LimitSettings.share",
+    *("LimitSettings.share", "MissionSettings.authority", "MissionSettings.torque_share"),
     *("thrust_error", "joint_rate_error", "joint_change_error"),
     *("DriftSettings.mass_deviation", "Event.value", "PoseGains.damping", "PoseGains.integral"),
 }

@@ -16,8 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fss_arm_model.description import Arm
-from fss_arm_model.held import Approach, approach, hold, with_held
-from fss_arm_model.momentum import momentum
+from fss_arm_model.held import Approach, approach, momentum_of_both
 from fss_arm_motion.guard import Guard, GuardError
 from fss_gnc.guidance.abort import Abort
 from fss_gnc.guidance.activity import ActivityError, Craft, Ended, Orders, Seen
@@ -78,7 +77,7 @@ class Capture:
         self.posture: Floats | None = None  # that the approach holds
         self.after: Detumble | Abort | None = None
         self.captured = False
-        self.momentum = np.full(3, np.nan)  # at the grip, of all that is held together
+        self.momentum = np.full(3, np.nan)  # of both before the grip, which leaves it as it is
         self._way: tuple[float, Way] | None = None  # and when it begins
         self._sought, self._moved = -np.inf, 0.0
         self._search: Iterator[Way | None] | None = None
@@ -208,6 +207,7 @@ class Capture:
         """Towards the fixture, and closing there; the arm goes on following while it closes."""
         assert self.met is not None
         s, met = self.settings, self.met
+        self.momentum = momentum_of_both(self.p, q, qd, self.target, state)
         near = met.distance < s.grip_distance and abs(met.angle) < s.grip_angle
         lost = abs(met.angle) > LOST_ANGLE or met.distance > LOST_DISTANCE
         timeout = s.reach_timeout if self.phase == "reach" else s.grip_timeout
@@ -243,12 +243,9 @@ class Capture:
 
     def _grasped(self, seen: Seen) -> Orders:
         self.captured = True
-        q, qd = seen.floating
-        if seen.target is not None:
-            place = hold(self.p, q, seen.target.pose)
-            self.momentum = momentum(with_held(self.p, self.target, place), q, qd)
         if not self.detumbles:
-            return self._told(Orders("done", None, np.zeros(q.size - 3), ended=Ended(True)))
+            at_rest = np.zeros(self.craft.arm.n)
+            return self._told(Orders("done", None, at_rest, ended=Ended(True)))
         self._path = None
         self.after = Detumble(self.craft)
         return self._told(self.after.step(seen))
