@@ -42,8 +42,8 @@ def test_it_captures_a_tumbling_target_and_stops_it(reach):
     assert flown.safe
     assert abs(flown.spin) < 0.01
     assert np.abs(flight.plant.imbalance).max() < 1e-9
-    # Joint readings are 0.1 s old, and the base's turn rate is known to 2 mrad/s, times 2 kg m^2.
-    assert flight.activity.momentum[2] == pytest.approx(flown.momentum, abs=1e-2)
+    # Turn rates are known to 2 mrad/s, times 2 kg m^2, and a last pulse may end after that.
+    assert flight.activity.momentum[2] == pytest.approx(flown.momentum, abs=5e-3)
 
 
 @pytest.mark.slow

@@ -77,7 +77,7 @@ class Capture:
         self.posture: Floats | None = None  # that the approach holds
         self.after: Detumble | Abort | None = None
         self.captured = False
-        self.momentum = np.full(3, np.nan)  # of both before the grip, which leaves it as it is
+        self.momentum = np.full(3, np.nan)  # of both as valves close; a grip leaves it
         self._way: tuple[float, Way] | None = None  # and when it begins
         self._sought, self._moved = -np.inf, 0.0
         self._search: Iterator[Way | None] | None = None
@@ -191,6 +191,7 @@ class Capture:
             self.attempts += 1
             self._path = None
             self.guide.begin(q, qd)
+            self.momentum = momentum_of_both(self.p, q, qd, self.target, state)
             self._begin("reach", seen.t)
         elif abs(ahead) > FACING:
             late = ahead * spin < 0.0 or abs(ahead) > PATIENCE * abs(spin)
@@ -207,7 +208,6 @@ class Capture:
         """Towards the fixture, and closing there; the arm goes on following while it closes."""
         assert self.met is not None
         s, met = self.settings, self.met
-        self.momentum = momentum_of_both(self.p, q, qd, self.target, state)
         near = met.distance < s.grip_distance and abs(met.angle) < s.grip_angle
         lost = abs(met.angle) > LOST_ANGLE or met.distance > LOST_DISTANCE
         timeout = s.reach_timeout if self.phase == "reach" else s.grip_timeout
