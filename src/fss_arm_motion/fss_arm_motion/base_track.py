@@ -20,8 +20,10 @@ class BaseTrack:
 
     def add(self, t: int, pose: tuple[float, float, float]) -> None:
         """Keep a pose [m, m, rad] of t [ns]; where stamps go back, forget the others."""
-        if self._poses and t <= self._poses[-1][0]:
+        if self._poses and t < self._poses[-1][0]:
             self._poses.clear()
+        elif self._poses and t == self._poses[-1][0]:
+            self._poses.pop()  # an estimate that knows more
         before = self._poses[-1][3] if self._poses else pose[2]
         turned = before + (pose[2] - before + np.pi) % (2.0 * np.pi) - np.pi
         self._poses.append((t, *pose[:2], turned))

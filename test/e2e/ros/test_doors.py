@@ -163,6 +163,7 @@ def resident(pid):
         return int(file.read().split()[1]) * 4096 / 1e6
 
 
+@pytest.mark.slow
 def test_no_message_ends_a_node(spin, nodes):
     stranger = Stranger(spin)
     stranger.see(nodes, NODES, 0.0, "nothing")

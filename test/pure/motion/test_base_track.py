@@ -39,3 +39,12 @@ def test_stamps_that_go_back_begin_anew():
     found, begin = track(np.random.default_rng(0), np.zeros(3))
     found.add(begin, (1.0, 2.0, 3.0))
     assert found.between(0, 2 * begin)[1].tolist() == [[1.0, 2.0, 3.0]]
+
+
+def test_of_one_time_the_last_estimate_counts():
+    track = BaseTrack()
+    for k in range(20):
+        track.add(k * SECOND // 10, (0.1 * k, 0.0, 0.0))
+        track.add(k * SECOND // 10, (0.2 * k, 0.0, 0.0))
+    moved, _ = track.moved(0, SECOND)
+    np.testing.assert_allclose(moved, [2.0, 0.0, 0.0], atol=1e-12)
