@@ -12,7 +12,6 @@ from functools import cache
 from importlib import import_module
 from math import isfinite, isnan
 from typing import Any, NamedTuple
-from weakref import WeakKeyDictionary
 
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
@@ -22,6 +21,7 @@ from fss_arm_ros.convert import PoseError, planar_pose
 
 MAGNITUDE = 1e12  # of any number: its square and cube are far from the largest
 ALL = frozenset({"*"})
+DOORS = "_doors"  # of a node, its own attribute: whatever else knew them would keep it alive
 
 Check = Callable[[Any], str]
 
@@ -196,7 +196,7 @@ class Door:
         self._check, self.refused, self.reason = check(kind), 0, ""
         name = f"{kind.__module__.partition('.')[0]}/{kind.__name__}"
         self.most = RULES.get(name, Rule()).size
-        _DOORS.setdefault(node, []).append(self)
+        vars(node).setdefault(DOORS, []).append(self)
 
     def lets_in(self, message: Any) -> bool:
         """Whether the rule allows a message."""
@@ -222,14 +222,10 @@ class Door:
         self.refused, self.reason = self.refused + 1, why
 
 
-_DOORS: "WeakKeyDictionary[Node, list[Door]]" = WeakKeyDictionary()
-
-
 def refusals(node: Node) -> dict[str, int]:
     """How many messages a node has refused, by topic."""
-    return {
-        f"refused on {door.topic}": door.refused for door in _DOORS.get(node, ()) if door.refused
-    }
+    doors = [door for door in vars(node).get(DOORS, ()) if door.refused]
+    return {f"refused on {door.topic}": door.refused for door in doors}
 
 
 def subscribe(

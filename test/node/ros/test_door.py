@@ -1,6 +1,8 @@
 """The door of a subscription: what is let in, what is refused, and what is said of it."""
 
+import gc
 from math import inf, nan
+from weakref import ref
 
 import pytest
 from builtin_interfaces.msg import Time
@@ -73,3 +75,13 @@ def test_a_node_counts_what_it_refuses_and_goes_on(spin):
     spin(node, lambda: len(heard) == 2)
     assert [message.position[0] for message in heard] == [1.0, 3.0]
     assert refusals(node) == {"refused on joint_states": 2}
+
+
+def test_a_node_that_nobody_holds_is_gone_with_its_doors(ros):
+    node = Node("forgotten")
+    subscribe(node, JointState, "joint_states", print, 10)
+    known = ref(node)
+    node.destroy_node()
+    del node
+    gc.collect()
+    assert known() is None
