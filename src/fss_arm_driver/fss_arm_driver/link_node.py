@@ -32,7 +32,7 @@ from fss_arm_driver.receiver import Receiver
 from fss_arm_driver.scale import CommandError
 from fss_arm_driver.session import Arming, LinkSession, Progress
 from fss_arm_driver.settings import LinkSettings
-from fss_arm_driver.transport import Transport, open_transport
+from fss_arm_driver.transport import Transport, is_exposed, open_transport
 from fss_arm_msgs.msg import CommandStatus, LinkCommand, LinkPath, LinkTelemetry
 from fss_arm_ros.convert import SECOND, stamp_ns
 from fss_arm_ros.diagnostics import Diagnostics, Health
@@ -95,7 +95,7 @@ class LinkNode(Node):
         self.waiting: list[Future] = []
         self.replaced: deque[Progress] = deque()  # by others, whose end is yet to be reported
         self.beats, self.usual = 0, 2 if settings.rate < PATH_RATE else 1  # beats to a command
-        if settings.is_exposed():
+        if is_exposed(settings.url, settings.keys):
             self.get_logger().warning(
                 f"{settings.url}: frames are not signed, so anybody on this network can move the "
                 "link; see docs/how-to/security.md"

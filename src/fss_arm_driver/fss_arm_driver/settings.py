@@ -1,9 +1,8 @@
 """The parameters of the driver's nodes, and what they amount to."""
 
 from dataclasses import dataclass
-from urllib.parse import urlsplit
 
-from fss_arm_driver.protocol import load_keys
+from fss_arm_driver.protocol import key_of
 from fss_arm_model.description import Arm, Link, described
 from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, Settings, between, setting
 from fss_arm_motion.guard_settings import GuardSettings
@@ -64,22 +63,13 @@ class LinkSettings(Settings):
             raise ValueError(f"link is {self.link}, expected 1 to {arm.n}, as arm {arm.name!r} has")
         return arm.links[self.link - 1]
 
-    def is_exposed(self) -> bool:
-        """Whether unsigned frames go over a network, and not only within this computer."""
-        place = urlsplit(self.url)
-        local = place.hostname in ("127.0.0.1", "::1", "localhost")
-        return not self.keys and place.scheme in ("udp", "tcp") and not local
-
     def key(self) -> bytes | None:
         """The key that frames are signed under, if any.
 
         Raises:
             ValueError: keys are configured, but none for this link.
         """
-        keys = load_keys(self.keys) if self.keys else {}
-        if self.keys and self.link not in keys:
-            raise ValueError(f"keys is {self.keys!r}, which holds no key for link {self.link}")
-        return keys.get(self.link)
+        return key_of(self.keys, self.link, f"link {self.link}")
 
 
 @dataclass(frozen=True)

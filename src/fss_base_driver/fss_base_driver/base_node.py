@@ -24,7 +24,7 @@ from std_srvs.srv import SetBool, Trigger
 from fss_arm_driver.host_clock import HostClock
 from fss_arm_driver.receiver import Receiver
 from fss_arm_driver.session import Arming, CommandError
-from fss_arm_driver.transport import Transport, open_transport
+from fss_arm_driver.transport import Transport, is_exposed, open_transport
 from fss_arm_msgs.msg import BaseTelemetry, GripperState, ThrusterCommand
 from fss_arm_ros.convert import SECOND, stamp_ns
 from fss_arm_ros.diagnostics import Diagnostics, Health
@@ -78,7 +78,7 @@ class BaseNode(Node):
         self.sent, self.warned = NO_PULSE, {"trouble": self.transport.trouble}
         self.waiting: list[Future] = []
         self.seeking: Future | None = None  # who asked for the gyro's bias
-        if s.is_exposed():
+        if is_exposed(s.url, s.keys):
             self.get_logger().warning(
                 f"{s.url}: frames are not signed, so anybody on this network can open the valves; "
                 "see docs/how-to/security.md"

@@ -1,12 +1,11 @@
 """The parameters of the base's nodes."""
 
 from dataclasses import dataclass
-from urllib.parse import urlsplit
 
 import numpy as np
 import numpy.typing as npt
 
-from fss_arm_driver.protocol import load_keys
+from fss_arm_driver.protocol import key_of
 from fss_arm_model.settings import (
     FINITE,
     NOT_NEGATIVE,
@@ -177,22 +176,13 @@ class BaseSettings(Settings):
             return np.reshape(self.layout, (VALVES, 3))
         return layout(self.thrust, self.lever)
 
-    def is_exposed(self) -> bool:
-        """Whether unsigned frames go over a network, and not only within this computer."""
-        place = urlsplit(self.url)
-        local = place.hostname in ("127.0.0.1", "::1", "localhost")
-        return not self.keys and place.scheme in ("udp", "tcp") and not local
-
     def key(self) -> bytes | None:
         """The key that frames are signed under, if any.
 
         Raises:
             ValueError: keys are configured, but none for the board.
         """
-        keys = load_keys(self.keys) if self.keys else {}
-        if self.keys and BOARD not in keys:
-            raise ValueError(f"keys is {self.keys!r}, which holds no key for the board, {BOARD}")
-        return keys.get(BOARD)
+        return key_of(self.keys, BOARD, f"the board, {BOARD}")
 
 
 @dataclass(frozen=True)

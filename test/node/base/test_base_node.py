@@ -293,7 +293,10 @@ def test_the_gripper_closes_and_says_so(armed):
 
 
 def test_diagnostics_name_what_is_wrong(armed):
-    status = lambda: armed.user.health[-1].status[0]  # noqa: E731
+
+    def status():
+        return armed.user.health[-1].status[0]
+
     armed.until(lambda: status().level == DiagnosticStatus.OK)
     assert status().message == "the base's board is armed"
     armed.board.slow[BaseSlow.FAULTS] = 1 << 2 | 1 << 12
@@ -305,7 +308,10 @@ def test_diagnostics_name_what_is_wrong(armed):
 def test_a_silent_board_is_reported(spin):
     bench = Bench(spin, {})
     bench.transport.talks = False
-    status = lambda: bench.user.health[-1].status[0]  # noqa: E731
+
+    def status():
+        return bench.user.health[-1].status[0]
+
     bench.until(lambda: "the base's board is lost: silent for" in status().message)
     assert status().level == DiagnosticStatus.ERROR
     answer = bench.arm()

@@ -39,7 +39,7 @@ from fss_arm_driver.protocol.frames import (
 )
 from fss_arm_driver.protocol.gate import Gate, Language, Refused
 from fss_arm_driver.protocol.path import KEPT, REACH, PathFollower, at, hermite, newer_path
-from fss_arm_driver.protocol.signature import KeyFileError, load_keys, parse_keys
+from fss_arm_driver.protocol.signature import KeyFileError, key_of, load_keys, parse_keys
 from fss_arm_driver.protocol.state import Goal, LinkState
 from fss_arm_driver.protocol.stream import StreamDecoder, pack
 
@@ -85,6 +85,7 @@ __all__ = [
     "encode",
     "hermite",
     "invalid",
+    "key_of",
     "load_keys",
     "newer",
     "newer_path",

@@ -52,6 +52,19 @@ def parse_keys(text: str, name: str = "keys") -> Mapping[int, bytes]:
     return keys
 
 
+def key_of(path: str, number: int, name: str) -> bytes | None:
+    """The key that the frames of a link are signed under, by its number; None without a file.
+
+    Raises:
+        OSError: the file cannot be read.
+        ValueError: it holds no keys, or none for the link of this name.
+    """
+    keys = load_keys(path) if path else {}
+    if path and number not in keys:
+        raise ValueError(f"keys is {path!r}, which holds no key for {name}")
+    return keys.get(number)
+
+
 def load_keys(path: str | Path) -> Mapping[int, bytes]:
     """Read the keys of the links.
 

@@ -4,6 +4,7 @@ What is sent when it is lost, adopted, armed, commanded or stopped is as in
 docs/reference/protocol.md. All times are the caller's, in integer nanoseconds.
 """
 
+from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable
 from math import inf, nan
@@ -54,7 +55,7 @@ class CommandHead(TypedDict):
     watchdog: int
 
 
-class Session(Generic[T]):
+class Session(ABC, Generic[T]):
     """What the driver knows and wants of a partner; a kind of partner adds its commands.
 
     Args:
@@ -105,21 +106,21 @@ class Session(Generic[T]):
         """Names of the faults that forbid motion."""
         return []
 
+    @abstractmethod
     def _is_off(self, frame: T) -> bool:
         """Whether what must be off when disarmed is."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _end(self, why: str) -> None:
         """Nothing is in force any more."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _pass(self, now: int) -> None:
         """Let time pass for what is in force."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _learn(self, frame: T, echoed: int | None) -> None:
         """Learn how far what is in force has come from a frame that is believed."""
-        raise NotImplementedError
 
     def _patience(self) -> int:
         """The least silence after which the partner is lost [ns]."""

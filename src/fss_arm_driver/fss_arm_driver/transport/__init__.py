@@ -14,6 +14,7 @@ __all__ = [
     "Transport",
     "TransportError",
     "UdpTransport",
+    "is_exposed",
     "open_port",
     "open_transport",
 ]
@@ -64,6 +65,13 @@ def open_transport(url: str, link: int = 1, key: bytes | None = None) -> Transpo
         raise TransportError(f"url {url!r} cannot be opened: {error.strerror or error}") from None
     except ValueError as error:
         raise TransportError(f"url is {url!r}, {expected}: {error}") from None
+
+
+def is_exposed(url: str, keys: str) -> bool:
+    """Whether unsigned frames go over a network, and not only within this computer."""
+    place = urlsplit(url)
+    local = place.hostname in ("127.0.0.1", "::1", "localhost")
+    return not keys and place.scheme in ("udp", "tcp") and not local
 
 
 def _device(parts: SplitResult) -> str:
