@@ -20,6 +20,7 @@ from fss_arm_model.settings import (
     one_of,
     setting,
 )
+from fss_sim.link.power import Power
 from fss_sim.link.pty import LinkTerminal
 from fss_sim.link.udp import LinkSocket
 from fss_sim.noise import PRESETS, Noise
@@ -52,6 +53,9 @@ class PlantSettings(Settings):
     valve_delay: float = like(Propulsion, "valve_delay")
     tank_volume: float = like(Propulsion, "tank_volume")
     tank_pressure: float = like(Propulsion, "tank_pressure")
+    bearing_flow: float = like(Propulsion, "bearing_flow")
+    bearing_pressure: float = like(Propulsion, "bearing_pressure")
+    pad_friction: float = like(Surroundings, "pad_friction")
     tolerance: float = setting(
         0.0, "error that error control allows a step, in each coordinate, SI units; 0: fixed "
         "steps of 1 ms", check=NOT_NEGATIVE,
@@ -80,7 +84,9 @@ class PlantSettings(Settings):
         tether = self.tether_drag, self.tether_twist
         return World(
             Joints(self.rotor_inertia, self.gear_ratio, *frictions, **stops),
-            Surroundings(self.tilt, self.film_damping, *tether, self.table),
+            Surroundings(
+                self.tilt, self.film_damping, *tether, self.table, pad_friction=self.pad_friction
+            ),
             Propulsion(
                 self.thrust,
                 self.thruster_lever,
@@ -89,6 +95,8 @@ class PlantSettings(Settings):
                 self.valve_delay,
                 self.tank_volume,
                 self.tank_pressure,
+                bearing_flow=self.bearing_flow,
+                bearing_pressure=self.bearing_pressure,
             ),
             Gripper(self.grip_reach, self.grip_angle, self.grip_speed),
             Target(self.target_mass, self.target_inertia, self.target_fixture)
@@ -153,8 +161,10 @@ class TestbedSettings(PlantSettings):
     )  # fmt: skip
     clock_drift: float = _error("clock_drift")
     battery: float = setting(
-        1.0, "charge of the links' batteries at the begin, as a share", check=above(0.0, 1.0)
+        1.0, "charge of all batteries at the begin, as a share", check=above(0.0, 1.0)
     )
+    battery_energy: float = like(Power, "energy")
+    battery_resistance: float = like(Power, "resistance")
     faults: str = setting("", "file of a fault script (docs/explanation/simulator.md); empty: none")
     base: tuple[float, ...] = setting(
         (0.0, 0.0, 0.0), "pose of the base at the begin", unit="m, m, rad", check=FINITE, size=3
@@ -196,6 +206,10 @@ class TestbedSettings(PlantSettings):
         """The preset's deviations, with those given in their places."""
         given = {f.name: getattr(self, f.name) for f in fields(Noise)}
         return replace(PRESETS[self.preset], **{k: v for k, v in given.items() if not v < 0.0})
+
+    def power(self) -> Power:
+        """The batteries, and what lives on them."""
+        return Power(self.battery_energy, self.battery_resistance)
 
     def script(self) -> str:
         """The fault script's text."""

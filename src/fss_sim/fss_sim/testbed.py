@@ -18,6 +18,7 @@ from fss_sim.board.board import Board
 from fss_sim.faults import Event, Faults
 from fss_sim.link.channel import Datagram
 from fss_sim.link.link import Link
+from fss_sim.link.power import Power
 from fss_sim.noise import Noise
 from fss_sim.plant.plant import Plant, World
 from fss_sim.sensors import RATE, Sensors, Sight
@@ -94,10 +95,11 @@ class Testbed:
         rate: of the links' telemetry [frames/s].
         keys: by link, that frames are signed under.
         torque_rate: samples of the torque converters a second.
-        charge: of the links' batteries, 0 to 1.
+        charge: of all batteries, 0 to 1.
         script: faults to come.
         world: all that the plant is made of beside the arm.
         board_rate: of the telemetry of the base's board [frames/s]; 0: there is none.
+        power: what the batteries are like, and what lives on them.
     """
 
     def __init__(
@@ -113,6 +115,7 @@ class Testbed:
         script: Sequence[Event] = (),
         world: World | None = None,
         board_rate: float = 0.0,
+        power: Power | None = None,
     ) -> None:
         target = np.reshape(state.target, (2, 3))
         self.plant = Plant(arm, state.q, state.qd, world, target, state.holds, state.propellant)
@@ -120,11 +123,13 @@ class Testbed:
         self.faults = Faults(arm.n, script)
         keys = keys or {}
         self.links = [
-            Link(i, k, noise, seed, state.boots, rate, keys.get(i), torque_rate, charge)
+            Link(i, k, noise, seed, state.boots, rate, keys.get(i), torque_rate, charge, power)
             for i, k in enumerate(arm.links, 1)
         ]
         self.board = (
-            Board(noise, seed, state.boots, board_rate, keys.get(0)) if board_rate else None
+            Board(noise, seed, state.boots, board_rate, keys.get(0), charge, power)
+            if board_rate
+            else None
         )
         self.frame, self._boots = state.frame, state.boots
         for part in self._electronics():
@@ -145,6 +150,7 @@ class Testbed:
             self.board.act(self.now, self.plant)
         for i, link in enumerate(self.links):
             self.plant.command(i, link.demand(self.now, self._motions[i]))
+            self.plant.block(i, link.drive.blocked)
         self.plant.advance(1.0 / RATE)
         self._motions = self.plant.motions()
         self.frame += 1
@@ -155,10 +161,12 @@ class Testbed:
             self.frame, plant.base, plant.tip, rate, qd, of.base, of.tip, of.gyro, target
         )
         telemetry = [
-            link.report(self.now, self._motions[i], 1.0 / RATE, of.links[i])
+            link.report(self.now, self._motions[i], 1.0 / RATE, of.links[i], of.drives[i])
             for i, link in enumerate(self.links)
         ]
-        board = self.board.report(self.now, plant, sight.rate, of.board) if self.board else ()
+        board: Sequence[Datagram] = ()
+        if self.board:
+            board = self.board.report(self.now, plant, sight.rate, 1.0 / RATE, of.board)
         return Report(sight, telemetry, faulted, board)
 
     def receive(self, link: int, data: bytes, peer: Any = None, late: int = 0) -> None:
@@ -174,18 +182,20 @@ class Testbed:
             self.board.put(data, peer, self.now + late, self.faults.board)
 
     def charge(self) -> None:
-        """Make all batteries full; a link whose battery was empty starts again."""
+        """Make all batteries full; what had an empty one starts again."""
         for link in self.links:
-            link.instruments.battery.charge = 1.0
+            link.supply.battery.charge = 1.0
+        if self.board:
+            self.board.battery.charge = 1.0
 
     def _electronics(self) -> list[Link | Board]:
         return [*self.links, self.board] if self.board else [*self.links]
 
     def _supply(self) -> None:
-        """Take power from links and board, or give it back; one that starts never did so before."""
+        """Stop links and board without power, and start them again, which they do anew."""
         faults = [*self.faults.links, self.faults.board]
         for part, its in zip(self._electronics(), faults, strict=False):
-            powered = part.charged and not its.dead
+            powered = part.has_power(its)
             if part.running and not powered:
                 part.stop()
             elif powered and not part.running:

@@ -102,6 +102,7 @@ class TestbedNode(Node):
             read_script(self.script),
             settings.world(),
             settings.board_rate if self.board_wire else 0.0,
+            settings.power(),
         )
         for (part, fault), value in self.set_faults.items():
             self.testbed.faults.set(part, fault, value)
@@ -304,7 +305,10 @@ class TestbedNode(Node):
         state = "paused" if self.paused else "too slow" if slow else "running"
         if touches:
             state += ", bodies touch each other or the table's border"
-        return Health(WARN if slow or touches else OK, state, values)
+        if not plant.thrusters.floats:
+            state += ", without air the bearings rub on the table"
+        lies = touches or not plant.thrusters.floats
+        return Health(WARN if slow or lies else OK, state, values)
 
     def close(self) -> None:
         """Keep the state and give the ports back."""

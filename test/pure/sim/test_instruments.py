@@ -1,4 +1,4 @@
-"""Encoder, torque converter, battery: errors as stated."""
+"""Encoder and torque converter: errors as stated."""
 
 from math import pi, radians
 from random import Random
@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from fss_arm_model.description import TorqueSensor
-from fss_sim.link.instruments import CAPACITY, EMPTY, FULL, IDLE, Battery, Encoder, TorqueConverter
+from fss_sim.link.instruments import Encoder, TorqueConverter
 
 ERROR = radians(150 / 3600)
 
@@ -53,16 +53,3 @@ def test_a_converter_is_noisy_and_saturates_at_24_bits():
     assert np.std(seen) == pytest.approx(0.002, rel=0.07)
     converter.sample(10**9, 50.0)
     assert converter.counts == (1 << 23) - 1
-
-
-def test_a_battery_lasts_as_long_as_its_capacity():
-    battery, hours = Battery(), 0
-    before = battery.volts
-    assert before == pytest.approx(FULL)
-    while battery.charge:
-        battery.draw(0.6, 360.0)
-        hours += 0.1
-        assert battery.volts < before
-        before = battery.volts
-    assert hours == pytest.approx(CAPACITY / 3600 / (IDLE + 0.6), abs=0.11)
-    assert EMPTY - 0.2 < battery.volts < EMPTY

@@ -96,7 +96,7 @@ def test_it_resumes_after_all_that_was_reported_with_its_links_started_again(tmp
 
 
 def test_a_link_whose_battery_was_empty_starts_again_when_charged():
-    bed = testbed.Testbed(paper_arm(), PRESETS["ideal"], 1, BEGIN, charge=1e-4)  # 2 s at rest
+    bed = testbed.Testbed(paper_arm(), PRESETS["ideal"], 1, BEGIN, charge=3e-5)  # 1.5 s at rest
     run(bed, 300)
     assert not any(link.electronics for link in bed.links)
     bed.charge()

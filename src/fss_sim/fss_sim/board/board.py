@@ -14,13 +14,15 @@ from fss_base_driver.protocol import (
 )
 from fss_sim.faults import NO_FAULTS, LinkFaults
 from fss_sim.link.channel import Channel, Datagram
+from fss_sim.link.power import BROWN_OUT, REVIVAL, Battery, Power
 from fss_sim.noise import Noise
 from fss_sim.plant.plant import Plant
 
 UPTIME = 10_000_000  # it was switched on within this time before the test bed [us]
 GYRO_SCALE = 1e-6  # of a count of the gyro's samples [rad/s]
 SUPPLY_UNIT = 100.0  # [Pa]
-BATTERY, FIRMWARE = 240, 0x010000  # 24.0 V, 1.0.0
+FIRMWARE = 0x010000  # 1.0.0
+BATTERIES = 2  # side by side, each as a link's
 CLOSED = VALVES * (0,)
 
 
@@ -33,12 +35,24 @@ class Board:
         run: seed of what must not repeat itself when a run is resumed.
         rate: of telemetry [frames/s].
         key: that frames are signed under, if any.
+        charge: of the batteries, 0 to 1.
+        power: what they are like, and what lives on them.
     """
 
     def __init__(
-        self, noise: Noise, seed: int, run: int, rate: float = 20.0, key: bytes | None = None
+        self,
+        noise: Noise,
+        seed: int,
+        run: int,
+        rate: float = 20.0,
+        key: bytes | None = None,
+        charge: float = 1.0,
+        power: Power | None = None,
     ) -> None:
         self._period, self._key = round(1e6 / rate), key
+        self._power = p = power or Power()
+        self.battery = Battery(BATTERIES * p.energy, p.resistance / BATTERIES, charge)
+        self._runs = True  # the regulator, while there is charge
         self._drift = Random(f"{seed}, board").gauss(0.0, noise.clock_drift)
         ways = Random(f"{seed}, board, {run}")
         self.uptime = ways.randrange(UPTIME)  # when the test bed begins [us]
@@ -57,7 +71,17 @@ class Board:
         """Whether it is switched on."""
         return self.state is not None
 
-    charged = True  # its battery does not run empty
+    def has_power(self, faults: LinkFaults) -> bool:
+        """Whether it can run."""
+        return bool(self._runs and self.battery.charge) and not (faults.dead or faults.reset)
+
+    def _draw(self, plant: Plant, seconds: float, faults: LinkFaults) -> None:
+        """Live on the battery for a time [s]."""
+        if faults.dead or not self.battery.charge:
+            return
+        current = self._power.base + self._power.valve * sum(plant.valves)
+        self.battery.draw(current, 0.0, seconds, faults.resistance)
+        self._runs = self.battery.volts > (BROWN_OUT if self._runs else REVIVAL)
 
     def clock(self, now: int) -> int:
         """Its own clock [us]."""
@@ -73,7 +97,7 @@ class Board:
         self._until = CLOSED  # what the valves were told, by the clock
 
     def stop(self) -> None:
-        """Take its power away."""
+        """Stop it."""
         self.state = None
 
     def put(self, data: bytes, peer: Any, now: int, faults: LinkFaults = NO_FAULTS) -> None:
@@ -96,9 +120,18 @@ class Board:
             plant.closed = self.state.gripper is Gripper.CLOSE
 
     def report(
-        self, now: int, plant: Plant, rate: float | None, faults: LinkFaults = NO_FAULTS
+        self,
+        now: int,
+        plant: Plant,
+        rate: float | None,
+        seconds: float,
+        faults: LinkFaults = NO_FAULTS,
     ) -> list[Datagram]:
-        """What arrives of its telemetry; `rate`: by the gyro, if that answers [rad/s]."""
+        """What arrives of its telemetry, `seconds` after the last time it was asked.
+
+        `rate`: by the gyro, if that answers [rad/s].
+        """
+        self._draw(plant, seconds, faults)
         if self.state and rate is not None:
             self._sum, self._samples = self._sum + round(rate / GYRO_SCALE), self._samples + 1
         clock = self.clock(now)
@@ -119,7 +152,7 @@ class Board:
         return {
             BaseSlow.TANK: round(1e-3 * tank),
             BaseSlow.SUPPLY: round(min(tank, propulsion.regulator_pressure) / SUPPLY_UNIT),
-            BaseSlow.BATTERY: BATTERY,
+            BaseSlow.BATTERY: round(10.0 * self.battery.volts),
             BaseSlow.TEMPERATURE: round(10.0 * (propulsion.temperature - 273.15)),
             BaseSlow.FIRMWARE: FIRMWARE,
             BaseSlow.FAULTS: self._broken,

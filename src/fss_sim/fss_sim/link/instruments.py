@@ -1,4 +1,4 @@
-"""What a link measures with, and what it lives on: encoder, torque converter, battery."""
+"""What a link measures with: encoder and torque converter."""
 
 from dataclasses import dataclass
 from math import cos, pi, sin
@@ -8,12 +8,6 @@ from fss_arm_model.description import TorqueSensor
 from fss_sim.noise import Noise
 
 RIPPLE = 60  # periods a turn of the encoder's error: two a turn of the wave generator, at 30 : 1
-
-FULL, EMPTY = 16.8, 12.0  # of the battery, without load [V]
-RESISTANCE = 0.1  # [ohm]
-CAPACITY = 2.2 * 3600.0  # [A s]
-IDLE = 0.4  # drawn by the electronics [A]
-
 
 IDEAL = Noise()
 
@@ -80,31 +74,12 @@ class TorqueConverter:
         return clock - self._sampled * self._period
 
 
-class Battery:
-    """A link's battery.
-
-    Args:
-        charge: 1 is full, 0 is empty.
-    """
-
-    def __init__(self, charge: float = 1.0) -> None:
-        self.charge = charge
-        self.volts = EMPTY + (FULL - EMPTY) * charge
-
-    def draw(self, current: float, seconds: float) -> None:
-        """Supply a motor's current [A] and the electronics for some time [s]."""
-        drawn = IDLE + abs(current)
-        self.charge = max(0.0, self.charge - drawn * seconds / CAPACITY)
-        self.volts = EMPTY + (FULL - EMPTY) * self.charge - RESISTANCE * drawn
-
-
 @dataclass(frozen=True)
 class Instruments:
     """Those of one link."""
 
     encoder: Encoder
     torque: TorqueConverter
-    battery: Battery
 
 
 def make(
@@ -112,11 +87,10 @@ def make(
     noise: Noise = IDEAL,
     random: Random | None = None,
     torque_rate: int = 80,
-    charge: float = 1.0,
 ) -> Instruments:
     """The instruments of a link, their errors drawn from `random`."""
     random = random or Random(0)
     encoder = Encoder(noise.encoder_error, random.uniform(-pi, pi))
     zero = random.gauss(0.0, noise.torque_zero)
     torque = TorqueConverter(sensor, torque_rate, noise.torque_noise, zero, random)
-    return Instruments(encoder, torque, Battery(charge))
+    return Instruments(encoder, torque)

@@ -23,6 +23,8 @@ from fss_sim.plant.thrusters import Propulsion, Thrusters
 
 Floats = npt.NDArray[np.float64]
 Pose = tuple[float, float, float]  # x [m], y [m], heading [rad]
+SHUT = ((0.0,) * 5,)  # valves
+HELD = 1000.0  # Coulomb friction of a joint that something holds [N m]
 
 
 class Demand(NamedTuple):
@@ -134,6 +136,7 @@ class Plant:
             ]
         )
         self._surroundings = self.world.surroundings.vector()
+        self._pads = self.world.surroundings.vector(floats=False)
         self._demand = np.tile(np.array([OFF, 0.0, 0.0, 1.0]), (arm.n, 1))
         self._state = np.zeros((2, 3 + arm.n))
         self._state[0] = q
@@ -163,6 +166,10 @@ class Plant:
         scale = self._torque_constant[joint] if mode == CURRENT else 1.0
         self._demand[joint] = mode, scale * set_point, speed, acceleration
 
+    def block(self, joint: int, is_held: bool) -> None:
+        """Hold a joint, counted from 0, as fast as friction can, or let it go."""
+        self._joints[joint, 4] = HELD if is_held else self.world.joints.coulomb
+
     def thrust(self, on_times: Sequence[float]) -> None:
         """Open the thrusters' valves for a time each [s].
 
@@ -179,11 +186,12 @@ class Plant:
             self._release()
         steps = round(seconds / STEP)
         begin, self._step = self._step, self._step + steps
-        if not self.thrusters.busy(begin):
-            self._pass(steps)
+        tank = self.thrusters
+        is_busy, breathed = tank.busy(begin), tank.breathe(steps)
+        self._pass(steps, tank.valves(begin) if is_busy else SHUT)
+        spent = breathed + (tank.spend(begin, steps) if is_busy else 0.0)
+        if not spent:
             return
-        self._pass(steps, self.thrusters.valves(begin))
-        spent = self.thrusters.spend(begin, steps)
         had = self._audit[0].copy()
         self._p[MASS] -= spent
         self._pass(0)
@@ -266,18 +274,19 @@ class Plant:
         """
         return momentum(self._p, self.q, self.qd)
 
-    def _pass(self, steps: int, valves: npt.ArrayLike = ((0.0,) * 5,)) -> None:
+    def _pass(self, steps: int, valves: npt.ArrayLike = SHUT) -> None:
         """Let steps pass; none: renew the books."""
         world, around = self.world, self._surroundings
+        under = around if self.thrusters.floats else self._pads
         self._state, self._reference, self._audit, torques = advance(
-            self._p, world.joints.rotor, self._joints, around, valves, self._demand,
+            self._p, world.joints.rotor, self._joints, under, valves, self._demand,
             self._state, self._reference, self._audit, steps, world.tolerance,
         )  # fmt: skip
         self._torques = torques if steps else self._torques
         if world.target and not self.holds:
-            none, shut = np.zeros((0, 2)), ((0.0,) * 5,)
+            none = np.zeros((0, 2))
             self._target, _, self._target_audit, _ = advance(
-                world.target.vector(), (0.0, 0.0), np.zeros((0, 7)), around, shut,
+                world.target.vector(), (0.0, 0.0), np.zeros((0, 7)), around, SHUT,
                 np.zeros((0, 4)), self._target, none, self._target_audit, steps, world.tolerance,
             )  # fmt: skip
 

@@ -82,7 +82,7 @@ def advance(
         joints: (n, 7) lowest and highest angle [rad], largest torque of the motor [N m]; viscous
             [N m s/rad] and Coulomb friction [N m]; the end stops' stiffness [N m/rad] and damping
             [N m s/rad].
-        surroundings: (11,) Surroundings.vector().
+        surroundings: (12,) Surroundings.vector().
         valves: (t, 5) force on the base's origin in its own axes [N] and torque [N m] of a thruster
             while its valve is open, and the steps from which and up to which it is.
         demand: (n, 4) of each drive: mode, set point [N m, rad/s or rad, by mode], speed [rad/s]
