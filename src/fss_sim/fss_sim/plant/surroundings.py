@@ -22,7 +22,7 @@ from fss_arm_model.units import GRAVITY
 # in its place, so that their power is friction M g V, as Coulomb's law has it for all that slides.
 TILT_X, TILT_Y, FILM, TETHER, TWIST, HALF_X, HALF_Y = range(7)
 STIFFNESS, DAMPING, BASE_RADIUS, LINK_RADIUS, PADS = range(7, 12)
-CREEP = 0.002  # of pads on the table: below this speed their friction falls, to 0 at rest [m/s]
+CREEP = 0.01  # of pads on the table: below this speed their friction falls, to 0 at rest [m/s]
 
 
 @dataclass(frozen=True)
