@@ -4,7 +4,6 @@ What the firmware does, in its own units: the link's clock in microseconds since
 servo drive's counts, the torque converter's counts.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 
 from fss_arm_driver.protocol import (
@@ -23,12 +22,12 @@ from fss_arm_driver.protocol import (
 )
 from fss_arm_model.description import Link
 from fss_sim.link.instruments import Instruments, make
+from fss_sim.link.power import Battery
 from fss_sim.link.servo import REST, ServoDrive
 from fss_sim.plant.plant import Demand, Motion
 
 RELEASE_TIMEOUT = 3_000_000  # with a joint that does not come to rest and shall be released [us]
 
-FULL = 16.8  # voltage of a battery that nobody looks at [V]
 LEAD = 5000  # half the time for which a demand stands [us]
 
 FIRMWARE = 0x020000  # 2.0.0
@@ -48,7 +47,7 @@ class LinkElectronics(LinkState):
         key: that frames are signed under, if any.
         instruments: without errors by default.
         drive: that it finds as it is; one of its own by default.
-        volts: asked for its battery's voltage [V].
+        battery: that it measures; a full one by default.
     """
 
     def __init__(
@@ -60,7 +59,7 @@ class LinkElectronics(LinkState):
         key: bytes | None = None,
         instruments: Instruments | None = None,
         drive: ServoDrive | None = None,
-        volts: Callable[[], float] = lambda: FULL,
+        battery: Battery | None = None,
     ) -> None:
         super().__init__(Gate(number, boot, key))
         self.link = link
@@ -69,7 +68,7 @@ class LinkElectronics(LinkState):
         self._homed = self.drive.referenced
         self.homings = int(self._homed)  # how often the drive was found referenced
         self._homing = self._clearing = False
-        self._volts = volts
+        self._battery = battery or Battery()
         self._demand = self.drive.demand
         self._kept = 0  # when the joint was last not to be released [us]
         self._acceleration = link.drive.max_acceleration
@@ -184,7 +183,7 @@ class LinkElectronics(LinkState):
         return {
             Slow.FAULTS: self.drive.latched,
             Slow.SUPPLY: _signed(10.0 * self.drive.supply, 32),
-            Slow.BATTERY: _signed(10.0 * self._volts(), 32),
+            Slow.BATTERY: _signed(10.0 * self._battery.volts, 32),
             Slow.TEMPERATURE: _signed(self.drive.temperature, 32),
             Slow.FIRMWARE: FIRMWARE,
             Slow.HOMINGS: self.homings,

@@ -87,7 +87,7 @@ class Link:
             self._key,
             self.instruments,
             self.drive,
-            lambda: self.supply.battery.volts,
+            self.supply.battery,
         )
         self._since, self._began, self._peer = uptime, now, None
 
