@@ -1,14 +1,15 @@
 """Give the arm an order, and print its answer.
 
-arm, disarm: all links (arm/enable). stop: all links at once, of any namespace; those that are on
-hold, under power, until disarmed or armed anew (arm/stop); it fails unless each link says that it
-has stopped. home: each armed link without a reference finds it, one
+arm, disarm: all links (arm/enable). stop: all links of all vehicles at once, or of the one named;
+those that are on hold, under power, until disarmed or armed anew (arm/stop); it fails unless each
+link says that it has stopped. home: each armed link without a reference finds it, one
 after the other. clear: all links disarm and clear their drives' latched faults.
 solve: each calibration that runs closes its present datum and solves. forget: they drop
 all that they have observed.
 """
 
 import argparse
+import os
 import re
 import sys
 from collections.abc import Callable, Iterable
@@ -91,7 +92,7 @@ class Stop:
 
     def __init__(self, node: Node, namespace: str | None) -> None:
         self.node = node
-        self.namespace = namespace and f"/{namespace}".replace("//", "/").rstrip("/")
+        self.namespace = namespace and f"/{namespace.strip('/')}".rstrip("/")
         self.publishers: dict[str, Publisher] = {}
         self.begun = self.known = monotonic()  # of the last link that became known
         self.since = int(node.get_clock().now().nanoseconds)  # by the clock of telemetry's stamps
@@ -152,6 +153,16 @@ class Stop:
                 return False, f"{_named(silent)}: no word that it stopped{also}; {EMERGENCY}"
             if not self.after and now - self.begun > wait:
                 return False, f"there is no link to confirm the stop; {EMERGENCY}"
+
+
+def vehicles(node: Node) -> list[str]:
+    """The namespaces in which somebody drives an arm."""
+    found = (TOPIC.fullmatch(topic) for topic, _ in node.get_topic_names_and_types())
+    return sorted({one["namespace"] or "/" for one in found if one and one["link"]})
+
+
+def _where(node: Node) -> str:
+    return "" if node.get_namespace() == "/" else f" in {node.get_namespace()}"
 
 
 def _named(links: Iterable[str]) -> str:
@@ -258,21 +269,27 @@ def main() -> int:
     """Run; the exit code is 0 if the arm did so, 1 if not, 130 if interrupted before."""
     parser = argparse.ArgumentParser("fss_arm.sh", description=__doc__.replace("\n\n", "\n"))
     parser.add_argument("what", choices=WORDS)
-    parser.add_argument("--namespace", help="of the arm; without, stop is for all of any namespace")
+    parser.add_argument(
+        "--vehicle", "--namespace", help="its namespace; without, stop is for all vehicles, and "
+        "all else for the one in FSS_NAMESPACE",
+    )  # fmt: skip
     parser.add_argument("--wait", type=float, help="for somebody to be there [s]: 10, to stop 2")
     parser.add_argument("--within", type=float, default=60.0, help="a link must be referenced [s]")
     options = parser.parse_args()
     rclpy.init()
-    node = Node("fss_arm", namespace=options.namespace)
+    vehicle = options.vehicle or os.environ.get("FSS_NAMESPACE")
+    node = Node("fss_arm", namespace=vehicle or None)
     code = 1
     try:
         if options.what == "stop":
-            done, words = Stop(node, options.namespace)(options.wait or 2.0)
+            done, words = Stop(node, options.vehicle)(options.wait or 2.0)
         else:
             done, words = order(node, options.what, options.wait or 10.0, options.within)
         code = 0 if done else 1
     except NoAnswerError as error:
-        words = str(error)
+        others = [v for v in vehicles(node) if v != node.get_namespace()]
+        also = f"; {', '.join(others)} have arms: --vehicle NAME" if others else ""
+        words = f"{error}{_where(node)}{also}"
     except (KeyboardInterrupt, ExternalShutdownException):
         code, words = 130, "interrupted"
     except RCLError:

@@ -24,9 +24,10 @@ class Health(NamedTuple):
 
 
 class Diagnostics:
-    """Publishes what `health()` returns as one status named as the node, at 1 Hz of real time.
+    """Publishes what `health()` returns as one status, at 1 Hz of real time.
 
-    A new subscriber gets the last state at once. Make it last in a node's constructor.
+    Its name is the node's with its namespace. A new subscriber gets the last state at once. Make it
+    last in a node's constructor.
     """
 
     def __init__(self, node: Node, health: Callable[[], Health], hardware_id: str = "") -> None:
@@ -44,7 +45,7 @@ class Diagnostics:
         values = {**values, **refusals(self.node)}
         status = DiagnosticStatus(
             level=level,
-            name=self.node.get_name(),
+            name=self.node.get_fully_qualified_name(),
             message=message,
             hardware_id=self.hardware_id,
             values=[KeyValue(key=key, value=_text(value)) for key, value in values.items()],

@@ -16,7 +16,7 @@ from rclpy.exceptions import InvalidParameterValueException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from fss_arm_model.settings import SettingError, meaning, refuse
+from fss_arm_model.settings import SettingError, default_in, meaning, refuse
 from fss_arm_ros import alone
 
 Settings = TypeVar("Settings")
@@ -89,8 +89,9 @@ def declare_live(
 
 def _declared(node: Node, name: str, f: "Field[Any]", read_only: bool = False) -> Any:
     """Declare a setting as a parameter; return the value that it was given."""
+    default = default_in(f, node.get_namespace())
     try:
-        return node.declare_parameter(name, f.default, descriptor(f, read_only)).value
+        return node.declare_parameter(name, default, descriptor(f, read_only)).value
     except InvalidParameterValueException:  # rclpy checks the range, in words of its own
         refuse(f, node._parameter_overrides[name].value, name)
         raise

@@ -85,7 +85,7 @@ def truth(stamp: int, frame_id: str, plant: Plant) -> SimTruth:
     return message
 
 
-def gripper_state(stamp: int, plant: Plant) -> GripperState:
+def gripper_state(stamp: int, frame_id: str, plant: Plant) -> GripperState:
     """The gripper by its sensors."""
     seen = plant.approach
     message = GripperState(
@@ -95,5 +95,5 @@ def gripper_state(stamp: int, plant: Plant) -> GripperState:
         angle=seen.angle,
         speed=float(seen.speed),
     )
-    message.header.stamp, message.header.frame_id = to_time(stamp), "end_effector"
+    message.header.stamp, message.header.frame_id = to_time(stamp), frame_id
     return message

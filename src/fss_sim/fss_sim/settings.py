@@ -20,6 +20,7 @@ from fss_arm_model.settings import (
     one_of,
     setting,
 )
+from fss_arm_model.vehicle import Vehicle
 from fss_sim.link.pty import LinkTerminal
 from fss_sim.link.udp import LinkSocket
 from fss_sim.noise import PRESETS, Noise
@@ -177,7 +178,11 @@ class TestbedSettings(PlantSettings):
     )
     state_file: str = setting("", "file that the state is kept in to resume from; empty: none")
     world_frame: str = setting("world", "frame_id of the VICON poses")
-    base_frame: str = setting("fss", "frame_id of the FOG")
+    base_topic: str = like(Vehicle, "base_topic")
+    tip_topic: str = like(Vehicle, "tip_topic")
+    target_topic: str = like(Vehicle, "target_topic")
+    base_frame: str = like(Vehicle, "base_frame")
+    frame_prefix: str = like(Vehicle, "frame_prefix")
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -54,18 +54,19 @@ class TestbedNode(Node):
         self.lock = RLock()
         self.script = settings.script()
         self.wires = settings.wires(arm.n)
-        self.base = self.create_publisher(PoseStamped, "vicon/fss/fss", SENSOR)
-        self.tip = self.create_publisher(PoseStamped, "vicon/end_effector/end_effector", SENSOR)
+        self.base = self.create_publisher(PoseStamped, settings.base_topic, SENSOR)
+        self.tip = self.create_publisher(PoseStamped, settings.tip_topic, SENSOR)
         self.board_wire = settings.board_wire()
         if self.board_wire is None:
             self.take_base()
         if settings.target_mass:
-            self.target = self.create_publisher(PoseStamped, "vicon/target/target", SENSOR)
+            self.target = self.create_publisher(PoseStamped, settings.target_topic, SENSOR)
         self.truth = self.create_publisher(SimTruth, "sim/truth", SENSOR)
         if settings.keep_clock:
             self.clock = self.create_publisher(ClockMessage, "/clock", SENSOR)
         self.clock_image, self.pose_image = ClockImage(), PoseImage(settings.world_frame)
         self.gyro_image = GyroImage(settings.base_frame, settings.noise().gyro_noise)
+        self.gripper_frame = f"{settings.frame_prefix}end_effector"
         self.seed, self.paused = settings.seed, settings.paused
         self.faults = self.create_publisher(SimFaults, "sim/faults", LATCHED)
         self.set_faults: dict[tuple[str, str], float] = {}
@@ -258,7 +259,7 @@ class TestbedNode(Node):
         if self.testbed.frame % round(RATE / self.settings.truth_rate) == 0:
             self.truth.publish(truth(stamp, self.settings.world_frame, self.testbed.plant))
             if self.board_wire is None:
-                self.gripper.publish(gripper_state(stamp, self.testbed.plant))
+                self.gripper.publish(gripper_state(stamp, self.gripper_frame, self.testbed.plant))
 
     def receive(self) -> None:
         """Hand datagrams to the links, as arrived now, or at the last frame if time is kept."""

@@ -212,6 +212,60 @@ def test_a_wrong_configuration_ends_in_one_line(
     assert shown.stderr.count("\n") == 1
 
 
+VEHICLES = """
+FSS_NAMESPACE=
+node testbed p x
+for v in fss1 fss2; do
+  FSS_NAMESPACE=$v
+  node arm p y a
+done
+"""
+NODES = '. scripts/fss/config.sh; read_config lab.sh; say() { echo "$* in $FSS_NAMESPACE"; }; '
+
+
+@pytest.mark.parametrize(
+    ("config", "vehicle", "seen"),
+    [
+        (VEHICLES, "", ["testbed p x in", "fss1/arm p y a in fss1", "fss2/arm p y a in fss2"]),
+        (VEHICLES, "fss2", ["fss2/arm p y a in fss2"]),
+        ("node arm p y", "", ["arm p y in"]),
+        ("node arm p y", "/lab/fss2", ["lab/fss2/arm p y in lab/fss2"]),
+        ("FSS_NAMESPACE=fss3; node arm p y", "", ["fss3/arm p y in fss3"]),
+    ],
+)
+def test_nodes_are_in_the_namespace_of_their_vehicle(
+    tmp_path: Path, config: str, vehicle: str, seen: list[str]
+) -> None:
+    (tmp_path / "lab.sh").write_text(f"FSS_LOGS={tmp_path}/logs\n{config}\n")
+    program = NODES.replace("lab.sh", f"{tmp_path}/lab.sh")
+    env = os.environ | {"FSS_NAMESPACE": vehicle}
+    where = f"fss_scripts={ROOT}/scripts; "
+    shown = run("sh", "-euc", f"{where}{program}each_node say; echo $fss_nodes", cwd=ROOT, env=env)
+    assert shown.stderr == ""
+    *lines, names = shown.stdout.splitlines()
+    assert [line.strip() for line in lines] == seen
+    assert names.split() == [line.split()[0] for line in seen]
+
+
+@pytest.mark.parametrize(
+    ("config", "vehicle", "words"),
+    [
+        (VEHICLES, "fss3", "has no node in the namespace fss3"),
+        ("FSS_NAMESPACE=2nd; node a p x", "", "FSS_NAMESPACE is '2nd', expected the name of"),
+        ("FSS_NAMESPACE=a-b; node a p x", "", "FSS_NAMESPACE is 'a-b', expected letters"),
+    ],
+)
+def test_a_wrong_namespace_ends_in_one_line(
+    tmp_path: Path, config: str, vehicle: str, words: str
+) -> None:
+    (tmp_path / "lab.sh").write_text(f"FSS_LOGS={tmp_path}/logs\n{config}\n")
+    option = ["--vehicle", vehicle] if vehicle else []
+    shown = run("scripts/fss_up.sh", *option, tmp_path / "lab.sh", cwd=ROOT)
+    assert (shown.returncode, shown.stdout) == (1, "")
+    assert words in shown.stderr
+    assert shown.stderr.count("\n") == 1
+
+
 def test_a_process_with_no_node_of_its_name_is_told_from_one_that_is_mute(tmp_path: Path) -> None:
     status = runpy.run_path(str(ROOT / "scripts/fss_status.py"))
     processes = status["Processes"](tmp_path, ["links", "arm"], ["vicon"])
