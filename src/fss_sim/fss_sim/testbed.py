@@ -138,6 +138,14 @@ class Testbed:
 
     def step(self) -> Report:
         """Let one frame's time pass."""
+        return step([self])[0]
+
+    def act(self) -> bool:
+        """Have drives, valves and gripper do what they are told until the next frame.
+
+        Returns:
+            Whether the faults in force are others than before.
+        """
         faulted = self.faults.advance(self.now / SECOND)
         self._supply()
         self.plant.thrusters.stick(self.faults.stuck_open, self.faults.stuck_closed)
@@ -145,7 +153,10 @@ class Testbed:
             self.board.act(self.now, self.plant)
         for i, link in enumerate(self.links):
             self.plant.command(i, link.demand(self.now, self._motions[i]))
-        self.plant.advance(1.0 / RATE)
+        return faulted
+
+    def observe(self, faulted: bool) -> Report:
+        """What comes out of the frame that has passed."""
         self._motions = self.plant.motions()
         self.frame += 1
         plant, of = self.plant, self.faults
@@ -198,3 +209,11 @@ class Testbed:
         q, qd, target = (tuple(x.ravel().tolist()) for x in (plant.q, plant.qd, plant.target))
         used = plant.thrusters.used
         return State(self.frame, self._boots, self.sensors.rests, q, qd, target, plant.holds, used)
+
+
+def step(vehicles: Sequence[Testbed]) -> list[Report]:
+    """Let one frame's time pass for several vehicles at once."""
+    faulted = [one.act() for one in vehicles]
+    for one in vehicles:
+        one.plant.advance(1.0 / RATE)
+    return [one.observe(of) for one, of in zip(vehicles, faulted, strict=True)]
