@@ -61,6 +61,7 @@ class ClockImage(Image):
 def truth(stamp: int, frame_id: str, plant: Plant) -> SimTruth:
     """The plant as it is."""
     audit, error, (pose, twist) = plant.audit, plant.imbalance.tolist(), plant.target.tolist()
+    nearest = plant.bed.nearest()
     message = SimTruth(
         q=plant.q.tolist(),
         qd=plant.qd.tolist(),
@@ -71,7 +72,8 @@ def truth(stamp: int, frame_id: str, plant: Plant) -> SimTruth:
         work=audit.work,
         momentum_error=error[:3],
         energy_error=error[3],
-        clearance=plant.clearance,
+        clearance=nearest.gap,
+        nearest=[nearest.one, nearest.other],
         edge_clearance=plant.edge_clearance,
         valves=plant.valves,
         pressure=plant.thrusters.pressure,
