@@ -300,7 +300,7 @@ class TestbedNode(Node):
             values["board"] = f"{self.board_wire.place}, {self.testbed.board.refused} refused"
         for part, fault, value in self.testbed.faults.in_force():
             values[f"fault {part}.{fault}"] = value
-        touches = min(plant.clearance, plant.edge_clearance) < 0.0
+        touches = min(plant.clearance, plant.edge_clearance) < 1e-6
         state = "paused" if self.paused else "too slow" if slow else "running"
         if touches:
             state += ", bodies touch each other or the table's border"
