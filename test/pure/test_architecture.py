@@ -33,6 +33,7 @@ ALLOWED = {
     | {"numpy", "rosbags", "mcap", "rich"},
     "fss_arm_driver": ROS
     | {"fss_arm_model.description", "fss_arm_model.settings", "fss_arm_model.urdf"}
+    | {"fss_arm_model.vehicle"}
     | {"fss_arm_model.files", *GUARD, "fss_arm_ros", "numpy", "serial"},
     "fss_sim": ROS | {"fss_arm_model", "fss_arm_ros", PROTOCOL, BOARD, "numpy"},
     "fss_sim.rehearsal": ROS

@@ -18,6 +18,7 @@ from fss_arm_model.settings import (
     setting,
 )
 from fss_arm_model.thrusters import layout
+from fss_arm_model.vehicle import Vehicle
 from fss_base_driver.dsp3000 import BAUD
 from fss_base_driver.protocol import BOARD, VALVES
 
@@ -107,7 +108,8 @@ class BaseSettings(Settings):
         check=NOT_NEGATIVE,
     )  # fmt: skip
     keys: str = setting("", "file of keys, the board's under 0; empty: frames are not signed")
-    base_frame: str = setting("fss", "frame of wrenches, of the gyro and of telemetry")
+    base_frame: str = like(Vehicle, "base_frame")
+    frame_prefix: str = like(Vehicle, "frame_prefix")
     thrust: float = setting(0.16, "thrust of one of the thrusters", unit="N", check=POSITIVE)
     lever: float = setting(
         0.11, "lever of a thruster: from the base's origin to the line of thrust", unit="m",

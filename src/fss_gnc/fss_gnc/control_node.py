@@ -149,7 +149,8 @@ class ControlNode(Node):
     def publish(self, wrench: Floats) -> None:
         """Publish force along the base's axes [N] and torque about its origin [N m]."""
         message = WrenchStamped()
-        message.header.stamp, message.header.frame_id = to_time(self.now()), "fss"
+        message.header.stamp = to_time(self.now())
+        message.header.frame_id = self.settings.base_frame
         message.wrench.force.x, message.wrench.force.y, message.wrench.torque.z = map(float, wrench)
         self.wrench.publish(message)
 

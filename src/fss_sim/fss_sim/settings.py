@@ -1,11 +1,14 @@
 """The parameters of the test-bed node, and what they amount to."""
 
+import re
 from dataclasses import dataclass, field, fields, replace
+from itertools import combinations
+from math import dist
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
-from fss_arm_model.description import Arm, described
-from fss_arm_model.files import read_text
+from fss_arm_model.description import Arm, Base, described
+from fss_arm_model.files import ContentError, read_text, read_yaml
 from fss_arm_model.held import Target
 from fss_arm_model.settings import (
     FINITE,
@@ -16,14 +19,18 @@ from fss_arm_model.settings import (
     above,
     at_least,
     between,
+    default_in,
     like,
     one_of,
     setting,
 )
+from fss_arm_model.vehicle import Vehicle
+from fss_arm_ros.parameters import converted
 from fss_sim.link.power import Power
 from fss_sim.link.pty import LinkTerminal
 from fss_sim.link.udp import LinkSocket
 from fss_sim.noise import PRESETS, Noise
+from fss_sim.plant.contact import Contact
 from fss_sim.plant.plant import Joints, World
 from fss_sim.plant.surroundings import Surroundings
 from fss_sim.plant.target import Gripper
@@ -75,7 +82,15 @@ class PlantSettings(Settings):
     target_fixture: tuple[float, ...] = like(Target, "fixture")
     grip_reach: float = like(Gripper, "reach")
     grip_angle: float = like(Gripper, "angle")
+    target_radius: float = like(Target, "radius")
     grip_speed: float = like(Gripper, "speed")
+    grip_closing_time: float = like(Gripper, "closing_time")
+    grip_force: float = like(Gripper, "force")
+    grip_torque: float = like(Gripper, "torque")
+    gripper_length: float = like(Gripper, "length")
+    contact: bool = setting(True, "bodies keep each other out; false: they pass through")
+    restitution: float = like(Contact, "restitution")
+    contact_friction: float = like(Contact, "friction")
 
     def world(self) -> World:
         """What the plant is made of beside the arm."""
@@ -98,12 +113,30 @@ class PlantSettings(Settings):
                 bearing_flow=self.bearing_flow,
                 bearing_pressure=self.bearing_pressure,
             ),
-            Gripper(self.grip_reach, self.grip_angle, self.grip_speed),
-            Target(self.target_mass, self.target_inertia, self.target_fixture)
+            Gripper(
+                self.grip_reach,
+                self.grip_angle,
+                self.grip_speed,
+                self.gripper_length,
+                self.grip_closing_time,
+                self.grip_force,
+                self.grip_torque,
+            ),
+            Target(self.target_mass, self.target_inertia, self.target_fixture, self.target_radius)
             if self.target_mass
             else None,
             self.tolerance,
+            Contact(self.restitution, self.contact_friction) if self.contact else None,
         )
+
+
+NAME = re.compile("[A-Za-z][A-Za-z0-9_]*")  # of a vehicle, which is a namespace
+OF_THE_BED = {
+    *("vehicles", "keep_clock", "speed", "paused", "truth_rate", "state_file", "world_frame"),
+    *("tilt", "table", "tolerance", "contact", "restitution", "contact_friction"),
+    *(f.name for f in fields(PlantSettings) if f.name.startswith("target_")),
+    "target_topic",
+}  # so no vehicle's own
 
 
 def _error(name: str) -> Any:
@@ -119,7 +152,12 @@ def _error(name: str) -> Any:
 class TestbedSettings(PlantSettings):
     """The parameters of a TestbedNode."""
 
+    vehicles: str = setting(
+        "", "file of several vehicles (docs/how-to/vehicles.md), which has what is to differ from "
+        "these parameters; empty: one vehicle",
+    )  # fmt: skip
     arm: str = setting("", "file of the true arm's description; empty: the paper's arm")
+    without_arm: bool = setting(False, "whether the described base floats without its arm")
     host: str = setting("127.0.0.1", "address that the links' UDP ports are opened on")
     ports: tuple[int, ...] = setting(
         (), "the links' UDP ports, 0: any; empty: 5001, 5002, ...", check=between(0, 65535)
@@ -187,7 +225,11 @@ class TestbedSettings(PlantSettings):
     )
     state_file: str = setting("", "file that the state is kept in to resume from; empty: none")
     world_frame: str = setting("world", "frame_id of the VICON poses")
-    base_frame: str = setting("fss", "frame_id of the FOG")
+    base_topic: str = like(Vehicle, "base_topic")
+    tip_topic: str = like(Vehicle, "tip_topic")
+    target_topic: str = like(Vehicle, "target_topic")
+    base_frame: str = like(Vehicle, "base_frame")
+    frame_prefix: str = like(Vehicle, "frame_prefix")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -198,9 +240,50 @@ class TestbedSettings(PlantSettings):
             )
         _ = self.noise()  # which refuses what it must
 
-    def description(self) -> Arm:
-        """The true arm."""
-        return described(self.arm)
+    def each(self) -> dict[str, "TestbedSettings"]:
+        """The settings of each vehicle by its name; those of the only one if there is no file.
+
+        Raises:
+            OSError: the file of the vehicles cannot be read.
+            ValueError: it says something else.
+        """
+        if not self.vehicles:
+            return {"": self}
+        given = read_yaml(Path(self.vehicles))
+        ones = given.get("vehicles") if isinstance(given, dict) and len(given) == 1 else None
+        if not isinstance(ones, dict) or not ones:
+            raise ContentError(f"{self.vehicles}: vehicles", ones, "the settings of each, by name")
+        made = {str(name): self._named(str(name), k, ones[name]) for k, name in enumerate(ones)}
+        reach = 2.0 * Surroundings().base_radius
+        for (one, a), (other, b) in combinations(made.items(), 2):
+            if dist(a.base[:2], b.base[:2]) < reach:
+                raise SettingError(f"{self.vehicles}: {one} and {other} begin in the same place")
+        return made
+
+    def _named(self, name: str, k: int, given: Any) -> "TestbedSettings":
+        """Those of vehicle k: what the file gives, or its name does, and else the test bed's."""
+        where = f"{self.vehicles}: {name}"
+        if not NAME.fullmatch(name):
+            raise ContentError(f"{self.vehicles}: a vehicle's name", name, "letters, digits and _")
+        own = {f.name: f for f in fields(self) if f.name not in OF_THE_BED}
+        if not isinstance(given, dict) or not set(given) <= set(own):
+            what = ", ".join(map(str, set(given) - set(own))) if isinstance(given, dict) else given
+            raise ContentError(where, what, f"some of {', '.join(own)}")
+        state, hints = Path(self.state_file), get_type_hints(type(self))
+        file = str(state.with_name(f"{state.stem}_{name}{state.suffix}")) if self.state_file else ""
+        changed: dict[str, Any] = {"vehicles": "", "seed": self.seed + k, "state_file": file}
+        changed |= {n: default_in(f, name) for n, f in own.items() if f.metadata.get("within")}
+        changed |= {"target_mass": 0.0} if k else {}
+        try:
+            changed |= {n: converted(n, value, hints[n]) for n, value in given.items()}
+            return replace(self, **changed)
+        except ValueError as error:
+            raise SettingError(f"{where}: {error}") from None
+
+    def description(self) -> Arm | Base:
+        """The true arm, or the base that has none."""
+        arm = described(self.arm)
+        return arm.base if self.without_arm else arm
 
     def noise(self) -> Noise:
         """The preset's deviations, with those given in their places."""

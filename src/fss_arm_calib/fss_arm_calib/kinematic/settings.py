@@ -12,7 +12,8 @@ from fss_arm_calib.kinematic.problem import (
     POSITION_DEVIATION,
 )
 from fss_arm_calib.settings import SHARE, CalibrationSettings, most
-from fss_arm_model.settings import POSITIVE, Check, at_least, one_of, setting
+from fss_arm_model.settings import POSITIVE, Check, at_least, like, one_of, setting
+from fss_arm_model.vehicle import Vehicle
 
 
 @dataclass(frozen=True)
@@ -23,7 +24,7 @@ class KinematicSettings(CalibrationSettings):
         SettingError: a setting is impossible.
     """
 
-    tip_topic: str = setting("vicon/end_effector/end_effector", "topic of the end effector's poses")
+    tip_topic: str = like(Vehicle, "tip_topic")
     max_observations: int = most(200, "rests")
     parametrization: str = setting(
         EQUAL,

@@ -16,7 +16,7 @@ from fss_sim.faults import NO_FAULTS, LinkFaults
 from fss_sim.link.channel import Channel, Datagram
 from fss_sim.link.power import BROWN_OUT, REVIVAL, Battery, Power
 from fss_sim.noise import Noise
-from fss_sim.plant.plant import Plant
+from fss_sim.plant.plant import Vehicle
 
 UPTIME = 10_000_000  # it was switched on within this time before the test bed [us]
 GYRO_SCALE = 1e-6  # of a count of the gyro's samples [rad/s]
@@ -75,7 +75,7 @@ class Board:
         """Whether it can run."""
         return bool(self._runs and self.battery.charge) and not (faults.dead or faults.reset)
 
-    def _draw(self, plant: Plant, seconds: float, faults: LinkFaults) -> None:
+    def _draw(self, plant: Vehicle, seconds: float, faults: LinkFaults) -> None:
         """Live on the battery for a time [s]."""
         if faults.dead or not self.battery.charge:
             return
@@ -105,7 +105,7 @@ class Board:
         self._in.put(Datagram(data, peer), now, faults)
         self._listen(now)
 
-    def act(self, now: int, plant: Plant) -> None:
+    def act(self, now: int, plant: Vehicle) -> None:
         """Have valves and gripper do what they are told from now on."""
         self._listen(now)
         if self.state is None:
@@ -122,7 +122,7 @@ class Board:
     def report(
         self,
         now: int,
-        plant: Plant,
+        plant: Vehicle,
         rate: float | None,
         seconds: float,
         faults: LinkFaults = NO_FAULTS,
@@ -147,7 +147,7 @@ class Board:
             self._out.put(Datagram(encode(frame, self._key), self._peer), now, faults)
         return self._out.arrived(now)
 
-    def _slow(self, plant: Plant) -> dict[BaseSlow, int]:
+    def _slow(self, plant: Vehicle) -> dict[BaseSlow, int]:
         tank, propulsion = plant.thrusters.pressure, plant.thrusters.propulsion
         return {
             BaseSlow.TANK: round(1e-3 * tank),

@@ -63,7 +63,7 @@ class Calibrator(Operator):
     def on_diagnostics(self, message: DiagnosticArray) -> None:
         """How far the experiment is."""
         for status in message.status:
-            if status.name == "experiment":
+            if status.name == "/experiment":
                 self.done = int(status.values[0].value)
 
     def on_result(self, message: KinematicCalibration) -> None:

@@ -72,7 +72,7 @@ class Experimenter(Operator):
     def on_diagnostics(self, message: DiagnosticArray) -> None:
         """How far the experiment is."""
         for status in message.status:
-            if status.name == "experiment":
+            if status.name == "/experiment":
                 self.said = status.message
 
 
