@@ -23,7 +23,8 @@ from fss_arm_model.settings import (
 from fss_sim.link.pty import LinkTerminal
 from fss_sim.link.udp import LinkSocket
 from fss_sim.noise import PRESETS, Noise
-from fss_sim.plant.plant import Joints, World
+from fss_sim.plant.joints import Joints
+from fss_sim.plant.plant import World
 from fss_sim.plant.surroundings import Surroundings
 from fss_sim.plant.target import Gripper
 from fss_sim.plant.thrusters import Propulsion
