@@ -16,7 +16,7 @@ from fss_arm_model.layout import BASE_SIZE, MASS
 from fss_arm_model.momentum import momentum
 from fss_sim.plant.drives import CURRENT, OFF
 from fss_sim.plant.joints import Joints
-from fss_sim.plant.simulation import advance
+from fss_sim.plant.simulation import advance, advance_geared
 from fss_sim.plant.surroundings import Surroundings
 from fss_sim.plant.target import Gripper, caught
 from fss_sim.plant.thrusters import Propulsion, Thrusters
@@ -37,17 +37,18 @@ class Demand(NamedTuple):
 class Motion(NamedTuple):
     """One joint at an instant."""
 
-    q: float  # encoder angle [rad]
+    q: float  # encoder angle, the motor's behind a gear that gives [rad]
     qd: float  # [rad/s]
     current: float  # of the motor, driving the joint counter-clockwise if positive [A]
     torque: float  # that passes the gear, friction taken off [N m]
+    shear: float = 0.0  # force across the link that passes the joint [N]
 
 
 class Audit(NamedTuple):
     """Books on momentum and energy; what is there, less what was given, stays what it was."""
 
     momentum: Floats  # linear, x and y [N s], and angular about the world's origin [N m s]
-    energy: float  # kinetic [J]
+    energy: float  # kinetic, and of the gears' springs [J]
     impulse: Floats  # (3,) given from outside since the begin, and carried away by propellant
     work: float  # done since the begin by all forces, those of a capture too [J]
 
@@ -100,6 +101,7 @@ class Plant:
         self._p[MASS] -= propellant
         joints = self.world.joints
         alike = joints.viscous, joints.coulomb, joints.stop_stiffness, joints.stop_damping
+        self._gears = joints.gears(self._p)
         self._torque_constant = np.array([k.drive.torque_constant for k in arm.links])
         self._joints = np.array(
             [
@@ -113,6 +115,7 @@ class Plant:
         self._state[0] = q
         self._state[1] = 0.0 if qd is None else qd
         self._reference = self._state[:, 3:].T.copy()
+        self._motors = np.column_stack([self._reference, np.zeros(arm.n)])
         self._audit, self._torques = np.zeros((2, 4)), np.zeros((arm.n, 2))
         self._target, self._target_audit = np.array(target, dtype=float), np.zeros((2, 4))
         if holds and self.world.target:
@@ -120,6 +123,11 @@ class Plant:
             self._p = with_held(self._p, self.world.target, self._place)
         self._pass(0)
         self._begin = self.audit.balance
+
+    @property
+    def p(self) -> Floats:
+        """Arm.vector() as it is now: less propellant, and what is held with the last link."""
+        return self._p
 
     @property
     def q(self) -> Floats:
@@ -170,8 +178,9 @@ class Plant:
     def motions(self) -> list[Motion]:
         """The motion of each joint."""
         motor, passed = self._torques.T
-        rows = [*self._state[:, 3:], motor / self._torque_constant, passed]
-        return list(map(Motion._make, np.stack(rows, axis=1).tolist()))
+        turning = self._motors[:, :2].T if self.world.joints.stiffness else self._state[:, 3:]
+        rows = [*turning, motor / self._torque_constant, passed]
+        return [Motion(*row) for row in np.stack(rows, axis=1).tolist()]
 
     @property
     def base(self) -> Pose:
@@ -243,10 +252,17 @@ class Plant:
     def _pass(self, steps: int, valves: npt.ArrayLike = ((0.0,) * 5,)) -> None:
         """Let steps pass; none: renew the books."""
         world, around = self.world, self._surroundings
-        self._state, self._reference, self._audit, torques = advance(
-            self._p, world.joints.rotor, self._joints, around, valves, self._demand,
-            self._state, self._reference, self._audit, steps, world.tolerance,
-        )  # fmt: skip
+        rotor = world.joints.rotor
+        if world.joints.stiffness:
+            self._state, self._reference, self._motors, self._audit, torques = advance_geared(
+                self._p, rotor, self._joints, self._gears, around, valves, self._demand,
+                self._state, self._reference, self._motors, self._audit, steps, world.tolerance,
+            )  # fmt: skip
+        else:
+            self._state, self._reference, self._audit, torques = advance(
+                self._p, rotor, self._joints, around, valves, self._demand, self._state,
+                self._reference, self._audit, steps, world.tolerance,
+            )  # fmt: skip
         self._torques = torques if steps else self._torques
         if world.target and not self.holds:
             none, shut = np.zeros((0, 2)), ((0.0,) * 5,)
@@ -257,8 +273,9 @@ class Plant:
 
     def _catch(self) -> None:
         """Close the gripper on the target: momentum stays, the energy lost is booked."""
-        target, p, rotor = self.world.target, self._p, self.world.joints.rotor
+        target, p, joints = self.world.target, self._p, self.world.joints
         assert target is not None
+        rotor = (0.0, 0.0) if joints.stiffness else joints.rotor  # a spring passes no impulse on
         had = self._audit[0] + self._target_audit[0]
         given = self._audit[1] + self._target_audit[1]
         self._place = hold(p, self.q, self._target[0])
