@@ -29,8 +29,10 @@ from fss_arm_model.rollout import rollout
 from fss_sim.plant.drives import CURRENT
 from fss_sim.plant.joints import PRESETS
 from fss_sim.plant.plant import Demand, Plant, World
+from fss_sim.plant.surroundings import Surroundings
 
 STEPS, RUNS = 5000, 15
+WIDE = Surroundings(table=(20.0, 20.0))  # no border near
 FORCES = mujoco.mjtState.mjSTATE_QFRC_APPLIED.value
 
 
@@ -171,21 +173,21 @@ def with_gears(arm, joints, has_friction):
     else:
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT.value
     state = np.zeros((1, mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS)))
-    tau, data = np.zeros((1, 1000, model.nv)), mujoco.MjData(model)
+    tau, data = np.zeros((1, STEPS, model.nv)), mujoco.MjData(model)
     tau[0, :, motors] = torques[:, None] / N
 
     def peer():
         mujoco_rollout.rollout(model, data, state, tau, control_spec=FORCES)
 
     def ours():
-        plant = Plant(arm, np.zeros(3 + arm.n), world=World(joints))
+        plant = Plant(arm, np.zeros(3 + arm.n), world=World(joints, WIDE))
         for joint, link in enumerate(arm.links):
             plant.command(joint, Demand(CURRENT, torques[joint] / link.drive.torque_constant))
-        plant.advance(1000 * STEP)
+        plant.advance(STEPS * STEP)
 
     ours()  # compiled
     runs = [(seconds(peer), seconds(ours)) for _ in range(RUNS)]
-    theirs, mine = 1e3 * np.median(runs, axis=0)
+    theirs, mine = 1e6 / STEPS * np.median(runs, axis=0)
     ratio = np.median([peer / own for peer, own in runs])
     words = "with friction and limits, at least 5" if has_friction else "springs and dampers alone"
     print(f"  {mine:6.3f} us/step  mujoco {theirs:7.3f} us/step  ratio {ratio:5.1f}  ({words})")
