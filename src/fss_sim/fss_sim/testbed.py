@@ -153,7 +153,8 @@ class Testbed:
         self._motions = self._measured()
         self.frame += 1
         plant, of = self.plant, self.faults
-        rate, qd = float(plant.qd[2]), plant.qd[3:]
+        # Drives rest while links still swing on their gears: errors of a rest are theirs.
+        rate, qd = float(plant.qd[2]), np.array([motion.qd for motion in self._motions])
         target = plant.target[0].tolist() if plant.world.target else None
         sight = self.sensors.observe(
             self.frame, plant.base, plant.tip, rate, qd, of.base, of.tip, of.gyro, target
