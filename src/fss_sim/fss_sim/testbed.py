@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from fss_arm_model.description import Arm
 from fss_arm_model.files import read_yaml, shown, write_text
@@ -19,7 +20,8 @@ from fss_sim.faults import Event, Faults
 from fss_sim.link.channel import Datagram
 from fss_sim.link.link import Link
 from fss_sim.noise import Noise
-from fss_sim.plant.plant import Plant, World
+from fss_sim.plant.joints import axes, carried
+from fss_sim.plant.plant import Motion, Plant, World
 from fss_sim.sensors import RATE, Sensors, Sight
 
 FRAME = SECOND // RATE  # [ns]
@@ -130,6 +132,8 @@ class Testbed:
         for part in self._electronics():
             part.start(self._boots, self.now, part.uptime)
         self._motions = self.plant.motions()
+        self._strained = noise.torque_crosstalk > 0.0
+        self._carried = self._momenta()
 
     @property
     def now(self) -> int:
@@ -146,10 +150,11 @@ class Testbed:
         for i, link in enumerate(self.links):
             self.plant.command(i, link.demand(self.now, self._motions[i]))
         self.plant.advance(1.0 / RATE)
-        self._motions = self.plant.motions()
+        self._motions = self._measured()
         self.frame += 1
         plant, of = self.plant, self.faults
-        rate, qd = float(plant.qd[2]), plant.qd[3:]
+        # Drives rest while links still swing on their gears: errors of a rest are theirs.
+        rate, qd = float(plant.qd[2]), np.array([motion.qd for motion in self._motions])
         target = plant.target[0].tolist() if plant.world.target else None
         sight = self.sensors.observe(
             self.frame, plant.base, plant.tip, rate, qd, of.base, of.tip, of.gyro, target
@@ -177,6 +182,20 @@ class Testbed:
         """Make all batteries full; a link whose battery was empty starts again."""
         for link in self.links:
             link.instruments.battery.charge = 1.0
+
+    def _measured(self) -> list[Motion]:
+        """The motions, with the mean forces of the last frame if instruments show them."""
+        motions = self.plant.motions()
+        if not self._strained:
+            return motions
+        before, self._carried = self._carried, self._momenta()
+        forces = RATE * (self._carried - before)
+        across = np.sum(forces * axes(self.plant.p, self.plant.q), axis=1).tolist()
+        return [m._replace(shear=f) for m, f in zip(motions, across, strict=True)]
+
+    def _momenta(self) -> npt.NDArray[np.float64]:
+        """Momentum of what lies beyond each joint, (n, 2) [N s]."""
+        return carried(self.plant.p, self.plant.q, self.plant.qd)
 
     def _electronics(self) -> list[Link | Board]:
         return [*self.links, self.board] if self.board else [*self.links]
