@@ -122,7 +122,7 @@ class LinkElectronics(LinkState):
     def telemetry(self, clock: int, motion: Motion) -> bytes | None:
         """The frame that is due now, measured now; None between frames, or without a drive."""
         torque = self.instruments.torque
-        torque.sample(clock, motion.torque)
+        torque.sample(clock, motion.torque, motion.shear)
         if clock // self._period == self._periods or not self.drive.powered:
             return None
         self._notice()

@@ -49,7 +49,8 @@ class Link:
         self._link, self._rate, self._key = link, rate, key
         made = Random(f"{seed}, {number}")
         self._drift = made.gauss(0.0, noise.clock_drift)
-        self.instruments = instruments.make(link.torque_sensor, noise, made, torque_rate)
+        more = Random(f"{seed}, {number}, laboratory")
+        self.instruments = instruments.make(link.torque_sensor, noise, made, torque_rate, more)
         self.supply = Supply(power, charge)
         self.drive = ServoDrive(link, self.instruments.encoder)
         ways = Random(f"{seed}, {number}, {run}")
