@@ -42,7 +42,7 @@ from fss_arm_ros.stamps import Stamps
 
 from . import scene
 from .settings import ViewSettings
-from .sink import CONNECT, FILE, NATIVE, WEB, Sink, Viewer, host, new_file, open_stream
+from .sink import FILE, NATIVE, WEB, Sink, Viewer, host, keep_quiet, new_file, open_stream
 
 LEAST_PLUME = 0.2  # a shorter pulse of a thruster is drawn so long [s]
 
@@ -63,9 +63,10 @@ class ViewNode(Node):
         super().__init__("view", **options)
         s = self.settings = declare(self, ViewSettings)
         self.known = Calibrated(described(s.arm))
+        self.quiet = keep_quiet()
         self.viewer = None
         if s.mode in (NATIVE, WEB):
-            self.viewer = Viewer(s.mode, s.bind, s.port, s.web_port, s.memory)
+            self.viewer = Viewer(s.mode, s.bind, s.port, s.web_port, s.memory, s.names)
         self.sink = Sink(self._recording(), s.rate, s.queue)
         self.q = [0.0] * self.known.arm.n
         self.t = 0  # stamp of the newest measurement [ns]; 0: none yet
@@ -82,8 +83,7 @@ class ViewNode(Node):
 
     def _recording(self) -> rr.RecordingStream:
         s = self.settings
-        here = f"rerun+http://{host(s.bind, '127.0.0.1')}:{s.port}/proxy"
-        target = s.url if s.mode == CONNECT else here
+        target = self.viewer.url if self.viewer else s.url
         if s.mode == FILE:
             target = new_file(s.file)
             self.get_logger().info(f"writes {target}")
@@ -320,6 +320,7 @@ class ViewNode(Node):
         self.sink.close()
         if self.viewer:
             self.viewer.close()
+        self.quiet.cleanup()
 
 
 def _pose(message: PoseStamped) -> tuple[float, float, float] | None:
