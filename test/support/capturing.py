@@ -136,7 +136,7 @@ class Flight:
         ended = orders.ended or Ended(False, "it took too long")
         flown.well, flown.message = ended.well, ended.message
         flown.spin = float(self.plant.target[1, 2])
-        if not flown.well:
+        if not flown.well or self.case.fault:
             until = self.t + AFTER
             while self.t < until:
                 self.obey(Orders("idle", rates=np.zeros(self.arm.n)))
@@ -157,7 +157,8 @@ class Flight:
             q, qd, effort, then = self.heard
             q = q + (self.t - then) * qd
         left = self.plant.thrusters.tank - self.plant.thrusters.used
-        return Seen(self.t, *known, q, qd, effort, self.plant.holds, left)
+        last = self.heard[0] if self.heard else None
+        return Seen(self.t, *known, q, qd, effort, self.plant.holds, left, last)
 
     def order(self):
         self.now = seen = self.seen()
@@ -169,8 +170,10 @@ class Flight:
     def obey(self, orders):
         """Base by control and valves, joints late, gripper at once."""
         seen, times = self.now, np.zeros(len(self.valves))
-        if orders.path is not None and seen.base is not None and seen.q is not None:
-            q, qd = seen.floating
+        if orders.path is not None and seen.base is not None and seen.last_q is not None:
+            q_m = seen.last_q if seen.q is None else seen.q
+            qd_m = np.zeros(self.arm.n) if seen.qd is None else seen.qd
+            q, qd = np.concatenate([seen.base.pose, q_m]), np.concatenate([seen.base.twist, qd_m])
             self.control.p = self.navigation.inputs.p
             wrench = self.control.wrench(
                 q, qd, orders.path.at(self.t), PERIOD, np.zeros(self.arm.n)

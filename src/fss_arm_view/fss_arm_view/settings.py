@@ -88,6 +88,9 @@ class ViewSettings(Settings):
     )
     port: int = setting(9876, "port of the data that the viewer listens to", check=PORT)
     web_port: int = setting(9090, "port of the page", check=PORT)
+    names: tuple[str, ...] = setting(
+        (), "names that the page is opened under, beside this computer's own and all addresses"
+    )
     file: str = setting("view.rrd", "file that mode file writes; if there, NAME_1, NAME_2, ...")
     url: str = setting("rerun+http://127.0.0.1:9876/proxy", "viewer that mode connect draws in")
     memory: str = setting("1GB", "memory that the viewer keeps drawings in; the oldest go first")

@@ -42,7 +42,7 @@ from fss_arm_ros.stamps import Stamps
 
 from . import scene
 from .settings import ViewSettings
-from .sink import CONNECT, FILE, NATIVE, WEB, Scoped, Sink, Viewer, host, new_file, open_stream
+from .sink import FILE, NATIVE, WEB, Scoped, Sink, Viewer, host, keep_quiet, new_file, open_stream
 
 LEAST_PLUME = 0.2  # a shorter pulse of a thruster is drawn so long [s]
 
@@ -66,9 +66,10 @@ class ViewNode(Node):
         self.vehicle = self.get_namespace().strip("/") if first else ""
         self.others: list[ViewNode] = []
         self.known = Calibrated(described(s.arm))
+        self.quiet = first.quiet if first else keep_quiet()
         self.viewer = None
         if s.mode in (NATIVE, WEB) and not first:
-            self.viewer = Viewer(s.mode, s.bind, s.port, s.web_port, s.memory)
+            self.viewer = Viewer(s.mode, s.bind, s.port, s.web_port, s.memory, s.names)
         self.sink: Sink | Scoped = (
             Scoped(first.sink, self.vehicle)  # type: ignore[arg-type]  # the first one's is a Sink
             if first
@@ -95,8 +96,7 @@ class ViewNode(Node):
 
     def _recording(self) -> rr.RecordingStream:
         s = self.settings
-        here = f"rerun+http://{host(s.bind, '127.0.0.1')}:{s.port}/proxy"
-        target = s.url if s.mode == CONNECT else here
+        target = self.viewer.url if self.viewer else s.url
         if s.mode == FILE:
             target = new_file(s.file)
             self.get_logger().info(f"writes {target}")
@@ -337,6 +337,8 @@ class ViewNode(Node):
             self.sink.close()
         if self.viewer:
             self.viewer.close()
+        if self.first is self:
+            self.quiet.cleanup()
 
 
 def _pose(message: PoseStamped) -> tuple[float, float, float] | None:

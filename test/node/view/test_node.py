@@ -248,10 +248,11 @@ def test_the_workspace_is_drawn_where_its_node_publishes_it(spin, flight, tmp_pa
     assert in_world in shown
 
 
-def test_a_viewer_that_ended_is_an_error_and_not_the_end(spin):
+@pytest.mark.parametrize("part", [0, 1], ids=["rerun", "gate"])
+def test_a_viewer_that_ended_is_an_error_and_not_the_end(spin, part):
     node = view(mode="web", port=free_port(), web_port=free_port())
     spin(node, lambda: node.viewer.alive())
-    node.viewer.process.kill()
+    node.viewer.processes[part].kill()
     spin(node, lambda: node.health().level == ERROR)
     assert node.health().message == "the viewer has ended"
 
@@ -260,18 +261,19 @@ OWNER = """
 import sys
 from fss_arm_view.sink import Viewer
 viewer = Viewer("web", "127.0.0.1", sys.argv[1], sys.argv[2], "100MB")
-print(viewer.process.pid, flush=True)
-viewer.process.wait()
+print(*(process.pid for process in viewer.processes), flush=True)
+viewer.processes[0].wait()
 """
 
 
 def test_a_viewer_goes_with_its_owner_however_that_ends():
     command = [sys.executable, "-c", OWNER, str(free_port()), str(free_port())]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as owner:
-        viewer = Path(f"/proc/{owner.stdout.readline().strip()}/cmdline")
-        wait_until(lambda: "rerun" in viewer.read_text(), 10.0, lambda: time.sleep(0.05))
+        rerun, gate = (Path(f"/proc/{pid}/cmdline") for pid in owner.stdout.readline().split())
+        wait_until(lambda: "rerun" in rerun.read_text(), 10.0, lambda: time.sleep(0.05))
+        wait_until(lambda: "gate" in gate.read_text(), 10.0, lambda: time.sleep(0.05))
         owner.kill()
-    wait_until(lambda: not viewer.exists(), 10.0, lambda: time.sleep(0.05))
+    wait_until(lambda: not rerun.exists() and not gate.exists(), 10.0, lambda: time.sleep(0.05))
 
 
 def test_an_open_address_is_warned_of_and_told_as_others_reach_it(spin, capfd):
@@ -287,11 +289,15 @@ def test_an_open_address_is_warned_of_and_told_as_others_reach_it(spin, capfd):
     assert f"open http://{name}:{web_port}/?url=rerun%2Bhttp://{name}:{port}/" in "".join(said)
 
 
-def test_drawings_get_to_the_address_that_the_viewer_is_bound_to(spin):
-    port = free_port()
-    node = view(mode="web", bind="127.0.0.2", port=port, web_port=free_port())
-    established = f"0200007F:{port:04X} 01"  # as the kernel lists addresses and states
-    spin(node, lambda: established in Path("/proc/net/tcp").read_text())
+def test_the_gate_alone_is_at_the_address_that_is_bound_to(spin):
+    ports = free_port(), free_port()
+    node = view(mode="web", bind="127.0.0.2", port=ports[0], web_port=ports[1])
+    table = Path("/proc/net/tcp")  # of addresses and states, as the kernel lists them
+    listening = [f"0200007F:{port:04X} 00000000:0000 0A" for port in ports]
+    spin(node, lambda: all(each in table.read_text() for each in listening))
+    inner = int(node.viewer.url.split(":")[2].split("/")[0])
+    spin(node, lambda: f"0100007F:{inner:04X} 00000000:0000 0A" in table.read_text())
+    spin(node, lambda: f"0100007F:{inner:04X} 01" in table.read_text())  # our drawings get there
 
 
 @pytest.mark.parametrize(
