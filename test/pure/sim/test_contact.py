@@ -345,3 +345,18 @@ def test_behind_gears_that_give_rotors_spin_on(gripped):
     bed.advance(0.3)
     assert bed.audit.contact < -1e-4
     np.testing.assert_allclose(bed.audit.balance, balance, rtol=0, atol=1e-9)
+
+
+def test_what_is_never_near_moves_as_without_contact_to_the_last_bit():
+    beds = []
+    for contact in (Contact(), None):
+        world = World(target=Target(), contact=contact)
+        bed = Plant(PAPER, np.zeros(7), None, world, [[-1.0, 1.0, 0.0], [0.02, 0.01, 0.1]])
+        for joint, rate in enumerate((0.4, 0.3, -0.3, 0.2)):
+            bed.command(joint, Demand(VELOCITY, rate, abs(rate), 2.0))
+        for _ in range(200):
+            bed.advance(0.01)
+        beds.append(bed)
+    one, other = beds
+    assert (one._state == other._state).all()
+    assert (one.target == other.target).all()
