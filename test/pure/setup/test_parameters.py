@@ -23,6 +23,7 @@ DIMENSIONLESS = {
     *("blocked", "command_input", "enable", "encoder", "flash", "internal", "logic"),
     *("negative_limit", "overcurrent", "phasing", "positive_limit", "reset", "short_circuit"),
     *("pad_friction", "voltage_limit", "wrapped"),
+    *("restitution", "contact_friction", "Contact.friction", "cancelled", "friction_cancelled"),
     *("max_condition", "max_relative", "min_probability", "min_redundancy", "outlier"),
     *("LimitSettings.share", "MissionSettings.authority", "MissionSettings.torque_share"),
     *("thrust_error", "joint_rate_error", "joint_change_error"),
