@@ -1,15 +1,19 @@
 """Messages of the test bed, which is to run many times as fast as real time."""
 
-from math import cos, sin
+from math import cos, inf, sin
 
+import numpy as np
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu
 
 from fss_arm_msgs.msg import GripperState, SimTruth
 from fss_arm_ros.convert import pose_stamped, to_time
 from fss_arm_ros.image import Image
-from fss_sim.plant.plant import Plant
+from fss_sim.plant.bed import Clearance
+from fss_sim.plant.plant import Vehicle
 from fss_sim.sensors import Seen
+
+EDGE = "table edge"  # as clearances name it
 
 
 class PoseImage(Image):
@@ -58,10 +62,12 @@ class ClockImage(Image):
         return self.bytes()
 
 
-def truth(stamp: int, frame_id: str, plant: Plant) -> SimTruth:
-    """The plant as it is."""
-    audit, error, (pose, twist) = plant.audit, plant.imbalance.tolist(), plant.target.tolist()
-    nearest = plant.bed.nearest()
+def truth(stamp: int, frame_id: str, plant: Vehicle) -> SimTruth:
+    """A vehicle as it is, with the books of all that is on its table."""
+    bed = plant.bed
+    audit, error = bed.audit, bed.imbalance.tolist()
+    pose, twist = (bed.targets[0].state if bed.targets else np.zeros((2, 3))).tolist()
+    near = nearest(plant)
     message = SimTruth(
         q=plant.q.tolist(),
         qd=plant.qd.tolist(),
@@ -72,13 +78,13 @@ def truth(stamp: int, frame_id: str, plant: Plant) -> SimTruth:
         work=audit.work,
         momentum_error=error[:3],
         energy_error=error[3],
-        clearance=nearest.gap,
-        nearest=[nearest.one, nearest.other],
+        clearance=near.gap,
+        nearest=[near.one, near.other],
         edge_clearance=plant.edge_clearance,
         valves=plant.valves,
         pressure=plant.thrusters.pressure,
         propellant=plant.thrusters.used,
-        target_present=plant.world.target is not None,
+        target_present=bool(bed.targets),
         target=pose,
         target_twist=twist,
         holds=plant.holds,
@@ -87,7 +93,16 @@ def truth(stamp: int, frame_id: str, plant: Plant) -> SimTruth:
     return message
 
 
-def gripper_state(stamp: int, frame_id: str, plant: Plant) -> GripperState:
+def nearest(plant: Vehicle) -> Clearance:
+    """The two parts with the least gap of which one, at least, is the vehicle's."""
+    its, found = f"{plant.name} " if plant.name else "", plant.bed.clearances()
+    own = [
+        c for c in found if c.other != EDGE and (c.one.startswith(its) or c.other.startswith(its))
+    ]
+    return min(own, key=lambda c: c.gap, default=Clearance("", "", inf))
+
+
+def gripper_state(stamp: int, frame_id: str, plant: Vehicle) -> GripperState:
     """The gripper by its sensors."""
     seen = plant.approach
     message = GripperState(

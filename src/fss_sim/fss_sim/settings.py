@@ -7,7 +7,7 @@ from math import dist
 from pathlib import Path
 from typing import Any, get_type_hints
 
-from fss_arm_model.description import Arm, described
+from fss_arm_model.description import Arm, Base, described
 from fss_arm_model.files import ContentError, read_text, read_yaml
 from fss_arm_model.held import Target
 from fss_arm_model.settings import (
@@ -130,6 +130,7 @@ class TestbedSettings(PlantSettings):
         "these parameters; empty: one vehicle",
     )  # fmt: skip
     arm: str = setting("", "file of the true arm's description; empty: the paper's arm")
+    without_arm: bool = setting(False, "whether the described base floats without its arm")
     host: str = setting("127.0.0.1", "address that the links' UDP ports are opened on")
     ports: tuple[int, ...] = setting(
         (), "the links' UDP ports, 0: any; empty: 5001, 5002, ...", check=between(0, 65535)
@@ -250,9 +251,10 @@ class TestbedSettings(PlantSettings):
         except ValueError as error:
             raise SettingError(f"{where}: {error}") from None
 
-    def description(self) -> Arm:
-        """The true arm."""
-        return described(self.arm)
+    def description(self) -> Arm | Base:
+        """The true arm, or the base that has none."""
+        arm = described(self.arm)
+        return arm.base if self.without_arm else arm
 
     def noise(self) -> Noise:
         """The preset's deviations, with those given in their places."""

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fss_arm_model.description import Arm
+from fss_arm_model.description import Arm, Base
 from fss_arm_model.files import read_yaml, shown, write_text
 from fss_arm_model.units import SECOND
 from fss_sim.board.board import Board
@@ -19,7 +19,9 @@ from fss_sim.faults import Event, Faults
 from fss_sim.link.channel import Datagram
 from fss_sim.link.link import Link
 from fss_sim.noise import Noise
-from fss_sim.plant.plant import Plant, World
+from fss_sim.plant.bed import Bed
+from fss_sim.plant.plant import Floats, Plant, Vehicle, World
+from fss_sim.plant.target import Passive
 from fss_sim.sensors import RATE, Sensors, Sight
 
 FRAME = SECOND // RATE  # [ns]
@@ -98,11 +100,12 @@ class Testbed:
         script: faults to come.
         world: all that the plant is made of beside the arm.
         board_rate: of the telemetry of the base's board [frames/s]; 0: there is none.
+        plant: the vehicle, if it shares the table with others (`together`).
     """
 
     def __init__(
         self,
-        arm: Arm,
+        arm: Arm | Base,
         noise: Noise,
         seed: int,
         state: State,
@@ -113,15 +116,19 @@ class Testbed:
         script: Sequence[Event] = (),
         world: World | None = None,
         board_rate: float = 0.0,
+        plant: Vehicle | None = None,
     ) -> None:
-        target = np.reshape(state.target, (2, 3))
-        self.plant = Plant(arm, state.q, state.qd, world, target, state.holds, state.propellant)
+        self._target = np.reshape(state.target, (2, 3))  # as given
+        self.plant = plant or Plant(
+            arm, state.q, state.qd, world, self._target, state.holds, state.propellant
+        )
+        links = arm.links if isinstance(arm, Arm) else ()
         self.sensors = Sensors(noise, seed, state.rests)
-        self.faults = Faults(arm.n, script)
+        self.faults = Faults(len(links), script)
         keys = keys or {}
         self.links = [
             Link(i, k, noise, seed, state.boots, rate, keys.get(i), torque_rate, charge)
-            for i, k in enumerate(arm.links, 1)
+            for i, k in enumerate(links, 1)
         ]
         self.board = (
             Board(noise, seed, state.boots, board_rate, keys.get(0)) if board_rate else None
@@ -160,10 +167,11 @@ class Testbed:
         self._motions = self.plant.motions()
         self.frame += 1
         plant, of = self.plant, self.faults
-        rate, qd = float(plant.qd[2]), plant.qd[3:]
-        target = plant.target[0].tolist() if plant.world.target else None
+        rate, target = float(plant.qd[2]), self.target[0].tolist() if plant.bed.targets else None
+        # Without an arm nobody asks where its tip is.
+        tip, qd = (plant.tip, plant.qd[3:]) if plant.n else ((0.0, 0.0, 0.0), np.zeros(1))
         sight = self.sensors.observe(
-            self.frame, plant.base, plant.tip, rate, qd, of.base, of.tip, of.gyro, target
+            self.frame, plant.base, tip, rate, qd, of.base, of.tip, of.gyro, target
         )
         telemetry = [
             link.report(self.now, self._motions[i], 1.0 / RATE, of.links[i])
@@ -183,6 +191,12 @@ class Testbed:
         """Hand a datagram to the base's board, as to a link."""
         if self.board:
             self.board.put(data, peer, self.now + late, self.faults.board)
+
+    @property
+    def target(self) -> Floats:
+        """Pose and twist of the target, (2, 3); those given if there is none."""
+        targets = self.plant.bed.targets
+        return targets[0].state if targets else self._target
 
     def charge(self) -> None:
         """Make all batteries full; a link whose battery was empty starts again."""
@@ -206,14 +220,32 @@ class Testbed:
     def state(self) -> State:
         """What to save."""
         plant = self.plant
-        q, qd, target = (tuple(x.ravel().tolist()) for x in (plant.q, plant.qd, plant.target))
+        q, qd, target = (tuple(x.ravel().tolist()) for x in (plant.q, plant.qd, self.target))
+        holds = any(one.holder is plant for one in plant.bed.targets)
         used = plant.thrusters.used
-        return State(self.frame, self._boots, self.sensors.rests, q, qd, target, plant.holds, used)
+        return State(self.frame, self._boots, self.sensors.rests, q, qd, target, holds, used)
+
+
+def together(vehicles: Sequence[Vehicle], states: Sequence[State]) -> None:
+    """Put vehicles on one table, with the target of the first one's world, as their states have it.
+
+    One that held another vehicle, or the target as the second one, has let go.
+    """
+    world = vehicles[0].world
+    if world.target:
+        at = np.reshape(states[0].target, (2, 3))
+        targets = [Passive(world.target, at, world.surroundings)]
+    else:
+        targets = []
+    holders = [one for one, state in zip(vehicles, states, strict=True) if targets and state.holds]
+    for one in holders[:1]:
+        one.closed = True
+        one.take(targets[0])
+    Bed(vehicles, targets, world.contact, world.tolerance)
 
 
 def step(vehicles: Sequence[Testbed]) -> list[Report]:
-    """Let one frame's time pass for several vehicles at once."""
+    """Let one frame's time pass for all vehicles of a table."""
     faulted = [one.act() for one in vehicles]
-    for one in vehicles:
-        one.plant.advance(1.0 / RATE)
+    vehicles[0].plant.bed.advance(1.0 / RATE)
     return [one.observe(of) for one, of in zip(vehicles, faulted, strict=True)]

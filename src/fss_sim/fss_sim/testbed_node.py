@@ -7,7 +7,9 @@ Time passes in a thread of its own; callbacks of the executor hold the lock.
 
 import sys
 import time
+from collections.abc import Sequence
 from functools import partial
+from itertools import combinations
 from threading import RLock
 from typing import Any
 
@@ -15,6 +17,7 @@ from rclpy.node import Node
 from rosgraph_msgs.msg import Clock as ClockMessage
 from std_srvs.srv import SetBool, Trigger
 
+from fss_arm_model.settings import SettingError
 from fss_arm_msgs.srv import ResetTestbed, StepTime
 from fss_arm_ros.convert import SECOND, to_time
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
@@ -25,7 +28,7 @@ from fss_sim.messages import ClockImage
 from fss_sim.pace import Clocked, FlatOut, Pace
 from fss_sim.sensors import RATE
 from fss_sim.settings import TestbedSettings
-from fss_sim.testbed import FRAME, State, Testbed, step
+from fss_sim.testbed import FRAME, State, Testbed, step, together
 from fss_sim.ticker import Ticker
 from fss_sim.vehicle_topics import VehicleTopics, at_one_time
 
@@ -46,11 +49,12 @@ class TestbedNode(Node):
             VehicleTopics(self, self.lock, self.stamp, one, name)
             for name, one in settings.each().items()
         ]
+        check_keys(self.vehicles)
         if settings.keep_clock:
             self.clock = self.create_publisher(ClockMessage, "/clock", SENSOR)
         self.clock_image = ClockImage()
         self.seed, self.paused = settings.seed, settings.paused
-        self.begin([v.settings.begin(v.arm.n) for v in self.vehicles])
+        self.begin([v.settings.begin(v.n) for v in self.vehicles])
         self.declare_faults()
         self.create_service(SetBool, "sim/pause", self.on_pause)
         self.create_service(StepTime, "sim/step", self.on_step)
@@ -76,8 +80,10 @@ class TestbedNode(Node):
 
     def begin(self, states: list[State]) -> None:
         """Make the vehicles in these states, and let their time begin now."""
-        for vehicle, state in zip(self.vehicles, at_one_time(states), strict=True):
-            vehicle.begin(state, self.seed + vehicle.settings.seed - self.settings.seed)
+        plants = [vehicle.made(state) for vehicle, state in zip(self.vehicles, states, strict=True)]
+        together(plants, states)
+        for vehicle, plant, state in zip(self.vehicles, plants, at_one_time(states), strict=True):
+            vehicle.begin(plant, state, self.seed + vehicle.settings.seed - self.settings.seed)
         self.pace = self.new_pace()
         for vehicle in self.vehicles:
             vehicle.publish_faults()
@@ -180,7 +186,7 @@ class TestbedNode(Node):
             self.seed = request.seed if request.seed >= 0 else self.seed
             for wire in self.all_wires():
                 wire.reset()
-            self.begin([v.settings.fresh(v.arm.n) for v in self.vehicles])
+            self.begin([v.settings.fresh(v.n) for v in self.vehicles])
         response.success, response.message = True, f"begun with seed {self.seed}"
         return response
 
@@ -237,6 +243,13 @@ class TestbedNode(Node):
 
     def _ros_time(self) -> int:
         return int(self.get_clock().now().nanoseconds)
+
+
+def check_keys(vehicles: Sequence[VehicleTopics]) -> None:
+    """Raise SettingError if links of two vehicles would take each other's commands."""
+    for one, other in combinations(vehicles, 2):
+        if set(one.keys.values()) & set(other.keys.values()):
+            raise SettingError(f"{one.name} and {other.name} have a key in common")
 
 
 def main() -> int:

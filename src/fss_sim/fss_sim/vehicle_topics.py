@@ -12,12 +12,14 @@ from sensor_msgs.msg import Imu
 from std_msgs.msg import Bool
 
 from fss_arm_driver.protocol import load_keys
+from fss_arm_model.description import Arm
 from fss_arm_msgs.msg import GripperState, SimFaults, SimTruth, ThrusterCommand
 from fss_arm_ros.convert import to_time
 from fss_arm_ros.door import subscribe
 from fss_arm_ros.qos import COMMAND, LATCHED, SENSOR
 from fss_sim.faults import kinds, read_script
-from fss_sim.messages import GyroImage, PoseImage, gripper_state, truth
+from fss_sim.messages import GyroImage, PoseImage, gripper_state, nearest, truth
+from fss_sim.plant.plant import Vehicle
 from fss_sim.sensors import RATE, Sight
 from fss_sim.settings import TestbedSettings
 from fss_sim.testbed import Report, State, Testbed
@@ -48,13 +50,16 @@ class VehicleTopics:
         self.node, self.lock, self.stamp = node, lock, stamp
         self.settings, self.name = settings, name
         self.space, self.prefix = (f"/{name}/", f"{name}.") if name else ("", "")
-        self.arm = arm = settings.description()
+        self.arm = settings.description()
+        self.n = self.arm.n if isinstance(self.arm, Arm) else 0
         self.keys = load_keys(settings.keys) if settings.keys else {}
         self.script = settings.script()
-        self.wires = settings.wires(arm.n)
+        self.wires = settings.wires(self.n)
         self.board_wire = settings.board_wire()
         self.base = node.create_publisher(PoseStamped, settings.base_topic, SENSOR)
-        self.tip = node.create_publisher(PoseStamped, settings.tip_topic, SENSOR)
+        self.tip = self.gripper = None
+        if self.n:
+            self.tip = node.create_publisher(PoseStamped, settings.tip_topic, SENSOR)
         if self.board_wire is None:
             self.take_base()
         if settings.target_mass:
@@ -69,13 +74,19 @@ class VehicleTopics:
         """Be the base's topics, as there is no board for the node `base`."""
         node, space = self.node, self.space
         self.gyro = node.create_publisher(Imu, f"{space}fog/imu", SENSOR)
-        self.gripper = node.create_publisher(GripperState, f"{space}gripper/state", SENSOR)
+        if self.n:
+            self.gripper = node.create_publisher(GripperState, f"{space}gripper/state", SENSOR)
+            node.create_subscription(Bool, f"{space}gripper/command", self.on_grip, COMMAND)
         self.pulses = node.create_publisher(ThrusterCommand, f"{space}thrusters/pulses", SENSOR)
         subscribe(node, ThrusterCommand, f"{space}thrusters/command", self.on_thrust, COMMAND)
-        node.create_subscription(Bool, f"{space}gripper/command", self.on_grip, COMMAND)
 
-    def begin(self, state: State, seed: int) -> None:
-        """Make the vehicle in this state."""
+    def made(self, state: State) -> Vehicle:
+        """The vehicle in a state, to be put on a table."""
+        world = self.settings.world()
+        return Vehicle(self.arm, state.q, state.qd, world, state.propellant, self.name)
+
+    def begin(self, plant: Vehicle, state: State, seed: int) -> None:
+        """Give electronics and sensors to the vehicle in this state."""
         settings = self.settings
         self.testbed = Testbed(
             self.arm,
@@ -89,6 +100,7 @@ class VehicleTopics:
             read_script(self.script),
             settings.world(),
             settings.board_rate if self.board_wire else 0.0,
+            plant,
         )
         for (part, fault), value in self.set_faults.items():
             self.testbed.faults.set(part, fault, value)
@@ -112,7 +124,7 @@ class VehicleTopics:
         """Publish what the sensors see."""
         settings, plant = self.settings, self.testbed.plant
         for publisher, seen in ((self.base, sight.base), (self.tip, sight.tip)):
-            if seen:
+            if publisher and seen:
                 publisher.publish(self.pose_image.of(stamp, seen))
         if sight.target:
             self.target.publish(self.pose_image.of(stamp, sight.target))
@@ -120,7 +132,7 @@ class VehicleTopics:
             self.gyro.publish(self.gyro_image.of(stamp, sight.rate))
         if self.testbed.frame % round(RATE / settings.truth_rate) == 0:
             self.truth.publish(truth(stamp, settings.world_frame, plant))
-            if self.board_wire is None:
+            if self.gripper:
                 frame_id = f"{settings.frame_prefix}end_effector"
                 self.gripper.publish(gripper_state(stamp, frame_id, plant))
 
@@ -152,7 +164,7 @@ class VehicleTopics:
 
     def kinds(self) -> dict[str, type]:
         """The parameters of its faults, by what their names begin with."""
-        return {f"{self.prefix}{part}": kind for part, kind in kinds(self.arm.n).items()}
+        return {f"{self.prefix}{part}": kind for part, kind in kinds(self.n).items()}
 
     def set_fault(self, part: str, fault: str, value: float) -> None:
         """Set a fault by hand."""
@@ -173,14 +185,14 @@ class VehicleTopics:
     def touches(self) -> bool:
         """Whether its bodies touch each other or the table's border."""
         plant = self.testbed.plant
-        return min(plant.clearance, plant.edge_clearance) < 0.0
+        return min(nearest(plant).gap, plant.edge_clearance) < 0.0
 
     def values(self) -> dict[str, Any]:
         """What it is like, for diagnostics."""
         plant = self.testbed.plant
         values: dict[str, Any] = {
-            "momentum and energy from nothing [N s, N m s, J]": abs(plant.imbalance).max(),
-            "gap between bodies [m]": plant.clearance,
+            "momentum and energy from nothing [N s, N m s, J]": abs(plant.bed.imbalance).max(),
+            "gap between bodies [m]": nearest(plant).gap,
             "gap to the table's edge [m]": plant.edge_clearance,
             "propellant used [kg]": plant.thrusters.used,
             "rests": self.testbed.sensors.rests,

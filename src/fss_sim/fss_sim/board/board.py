@@ -15,7 +15,7 @@ from fss_base_driver.protocol import (
 from fss_sim.faults import NO_FAULTS, LinkFaults
 from fss_sim.link.channel import Channel, Datagram
 from fss_sim.noise import Noise
-from fss_sim.plant.plant import Plant
+from fss_sim.plant.plant import Vehicle
 
 UPTIME = 10_000_000  # it was switched on within this time before the test bed [us]
 GYRO_SCALE = 1e-6  # of a count of the gyro's samples [rad/s]
@@ -81,7 +81,7 @@ class Board:
         self._in.put(Datagram(data, peer), now, faults)
         self._listen(now)
 
-    def act(self, now: int, plant: Plant) -> None:
+    def act(self, now: int, plant: Vehicle) -> None:
         """Have valves and gripper do what they are told from now on."""
         self._listen(now)
         if self.state is None:
@@ -96,7 +96,7 @@ class Board:
             plant.closed = self.state.gripper is Gripper.CLOSE
 
     def report(
-        self, now: int, plant: Plant, rate: float | None, faults: LinkFaults = NO_FAULTS
+        self, now: int, plant: Vehicle, rate: float | None, faults: LinkFaults = NO_FAULTS
     ) -> list[Datagram]:
         """What arrives of its telemetry; `rate`: by the gyro, if that answers [rad/s]."""
         if self.state and rate is not None:
@@ -114,7 +114,7 @@ class Board:
             self._out.put(Datagram(encode(frame, self._key), self._peer), now, faults)
         return self._out.arrived(now)
 
-    def _slow(self, plant: Plant) -> dict[BaseSlow, int]:
+    def _slow(self, plant: Vehicle) -> dict[BaseSlow, int]:
         tank, propulsion = plant.thrusters.pressure, plant.thrusters.propulsion
         return {
             BaseSlow.TANK: round(1e-3 * tank),

@@ -203,6 +203,9 @@ class Vehicle:
     def edge_clearance(self) -> float:
         """The least gap between base or arm and the table's edge [m]; below 0 the border pushes."""
         around = self.world.surroundings
+        if not self.n:
+            half = 0.5 * np.array(around.table)
+            return float(np.min(half - abs(self.q[:2]))) - around.base_radius
         radii = around.base_radius, around.link_radius
         return float(edge_clearance(self._p, self.q, around.table, *radii))
 
