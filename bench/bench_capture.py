@@ -3,7 +3,8 @@
 Flies missions in the pure loop of test/support/capturing.py: the plant with the default errors of
 the sensors, navigation, control and guidance, over a grid of the target's spin and heading, of the
 base's distance and of seeds, which also draw the target's drift. With --faults, missions in which
-something fails in each phase. Each run is a line of JSON in --out; the table is of all of them.
+something fails in each phase; with --ghosts, bodies pass through each other. Each run is a line of
+JSON in --out; the table is of all of them.
 """
 
 import os
@@ -94,10 +95,12 @@ def main() -> None:
     parser.add_argument("--reach", default="jacobian")
     parser.add_argument("--runs", type=int, default=280)
     parser.add_argument("--faults", action="store_true")
+    parser.add_argument("--ghosts", action="store_true")
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--out", type=Path, default=Path("out/capture.jsonl"))
     options = parser.parse_args()
     cases = list(failures() if options.faults else grid())[: options.runs]
+    cases = [replace(case, solid=not options.ghosts) for case in cases]
     options.out.parent.mkdir(parents=True, exist_ok=True)
     rows = []
     with ProcessPoolExecutor(options.processes) as pool, options.out.open("w") as file:

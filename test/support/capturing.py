@@ -15,6 +15,7 @@ from fss_gnc.guidance.capture import Capture
 from fss_gnc.guidance.mission_settings import MissionSettings
 from fss_gnc.navigation.navigation import Navigation
 from fss_sim.noise import PRESETS
+from fss_sim.plant.contact import Contact
 from fss_sim.plant.drives import OFF, VELOCITY
 from fss_sim.plant.plant import Demand, Plant, World
 from fss_sim.sensors import RATE, Sensors
@@ -44,6 +45,7 @@ class Case:
     fault: str = ""  # outage, open, closed, gyro, link
     phase: str = ""  # at whose begin it happens
     lasts: float = 0.0  # of an outage [s]
+    solid: bool = True  # whether bodies keep each other out
 
 
 @dataclass
@@ -61,6 +63,8 @@ class Flown:
     torque: float = 0.0  # largest at a joint [N m]
     momentum: float = np.nan  # angular, at the grip [N m s]
     contact: str = ""  # of what with what; empty: none
+    nudges: int = 0  # frames in which the gripper touched the target
+    pushed: float = 0.0  # all that was given in contacts [N s]
     edge: float = np.inf  # least [m]
     spin: float = 0.0  # of the target at the end [rad/s]
     wall: float = 0.0  # [s]
@@ -81,7 +85,8 @@ class Flight:
         at = centre + case.distance * side
         q = np.array([at.real, at.imag, -1.4, *POSTURE])
         target = [[centre.real, centre.imag, case.heading], [*case.drift, case.spin]]
-        self.plant = Plant(arm, q, None, World(target=settings.target), target)
+        world = World(target=settings.target, contact=Contact() if case.solid else None)
+        self.plant = Plant(arm, q, None, world, target)
         self.craft = Craft(arm, settings)
         self.activity = activity or Capture(self.craft)
         propulsion, self.valves = self.plant.world.propulsion, self.plant.thrusters.layout
@@ -204,6 +209,11 @@ class Flight:
 
     def look(self):
         plant = self.plant
+        for names, push in plant.bed.touched.items():
+            self.flown.pushed += push
+            self.flown.nudges += names == ("gripper", "target")
+            if names != ("gripper", "target") and not self.flown.contact:
+                self.flown.contact = f"{' with '.join(names)} at {self.t:.1f} s"
         effort = plant._torques[:, 1]
         self.flown.torque = max(self.flown.torque, float(np.abs(effort).max()))
         now = round(self.t * SECOND)

@@ -29,6 +29,7 @@ from fss_arm_ros.parameters import converted
 from fss_sim.link.pty import LinkTerminal
 from fss_sim.link.udp import LinkSocket
 from fss_sim.noise import PRESETS, Noise
+from fss_sim.plant.contact import Contact
 from fss_sim.plant.plant import Joints, World
 from fss_sim.plant.surroundings import Surroundings
 from fss_sim.plant.target import Gripper
@@ -77,7 +78,15 @@ class PlantSettings(Settings):
     target_fixture: tuple[float, ...] = like(Target, "fixture")
     grip_reach: float = like(Gripper, "reach")
     grip_angle: float = like(Gripper, "angle")
+    target_radius: float = like(Target, "radius")
     grip_speed: float = like(Gripper, "speed")
+    grip_closing_time: float = like(Gripper, "closing_time")
+    grip_force: float = like(Gripper, "force")
+    grip_torque: float = like(Gripper, "torque")
+    gripper_length: float = like(Gripper, "length")
+    contact: bool = setting(True, "bodies keep each other out; false: they pass through")
+    restitution: float = like(Contact, "restitution")
+    contact_friction: float = like(Contact, "friction")
 
     def world(self) -> World:
         """What the plant is made of beside the arm."""
@@ -96,11 +105,20 @@ class PlantSettings(Settings):
                 self.tank_volume,
                 self.tank_pressure,
             ),
-            Gripper(self.grip_reach, self.grip_angle, self.grip_speed),
-            Target(self.target_mass, self.target_inertia, self.target_fixture)
+            Gripper(
+                self.grip_reach,
+                self.grip_angle,
+                self.grip_speed,
+                self.gripper_length,
+                self.grip_closing_time,
+                self.grip_force,
+                self.grip_torque,
+            ),
+            Target(self.target_mass, self.target_inertia, self.target_fixture, self.target_radius)
             if self.target_mass
             else None,
             self.tolerance,
+            Contact(self.restitution, self.contact_friction) if self.contact else None,
         )
 
 

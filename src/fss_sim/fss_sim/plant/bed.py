@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
 REACH = 5e-3  # [m]: so near, or what they move in two steps, are parts that may touch in one
 ALREADY = -2e-4  # [m]: parts that overlap by more at first pass through each other until apart
+AMPLE = 10  # times the time to pass: so long until somebody may touch needs no check afterwards
 MOST = 8  # trials of a step
 TOUCH, WELD = 1e-7, 1e-8  # how far off a step may end, of a gap and of a pose [m, rad]
 TIP = Target(fixture=(0.0, 0.0, 0.0))  # a gripper, as what another grips
@@ -69,6 +70,8 @@ class Weld:
     place: Floats = field(init=False)  # (3,) the other's tip as seen from the one's
     goal: Floats = field(default_factory=lambda: np.zeros(3))  # its velocity at a step's begin
     impulse: Floats = field(default_factory=lambda: np.zeros(3))  # of the last step [N s, N m s]
+    answer: Floats = field(default_factory=lambda: STEP * np.eye(3))  # of where it is to the goal
+    last: tuple[Floats, Floats] | None = None  # goal and what came of it, in this step
 
     def __post_init__(self) -> None:
         (x, y, turn), (u, v, other) = self._tips()
@@ -83,6 +86,21 @@ class Weld:
         (x, y, turn), (u, v, other) = self._tips()
         apart = complex(*self.place[:2]) * np.exp(1j * turn)
         return np.array([u - x - apart.real, v - y - apart.imag, other - turn - self.place[2]])
+
+    def improve(self) -> bool:
+        """Correct the goal by how far off a step with it has ended, by Broyden's method.
+
+        A servo that holds its joint lets less come of a velocity than that times the step.
+        """
+        off, last = self.off(), self.last
+        self.last = self.goal, off
+        if last is not None and (tried := self.goal - last[0]).any():
+            missed = off - last[1] - self.answer @ tried
+            self.answer = self.answer + np.outer(missed, tried) / (tried @ tried)
+        if abs(off).max() <= WELD:
+            return False
+        self.goal = self.goal - np.linalg.solve(self.answer, off)
+        return True
 
     def jacobians(self) -> tuple[Floats, Floats]:
         """(3, 3 + n) of each: twist of what moves with its last link at the other's tip."""
@@ -305,11 +323,11 @@ class Bed:
         room = self._room()
         self._past &= room[:, 0] < 0.0
         watched = room[~self._past] if self.contact else room[:0]
-        slack = np.min(watched[:, 0] / (1.5 * watched[:, 1] + 0.05), initial=np.inf)
-        count = 1 if self._welds else int(min(max(slack / STEP, 1.0), most))
+        slack = (watched[:, 0] / (1.5 * watched[:, 1] + 0.05)).min(initial=np.inf) / STEP
+        count = 1 if self._welds else int(min(max(slack, 1.0), most))
         kept = [chain.kept for chain in self._chains]
         self._pass(count)
-        while count > 1:
+        while count > 1 and slack < AMPLE * count:
             after = self._room()[~self._past]
             way = STEP * count * np.maximum(watched[:, 1], after[:, 1])
             if (watched[:, 0] + after[:, 0] > way).all():
@@ -317,6 +335,8 @@ class Bed:
             self._restore(kept)
             count //= 2
             self._pass(count)
+        if count > 1:
+            return count
         near = ~self._past & (room[:, 0] < REACH + 2.0 * STEP * room[:, 1])
         self._meet(kept, near if self.contact else np.zeros_like(near))
         return 1
@@ -363,6 +383,8 @@ class Impact:
         for chain, part in zip(bed._chains, self._scene.slices, strict=True):
             self._inverse[part, part] = np.linalg.inv(chain.inertia())
         self._welds = bed._welds
+        for weld in self._welds:
+            weld.last = None
         self._W = np.zeros((3 * len(self._welds), self._v.size))
         number = {id(chain): c for c, chain in enumerate(bed._chains)}
         for k, weld in enumerate(self._welds):
@@ -376,6 +398,7 @@ class Impact:
         self._drawn = drawn @ self._stiff
         self.on = np.zeros(self._here.shape[:2], dtype=bool)  # where parts touch
         self._at, self._goals, self._before = np.zeros((0, 2), dtype=np.intp), *np.zeros((2, 0))
+        self._tried, self._came = np.zeros((2, 0))
         self._J, self._pushes = np.zeros((0, self._v.size)), np.zeros(0)
         self._given = np.zeros(self._v.size)
 
@@ -397,6 +420,8 @@ class Impact:
         goals = np.where(before < -self._law.threshold, back, there)
         self._at, self._J = np.concatenate([self._at, more]), np.concatenate([self._J, J])
         self._goals = np.concatenate([self._goals, goals])
+        self._tried = np.concatenate([self._tried, goals])  # before, and the gaps that came of it
+        self._came = np.concatenate([self._came, np.zeros_like(goals)])
         self._before = np.concatenate([self._before, before])
 
     def change(self) -> Floats:
@@ -416,16 +441,19 @@ class Impact:
 
     def improve(self, ended: Floats) -> bool:
         """Correct the goals by the gaps (g, 4) that the step ends with; False: all is well."""
+        held = [weld.improve() for weld in self._welds]
+        if not self._goals.size:
+            return any(held)
         off = ended[tuple(self._at.T)]
         rests = (self._pushes[::2] > 0.0) & ~self._bounces & (off > TOUCH)
-        # To reflect is the most that makes no energy.
-        better = np.minimum(self._goals - off / STEP, np.maximum(-self._before, 0.0))
+        tried, came = self._goals - self._tried, off - self._came
+        rate = np.where(abs(tried) > 1e-9, came / np.where(tried == 0.0, 1.0, tried), STEP)
+        better = self._goals - off / np.clip(rate, 0.1 * STEP, STEP)
+        better = np.minimum(better, np.maximum(-self._before, 0.0))  # more would make energy
         wrong = ((off < -TOUCH) | rests) & (better != self._goals)
+        self._tried, self._came = self._goals, off
         self._goals = np.where(wrong, better, self._goals)
-        drifted = [weld.off() for weld in self._welds]
-        for weld, one in zip(self._welds, drifted, strict=True):
-            weld.goal = weld.goal - one / STEP
-        return bool(wrong.any()) or any(abs(one).max() > WELD for one in drifted)
+        return bool(wrong.any()) or any(held)
 
     def gained(self) -> float:
         """Work of the impulses [J]."""

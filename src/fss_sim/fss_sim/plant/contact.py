@@ -124,9 +124,9 @@ def _room(p, q, v, chains, parts, pairs, out):  # type: ignore[no-untyped-def]
         a, b = _ends(i, r, u)
         c, d = _ends(j, r, u)
         apart = min(min(_off(a, c, d), _off(b, c, d)), min(_off(c, a, b), _off(d, a, b)))
-        if _cross(b - a, c - a) * _cross(b - a, d - a) < 0.0:
-            if _cross(d - c, a - c) * _cross(d - c, b - c) < 0.0:
-                apart = 0.0
+        crossed = _cross(b - a, c - a) * _cross(b - a, d - a) < 0.0
+        if crossed and _cross(d - c, a - c) * _cross(d - c, b - c) < 0.0:
+            apart = 0.0
         out[g, 0] = apart - i[RADIUS] - j[RADIUS]
         own = _velocity(i, chains, r, v, a)
         turning = abs(_velocity(i, chains, r, v, b) - own)
