@@ -80,8 +80,10 @@ class TestbedNode(Node):
 
     def begin(self, states: list[State]) -> None:
         """Make the vehicles in these states, and let their time begin now."""
-        plants = [vehicle.made(state) for vehicle, state in zip(self.vehicles, states, strict=True)]
-        together(plants, states)
+        plants: list[Any] = [None]
+        if self.settings.vehicles:
+            plants = [v.made(state) for v, state in zip(self.vehicles, states, strict=True)]
+            together(plants, states)
         for vehicle, plant, state in zip(self.vehicles, plants, at_one_time(states), strict=True):
             vehicle.begin(plant, state, self.seed + vehicle.settings.seed - self.settings.seed)
         self.pace = self.new_pace()

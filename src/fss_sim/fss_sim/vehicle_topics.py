@@ -57,7 +57,7 @@ class VehicleTopics:
         self.wires = settings.wires(self.n)
         self.board_wire = settings.board_wire()
         self.base = node.create_publisher(PoseStamped, settings.base_topic, SENSOR)
-        self.tip = self.gripper = None
+        self.tip = self.gripper = self.target = None
         if self.n:
             self.tip = node.create_publisher(PoseStamped, settings.tip_topic, SENSOR)
         if self.board_wire is None:
@@ -85,8 +85,8 @@ class VehicleTopics:
         world = self.settings.world()
         return Vehicle(self.arm, state.q, state.qd, world, state.propellant, self.name)
 
-    def begin(self, plant: Vehicle, state: State, seed: int) -> None:
-        """Give electronics and sensors to the vehicle in this state."""
+    def begin(self, plant: Vehicle | None, state: State, seed: int) -> None:
+        """Give electronics and sensors to a vehicle in this state; None: to one that is alone."""
         settings = self.settings
         self.testbed = Testbed(
             self.arm,
@@ -123,11 +123,10 @@ class VehicleTopics:
     def publish(self, stamp: int, sight: Sight) -> None:
         """Publish what the sensors see."""
         settings, plant = self.settings, self.testbed.plant
-        for publisher, seen in ((self.base, sight.base), (self.tip, sight.tip)):
+        publishers = (self.base, sight.base), (self.tip, sight.tip), (self.target, sight.target)
+        for publisher, seen in publishers:
             if publisher and seen:
                 publisher.publish(self.pose_image.of(stamp, seen))
-        if sight.target:
-            self.target.publish(self.pose_image.of(stamp, sight.target))
         if sight.rate is not None and self.board_wire is None:
             self.gyro.publish(self.gyro_image.of(stamp, sight.rate))
         if self.testbed.frame % round(RATE / settings.truth_rate) == 0:
