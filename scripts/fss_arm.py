@@ -2,8 +2,8 @@
 
 arm, disarm: all links (arm/enable). stop: all links of all vehicles at once, or of the one named;
 those that are on hold, under power, until disarmed or armed anew (arm/stop); it fails unless each
-link says that it has stopped. home: each armed link without a reference finds it, one
-after the other. clear: all links disarm and clear their drives' latched faults.
+link, and each base's board, says that it has stopped. home: each armed link without a reference
+finds it, one after the other. clear: all links disarm and clear their drives' latched faults.
 solve: each calibration that runs closes its present datum and solves. forget: they drop
 all that they have observed.
 """
@@ -26,11 +26,12 @@ from std_msgs.msg import Empty
 from std_srvs.srv import SetBool, Trigger
 
 from fss_arm_driver.protocol import State
-from fss_arm_msgs.msg import LinkCommand, LinkTelemetry
+from fss_arm_msgs.msg import BaseTelemetry, LinkCommand, LinkTelemetry
 from fss_arm_ros.convert import stamp_ns
 from fss_arm_ros.executor import BatchExecutor
 from fss_arm_ros.qos import command, sensor, subscribe_sensor
 from fss_arm_ros.run import RCLError
+from fss_base_driver.protocol import BaseState
 
 ANSWER_TIMEOUT = 10.0  # [s]
 SETTLED = 1.0  # without a new one, all are known [s]
@@ -40,7 +41,10 @@ CALIBRATIONS = ("kinematic", "dynamic", "drift")
 REPEAT = 0.05  # from one stop to the next [s]
 GRAPH = 0.5  # by then a program that has begun knows who is there [s]
 CONFIRM = 1.0  # by then a link that is known has said that it stopped [s]
-TOPIC = re.compile(r"(?P<namespace>.*)/(?:arm/stop|(?P<link>link_\d+)/(?:telemetry|command))")
+TOPIC = re.compile(
+    r"(?P<namespace>.*)/(?:arm/stop|(?P<link>link_\d+)/(?:telemetry|command)|(?P<base>base)/telemetry)"
+)
+STOPPED = {LinkTelemetry: State.STOPPED, BaseTelemetry: BaseState.STOPPED}
 EMERGENCY = "use the emergency stop"
 LIVES = 2.0  # a HOME, so that the link holds soon after this has ended [s]
 
@@ -85,7 +89,7 @@ def settled(node: Node, known: Callable[[], Any], nobody: str, wait: float) -> A
 
 
 class Stop:
-    """Stops all arms in the graph, or those in a namespace, until each link itself says it has.
+    """Stops all vehicles in the graph, or one, until each link, and each base, says it has.
 
     A link is there if somebody drives or commands it, as the node `arm` does all of its arm's.
     """
@@ -94,7 +98,7 @@ class Stop:
         self.node = node
         self.namespace = namespace and f"/{namespace.strip('/')}".rstrip("/")
         self.publishers: dict[str, Publisher] = {}
-        self.begun = self.known = monotonic()  # of the last link that became known
+        self.begun = self.known = monotonic()  # of the last part that became known
         self.since = int(node.get_clock().now().nanoseconds)  # by the clock of telemetry's stamps
         self.after: dict[
             str, float
@@ -118,21 +122,23 @@ class Stop:
             found = TOPIC.fullmatch(topic)
             if not found or self.namespace not in (None, found["namespace"]):
                 continue
-            link = found["link"] and f"{found['namespace']}/{found['link']}"
-            if not link:
+            part = found["link"] or found["base"]
+            part = part and f"{found['namespace']}/{part}"
+            if not part:
                 self.publish(topic)
-            elif link not in self.after and self.node.count_publishers(topic):
-                self.listen(link)
+            elif part not in self.after and self.node.count_publishers(topic):
+                self.listen(part, LinkTelemetry if found["link"] else BaseTelemetry)
 
-    def listen(self, link: str) -> None:
-        """Await that a link measures itself stopped after this began."""
-        self.known, self.after[link] = monotonic(), inf
+    def listen(self, part: str, kind: type) -> None:
+        """Await that a link, or a base's board, reports itself stopped after this began."""
+        self.known, self.after[part] = monotonic(), inf
+        stopped = STOPPED[kind]
 
-        def take(message: LinkTelemetry) -> None:
-            if message.flags & State.STOPPED and stamp_ns(message.header.stamp) > self.since:
-                self.after[link] = min(self.after[link], monotonic() - self.begun)
+        def take(message: Any) -> None:
+            if message.flags & stopped and stamp_ns(message.header.stamp) > self.since:
+                self.after[part] = min(self.after[part], monotonic() - self.begun)
 
-        subscribe_sensor(self.node, LinkTelemetry, f"{link}/telemetry", take)
+        subscribe_sensor(self.node, kind, f"{part}/telemetry", take)
 
     def __call__(self, wait: float) -> Answer:
         """Stop; whether all links confirm, in words."""
@@ -285,10 +291,11 @@ def main() -> int:
             done, words = Stop(node, options.vehicle)(options.wait or 2.0)
         else:
             done, words = order(node, options.what, options.wait or 10.0, options.within)
+            words = f"{vehicle}: {words}" if vehicle and len(node.get_namespace()) > 1 else words
         code = 0 if done else 1
     except NoAnswerError as error:
         others = [v for v in vehicles(node) if v != node.get_namespace()]
-        also = f"; {', '.join(others)} have arms: --vehicle NAME" if others else ""
+        also = f"; --vehicle is one of {', '.join(others)}" if others else ""
         words = f"{error}{_where(node)}{also}"
     except (KeyboardInterrupt, ExternalShutdownException):
         code, words = 130, "interrupted"

@@ -64,7 +64,7 @@ class TestbedNode(Node):
         self.diagnostics = [Diagnostics(self, self.health)]
         for vehicle in self.vehicles if settings.vehicles else ():
             name = f"{vehicle.space}{self.get_name()}"
-            health = partial(self.health_of, vehicle)
+            health = partial(self.health_of, vehicle, "no contact")
             self.diagnostics.append(Diagnostics(self, health, name=name))
         self.ticker = Ticker(self.tick, self.create_guard_condition(self.on_failure))
 
@@ -222,10 +222,10 @@ class TestbedNode(Node):
         words = f"{state}, {found.message}" if found.message else state
         return Health(max(level, found.level), words, {**values, **found.values})
 
-    def health_of(self, vehicle: VehicleTopics) -> Health:
-        """What a vehicle is like."""
+    def health_of(self, vehicle: VehicleTopics, apart: str = "") -> Health:
+        """What a vehicle is like; `apart`: what to say of one that touches nothing."""
         touches = vehicle.touches()
-        words = "bodies touch each other or the table's border" if touches else ""
+        words = "bodies touch each other or the table's border" if touches else apart
         return Health(WARN if touches else OK, words, vehicle.values())
 
     def close(self) -> None:

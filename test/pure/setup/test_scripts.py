@@ -177,6 +177,20 @@ def test_systemd_disarms_by_the_arm_node_if_there_is_one_left(
     assert (stopped.returncode, stopped.stdout, stopped.stderr) == (0, said, "")
 
 
+def test_units_of_two_vehicles_are_told_apart(tmp_path: Path) -> None:
+    written = run("scripts/fss_systemd.sh", tmp_path, "config/fss_two_sim.sh", cwd=ROOT)
+    assert written.returncode == 0, written.stderr
+    unit = (tmp_path / "fss_two_sim-fss2-arm.service").read_text()
+    assert "After=fss_two_sim-fss2-link_4.service" in unit
+    assert "fss_two_sim.sh fss2/arm\n" in unit
+    assert "fss_arm.sh --vehicle fss2 disarm" in unit
+    assert "fss_two_sim-fss1-record.service" in (tmp_path / "fss_two_sim.target").read_text()
+    assert "FSS_NAMESPACE" not in unit
+    run("scripts/fss_systemd.sh", tmp_path, cwd=ROOT, env=os.environ | {"FSS_NAMESPACE": "fss2"})
+    unit = (tmp_path / "fss-fss2-arm.service").read_text()
+    assert 'Environment="FSS_NAMESPACE=fss2"' in unit
+
+
 @pytest.mark.parametrize("command", [["fss_status.sh"], ["fss_arm.sh", "stop"]])
 def test_a_configuration_that_is_nowhere_is_named(command):
     script, *words = command
