@@ -1,4 +1,7 @@
-"""Speed of the dynamics beside that of MuJoCo and Pinocchio (python bench/bench_plant.py).
+"""Speed of the dynamics beside that of MuJoCo and Pinocchio (python bench/bench_plant.py [beds]).
+
+And how many times as fast as real time the bed is with several vehicles, contact and grips; `beds`:
+that alone.
 
 RK4 at 1 ms, the whole trajectory kept. Each figure is the median over interleaved runs, so that
 what else the machine does touches all alike; ratios are medians of the runs' own ratios. The share
@@ -10,7 +13,7 @@ import os
 import sys
 from functools import partial
 from pathlib import Path
-from time import perf_counter
+from time import perf_counter, process_time
 
 import mujoco
 import numba
@@ -23,8 +26,16 @@ from model_arms import random_arm
 from model_oracles import mujoco_model, pinocchio_model
 
 from fss_arm_model.description import paper_arm
+from fss_arm_model.held import Target
 from fss_arm_model.integration import STEP
+from fss_arm_model.kinematics import joint_positions
 from fss_arm_model.rollout import rollout
+from fss_sim.plant.bed import Bed
+from fss_sim.plant.contact import Contact
+from fss_sim.plant.drives import CURRENT, VELOCITY
+from fss_sim.plant.plant import Demand, Vehicle, World
+from fss_sim.plant.surroundings import Surroundings
+from fss_sim.plant.target import Gripper, Passive
 
 STEPS, RUNS = 5000, 15
 FORCES = mujoco.mjtState.mjSTATE_QFRC_APPLIED.value
@@ -141,7 +152,74 @@ def beside_peers(arm, rng, required, required_of_batch):
         compare("mujoco.rollout", peer, mine, share, share, required_of_batch, n, threads)
 
 
+WIDE = Surroundings(table=(40.0, 40.0))
+
+
+def vehicles(number, gripper=None):
+    """Vehicles 3 m apart, each driving its joints."""
+    found = []
+    for k in range(number):
+        world = World(surroundings=WIDE, gripper=gripper or Gripper())
+        found.append(
+            Vehicle(paper_arm(), [3.0 * k, 0.0, 0.0, 0, 0, 0, 0], None, world, name=f"{k}")
+        )
+        for joint, rate in enumerate((0.1, -0.1, 0.1, 0.1)):
+            found[-1].command(joint, Demand(VELOCITY, rate, abs(rate), 1.0))
+    return found
+
+
+def apart(number, targets, contact):
+    """None near another."""
+    free = [Passive(Target(), [[3.0 * k, 5.0, 0.0], 3 * [0.0]], WIDE) for k in range(targets)]
+    return Bed(vehicles(number), free, contact)
+
+
+def leaning():
+    """An arm whose third link leans on a heavy target."""
+    (one,) = vehicles(1)
+    a, b = (complex(*at) for at in joint_positions(one.p, one.q)[2:4])
+    c = 0.5 * (a + b) + 1j * (b - a) / abs(b - a) * 0.251
+    one.command(0, Demand(CURRENT, 1.5))
+    return Bed(
+        [one], [Passive(Target(500.0, 9.0), [[c.real, c.imag, 0], 3 * [0.0]], WIDE)], Contact()
+    )
+
+
+def arm_in_arm():
+    """Two that hold each other: a closed chain."""
+    one, other = vehicles(2, Gripper(5.0, 3.2, 5.0))
+    one.closed = True
+    return Bed([one, other], [], Contact())
+
+
+def beds(time=2.0):
+    """How many times as fast as real time the bed is, by the processor's time; frames of 10 ms."""
+    cases = {
+        "one vehicle": lambda: apart(1, 0, None),
+        "one vehicle, a target, contact": lambda: apart(1, 1, Contact()),
+        "two vehicles, a target, contact": lambda: apart(2, 1, Contact()),
+        "four vehicles, two targets, contact": lambda: apart(4, 2, Contact()),
+        "one leans on a target": leaning,
+        "two arm in arm": arm_in_arm,
+    }
+    print("the bed, in multiples of real time (one thread)")
+    for name, make in cases.items():
+        rows = []
+        for _ in range(4):
+            bed, touched = make(), 0
+            bed.advance(0.01)
+            begin = process_time()
+            for _ in range(round(100 * time)):
+                bed.advance(0.01)
+                touched += bool(bed.touched)
+            rows.append(time / (process_time() - begin))
+        print(f"  {name:36} {np.median(rows):8.1f}  touched in {touched / time:.0f} frames of 100")
+
+
 def main():
+    if sys.argv[1:] == ["beds"]:
+        beds()
+        return
     rng = np.random.default_rng(1)
     multiply_and_add()  # compiled
     beside_peers(paper_arm(), rng, 8, 25)
@@ -153,6 +231,7 @@ def main():
         none = np.zeros((2000, 3 + n))
         took = [seconds(lambda: rollout(chain, still, still, none)) for _ in range(RUNS)]  # noqa: B023
         print(f"  n = {n:2}  {1e6 * np.median(took) / 2000:8.3f} us")
+    beds()
 
 
 if __name__ == "__main__":

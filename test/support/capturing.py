@@ -18,6 +18,7 @@ from fss_sim.noise import PRESETS
 from fss_sim.plant.contact import Contact
 from fss_sim.plant.drives import OFF, VELOCITY
 from fss_sim.plant.plant import Demand, Plant, World
+from fss_sim.plant.target import Gripper
 from fss_sim.sensors import RATE, Sensors
 
 PERIOD = 0.1  # of guidance and control [s]
@@ -46,6 +47,7 @@ class Case:
     phase: str = ""  # at whose begin it happens
     lasts: float = 0.0  # of an outage [s]
     solid: bool = True  # whether bodies keep each other out
+    gripper: Gripper = field(default_factory=Gripper)
 
 
 @dataclass
@@ -65,6 +67,7 @@ class Flown:
     contact: str = ""  # of what with what; empty: none
     nudges: int = 0  # frames in which the gripper touched the target
     pushed: float = 0.0  # all that was given in contacts [N s]
+    slips: int = 0  # that were lost after they were held
     edge: float = np.inf  # least [m]
     spin: float = 0.0  # of the target at the end [rad/s]
     wall: float = 0.0  # [s]
@@ -85,7 +88,8 @@ class Flight:
         at = centre + case.distance * side
         q = np.array([at.real, at.imag, -1.4, *POSTURE])
         target = [[centre.real, centre.imag, case.heading], [*case.drift, case.spin]]
-        world = World(target=settings.target, contact=Contact() if case.solid else None)
+        contact = Contact() if case.solid else None
+        world = World(gripper=case.gripper, target=settings.target, contact=contact)
         self.plant = Plant(arm, q, None, world, target)
         self.craft = Craft(arm, settings)
         self.activity = activity or Capture(self.craft)
@@ -99,8 +103,10 @@ class Flight:
         self.encoders = rng.uniform(-7e-4, 7e-4, arm.n)
         self.joints, self.demands = deque(), deque()
         self.heard = None  # of the joints: angles, rates, torques, when [s]
-        self.frame, self.faulted = 0, np.inf
+        self.frame, self.faulted, self.held = 0, np.inf, False
+        self.last_near = 0.0  # when the gripper was at the fixture last [s]
         self.flown = Flown(case)
+        self.film: list[tuple[float, np.ndarray, np.ndarray]] = []  # time, q, target's pose
         self.around = sizes(settings, settings.target_radius, settings.gripper_length)
 
     @property
@@ -241,6 +247,9 @@ class Flight:
 
     def judge(self):
         """Who touches whom."""
+        self.film.append((self.t, self.plant.q.copy(), self.plant.target[0].copy()))
+        self.flown.slips += self.held and not self.plant.holds and self.plant.closed
+        self.held = self.plant.holds
         plant, flown, n = self.plant, self.flown, self.arm.n
         p, q = self.arm.vector(), plant.q
         edge = float(gaps(p, q, list(with_edge(n)), self.around).min())
@@ -254,6 +263,8 @@ class Flight:
             if not flown.captured:
                 flown.captured, flown.grip = True, self.t
                 flown.momentum = float(momentum(plant._p, plant.q, plant.qd)[2])
+        if plant.approach.distance < 0.05:
+            self.last_near = self.t
         half = 2.0 - 0.19
         out = np.abs(plant.target[0, :2]).max() > half and plant.holds
         for name, gap in (("edge", edge), ("itself", own), ("target", float(apart.min()))):

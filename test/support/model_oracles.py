@@ -34,7 +34,9 @@ def add_body(model, parent, place, body):
     return joint
 
 
-def mujoco_model(arm: Arm) -> mujoco.MjModel:
+def mujoco_model(arm: Arm, link_radius: float = 0.0, others: str = "") -> mujoco.MjModel:
+    """The arm, its links as capsules if they have a radius, and other bodies."""
+
     def body(name, place, joints, mass, inertia, x, y, inner):
         return (
             f'<body name="{name}" {place}>{joints}<inertial pos="{x!r} {y!r} 0" mass="{mass!r}" '
@@ -47,6 +49,11 @@ def mujoco_model(arm: Arm) -> mujoco.MjModel:
         link = arm.links[i]
         x, y, turn = arm.base.mount if i == 0 else (arm.links[i - 1].a, 0.0, 0.0)
         place = f'pos="{x!r} {y!r} 0" euler="0 0 {turn + link.theta_0!r}"'
+        if link_radius:
+            inner += (
+                f'<geom type="capsule" fromto="0 0 0 {link.a!r} 0 0" size="{link_radius!r}" '
+                'contype="1" conaffinity="2"/>'
+            )
         inner = body(
             f"link_{i + 1}", place, hinge, link.mass, link.inertia, link.g, link.lateral, inner
         )
@@ -54,5 +61,5 @@ def mujoco_model(arm: Arm) -> mujoco.MjModel:
     base = body("base", "", slides + hinge, arm.base.mass, arm.base.inertia, *arm.base.com, inner)
     return mujoco.MjModel.from_xml_string(
         '<mujoco><compiler angle="radian"/><option gravity="0 0 0"/>'
-        f"<worldbody>{base}</worldbody></mujoco>"
+        f"<worldbody>{base}{others}</worldbody></mujoco>"
     )

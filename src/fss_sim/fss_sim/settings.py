@@ -125,8 +125,9 @@ class PlantSettings(Settings):
 NAME = re.compile("[A-Za-z][A-Za-z0-9_]*")  # of a vehicle, which is a namespace
 OF_THE_BED = {
     *("vehicles", "keep_clock", "speed", "paused", "truth_rate", "state_file", "world_frame"),
-    *("tilt", "table", "tolerance", "target_topic"),
-    *("target_mass", "target_inertia", "target_pose", "target_twist", "target_fixture"),
+    *("tilt", "table", "tolerance", "contact", "restitution", "contact_friction"),
+    *(f.name for f in fields(PlantSettings) if f.name.startswith("target_")),
+    "target_topic",
 }  # so no vehicle's own
 
 

@@ -25,6 +25,7 @@ from fss_sim.settings import TestbedSettings
 from fss_sim.testbed import Report, State, Testbed
 
 REMINDED = 10 * RATE  # from one telling of the faults to the next, for recorders that come late
+TOUCH = 1e-6  # [m]: nearer, bodies lean on each other
 SAVED = RATE // 5  # frames from one writing of the state file to the next
 
 
@@ -184,7 +185,7 @@ class VehicleTopics:
     def touches(self) -> bool:
         """Whether its bodies touch each other or the table's border."""
         plant = self.testbed.plant
-        return min(nearest(plant).gap, plant.edge_clearance) < 0.0
+        return min(nearest(plant).gap, plant.edge_clearance) < TOUCH
 
     def values(self) -> dict[str, Any]:
         """What it is like, for diagnostics."""

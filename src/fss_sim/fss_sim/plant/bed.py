@@ -235,7 +235,16 @@ class Bed:
             assert one is not None
             if not any({w.one, w.other} == {one, vehicle} for w in self._welds):
                 self._welds.append(Weld(one, vehicle))
+                self._arrange()
+                self._stop_past_each_other()
         self._arrange()
+
+    def _stop_past_each_other(self) -> None:
+        """Have all that arms hold together move as one at once, as they close on it."""
+        impact = Impact(self, self._scene.pairs[:0])
+        self._kick(impact.change())
+        self._pass(0)
+        self._lost += impact.gained()
 
     def _release(self, vehicle: "Vehicle") -> None:
         """Let go; who else holds the target has it alone."""
@@ -304,6 +313,10 @@ class Bed:
         for chain, its in zip(self._chains, kept, strict=True):
             chain.kept = its
 
+    def _kick(self, change: Floats) -> None:
+        for chain, part in zip(self._chains, self._scene.slices, strict=True):
+            chain.kick(change[part])
+
     def _go_on(self, most: int) -> None:
         """At most so many steps: those in which nobody touches anybody, or one."""
         loaded = [v for v in self.vehicles if v.held and v.world.gripper.limited]
@@ -354,8 +367,7 @@ class Bed:
             impact.begin(new)
             change = impact.change()
             self._restore(kept)
-            for chain, part in zip(self._chains, self._scene.slices, strict=True):
-                chain.kick(change[part])
+            self._kick(change)
             self._pass(1)
             ended = self._scene.touches(self._moving()[0], pairs)[..., GAP]
             new = (ended < -TOUCH) & ~impact.on

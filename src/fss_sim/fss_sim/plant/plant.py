@@ -125,7 +125,9 @@ class Vehicle:
                 for k in links
             ]
         ).reshape(-1, 7)
+        self._rotors = rotors_inertia(3 + self.n, joints.rotor)
         self._surroundings = self.world.surroundings.vector()
+        self._valves: tuple[int, npt.ArrayLike] = -1, SHUT  # from a step on
         self._demand = np.tile(np.array([OFF, 0.0, 0.0, 1.0]), (self.n, 1))
         self._state = np.zeros((2, 3 + self.n))
         self._state[0] = q
@@ -250,8 +252,7 @@ class Vehicle:
 
     def inertia(self) -> Floats:
         """What impulses feel of it, (3 + n, 3 + n)."""
-        rotors = rotors_inertia(3 + self.n, self.world.joints.rotor)
-        return inertia_matrix(self._p, self.q) + rotors
+        return inertia_matrix(self._p, self.q) + self._rotors
 
     def kick(self, change: Floats) -> None:
         """Change the velocity at once."""
@@ -259,10 +260,12 @@ class Vehicle:
 
     def go(self, steps: int, at: int, tolerance: float) -> None:
         """Let steps pass from the step `at` on; none: renew the books."""
-        valves = self.thrusters.valves(at) if steps and self.thrusters.busy(at) else SHUT
+        if steps and self._valves[0] != at:  # else it is a trial of the same steps
+            self._valves = at, self.thrusters.valves(at) if self.thrusters.busy(at) else SHUT
         self._state, self._reference, self.books, torques = advance(
-            self._p, self.world.joints.rotor, self._joints, self._surroundings, valves,
-            self._demand, self._state, self._reference, self.books, steps, tolerance,
+            self._p, self.world.joints.rotor, self._joints, self._surroundings,
+            self._valves[1], self._demand, self._state, self._reference, self.books, steps,
+            tolerance,
         )  # fmt: skip
         self._torques = torques if steps else self._torques
 
