@@ -58,7 +58,7 @@ class Bench(FakeCraft):
         self.wrenches.append((w.force.x, w.force.y, w.torque.z))
 
     def on_health(self, message):
-        self.words = {s.name: s.message for s in message.status}.get("control", self.words)
+        self.words = {s.name: s.message for s in message.status}.get("/control", self.words)
 
     def until(self, condition, timeout=10.0):
         return self.run([self, self.control], condition, timeout)
