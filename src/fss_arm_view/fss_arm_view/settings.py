@@ -106,6 +106,9 @@ class ViewSettings(Settings):
         ("workspace/markers", "workspace/straight_markers"), "topics of markers: lines are drawn"
     )
     base_frame: str = like(Vehicle, "base_frame")
+    vehicles: tuple[str, ...] = setting(
+        (), "namespaces of vehicles to show together; empty: that of the node alone"
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -87,6 +87,37 @@ class Sink:
             stream.flush()
 
 
+class Scoped:
+    """A sink for one of several vehicles: what is drawn of it is below its name."""
+
+    def __init__(self, sink: Sink, name: str) -> None:
+        self.sink, self.name, self.counts = sink, name, sink.counts
+
+    @property
+    def stream(self) -> rr.RecordingStream:
+        """That of all."""
+        return self.sink.stream
+
+    @stream.setter
+    def stream(self, stream: rr.RecordingStream) -> None:
+        self.sink.stream = stream
+
+    def due(self, entity: str) -> bool:
+        """As of the sink."""
+        return self.sink.due(f"{self.name} {entity}")
+
+    def put(self, t: int | None, drawings: Iterable[Drawing]) -> bool:
+        """As of the sink."""
+        return self.sink.put(t, [(self._own(entity), drawn) for entity, drawn in drawings])
+
+    def _own(self, entity: str) -> str:
+        kind, _, rest = entity.partition("/")
+        if kind == "table" and not rest.startswith(("legend/", "edge")):
+            return f"table/{self.name}/{rest}"
+        what, _, line = rest.partition("/")
+        return f"plot/{what}/{self.name}/{line}" if kind == "plot" else entity
+
+
 class Viewer:
     """The rerun program, as a window or as a server of the web page; ended with its owner."""
 

@@ -13,6 +13,7 @@ import pytest
 import rerun_cli
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import Point, PoseStamped, Transform
+from rclpy.node import Node
 from rclpy.parameter import Parameter
 from running import wait_until
 from sensor_msgs.msg import JointState
@@ -56,6 +57,34 @@ def written(node, file):
         timeout=60,
         check=True,
     ).stdout
+
+
+def test_several_vehicles_are_shown_in_one_recording(spin, tmp_path):
+    file = tmp_path / "view.rrd"
+    node = view(mode="file", file=str(file))
+    ones = [ViewNode(node, namespace=name) for name in ("fss1", "fss2")]
+    ears, topics = Node("source"), []
+    for name in ("fss1", "fss2"):
+        topics.append(ears.create_publisher(PoseStamped, f"/vicon/{name}/{name}", SENSOR))
+        topics.append(ears.create_publisher(JointState, f"/{name}/joint_states", SENSOR))
+    stop = ears.create_publisher(Empty, "/fss2/arm/stop", 10)
+    spin([node, *ones, ears], lambda: all(t.get_subscription_count() for t in [*topics, stop]))
+    for k, topic in enumerate(topics):
+        message = pose_stamped(BEGIN, "world", (float(k), 0.0, 0.0))
+        if k % 2:
+            message = JointState(name=["joint_2"], position=[0.1], velocity=[0.0], effort=[0.0])
+            message.header.stamp = to_time(BEGIN)
+        topic.publish(message)
+    stop.publish(Empty())
+    spin([node, *ones], lambda: all(one.q[1] == 0.1 and one.stamps for one in ones))
+    spin([node, *ones], lambda: all({"base", "joints"} <= one.stamps.keys() for one in ones))
+    shown = written(node, file)
+    for name in ("fss1", "fss2"):
+        assert f"/table/{name}/arm" in shown
+        assert f"/table/{name}/name" in shown
+        assert f"/plot/angle/{name}/link_2" in shown
+    assert "fss2: arm/stop" in shown
+    assert "/table/arm" not in shown
 
 
 def free_port():
