@@ -49,7 +49,9 @@ class MocapSettings(Settings):
     subjects: tuple[str, ...] = setting(
         (), "names of subjects to pass on, each NAME or NAME=SUBJECT/SEGMENT; empty: all"
     )
-    prefix: str = setting("vicon", "first part of the topics PREFIX/SUBJECT/SEGMENT")
+    prefix: str = setting(
+        "vicon", "first part of the topics PREFIX/SUBJECT/SEGMENT", within="/vicon"
+    )
     frame_id: str = setting("world", "frame that the poses are in")
     latency: float = setting(
         0.0, "delay from exposure to arrival, taken off the time of arrival", unit="s",
