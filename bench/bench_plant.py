@@ -11,6 +11,7 @@ registers and without waiting; those of a step are counted from fss_arm_model.la
 
 import os
 import sys
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from time import perf_counter, process_time
@@ -23,7 +24,7 @@ from mujoco import rollout as mujoco_rollout
 
 sys.path.append(str(Path(__file__).parents[1] / "test" / "support"))
 from model_arms import random_arm
-from model_oracles import mujoco_model, pinocchio_model
+from model_oracles import mujoco_index, mujoco_model, pinocchio_model
 
 from fss_arm_model.description import paper_arm
 from fss_arm_model.held import Target
@@ -33,11 +34,13 @@ from fss_arm_model.rollout import rollout
 from fss_sim.plant.bed import Bed
 from fss_sim.plant.contact import Contact
 from fss_sim.plant.drives import CURRENT, VELOCITY
-from fss_sim.plant.plant import Demand, Vehicle, World
+from fss_sim.plant.joints import PRESETS
+from fss_sim.plant.plant import Demand, Plant, Vehicle, World
 from fss_sim.plant.surroundings import Surroundings
 from fss_sim.plant.target import Gripper, Passive
 
 STEPS, RUNS = 5000, 15
+WIDE = Surroundings(table=(40.0, 40.0))  # no border near
 FORCES = mujoco.mjtState.mjSTATE_QFRC_APPLIED.value
 
 
@@ -152,9 +155,6 @@ def beside_peers(arm, rng, required, required_of_batch):
         compare("mujoco.rollout", peer, mine, share, share, required_of_batch, n, threads)
 
 
-WIDE = Surroundings(table=(40.0, 40.0))
-
-
 def vehicles(number, gripper=None):
     """Vehicles 3 m apart, each driving its joints."""
     found = []
@@ -216,6 +216,52 @@ def beds(time=2.0):
         print(f"  {name:36} {np.median(rows):8.1f}  touched in {touched / time:.0f} frames of 100")
 
 
+def with_gears(arm, joints, has_friction):
+    """The plant with joints that give, beside MuJoCo with motors on springs, driven alike.
+
+    With friction, MuJoCo has that of the motors, dry and viscous, and the joints' limits as its
+    constraints; the plant beside has Stribeck's curve, ripple and current loops. It keeps its books
+    in both cases.
+    """
+    torques = 0.5 * np.resize([1.0, -1.0], arm.n)
+    if not has_friction:
+        joints = replace(
+            joints, viscous=0.0, coulomb=0.0, static=0.0, dead_band=0.0, ripple=0.0,
+            current_bandwidth=0.0, stop_stiffness=0.0, stop_damping=0.0,
+        )  # fmt: skip
+    model, N = mujoco_model(arm, joints), joints.gear_ratio
+    model.opt.integrator, model.opt.timestep = mujoco.mjtIntegrator.mjINT_RK4, STEP
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT.value
+    motors = mujoco_index(model, "m", arm.n)
+    if has_friction:
+        model.dof_frictionloss[motors] = joints.coulomb / N
+        model.dof_damping[motors] = joints.viscous / N**2
+        limited = mujoco_index(model, "q", arm.n)
+        model.jnt_limited[limited] = 1
+        model.jnt_range[limited] = [(link.q_min, link.q_max) for link in arm.links]
+    else:
+        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT.value
+    state = np.zeros((1, mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS)))
+    tau, data = np.zeros((1, STEPS, model.nv)), mujoco.MjData(model)
+    tau[0, :, motors] = torques[:, None] / N
+
+    def peer():
+        mujoco_rollout.rollout(model, data, state, tau, control_spec=FORCES)
+
+    def ours():
+        plant = Plant(arm, np.zeros(3 + arm.n), world=World(joints, WIDE))
+        for joint, link in enumerate(arm.links):
+            plant.command(joint, Demand(CURRENT, torques[joint] / link.drive.torque_constant))
+        plant.advance(STEPS * STEP)
+
+    ours()  # compiled
+    runs = [(seconds(peer), seconds(ours)) for _ in range(RUNS)]
+    theirs, mine = 1e6 / STEPS * np.median(runs, axis=0)
+    ratio = np.median([peer / own for peer, own in runs])
+    words = "with friction and limits, at least 5" if has_friction else "springs and dampers alone"
+    print(f"  {mine:6.3f} us/step  mujoco {theirs:7.3f} us/step  ratio {ratio:5.1f}  ({words})")
+
+
 def main():
     if sys.argv[1:] == ["beds"]:
         beds()
@@ -224,6 +270,9 @@ def main():
     multiply_and_add()  # compiled
     beside_peers(paper_arm(), rng, 8, 25)
     beside_peers(random_arm(12, rng), rng, 15, 25)
+    print("joints that give, 4 links, the plant with drives, books and all, one thread")
+    with_gears(paper_arm(), PRESETS["laboratory"], True)
+    with_gears(paper_arm(), PRESETS["laboratory"], False)
     print("cost of a step by the number of links (one thread)")
     for n in (1, 2, 3, 4, 6, 8, 12, 16, 24, 32):
         links = [random_arm(2, rng).vector()[14:] for _ in range(n - 1)]

@@ -30,7 +30,9 @@ from fss_sim.link.pty import LinkTerminal
 from fss_sim.link.udp import LinkSocket
 from fss_sim.noise import PRESETS, Noise
 from fss_sim.plant.contact import Contact
-from fss_sim.plant.plant import Joints, World
+from fss_sim.plant.joints import PRESETS as JOINTS
+from fss_sim.plant.joints import Joints
+from fss_sim.plant.plant import World
 from fss_sim.plant.surroundings import Surroundings
 from fss_sim.plant.target import Gripper
 from fss_sim.plant.thrusters import Propulsion
@@ -38,14 +40,39 @@ from fss_sim.sensors import RATE
 from fss_sim.testbed import State
 
 
+def _of_preset(kind: type[Settings], name: str) -> Any:
+    """A field for one of the numbers that a preset sets; below 0: what it says."""
+    about = kind.__dataclass_fields__[name].metadata  # type: ignore[attr-defined]
+    return field(
+        default=-1.0,
+        metadata={**about, "about": f"{about['about']}; below 0: the preset's", "check": FINITE},
+    )
+
+
+def _given(values: dict[str, float]) -> dict[str, float]:
+    """Those that are not left to the preset."""
+    return {name: value for name, value in values.items() if not value < 0.0}
+
+
 @dataclass(frozen=True)
 class PlantSettings(Settings):
     """What base and arm are made of, what acts on them, and the target."""
 
-    rotor_inertia: float = like(Joints, "rotor_inertia")
+    preset: str = setting(
+        "default", "preset of the joints and of all instruments' errors", check=one_of(*PRESETS)
+    )
+    rotor_inertia: float = _of_preset(Joints, "rotor_inertia")
     gear_ratio: float = like(Joints, "gear_ratio")
-    viscous_friction: float = like(Joints, "viscous")
-    coulomb_friction: float = like(Joints, "coulomb")
+    viscous_friction: float = _of_preset(Joints, "viscous")
+    coulomb_friction: float = _of_preset(Joints, "coulomb")
+    static_friction: float = _of_preset(Joints, "static")
+    stribeck_speed: float = _of_preset(Joints, "stribeck_speed")
+    friction_cancelled: float = _of_preset(Joints, "cancelled")
+    gear_stiffness: float = _of_preset(Joints, "stiffness")
+    gear_damping: float = _of_preset(Joints, "damping")
+    dead_band: float = _of_preset(Joints, "dead_band")
+    torque_ripple: float = _of_preset(Joints, "ripple")
+    current_bandwidth: float = _of_preset(Joints, "current_bandwidth")
     end_stops: bool = setting(True, "stops at the ends of the joints' ranges")
     tilt: tuple[float, ...] = like(Surroundings, "tilt")
     film_damping: float = like(Surroundings, "film")
@@ -88,13 +115,29 @@ class PlantSettings(Settings):
     restitution: float = like(Contact, "restitution")
     contact_friction: float = like(Contact, "friction")
 
+    def joints(self) -> Joints:
+        """The preset's, with the numbers given in their places."""
+        given = {
+            "rotor_inertia": self.rotor_inertia,
+            "viscous": self.viscous_friction,
+            "coulomb": self.coulomb_friction,
+            "static": self.static_friction,
+            "stribeck_speed": self.stribeck_speed,
+            "cancelled": self.friction_cancelled,
+            "stiffness": self.gear_stiffness,
+            "damping": self.gear_damping,
+            "dead_band": self.dead_band,
+            "ripple": self.torque_ripple,
+            "current_bandwidth": self.current_bandwidth,
+        }
+        stops = {} if self.end_stops else {"stop_stiffness": 0.0, "stop_damping": 0.0}
+        return replace(JOINTS[self.preset], gear_ratio=self.gear_ratio, **_given(given), **stops)
+
     def world(self) -> World:
         """What the plant is made of beside the arm."""
-        stops = {} if self.end_stops else {"stop_stiffness": 0.0, "stop_damping": 0.0}
-        frictions = self.viscous_friction, self.coulomb_friction
         tether = self.tether_drag, self.tether_twist
         return World(
-            Joints(self.rotor_inertia, self.gear_ratio, *frictions, **stops),
+            self.joints(),
             Surroundings(self.tilt, self.film_damping, *tether, self.table),
             Propulsion(
                 self.thrust,
@@ -131,15 +174,6 @@ OF_THE_BED = {
 }  # so no vehicle's own
 
 
-def _error(name: str) -> Any:
-    """A field for one of the errors of Noise; below 0: what the preset says."""
-    about = Noise.__dataclass_fields__[name].metadata
-    return field(
-        default=-1.0,
-        metadata={**about, "about": f"{about['about']}; below 0: the preset's", "check": FINITE},
-    )
-
-
 @dataclass(frozen=True)
 class TestbedSettings(PlantSettings):
     """The parameters of a TestbedNode."""
@@ -171,25 +205,27 @@ class TestbedSettings(PlantSettings):
     )
     keys: str = setting("", "file of the links' keys; empty: frames are not signed")
     seed: int = setting(1, "seed of all the sensors' errors", check=at_least(0))
-    preset: str = setting("default", "preset of the sensors' errors", check=one_of(*PRESETS))
-    position_noise: float = _error("position_noise")
-    heading_noise: float = _error("heading_noise")
-    vicon_hold: float = _error("vicon_hold")
-    rest_position_error: float = _error("rest_position_error")
-    rest_heading_error: float = _error("rest_heading_error")
-    gyro_noise: float = _error("gyro_noise")
-    vicon_latency: float = _error("vicon_latency")
-    gyro_bias: float = _error("gyro_bias")
-    gyro_walk: float = _error("gyro_walk")
-    gyro_scale: float = _error("gyro_scale")
-    encoder_error: float = _error("encoder_error")
-    torque_noise: float = _error("torque_noise")
-    torque_zero: float = _error("torque_zero")
+    position_noise: float = _of_preset(Noise, "position_noise")
+    heading_noise: float = _of_preset(Noise, "heading_noise")
+    vicon_hold: float = _of_preset(Noise, "vicon_hold")
+    rest_position_error: float = _of_preset(Noise, "rest_position_error")
+    rest_heading_error: float = _of_preset(Noise, "rest_heading_error")
+    gyro_noise: float = _of_preset(Noise, "gyro_noise")
+    vicon_latency: float = _of_preset(Noise, "vicon_latency")
+    gyro_bias: float = _of_preset(Noise, "gyro_bias")
+    gyro_walk: float = _of_preset(Noise, "gyro_walk")
+    gyro_scale: float = _of_preset(Noise, "gyro_scale")
+    encoder_error: float = _of_preset(Noise, "encoder_error")
+    encoder_eccentricity: float = _of_preset(Noise, "encoder_eccentricity")
+    torque_noise: float = _of_preset(Noise, "torque_noise")
+    torque_zero: float = _of_preset(Noise, "torque_zero")
+    torque_crosstalk: float = _of_preset(Noise, "torque_crosstalk")
+    torque_drift: float = _of_preset(Noise, "torque_drift")
     torque_rate: int = setting(
         80, "samples of a torque converter", unit="1/s",
         check=Check("10 or 80", lambda rate: rate in (10, 80), 10, 80),
     )  # fmt: skip
-    clock_drift: float = _error("clock_drift")
+    clock_drift: float = _of_preset(Noise, "clock_drift")
     battery: float = setting(
         1.0, "charge of the links' batteries at the begin, as a share", check=above(0.0, 1.0)
     )
@@ -228,7 +264,7 @@ class TestbedSettings(PlantSettings):
                 f"speed is {self.speed} and paused {str(self.paused).lower()}, "
                 "expected 1 and false without keep_clock"
             )
-        _ = self.noise()  # which refuses what it must
+        _ = self.noise(), self.joints()  # which refuse what they must
 
     def each(self) -> dict[str, "TestbedSettings"]:
         """The settings of each vehicle by its name; those of the only one if there is no file.
@@ -278,7 +314,7 @@ class TestbedSettings(PlantSettings):
     def noise(self) -> Noise:
         """The preset's deviations, with those given in their places."""
         given = {f.name: getattr(self, f.name) for f in fields(Noise)}
-        return replace(PRESETS[self.preset], **{k: v for k, v in given.items() if not v < 0.0})
+        return replace(PRESETS[self.preset], **_given(given))
 
     def script(self) -> str:
         """The fault script's text."""

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from fss_arm_model.description import Arm, Base
 from fss_arm_model.files import read_yaml, shown, write_text
@@ -20,7 +21,8 @@ from fss_sim.link.channel import Datagram
 from fss_sim.link.link import Link
 from fss_sim.noise import Noise
 from fss_sim.plant.bed import Bed
-from fss_sim.plant.plant import Floats, Plant, Vehicle, World
+from fss_sim.plant.joints import axes, carried
+from fss_sim.plant.plant import Floats, Motion, Plant, Vehicle, World
 from fss_sim.plant.target import Passive
 from fss_sim.sensors import RATE, Sensors, Sight
 
@@ -137,6 +139,8 @@ class Testbed:
         for part in self._electronics():
             part.start(self._boots, self.now, part.uptime)
         self._motions = self.plant.motions()
+        self._strained = noise.torque_crosstalk > 0.0 and bool(links)
+        self._carried = self._momenta() if links else np.zeros((0, 2))
 
     @property
     def now(self) -> int:
@@ -164,12 +168,14 @@ class Testbed:
 
     def observe(self, faulted: bool) -> Report:
         """What comes out of the frame that has passed."""
-        self._motions = self.plant.motions()
+        self._motions = self._measured()
         self.frame += 1
         plant, of = self.plant, self.faults
         rate, target = float(plant.qd[2]), self.target[0].tolist() if plant.bed.targets else None
-        # Without an arm nobody asks where its tip is.
-        tip, qd = (plant.tip, plant.qd[3:]) if plant.n else ((0.0, 0.0, 0.0), np.zeros(1))
+        # Without an arm nobody asks where its tip is. Drives rest while links still swing on their
+        # gears: errors of a rest are theirs.
+        tip = plant.tip if plant.n else (0.0, 0.0, 0.0)
+        qd = np.array([motion.qd for motion in self._motions] or [0.0])
         sight = self.sensors.observe(
             self.frame, plant.base, tip, rate, qd, of.base, of.tip, of.gyro, target
         )
@@ -202,6 +208,20 @@ class Testbed:
         """Make all batteries full; a link whose battery was empty starts again."""
         for link in self.links:
             link.instruments.battery.charge = 1.0
+
+    def _measured(self) -> list[Motion]:
+        """The motions, with the mean forces of the last frame if instruments show them."""
+        motions = self.plant.motions()
+        if not self._strained:
+            return motions
+        before, self._carried = self._carried, self._momenta()
+        forces = RATE * (self._carried - before)
+        across = np.sum(forces * axes(self.plant.p, self.plant.q), axis=1).tolist()
+        return [m._replace(shear=f) for m, f in zip(motions, across, strict=True)]
+
+    def _momenta(self) -> npt.NDArray[np.float64]:
+        """Momentum of what lies beyond each joint, (n, 2) [N s]."""
+        return carried(self.plant.p, self.plant.q, self.plant.qd)
 
     def _electronics(self) -> list[Link | Board]:
         return [*self.links, self.board] if self.board else [*self.links]

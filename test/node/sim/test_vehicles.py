@@ -145,7 +145,7 @@ def test_all_go_on_together_from_their_state_files(spin, bed, tmp_path):
         ("fss1: {}", "vehicles is missing, expected the settings of each, by name"),
         ("vehicles: [fss1]", "vehicles is ['fss1'], expected"),
         ("vehicles: {2nd: {}}", "name is '2nd', expected letters, digits and _"),
-        ("vehicles: {a: {sped: 1}}", "a is 'sped', expected some of rotor_inertia"),
+        ("vehicles: {a: {sped: 1}}", "a is 'sped', expected some of "),
         ("vehicles: {a: {keep_clock: true}}", "a is 'keep_clock', expected some of"),
         ("vehicles: {a: {ports: 5001}}", "a: ports is 5001, expected a list"),
         ("vehicles: {a: {base: [0, 0]}}", "a: base has 2 numbers, expected 3"),

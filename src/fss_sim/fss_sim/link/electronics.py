@@ -103,7 +103,7 @@ class LinkElectronics(LinkState):
     def telemetry(self, clock: int, motion: Motion) -> bytes | None:
         """The frame that is due now, measured now; None between frames."""
         torque = self.instruments.torque
-        torque.sample(clock, motion.torque)
+        torque.sample(clock, motion.torque, motion.shear)
         if clock // self._period == self._periods:
             return None
         self._periods = clock // self._period

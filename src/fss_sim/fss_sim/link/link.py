@@ -46,7 +46,10 @@ class Link:
         self._link, self._rate, self._key = link, rate, key
         made = Random(f"{seed}, {number}")
         self._drift = made.gauss(0.0, noise.clock_drift)
-        self.instruments = instruments.make(link.torque_sensor, noise, made, torque_rate, charge)
+        more = Random(f"{seed}, {number}, laboratory")
+        self.instruments = instruments.make(
+            link.torque_sensor, noise, made, torque_rate, charge, more
+        )
         ways = Random(f"{seed}, {number}, {run}")
         self.uptime = ways.randrange(UPTIME)  # when the test bed begins [us]
         self._in, self._out = Channel(Random(ways.random())), Channel(Random(ways.random()))

@@ -42,7 +42,7 @@ class Audit(NamedTuple):
     """Books on momentum and energy; what is there, less what was given, stays what it was."""
 
     momentum: Floats  # linear, x and y [N s], and angular about the world's origin [N m s]
-    energy: float  # kinetic [J]
+    energy: float  # kinetic, and of the gears' springs [J]
     impulse: Floats  # (3,) given from outside since the begin, and carried away by propellant
     work: float  # done since the begin by all forces, those of contacts and captures too [J]
     contact: float = 0.0  # of it, by contacts and captures; it only falls [J]

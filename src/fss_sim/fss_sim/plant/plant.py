@@ -14,11 +14,11 @@ from fss_arm_model.held import Approach, Target, held, hold, with_held
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_model.layout import BASE_SIZE, LENGTH, MASS, each
 from fss_arm_model.momentum import momentum
-from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, Settings, setting
 from fss_sim.plant.bed import Audit, Bed
 from fss_sim.plant.contact import Contact, Part
 from fss_sim.plant.drives import CURRENT, OFF
-from fss_sim.plant.simulation import advance
+from fss_sim.plant.joints import Joints
+from fss_sim.plant.simulation import advance, advance_geared
 from fss_sim.plant.surroundings import Surroundings
 from fss_sim.plant.target import SHUT, Fingers, Gripper, Passive, rotors_inertia
 from fss_sim.plant.thrusters import Propulsion, Thrusters
@@ -39,36 +39,11 @@ class Demand(NamedTuple):
 class Motion(NamedTuple):
     """One joint at an instant."""
 
-    q: float  # encoder angle [rad]
+    q: float  # encoder angle, the motor's behind a gear that gives [rad]
     qd: float  # [rad/s]
     current: float  # of the motor, driving the joint counter-clockwise if positive [A]
     torque: float  # that passes the gear, friction taken off [N m]
-
-
-@dataclass(frozen=True)
-class Joints(Settings):
-    """The mechanics that all joints have in common."""
-
-    rotor_inertia: float = setting(
-        0.0, "inertia of each motor, felt at its joint, 0.0026 in the FHA-8C-30; 0: none",
-        unit="kg m^2", check=NOT_NEGATIVE,
-    )  # fmt: skip
-    gear_ratio: float = setting(30.0, "gear ratio of the harmonic drives", check=POSITIVE)
-    viscous: float = setting(
-        0.5, "viscous friction of each joint", unit="N m s/rad", check=NOT_NEGATIVE
-    )
-    coulomb: float = setting(0.3, "Coulomb friction of each joint", unit="N m", check=NOT_NEGATIVE)
-    stop_stiffness: float = setting(
-        2000.0, "stiffness of the joints' end stops", unit="N m/rad", check=NOT_NEGATIVE
-    )
-    stop_damping: float = setting(
-        20.0, "damping of the joints' end stops", unit="N m s/rad", check=NOT_NEGATIVE
-    )
-
-    @property
-    def rotor(self) -> tuple[float, float]:
-        """N^2 J and N J [kg m^2], of an inertia J that turns N times as fast as the joint."""
-        return self.rotor_inertia, self.rotor_inertia / self.gear_ratio
+    shear: float = 0.0  # force across the link that passes the joint [N]
 
 
 @dataclass(frozen=True)
@@ -118,6 +93,7 @@ class Vehicle:
         self._p[MASS] -= propellant
         joints = self.world.joints
         alike = joints.viscous, joints.coulomb, joints.stop_stiffness, joints.stop_damping
+        self._gears = joints.gears(self._p).reshape(self.n, 11)
         self._torque_constant = np.array([k.drive.torque_constant for k in links])
         self._joints = np.array(
             [
@@ -125,7 +101,7 @@ class Vehicle:
                 for k in links
             ]
         ).reshape(-1, 7)
-        self._rotors = rotors_inertia(3 + self.n, joints.rotor)
+        self._rotors = rotors_inertia(3 + self.n, joints.rotor, bool(joints.stiffness))
         self._surroundings = self.world.surroundings.vector()
         self._valves: tuple[int, npt.ArrayLike] = -1, SHUT  # from a step on
         self._demand = np.tile(np.array([OFF, 0.0, 0.0, 1.0]), (self.n, 1))
@@ -133,11 +109,12 @@ class Vehicle:
         self._state[0] = q
         self._state[1] = 0.0 if qd is None else qd
         self._reference = self._state[:, 3:].T.copy()
+        self._motors = np.column_stack([self._reference, np.zeros(self.n)])
         self.books, self._torques = np.zeros((2, 4)), np.zeros((self.n, 2))
 
     @property
     def p(self) -> Floats:
-        """(8 + 6 n,) as Arm.vector(), with what it holds and without the propellant used."""
+        """Arm.vector() as it is now: less propellant, and what is held with the last link."""
         return self._p
 
     @property
@@ -171,8 +148,9 @@ class Vehicle:
     def motions(self) -> list[Motion]:
         """The motion of each joint."""
         motor, passed = self._torques.T
-        rows = [*self._state[:, 3:], motor / self._torque_constant, passed]
-        return list(map(Motion._make, np.stack(rows, axis=1).tolist()))
+        turning = self._motors[:, :2].T if self.world.joints.stiffness else self._state[:, 3:]
+        rows = [*turning, motor / self._torque_constant, passed]
+        return [Motion(*row) for row in np.stack(rows, axis=1).tolist()]
 
     @property
     def base(self) -> Pose:
@@ -226,11 +204,11 @@ class Vehicle:
     @property
     def kept(self) -> tuple[Floats, ...]:
         """All that a step changes."""
-        return self._state, self._reference, self.books, self._torques
+        return self._state, self._reference, self._motors, self.books, self._torques
 
     @kept.setter
     def kept(self, kept: tuple[Floats, ...]) -> None:
-        self._state, self._reference, self.books, self._torques = kept
+        self._state, self._reference, self._motors, self.books, self._torques = kept
 
     def parts(self) -> list[Part]:
         """What of it may touch: with itself the whole last link, with others the gripper too."""
@@ -251,22 +229,31 @@ class Vehicle:
         return parts
 
     def inertia(self) -> Floats:
-        """What impulses feel of it, (3 + n, 3 + n)."""
+        """What impulses feel of it, (3 + n, 3 + n): behind gears that give, rotors spin on."""
         return inertia_matrix(self._p, self.q) + self._rotors
 
     def kick(self, change: Floats) -> None:
         """Change the velocity at once."""
         self._state = np.array([self.q, self.qd + change])
+        if self.world.joints.stiffness:  # as seen from its stator, a rotor slows down by as much
+            stators = np.cumsum(change[2:])[:-1] / self.world.joints.gear_ratio
+            self._motors = self._motors - np.outer(stators, [0.0, 1.0, 0.0])
 
     def go(self, steps: int, at: int, tolerance: float) -> None:
         """Let steps pass from the step `at` on; none: renew the books."""
         if steps and self._valves[0] != at:  # else it is a trial of the same steps
             self._valves = at, self.thrusters.valves(at) if self.thrusters.busy(at) else SHUT
-        self._state, self._reference, self.books, torques = advance(
-            self._p, self.world.joints.rotor, self._joints, self._surroundings,
-            self._valves[1], self._demand, self._state, self._reference, self.books, steps,
-            tolerance,
-        )  # fmt: skip
+        joints, around, valves = self.world.joints, self._surroundings, self._valves[1]
+        if joints.stiffness:
+            self._state, self._reference, self._motors, self.books, torques = advance_geared(
+                self._p, joints.rotor, self._joints, self._gears, around, valves, self._demand,
+                self._state, self._reference, self._motors, self.books, steps, tolerance,
+            )  # fmt: skip
+        else:
+            self._state, self._reference, self.books, torques = advance(
+                self._p, joints.rotor, self._joints, around, valves, self._demand, self._state,
+                self._reference, self.books, steps, tolerance,
+            )  # fmt: skip
         self._torques = torques if steps else self._torques
 
     def spend(self, begin: int, steps: int) -> None:
@@ -278,13 +265,13 @@ class Vehicle:
         self.go(0, begin, 0.0)
         self.books[1] += self.books[0] - had
 
-    def take(self, target: Passive, velocity: npt.ArrayLike | None = None) -> None:
+    def take(self, target: Passive, velocity: Floats | None = None) -> None:
         """Have the target be part of the last link from now on, at a velocity (3 + n,)."""
         self._place = hold(self._p, self.q, target.q)
         self._p = with_held(self._p, target.target, self._place)
         target.holder, self.held = self, target
         if velocity is not None:
-            self._state = np.array([self.q, velocity])
+            self.kick(velocity - self.qd)
         self.go(0, 0, 0.0)
 
     def drop(self, target: Passive) -> None:

@@ -70,10 +70,11 @@ def _push(around, r, v, radius):  # type: ignore[no-untyped-def]
 
 @helper
 def _is_near_edge(bodies, around, z):  # type: ignore[no-untyped-def]
-    """Whether any part may touch the border, judged by the largest reach there can be."""
+    """Whether any part may touch the border, judged by more than the largest reach there can be."""
     reach = max(around[BASE_RADIUS], around[LINK_RADIUS])
     for k in range(bodies.arms.shape[1]):
-        reach += max(abs(bodies.arms[0, k]), abs(bodies.arms[1, k]) / bodies.mass)
+        ahead, back = bodies.arms[0, k], bodies.arms[1, k] / bodies.mass
+        reach += max(abs(ahead.real) + abs(ahead.imag), abs(back.real) + abs(back.imag))
     far_x = abs(z[0, 0]) + reach > around[HALF_X]
     return far_x or abs(z[0, 1]) + reach > around[HALF_Y]
 
@@ -137,11 +138,14 @@ def _act(bodies, forces, turned, z, work, dz):  # type: ignore[no-untyped-def]
     tilt, film = complex(around[TILT_X], around[TILT_Y]), around[FILM]
     dz[1, 0] += tilt.real
     dz[1, 1] += tilt.imag
-    for i in range(2 + m):
-        dz[1, i] -= film * z[1, i]
-    twice_energy, moment = _momenta(bodies, turned, z)
-    power = _dot(force, v_0) + mass * _dot(tilt, v) - film * twice_energy
-    moment = _cross(r_0, force) + mass * _cross(r, tilt) - film * moment
+    power = _dot(force, v_0) + mass * _dot(tilt, v)
+    moment = _cross(r_0, force) + mass * _cross(r, tilt)
+    if film > 0.0:
+        for i in range(2 + m):
+            dz[1, i] -= film * z[1, i]
+        twice_energy, turning = _momenta(bodies, turned, z)
+        power -= film * twice_energy
+        moment -= film * turning
     for k in range(m):
         power += torque[k] * z[1, 2 + k]
         moment += torque[k]

@@ -158,10 +158,18 @@ def caught(p: Floats, q: Floats, qd: Floats, H: Floats, body: Passive) -> Floats
     return qd + np.linalg.solve(H + J.T @ (body.masses[:, None] * J), gained)
 
 
-def rotors_inertia(size: int, rotor: tuple[float, float]) -> Floats:
-    """What rotors add to H: N^2 J at their joint, N J between it and all that turns its stator."""
+def rotors_inertia(size: int, rotor: tuple[float, float], free: bool) -> Floats:
+    """What rotors add to H, felt by an impulse on the links.
+
+    N^2 J at their joint, N J between it and all that turns its stator; of those that are free,
+    behind gears that give, not even the J that the stator's link has of them.
+    """
     H = np.zeros((size, size))
     for k in range(3, size):
-        H[k, k] = rotor[0]
-        H[k, 2:k] = H[2:k, k] = rotor[1]
+        if free and rotor[0]:
+            H[2:k, 2:k] -= rotor[1] * rotor[1] / rotor[0]
+        elif not free:
+            H[k, k] += rotor[0]
+            H[k, 2:k] += rotor[1]
+            H[2:k, k] += rotor[1]
     return H

@@ -215,7 +215,7 @@ def arguments() -> argparse.ArgumentParser:
     parser.add_argument("--seed", type=int, default=1, help="of the simulated errors")
     parser.add_argument("--out", type=Path, help="folder for the results; None: out/demo-TIME")
     parser.add_argument(
-        "--preset", default="paper", help="of the simulated errors: ideal, default or paper"
+        "--preset", default="paper", help="of the simulator: ideal, default, paper, laboratory"
     )
     parser.add_argument("--deadline", type=float, default=600.0, help="give up after [s]")
     return parser
