@@ -155,11 +155,11 @@ def beside_peers(arm, rng, required, required_of_batch):
         compare("mujoco.rollout", peer, mine, share, share, required_of_batch, n, threads)
 
 
-def vehicles(number, gripper=None):
+def vehicles(number, gripper=None, preset="default"):
     """Vehicles 3 m apart, each driving its joints."""
-    found = []
+    found, joints = [], PRESETS[preset]
     for k in range(number):
-        world = World(surroundings=WIDE, gripper=gripper or Gripper())
+        world = World(joints, WIDE, gripper=gripper or Gripper())
         found.append(
             Vehicle(paper_arm(), [3.0 * k, 0.0, 0.0, 0, 0, 0, 0], None, world, name=f"{k}")
         )
@@ -168,10 +168,10 @@ def vehicles(number, gripper=None):
     return found
 
 
-def apart(number, targets, contact):
+def apart(number, targets, contact, preset="default"):
     """None near another."""
     free = [Passive(Target(), [[3.0 * k, 5.0, 0.0], 3 * [0.0]], WIDE) for k in range(targets)]
-    return Bed(vehicles(number), free, contact)
+    return Bed(vehicles(number, preset=preset), free, contact)
 
 
 def leaning():
@@ -198,6 +198,7 @@ def beds(time=2.0):
         "one vehicle": lambda: apart(1, 0, None),
         "one vehicle, a target, contact": lambda: apart(1, 1, Contact()),
         "two vehicles, a target, contact": lambda: apart(2, 1, Contact()),
+        "the same, joints that give": lambda: apart(2, 1, Contact(), "laboratory"),
         "four vehicles, two targets, contact": lambda: apart(4, 2, Contact()),
         "one leans on a target": leaning,
         "two arm in arm": arm_in_arm,

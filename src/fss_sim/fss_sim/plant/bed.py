@@ -23,7 +23,7 @@ from fss_arm_model.held import Approach, Target, approach
 from fss_arm_model.integration import STEP
 from fss_arm_model.kernels import Floats
 from fss_arm_model.kinematics import tip_jacobian, tip_pose
-from fss_sim.plant.contact import GAP, Contact, Scene, impulses
+from fss_sim.plant.contact import FEATURES, GAP, Contact, Scene, impulses
 from fss_sim.plant.target import Passive, caught
 
 if TYPE_CHECKING:
@@ -339,17 +339,16 @@ class Bed:
         slack = (watched[:, 0] / (1.5 * watched[:, 1] + 0.05)).min(initial=np.inf) / STEP
         count = 1 if self._welds else int(min(max(slack, 1.0), most))
         kept = [chain.kept for chain in self._chains]
-        self._pass(count)
-        while count > 1 and slack < AMPLE * count:
+        while count > 1:
+            self._pass(count)
+            if slack >= AMPLE * count:
+                return count
             after = self._room()[~self._past]
             way = STEP * count * np.maximum(watched[:, 1], after[:, 1])
             if (watched[:, 0] + after[:, 0] > way).all():
                 return count
             self._restore(kept)
             count //= 2
-            self._pass(count)
-        if count > 1:
-            return count
         near = ~self._past & (room[:, 0] < REACH + 2.0 * STEP * room[:, 1])
         self._meet(kept, near if self.contact else np.zeros_like(near))
         return 1
@@ -357,12 +356,14 @@ class Bed:
     def _meet(self, kept: Sequence[tuple[Floats, ...]], near: npt.NDArray[np.bool_]) -> None:
         """End a step with none of the near pairs in each other, and all grips as they were."""
         pairs = self._scene.pairs[near]
-        ended = self._scene.touches(self._moving()[0], pairs)[..., GAP]
-        if not self._welds and (ended >= 0.0).all():
-            return
-        self._restore(kept)
+        new = np.zeros((len(pairs), FEATURES), dtype=bool)
+        if not self._welds:
+            self._pass(1)
+            new = self._scene.touches(self._moving()[0], pairs)[..., GAP] < -TOUCH
+            if not new.any():
+                return
+            self._restore(kept)
         impact = Impact(self, pairs)
-        new = ended < -TOUCH if not self._welds else np.zeros_like(ended, dtype=bool)
         for _ in range(MOST):
             impact.begin(new)
             change = impact.change()
