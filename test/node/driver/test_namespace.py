@@ -7,13 +7,14 @@ from diagnostic_msgs.msg import DiagnosticArray
 from driver_link import RATE, FakeTransport
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from tf2_msgs.msg import TFMessage
 
 from fss_arm_driver.arm_node import ArmNode
 from fss_arm_driver.link_node import LinkNode
 from fss_arm_model.description import paper_arm, save
 from fss_arm_msgs.msg import LinkTelemetry
-from fss_arm_ros.qos import LATCHED, SENSOR
+from fss_arm_ros.qos import SENSOR
 
 VEHICLES = "fss1", "fss2"
 
@@ -39,7 +40,8 @@ def test_frames_and_reports_carry_the_vehicles_namespace(spin, arm):
         frames.update((t.header.frame_id, t.child_frame_id) for t in message.transforms)
 
     user.create_subscription(TFMessage, "/tf", transforms, SENSOR)
-    user.create_subscription(TFMessage, "/tf_static", transforms, LATCHED)
+    of_all = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)  # as tf2 listens
+    user.create_subscription(TFMessage, "/tf_static", transforms, of_all)
     user.create_subscription(
         DiagnosticArray, "/diagnostics", lambda m: reports.update(s.name for s in m.status), 10
     )
