@@ -1,5 +1,6 @@
 """Messages of the test bed, which is to run many times as fast as real time."""
 
+from collections.abc import Sequence
 from math import cos, sin
 
 from rosgraph_msgs.msg import Clock
@@ -19,9 +20,9 @@ class PoseImage(Image):
         super().__init__(pose_stamped(0, frame_id, (0.0, 0.0, 0.0)), 7)
 
     def of(self, stamp: int, seen: Seen) -> bytes:
-        """What is seen; of an occluded subject pose and quaternion are zero."""
+        """What is seen in a frame; of an occluded subject pose and quaternion are zero."""
         x, y, heading = seen.pose
-        self.stamped(stamp)
+        self.stamped(stamp - seen.before)
         if seen.occluded:
             self.put(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         else:
@@ -58,8 +59,10 @@ class ClockImage(Image):
         return self.bytes()
 
 
-def truth(stamp: int, frame_id: str, plant: Plant) -> SimTruth:
-    """The plant as it is."""
+def truth(
+    stamp: int, frame_id: str, plant: Plant, frame: int = 0, markers: Sequence[int] = (0, 0, 0)
+) -> SimTruth:
+    """The plant as it is, and of VICON's frame the markers that it has."""
     audit, error, (pose, twist) = plant.audit, plant.imbalance.tolist(), plant.target.tolist()
     message = SimTruth(
         q=plant.q.tolist(),
@@ -80,6 +83,8 @@ def truth(stamp: int, frame_id: str, plant: Plant) -> SimTruth:
         target=pose,
         target_twist=twist,
         holds=plant.holds,
+        frame=frame,
+        markers=markers,
     )
     message.header.stamp, message.header.frame_id = to_time(stamp), frame_id
     return message

@@ -20,7 +20,9 @@ from fss_arm_model.settings import (
     one_of,
     setting,
 )
+from fss_sim.link.air import Radio
 from fss_sim.link.pty import LinkTerminal
+from fss_sim.link.tcp import LinkListener
 from fss_sim.link.udp import LinkSocket
 from fss_sim.noise import PRESETS, Noise
 from fss_sim.plant.plant import Joints, World
@@ -29,6 +31,9 @@ from fss_sim.plant.target import Gripper
 from fss_sim.plant.thrusters import Propulsion
 from fss_sim.sensors import RATE
 from fss_sim.testbed import State
+from fss_sim.vicon import Room
+
+Wire = LinkSocket | LinkListener | LinkTerminal
 
 
 @dataclass(frozen=True)
@@ -72,6 +77,23 @@ class PlantSettings(Settings):
     grip_reach: float = like(Gripper, "reach")
     grip_angle: float = like(Gripper, "angle")
     grip_speed: float = like(Gripper, "speed")
+    vicon_cameras: tuple[float, ...] = like(Room, "cameras")
+    base_markers: tuple[float, ...] = like(Room, "base_markers")
+    tip_markers: tuple[float, ...] = like(Room, "tip_markers")
+    target_markers: tuple[float, ...] = like(Room, "target_markers")
+    heights: tuple[float, ...] = like(Room, "heights")
+    marker_stalk: float = like(Room, "stalk")
+    wifi: bool = setting(
+        False, "links and base share a radio channel; else what they send is there at once"
+    )
+    wifi_rate: float = like(Radio, "rate")
+    wifi_overhead: float = like(Radio, "overhead")
+    wifi_loss: float = like(Radio, "loss")
+    wifi_burst_interval: float = like(Radio, "burst_interval")
+    wifi_burst_length: float = like(Radio, "burst_length")
+    wifi_burst_loss: float = like(Radio, "burst_loss")
+    wifi_retries: int = like(Radio, "retries")
+    wifi_patience: float = like(Radio, "patience")
 
     def world(self) -> World:
         """What the plant is made of beside the arm."""
@@ -97,6 +119,18 @@ class PlantSettings(Settings):
             self.tolerance,
         )
 
+    def room(self) -> Room:
+        """Where VICON's cameras and markers are."""
+        places = self.base_markers, self.tip_markers, self.target_markers
+        return Room(self.vicon_cameras, *places, self.heights, self.marker_stalk)
+
+    def radio(self) -> Radio | None:
+        """The channel that links and base share, if they do."""
+        if not self.wifi:
+            return None
+        given = (getattr(self, f"wifi_{f.name}") for f in fields(Radio))
+        return Radio(*given)
+
 
 def _error(name: str) -> Any:
     """A field for one of the errors of Noise; below 0: what the preset says."""
@@ -112,12 +146,17 @@ class TestbedSettings(PlantSettings):
     """The parameters of a TestbedNode."""
 
     arm: str = setting("", "file of the true arm's description; empty: the paper's arm")
-    host: str = setting("127.0.0.1", "address that the links' UDP ports are opened on")
+    host: str = setting("127.0.0.1", "address that the links' ports are opened on")
+    transports: tuple[str, ...] = setting(
+        (), "what reaches each link: udp, tcp, or serial, a pseudo-terminal as RS-232; one for "
+        "all or one each; empty: serial if there are terminals, else udp",
+        check=one_of("udp", "tcp", "serial"),
+    )  # fmt: skip
     ports: tuple[int, ...] = setting(
-        (), "the links' UDP ports, 0: any; empty: 5001, 5002, ...", check=between(0, 65535)
+        (), "the links' UDP or TCP ports, 0: any; empty: 5001, 5002, ...", check=between(0, 65535)
     )
     terminals: tuple[str, ...] = setting(
-        (), "paths of pseudo-terminals to reach the links by, as by RS-232; empty: UDP"
+        (), "paths of the links' pseudo-terminals, one each; the others' count for nothing"
     )
     board_port: int = setting(
         0,
@@ -141,6 +180,12 @@ class TestbedSettings(PlantSettings):
     rest_heading_error: float = _error("rest_heading_error")
     gyro_noise: float = _error("gyro_noise")
     vicon_latency: float = _error("vicon_latency")
+    vicon_jitter: float = _error("vicon_jitter")
+    marker_noise: float = _error("marker_noise")
+    vicon_edge_error: float = _error("vicon_edge_error")
+    vicon_occlusion: float = _error("vicon_occlusion")
+    vicon_merge_distance: float = _error("vicon_merge_distance")
+    vicon_merge_swap: float = _error("vicon_merge_swap")
     gyro_bias: float = _error("gyro_bias")
     gyro_walk: float = _error("gyro_walk")
     gyro_scale: float = _error("gyro_scale")
@@ -186,7 +231,7 @@ class TestbedSettings(PlantSettings):
                 f"speed is {self.speed} and paused {str(self.paused).lower()}, "
                 "expected 1 and false without keep_clock"
             )
-        _ = self.noise()  # which refuses what it must
+        _ = self.noise(), self.room()  # which refuse what they must
 
     def description(self) -> Arm:
         """The true arm."""
@@ -201,13 +246,26 @@ class TestbedSettings(PlantSettings):
         """The fault script's text."""
         return read_text(self.faults) if self.faults else ""
 
-    def wires(self, n: int) -> list[LinkSocket | LinkTerminal]:
+    def wires(self, n: int) -> list[Wire]:
         """Open what each link is reached by."""
-        if not self.terminals:
-            return [LinkSocket(self.host, port) for port in self.link_ports(n)]
-        if len(self.terminals) != n:
+        usual = "serial" if self.terminals else "udp"
+        kinds = n * (self.transports or (usual,)) if len(self.transports) < 2 else self.transports
+        if len(kinds) != n:
+            raise ValueError(f"transports is {list(kinds)}, expected 1 or {n}")
+        if "serial" in kinds and len(self.terminals) != n:
             raise ValueError(f"terminals has {len(self.terminals)} paths, expected {n}")
-        return [LinkTerminal(path) for path in self.terminals]
+        paths, ports, opened = self.terminals or n * ("",), self.link_ports(n), list[Wire]()
+        try:
+            for kind, port, path in zip(kinds, ports, paths, strict=True):
+                if kind == "serial":
+                    opened.append(LinkTerminal(path))
+                else:
+                    opened.append((LinkListener if kind == "tcp" else LinkSocket)(self.host, port))
+        except OSError:
+            for wire in opened:
+                wire.close()
+            raise
+        return opened
 
     def board_wire(self) -> LinkSocket | None:
         """Open what the base's board is reached by, if there is one."""

@@ -12,15 +12,19 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fss_arm_model.description import Arm
+from fss_arm_model.extents import Extents
 from fss_arm_model.files import read_yaml, shown, write_text
+from fss_arm_model.kernels import Floats
 from fss_arm_model.units import SECOND
 from fss_sim.board.board import Board
 from fss_sim.faults import Event, Faults
+from fss_sim.link.air import Air, Radio
 from fss_sim.link.channel import Datagram
 from fss_sim.link.link import Link
 from fss_sim.noise import Noise
 from fss_sim.plant.plant import Plant, World
 from fss_sim.sensors import RATE, Sensors, Sight
+from fss_sim.vicon import Pose, Room
 
 FRAME = SECOND // RATE  # [ns]
 OUTAGE = RATE  # frames: how far time moves on while a testbed is not running
@@ -98,6 +102,8 @@ class Testbed:
         script: faults to come.
         world: all that the plant is made of beside the arm.
         board_rate: of the telemetry of the base's board [frames/s]; 0: there is none.
+        room: where VICON's cameras and markers are.
+        radio: the channel that links and board share; None: what is sent is there at once.
     """
 
     def __init__(
@@ -113,18 +119,24 @@ class Testbed:
         script: Sequence[Event] = (),
         world: World | None = None,
         board_rate: float = 0.0,
+        room: Room | None = None,
+        radio: Radio | None = None,
     ) -> None:
         target = np.reshape(state.target, (2, 3))
         self.plant = Plant(arm, state.q, state.qd, world, target, state.holds, state.propellant)
-        self.sensors = Sensors(noise, seed, state.rests)
+        self.room, self._p = room or Room(), arm.vector()
+        self.sensors = Sensors(noise, seed, state.rests, self.room)
         self.faults = Faults(arm.n, script)
         keys = keys or {}
+        self.air = Air(radio, f"{seed}, {state.boots}") if radio else None
         self.links = [
-            Link(i, k, noise, seed, state.boots, rate, keys.get(i), torque_rate, charge)
+            Link(i, k, noise, seed, state.boots, rate, keys.get(i), torque_rate, charge, self.air)
             for i, k in enumerate(arm.links, 1)
         ]
         self.board = (
-            Board(noise, seed, state.boots, board_rate, keys.get(0)) if board_rate else None
+            Board(noise, seed, state.boots, board_rate, keys.get(0), self.air)
+            if board_rate
+            else None
         )
         self.frame, self._boots = state.frame, state.boots
         for part in self._electronics():
@@ -140,6 +152,8 @@ class Testbed:
         """Let one frame's time pass."""
         faulted = self.faults.advance(self.now / SECOND)
         self._supply()
+        if self.air:
+            self.air.taken = self.faults.air.interference
         self.plant.thrusters.stick(self.faults.stuck_open, self.faults.stuck_closed)
         if self.board:
             self.board.act(self.now, self.plant)
@@ -152,8 +166,9 @@ class Testbed:
         rate, qd = float(plant.qd[2]), plant.qd[3:]
         target = plant.target[0].tolist() if plant.world.target else None
         sight = self.sensors.observe(
-            self.frame, plant.base, plant.tip, rate, qd, of.base, of.tip, of.gyro, target
-        )
+            self.frame, plant.base, plant.tip, rate, qd, of.base, of.tip, of.gyro, target,
+            self._bodies(target) if self.sensors.noise.vicon_occlusion else (),
+        )  # fmt: skip
         telemetry = [
             link.report(self.now, self._motions[i], 1.0 / RATE, of.links[i])
             for i, link in enumerate(self.links)
@@ -177,6 +192,12 @@ class Testbed:
         """Make all batteries full; a link whose battery was empty starts again."""
         for link in self.links:
             link.instruments.battery.charge = 1.0
+
+    def _bodies(self, target: Pose | None) -> Floats:
+        """What stands in the cameras' way."""
+        around = self.plant.world.surroundings
+        extents = Extents(around.table, around.base_radius, around.link_radius)
+        return self.room.bodies(self._p, self.plant.q, target, extents, around.base_radius)
 
     def _electronics(self) -> list[Link | Board]:
         return [*self.links, self.board] if self.board else [*self.links]

@@ -102,6 +102,8 @@ class TestbedNode(Node):
             read_script(self.script),
             settings.world(),
             settings.board_rate if self.board_wire else 0.0,
+            settings.room(),
+            settings.radio(),
         )
         for (part, fault), value in self.set_faults.items():
             self.testbed.faults.set(part, fault, value)
@@ -256,7 +258,10 @@ class TestbedNode(Node):
         if sight.rate is not None and self.board_wire is None:
             self.gyro.publish(self.gyro_image.of(stamp, sight.rate))
         if self.testbed.frame % round(RATE / self.settings.truth_rate) == 0:
-            self.truth.publish(truth(stamp, self.settings.world_frame, self.testbed.plant))
+            bed = self.testbed
+            markers = [look.markers for look in bed.sensors.looks]
+            frame_id = self.settings.world_frame
+            self.truth.publish(truth(stamp, frame_id, bed.plant, bed.frame, markers))
             if self.board_wire is None:
                 self.gripper.publish(gripper_state(stamp, self.testbed.plant))
 
@@ -292,6 +297,8 @@ class TestbedNode(Node):
             "gap to the table's edge [m]": plant.edge_clearance,
             "propellant used [kg]": plant.thrusters.used,
             "rests": self.testbed.sensors.rests,
+            "VICON's frame": frame,
+            **self.sight(),
             "clock jumps": self.pace.jumps,
         }
         for link, wire in zip(self.testbed.links, self.wires, strict=True):
@@ -305,6 +312,17 @@ class TestbedNode(Node):
         if touches:
             state += ", bodies touch each other or the table's border"
         return Health(WARN if slow or touches else OK, state, values)
+
+    def sight(self) -> dict[str, Any]:
+        """How many markers VICON has of each subject, and how busy the radio channel is."""
+        sensors, air = self.testbed.sensors, self.testbed.air
+        values: dict[str, Any] = {}
+        if sensors.vicon:
+            counts = zip(("base", "end effector", "target"), sensors.looks, strict=True)
+            values = {f"markers of the {name}": look.markers for name, look in counts}
+        if air:
+            values["airtime used"] = air.used(self.testbed.now)
+        return values
 
     def close(self) -> None:
         """Keep the state and give the ports back."""

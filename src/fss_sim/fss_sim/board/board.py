@@ -13,6 +13,7 @@ from fss_base_driver.protocol import (
     encode,
 )
 from fss_sim.faults import NO_FAULTS, LinkFaults
+from fss_sim.link.air import Air
 from fss_sim.link.channel import Channel, Datagram
 from fss_sim.noise import Noise
 from fss_sim.plant.plant import Plant
@@ -33,16 +34,24 @@ class Board:
         run: seed of what must not repeat itself when a run is resumed.
         rate: of telemetry [frames/s].
         key: that frames are signed under, if any.
+        air: that its datagrams go through; None: a wire of its own.
     """
 
     def __init__(
-        self, noise: Noise, seed: int, run: int, rate: float = 20.0, key: bytes | None = None
+        self,
+        noise: Noise,
+        seed: int,
+        run: int,
+        rate: float = 20.0,
+        key: bytes | None = None,
+        air: Air | None = None,
     ) -> None:
         self._period, self._key = round(1e6 / rate), key
         self._drift = Random(f"{seed}, board").gauss(0.0, noise.clock_drift)
         ways = Random(f"{seed}, board, {run}")
         self.uptime = ways.randrange(UPTIME)  # when the test bed begins [us]
-        self._in, self._out = Channel(Random(ways.random())), Channel(Random(ways.random()))
+        station = air.station("board") if air else None
+        self._in, self._out = (Channel(Random(ways.random()), station) for _ in range(2))
         self._peer: Any = None  # whom telemetry goes to
         self._since = self._began = 0  # the clock's time then [us], and the simulation's
         self.state: BoardState | None = None  # while it has power

@@ -6,6 +6,7 @@ from typing import Any
 from fss_arm_model import description
 from fss_sim.faults import NO_FAULTS, LinkFaults
 from fss_sim.link import instruments
+from fss_sim.link.air import Air
 from fss_sim.link.channel import Channel, Datagram
 from fss_sim.link.electronics import LinkElectronics
 from fss_sim.noise import Noise
@@ -28,6 +29,7 @@ class Link:
         key: that frames are signed under, if any.
         torque_rate: samples of the torque converter a second.
         charge: of the battery, 0 to 1.
+        air: that its datagrams go through; None: a wire of its own.
     """
 
     def __init__(
@@ -41,6 +43,7 @@ class Link:
         key: bytes | None = None,
         torque_rate: int = 80,
         charge: float = 1.0,
+        air: Air | None = None,
     ) -> None:
         self.number = number
         self._link, self._rate, self._key = link, rate, key
@@ -49,7 +52,8 @@ class Link:
         self.instruments = instruments.make(link.torque_sensor, noise, made, torque_rate, charge)
         ways = Random(f"{seed}, {number}, {run}")
         self.uptime = ways.randrange(UPTIME)  # when the test bed begins [us]
-        self._in, self._out = Channel(Random(ways.random())), Channel(Random(ways.random()))
+        station = air.station(str(number)) if air else None
+        self._in, self._out = (Channel(Random(ways.random()), station) for _ in range(2))
         self._peer: Any = None  # whom telemetry goes to
         self._since = self._began = 0  # the clock's time then [us], and the simulation's
         self.electronics: LinkElectronics | None = None
