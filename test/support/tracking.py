@@ -15,6 +15,7 @@ from fss_sim.plant.drives import VELOCITY
 from fss_sim.plant.plant import Demand, Plant, World
 from fss_sim.plant.surroundings import Surroundings
 from fss_sim.sensors import RATE, Sensors
+from fss_sim.vicon import Room
 
 SECOND = 1_000_000_000
 FRAME = SECOND // RATE
@@ -50,18 +51,21 @@ def ramp(was, wanted, slopes, t):
 def track(
     seed, frames, *, arm="config/truth.yaml", known=None, outage=(0, 0), moving=True,
     thrusting=True, planned=True, told=True, preset="default", settings=None,
-    of_target=None, gyro=True,
+    of_target=None, gyro=True, room=None,
 ):  # fmt: skip
-    """Fly with random pulses of thrusters and a moving arm; poses are missing in the outage."""
+    """Fly with random pulses of thrusters and a moving arm; poses are missing in the outage.
+
+    The preset is one's name, or a Noise of one's own; of the poses' stamps, the latency is known.
+    """
     rng = np.random.default_rng((7, seed))
     arm = load(arm)
-    noise = PRESETS[preset]
+    noise, room = PRESETS[preset] if isinstance(preset, str) else preset, room or Room()
     world = World(surroundings=Surroundings(table=(20.0, 20.0)), target=Target())
     q = np.concatenate([rng.uniform(-0.1, 0.1, 2), rng.uniform(-3, 3, 1), rng.uniform(-1, 1, 4)])
     qd = np.concatenate([rng.normal(0, [0.02, 0.02, 0.05]), np.zeros(4)])
     drifting = rng.normal(0, [0.02, 0.02, 0.15])
     plant = Plant(arm, q, qd, world, [[1.0, 1.0, 1.0], drifting])
-    sensors = Sensors(noise, seed)
+    sensors = Sensors(noise, seed, room=room)
     navigation = Navigation(load(known) if known else arm, settings, of_target)
     encoders = [Encoder(noise.encoder_error, rng.uniform(-np.pi, np.pi)) for _ in range(arm.n)]
     base, target, errors, variances = [], [], [], []
@@ -94,13 +98,18 @@ def track(
         seen = sensors.observe(
             frame + 1, plant.base, plant.tip, float(plant.qd[2]), plant.qd[3:],
             target=plant.target[0].tolist(),
+            bodies=room.bodies(arm.vector(), plant.q, plant.target[0], target_radius=0.19)
+            if noise.vicon_occlusion else (),
         )  # fmt: skip
+        at = now - seen.base.before - round(SECOND * noise.vicon_latency)
         if gyro and navigation.base.rate(now, seen.rate):
             nis["gyro"].append(navigation.base.nis[TURN_RATE][-1])
-        if not outage[0] <= frame < outage[1]:
-            if navigation.base.pose(now, *seen.base.pose) and frame:
-                nis["pose"].append(navigation.base.nis[POSE][-1] / 3.0)
-            navigation.target_pose(now, *seen.target.pose)
+        looks = not outage[0] <= frame < outage[1]
+        has_base = looks and not seen.base.occluded
+        if has_base and navigation.base.pose(at, *seen.base.pose) and frame:
+            nis["pose"].append(navigation.base.nis[POSE][-1] / 3.0)
+        if looks and not seen.target.occluded:
+            navigation.target_pose(at, *seen.target.pose)
         navigation.predict(now)
         square, error = nees(navigation.base.state(), plant.q[:3], plant.qd[:3])
         base.append(np.nan if navigation.base.lost(now) else square)
