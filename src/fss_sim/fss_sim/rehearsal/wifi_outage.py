@@ -21,7 +21,7 @@ from fss_arm_bags.reader import open_bags
 from fss_arm_calib.report import Figure
 from fss_arm_msgs.msg import LinkCommand, LinkTelemetry, SimTruth
 from fss_arm_ros.convert import SECOND, stamp_ns
-from fss_arm_ros.qos import COMMAND, SENSOR
+from fss_arm_ros.qos import COMMAND
 from fss_sim.rehearsal.domain import Domain
 from fss_sim.rehearsal.person import LINKS, Operator, own_domain
 from fss_sim.rehearsal.processes import Nodes, RehearsalError
@@ -40,11 +40,13 @@ class Person(Operator):
     def __init__(self, domain: Domain) -> None:
         super().__init__(domain)
         self.rates, self.heard = np.zeros(LINKS), dict.fromkeys(self.armed, 0)
-        self.create_subscription(SimTruth, "sim/truth", self.on_truth, SENSOR)
+        self.create_subscription(SimTruth, "sim/truth", self.on_truth, 1)
         self.commands = [
             self.create_publisher(LinkCommand, f"link_{i}/command", COMMAND) for i in self.armed
         ]
         self.create_timer(0.2, self.command)
+        self.arms = False  # what is not armed
+        self.create_timer(0.5, lambda: self.keep_armed() if self.arms else None)
         self.set = self.create_client(SetParameters, "testbed/set_parameters")
 
     def on_truth(self, message: SimTruth) -> None:
@@ -67,8 +69,8 @@ class Person(Operator):
             command.time_to_live = 60.0
             publisher.publish(command)
 
-    def wait(self, until: Callable[[], bool], complaint: str, arm: bool = False) -> None:
-        """Spin until something holds, arming what is not armed if so told.
+    def wait(self, until: Callable[[], bool], complaint: str) -> None:
+        """Spin until something holds.
 
         Raises:
             RehearsalError: it does not.
@@ -77,14 +79,14 @@ class Person(Operator):
         while not until():
             if time.monotonic() > deadline:
                 raise RehearsalError(complaint)
-            if arm:
-                self.keep_armed()
             rclpy.spin_once(self, timeout_sec=0.02)
 
     def turn(self) -> int:
         """Arm all links and wait until they turn; when they do."""
-        self.wait(lambda: all(self.armed.values()), f"links are not armed: {self.armed}", arm=True)
-        self.wait(lambda: bool((self.rates > MOVING).all()), "the joints do not turn")
+        self.arms = True
+        self.wait(lambda: all(self.armed.values()), "not all links get armed")
+        self.wait(lambda: bool((self.rates > MOVING).all()), "not all joints turn")
+        self.arms = False
         return self.now()
 
     def outage(self, on: bool) -> int:
