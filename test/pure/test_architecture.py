@@ -89,7 +89,7 @@ ROOMS = {
     },
     "fss_sim.board": {
         "fss_arm_model", BOARD, "fss_sim.plant", "fss_sim.faults", "fss_sim.noise",
-        "fss_sim.link.channel", "fss_sim.link.air",
+        "fss_sim.link.channel", "fss_sim.link.radio",
     },
     "fss_arm_calib.estimation": set(),
     "fss_arm_calib.segments": {"fss_arm_model", "fss_arm_calib.estimation"},

@@ -5,7 +5,7 @@ A script is YAML, a list of
     {at: 12.0, part: link_2, fault: loss, value: 0.2, duration: 30.0}
 
 `at` and `duration` in seconds of the simulation, without `duration` to its end; `part` link_<i>,
-fss, end_effector, fog, board, air or valve_<i>; `value` 1 by default.
+fss, end_effector, fog, board, radio or valve_<i>; `value` 1 by default.
 """
 
 from collections.abc import Sequence
@@ -69,7 +69,7 @@ class GyroFaults(Settings):
 
 
 @dataclass(frozen=True)
-class AirFaults(Settings):
+class RadioFaults(Settings):
     """Of the radio channel, if links and base share one."""
 
     interference: float = fault("share of the airtime that others take", most=0.95)
@@ -83,8 +83,8 @@ class ValveFaults(Settings):
     stuck_closed: float = fault("1: the valve does not open, and draws no current")
 
 
-Groups = dict[str, Any]  # LinkFaults, SubjectFaults, GyroFaults, AirFaults, ValveFaults, by part
-BASE, TIP, GYRO, BOARD, AIR = "fss", "end_effector", "fog", "board", "air"
+Groups = dict[str, Any]  # LinkFaults, SubjectFaults, GyroFaults, RadioFaults, ValveFaults, by part
+BASE, TIP, GYRO, BOARD, RADIO = "fss", "end_effector", "fog", "board", "radio"
 VALVES = [f"valve_{i}" for i in range(1, COUNT + 1)]
 NO_FAULTS = LinkFaults()
 
@@ -93,7 +93,7 @@ def kinds(n: int) -> dict[str, type]:
     """The parts of a test bed of n links, and what faults each can have."""
     links = {f"link_{i}": LinkFaults for i in range(1, n + 1)}
     others = {BASE: SubjectFaults, TIP: SubjectFaults, GYRO: GyroFaults, BOARD: LinkFaults}
-    return {**links, **others, AIR: AirFaults, **dict.fromkeys(VALVES, ValveFaults)}
+    return {**links, **others, RADIO: RadioFaults, **dict.fromkeys(VALVES, ValveFaults)}
 
 
 @dataclass(frozen=True)
@@ -174,7 +174,7 @@ class Faults:
         self.tip: SubjectFaults = groups[TIP]
         self.gyro: GyroFaults = groups[GYRO]
         self.board: LinkFaults = groups[BOARD]
-        self.air: AirFaults = groups[AIR]
+        self.radio: RadioFaults = groups[RADIO]
         self.links: list[LinkFaults] = [groups[f"link_{i}"] for i in range(1, self._n + 1)]
         valves: list[ValveFaults] = [groups[valve] for valve in VALVES]
         self.stuck_open = [valve.stuck_open > 0.0 for valve in valves]

@@ -20,8 +20,8 @@ from fss_arm_model.settings import (
     one_of,
     setting,
 )
-from fss_sim.link.air import Radio
 from fss_sim.link.pty import LinkTerminal
+from fss_sim.link.radio import Radio
 from fss_sim.link.tcp import LinkListener
 from fss_sim.link.udp import LinkSocket
 from fss_sim.noise import PRESETS, Noise

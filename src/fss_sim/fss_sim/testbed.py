@@ -18,9 +18,9 @@ from fss_arm_model.kernels import Floats
 from fss_arm_model.units import SECOND
 from fss_sim.board.board import Board
 from fss_sim.faults import Event, Faults
-from fss_sim.link.air import Air, Radio
 from fss_sim.link.channel import Datagram
 from fss_sim.link.link import Link
+from fss_sim.link.radio import Air, Radio
 from fss_sim.noise import Noise
 from fss_sim.plant.plant import Plant, World
 from fss_sim.sensors import RATE, Sensors, Sight
@@ -153,7 +153,7 @@ class Testbed:
         faulted = self.faults.advance(self.now / SECOND)
         self._supply()
         if self.air:
-            self.air.taken = self.faults.air.interference
+            self.air.taken = self.faults.radio.interference
         self.plant.thrusters.stick(self.faults.stuck_open, self.faults.stuck_closed)
         if self.board:
             self.board.act(self.now, self.plant)

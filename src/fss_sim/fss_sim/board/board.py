@@ -13,8 +13,8 @@ from fss_base_driver.protocol import (
     encode,
 )
 from fss_sim.faults import NO_FAULTS, LinkFaults
-from fss_sim.link.air import Air
 from fss_sim.link.channel import Channel, Datagram
+from fss_sim.link.radio import Air
 from fss_sim.noise import Noise
 from fss_sim.plant.plant import Plant
 

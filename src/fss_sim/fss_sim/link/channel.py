@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 from fss_arm_model.units import SECOND
 from fss_sim.faults import NO_FAULTS, LinkFaults
-from fss_sim.link.air import Station
+from fss_sim.link.radio import Station
 
 
 class Datagram(NamedTuple):

@@ -6,9 +6,9 @@ from typing import Any
 from fss_arm_model import description
 from fss_sim.faults import NO_FAULTS, LinkFaults
 from fss_sim.link import instruments
-from fss_sim.link.air import Air
 from fss_sim.link.channel import Channel, Datagram
 from fss_sim.link.electronics import LinkElectronics
+from fss_sim.link.radio import Air
 from fss_sim.noise import Noise
 from fss_sim.plant.plant import Demand, Motion
 

@@ -11,8 +11,8 @@ from fss_arm_model.description import paper_arm
 from fss_arm_model.units import SECOND
 from fss_sim import testbed
 from fss_sim.faults import Event, LinkFaults
-from fss_sim.link.air import HEADERS, Air, Radio
 from fss_sim.link.channel import Channel, Datagram
+from fss_sim.link.radio import HEADERS, Air, Radio
 from fss_sim.noise import PRESETS
 from fss_sim.testbed import State
 
@@ -126,7 +126,7 @@ def test_a_bed_on_the_air_sends_all_while_there_is_room_and_repeats_itself():
     assert all(198 <= len(of_link) <= 201 for of_link in frames)
     assert bed.air.used(bed.now) == pytest.approx(100 * bed.air.airtime(72) / SECOND, rel=0.05)
     assert telemetry(10)[0] == frames
-    crowded, _ = telemetry(10, [Event(0.0, "air", "interference", 0.95)])
+    crowded, _ = telemetry(10, [Event(0.0, "radio", "interference", 0.95)])
     assert sum(map(len, crowded)) < 0.9 * sum(map(len, frames))
     bursts, _ = telemetry(10, radio=Radio(burst_interval=1.0, burst_length=1.0, burst_loss=1.0))
     assert 0.2 * 800 < sum(map(len, bursts)) < 0.8 * 800
