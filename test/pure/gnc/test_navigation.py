@@ -145,10 +145,10 @@ def pass_by(seed, swap):
     merging = replace(LABORATORY, vicon_merge_distance=0.16, vicon_merge_swap=swap,
                       vicon_edge_error=0.0)  # fmt: skip
     sensors, navigation = Sensors(merging, seed, room=low), Navigation(load("config/truth.yaml"))
-    base, drift, found, taken = np.zeros(3), np.array([0.15, 0.0, 0.05]), [], []
+    base, drift, found, taken = np.zeros(3), np.array([0.05, 0.0, 0.05]), [], []
     still = np.zeros(4)
     for k in range(2400):
-        t, target = k * SECOND // 100, np.array([-1.8, 0.45, 0.3]) + 0.01 * k * drift
+        t, target = k * SECOND // 100, np.array([-0.6, 0.45, 0.3]) + 0.01 * k * drift
         seen = sensors.observe(k, (0.0, 0.0, 0.0), (1.6, -0.5, 0.0), 0.0, still,
                                target=tuple(target.tolist()))  # fmt: skip
         at = t - seen.base.before - SECOND // 100
