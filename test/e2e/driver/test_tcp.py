@@ -194,5 +194,3 @@ def test_a_link_whose_process_starts_again_is_found_again(spin):
     with subprocess.Popen(begin) as second:
         arm(spin, link, person)
         second.kill()
-
-

@@ -48,8 +48,12 @@ def url(request, keys, start, tmp_path) -> Iterator[str]:
     if request.param.startswith("testbed"):
         kind, port = request.param.split()[1], free_port()
         device = str(tmp_path / "link_1")
-        ways = {"ports": [port, *(free_port() for _ in range(3))], "keys": keys,
-                "transports": [kind, "udp", "udp", "udp"], "terminals": [device, "", "", ""]}
+        ways = {
+            "ports": [port, *(free_port() for _ in range(3))],
+            "keys": keys,
+            "transports": [kind, "udp", "udp", "udp"],
+            "terminals": [device, "", "", ""],
+        }
         given = [f"{name}:={json.dumps(way, default=str)}" for name, way in ways.items()]
         start("fss_sim.testbed_node", "--ros-args", *(x for one in given for x in ("-p", one)))
         forms = {"udp": f"udp://127.0.0.1:{port}?bind={free_port()}",
