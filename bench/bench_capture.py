@@ -3,7 +3,9 @@
 Flies missions in the pure loop of test/support/capturing.py: the plant with the default errors of
 the sensors, navigation, control and guidance, over a grid of the target's spin and heading, of the
 base's distance and of seeds, which also draw the target's drift. With --faults, missions in which
-something fails in each phase. Each run is a line of JSON in --out; the table is of all of them.
+something fails in each phase; with --ghosts, bodies pass through each other; with --closing,
+--force and --torque, fingers take their time and slip. Each run is a line of JSON in --out; the
+table is of all of them, --draw shows the first that failed.
 """
 
 import os
@@ -21,11 +23,18 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "test/support"))
 
 from capturing import SETTINGS, Case, Flight
+
+from fss_arm_model.kinematics import joint_positions, tip_pose
+from fss_sim.plant.target import Gripper
 
 SPINS = (-0.3, -0.15, -0.05, 0.0, 0.05, 0.15, 0.3)  # [rad/s]
 HEADINGS = 8
@@ -63,6 +72,34 @@ def fly(case: Case, reach: str) -> dict[str, Any]:
     return {**asdict(flown), "reach": reach}
 
 
+def draw(cases: list[Case], reach: str, path: Path) -> None:
+    """Fly them again, and show how the last of each looked."""
+    figure, panels = plt.subplots(1, len(cases), figsize=(4.2 * len(cases), 4.6), squeeze=False)
+    for case, ax in zip(cases, panels[0], strict=True):
+        flight = Flight(case, settings=replace(SETTINGS, reach=reach))
+        flown = flight.fly()
+        p, film = flight.arm.vector(), flight.film
+        first = next((t for t, *_ in film if t >= flight.last_near - 4.0), 0.0)
+        shown = [frame for frame in film if frame[0] >= first][:100]
+        for k, (_, q, target) in enumerate(shown[:: max(1, len(shown) // 8)]):
+            shade = {"alpha": 0.15 + 0.1 * k, "lw": 1.2}
+            joints = np.vstack([joint_positions(p, q), tip_pose(p, q)[:2]])
+            ax.plot(*joints.T, "o-", color="tab:blue", ms=2, **shade)
+            ax.add_patch(plt.Circle(q[:2], 0.19, fill=False, ec="tab:blue", **shade))
+            ax.add_patch(plt.Circle(target[:2], 0.19, fill=False, ec="tab:orange", **shade))
+            x, y = target[:2] + 0.19 * np.array([np.cos(target[2]), np.sin(target[2])])
+            ax.plot(x, y, "s", color="tab:red", ms=3, alpha=shade["alpha"])
+        words = flown.contact or flown.message or "lost"
+        ax.set_title(
+            f"spin {case.spin} rad/s: {words}\n{shown[0][0]:.1f} to {shown[-1][0]:.1f} s", size=8
+        )
+        ax.set_aspect("equal")
+        ax.set_xlabel("x [m]")
+    panels[0][0].set_ylabel("y [m]")
+    figure.tight_layout()
+    figure.savefig(path, dpi=90)
+
+
 HEAD = "spin [rad/s]", "runs", "captured and stopped", "time [s]", "propellant [g]", "torque [N m]"
 
 
@@ -94,10 +131,18 @@ def main() -> None:
     parser.add_argument("--reach", default="jacobian")
     parser.add_argument("--runs", type=int, default=280)
     parser.add_argument("--faults", action="store_true")
+    parser.add_argument("--ghosts", action="store_true")
+    parser.add_argument("--closing", type=float, default=0.0, help="time of the fingers [s]")
+    parser.add_argument("--force", type=float, default=0.0, help="that they hold [N]")
+    parser.add_argument("--torque", type=float, default=0.0, help="that they hold [N m]")
+    parser.add_argument("--draw", type=Path, help="picture of three that failed")
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--out", type=Path, default=Path("out/capture.jsonl"))
     options = parser.parse_args()
     cases = list(failures() if options.faults else grid())[: options.runs]
+    fingers = {"closing_time": options.closing, "force": options.force, "torque": options.torque}
+    gripper = Gripper(**fingers)
+    cases = [replace(case, solid=not options.ghosts, gripper=gripper) for case in cases]
     options.out.parent.mkdir(parents=True, exist_ok=True)
     rows = []
     with ProcessPoolExecutor(options.processes) as pool, options.out.open("w") as file:
@@ -105,6 +150,9 @@ def main() -> None:
             rows.append(row)
             print(json.dumps(row), file=file, flush=True)
     report(rows)
+    if options.draw:
+        failed = [c for c, r in zip(cases, rows, strict=True) if not (r["captured"] and r["well"])]
+        draw(failed[:3], options.reach, options.draw)
 
 
 if __name__ == "__main__":

@@ -78,7 +78,7 @@ def lost(bags: Bags) -> dict[str, int]:
         for status in message.status:
             values = {pair.key: pair.value for pair in status.values}
             if "believed" in values:
-                said[f"/{status.name}/telemetry"] = int(values["believed"])
+                said[f"{status.name}/telemetry"] = int(values["believed"])
                 missed[status.name] = int(values.get("missed", 0))
     print("missed by the drivers, on the wire:", missed.total())
     if silent := set(TELEMETRY) - set(said):
@@ -101,7 +101,7 @@ def links_rates(bags: Bags) -> list[float]:
     rates = []
     for _, _, _, message in bags.messages({"/diagnostics"}):
         for status in message.status:
-            if status.name == "testbed" and not status.message.startswith("paused"):
+            if status.name == "/testbed" and not status.message.startswith("paused"):
                 values = {pair.key: pair.value for pair in status.values}
                 rates.append(RATE * float(values["speed"]))
     return rates[1:-1]  # whole seconds

@@ -5,6 +5,7 @@
 # shellcheck shell=sh
 
 export ROS_DOMAIN_ID=0
+# FSS_NAMESPACE=fss2    # one of several vehicles: docs/how-to/vehicles.md
 # export ROS_STATIC_PEERS="192.168.1.10;192.168.1.20"    # the ground's computer too: docs/how-to/network.md
 arm=config/arm.yaml    # your own; not out/arm.yaml, which the calibration writes anew
 

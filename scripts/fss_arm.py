@@ -1,14 +1,15 @@
 """Give the arm an order, and print its answer.
 
-arm, disarm: all links (arm/enable). stop: all links at once, of any namespace; those that are on
-hold, under power, until disarmed or armed anew (arm/stop); it fails unless each link says that it
-has stopped. home: each armed link without a reference finds it, one
-after the other. clear: all links disarm and clear their drives' latched faults.
+arm, disarm: all links (arm/enable). stop: all links of all vehicles at once, or of the one named;
+those that are on hold, under power, until disarmed or armed anew (arm/stop); it fails unless each
+link, and each base's board, says that it has stopped. home: each armed link without a reference
+finds it, one after the other. clear: all links disarm and clear their drives' latched faults.
 solve: each calibration that runs closes its present datum and solves. forget: they drop
 all that they have observed.
 """
 
 import argparse
+import os
 import re
 import sys
 from collections.abc import Callable, Iterable
@@ -25,11 +26,12 @@ from std_msgs.msg import Empty
 from std_srvs.srv import SetBool, Trigger
 
 from fss_arm_driver.protocol import State
-from fss_arm_msgs.msg import LinkCommand, LinkTelemetry
+from fss_arm_msgs.msg import BaseTelemetry, LinkCommand, LinkTelemetry
 from fss_arm_ros.convert import stamp_ns
 from fss_arm_ros.executor import BatchExecutor
 from fss_arm_ros.qos import command, sensor, subscribe_sensor
 from fss_arm_ros.run import RCLError
+from fss_base_driver.protocol import BaseState
 
 ANSWER_TIMEOUT = 10.0  # [s]
 SETTLED = 1.0  # without a new one, all are known [s]
@@ -39,7 +41,10 @@ CALIBRATIONS = ("kinematic", "dynamic", "drift")
 REPEAT = 0.05  # from one stop to the next [s]
 GRAPH = 0.5  # by then a program that has begun knows who is there [s]
 CONFIRM = 1.0  # by then a link that is known has said that it stopped [s]
-TOPIC = re.compile(r"(?P<namespace>.*)/(?:arm/stop|(?P<link>link_\d+)/(?:telemetry|command))")
+TOPIC = re.compile(
+    r"(?P<namespace>.*)/(?:arm/stop|(?P<link>link_\d+)/(?:telemetry|command)|(?P<base>base)/telemetry)"
+)
+STOPPED = {LinkTelemetry: State.STOPPED, BaseTelemetry: BaseState.STOPPED}
 EMERGENCY = "use the emergency stop"
 LIVES = 2.0  # a HOME, so that the link holds soon after this has ended [s]
 
@@ -84,16 +89,16 @@ def settled(node: Node, known: Callable[[], Any], nobody: str, wait: float) -> A
 
 
 class Stop:
-    """Stops all arms in the graph, or those in a namespace, until each link itself says it has.
+    """Stops all vehicles in the graph, or one, until each link, and each base, says it has.
 
     A link is there if somebody drives or commands it, as the node `arm` does all of its arm's.
     """
 
     def __init__(self, node: Node, namespace: str | None) -> None:
         self.node = node
-        self.namespace = namespace and f"/{namespace}".replace("//", "/").rstrip("/")
+        self.namespace = namespace and f"/{namespace.strip('/')}".rstrip("/")
         self.publishers: dict[str, Publisher] = {}
-        self.begun = self.known = monotonic()  # of the last link that became known
+        self.begun = self.known = monotonic()  # of the last part that became known
         self.since = int(node.get_clock().now().nanoseconds)  # by the clock of telemetry's stamps
         self.after: dict[
             str, float
@@ -117,21 +122,23 @@ class Stop:
             found = TOPIC.fullmatch(topic)
             if not found or self.namespace not in (None, found["namespace"]):
                 continue
-            link = found["link"] and f"{found['namespace']}/{found['link']}"
-            if not link:
+            part = found["link"] or found["base"]
+            part = part and f"{found['namespace']}/{part}"
+            if not part:
                 self.publish(topic)
-            elif link not in self.after and self.node.count_publishers(topic):
-                self.listen(link)
+            elif part not in self.after and self.node.count_publishers(topic):
+                self.listen(part, LinkTelemetry if found["link"] else BaseTelemetry)
 
-    def listen(self, link: str) -> None:
-        """Await that a link measures itself stopped after this began."""
-        self.known, self.after[link] = monotonic(), inf
+    def listen(self, part: str, kind: type) -> None:
+        """Await that a link, or a base's board, reports itself stopped after this began."""
+        self.known, self.after[part] = monotonic(), inf
+        stopped = STOPPED[kind]
 
-        def take(message: LinkTelemetry) -> None:
-            if message.flags & State.STOPPED and stamp_ns(message.header.stamp) > self.since:
-                self.after[link] = min(self.after[link], monotonic() - self.begun)
+        def take(message: Any) -> None:
+            if message.flags & stopped and stamp_ns(message.header.stamp) > self.since:
+                self.after[part] = min(self.after[part], monotonic() - self.begun)
 
-        subscribe_sensor(self.node, LinkTelemetry, f"{link}/telemetry", take)
+        subscribe_sensor(self.node, kind, f"{part}/telemetry", take)
 
     def __call__(self, wait: float) -> Answer:
         """Stop; whether all links confirm, in words."""
@@ -152,6 +159,16 @@ class Stop:
                 return False, f"{_named(silent)}: no word that it stopped{also}; {EMERGENCY}"
             if not self.after and now - self.begun > wait:
                 return False, f"there is no link to confirm the stop; {EMERGENCY}"
+
+
+def vehicles(node: Node) -> list[str]:
+    """The namespaces in which somebody drives an arm."""
+    found = (TOPIC.fullmatch(topic) for topic, _ in node.get_topic_names_and_types())
+    return sorted({one["namespace"] or "/" for one in found if one and one["link"]})
+
+
+def _where(node: Node) -> str:
+    return "" if node.get_namespace() == "/" else f" in {node.get_namespace()}"
 
 
 def _named(links: Iterable[str]) -> str:
@@ -258,21 +275,28 @@ def main() -> int:
     """Run; the exit code is 0 if the arm did so, 1 if not, 130 if interrupted before."""
     parser = argparse.ArgumentParser("fss_arm.sh", description=__doc__.replace("\n\n", "\n"))
     parser.add_argument("what", choices=WORDS)
-    parser.add_argument("--namespace", help="of the arm; without, stop is for all of any namespace")
+    parser.add_argument(
+        "--vehicle", "--namespace", help="its namespace; without, stop is for all vehicles, and "
+        "all else for the one in FSS_NAMESPACE",
+    )  # fmt: skip
     parser.add_argument("--wait", type=float, help="for somebody to be there [s]: 10, to stop 2")
     parser.add_argument("--within", type=float, default=60.0, help="a link must be referenced [s]")
     options = parser.parse_args()
     rclpy.init()
-    node = Node("fss_arm", namespace=options.namespace)
+    vehicle = options.vehicle or os.environ.get("FSS_NAMESPACE")
+    node = Node("fss_arm", namespace=vehicle or None)
     code = 1
     try:
         if options.what == "stop":
-            done, words = Stop(node, options.namespace)(options.wait or 2.0)
+            done, words = Stop(node, options.vehicle)(options.wait or 2.0)
         else:
             done, words = order(node, options.what, options.wait or 10.0, options.within)
+            words = f"{vehicle}: {words}" if vehicle and len(node.get_namespace()) > 1 else words
         code = 0 if done else 1
     except NoAnswerError as error:
-        words = str(error)
+        others = [v for v in vehicles(node) if v != node.get_namespace()]
+        also = f"; --vehicle is one of {', '.join(others)}" if others else ""
+        words = f"{error}{_where(node)}{also}"
     except (KeyboardInterrupt, ExternalShutdownException):
         code, words = 130, "interrupted"
     except RCLError:

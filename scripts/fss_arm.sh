@@ -1,8 +1,10 @@
 #!/bin/sh
 # What a person tells the arm; by the ROS domain and the network of this shell, or of a configuration.
-# usage: fss_arm.sh arm | disarm | stop | home | clear | solve | forget [CONFIG] [OPTION...]
+# usage: fss_arm.sh [--vehicle NAME] arm | disarm | stop | home | clear | solve | forget [CONFIG] [OPTION...]
 set -eu
 fss_scripts=$(CDPATH='' cd -- "$(dirname -- "$0")" && pwd -P)
+named=
+case ${1:-} in --vehicle) named=${2:-}; shift 2 ;; esac
 case ${2:-} in
   '' | -*)
     cd -- "$fss_scripts/.."
@@ -14,8 +16,10 @@ case ${2:-} in
     . "$fss_scripts/fss/config.sh"
     what=$1 config=$2
     shift 2
+    [ -z "$named" ] || vehicle "${named#/}"
     read_config "$config"
     set -- "$what" "$@"
     ;;
 esac
+[ -z "$named" ] || set -- "$@" --vehicle "$named"
 exec python3 "$fss_scripts/fss_arm.py" "$@"

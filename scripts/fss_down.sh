@@ -1,22 +1,25 @@
 #!/bin/sh
 # Disarms the links, then stops all nodes of a configuration, the last one first. The exit code is 0
 # if all links are known to be disarmed, and every node has stopped when it was told to.
-# usage: fss_down.sh [CONFIG]     config/fss.sh by default
+# usage: fss_down.sh [--vehicle NAME] [CONFIG]     config/fss.sh by default
 set -eu
 fss_scripts=$(CDPATH='' cd -- "$(dirname -- "$0")" && pwd -P)
 # shellcheck source=scripts/fss/config.sh
 . "$fss_scripts/fss/config.sh"
+case ${1:-} in --vehicle) vehicle "${2:-}"; shift 2 ;; esac
 read_config "${1:-}"
 refuse_systemd stop
 
 send() { ! held "$2" || kill -"$1" "$(cat "$FSS_LOGS/$2")" 2>/dev/null || true; }
 
-# drivers NAME PACKAGE EXECUTABLE...: sets `driving` if that drives links; one that stands still
+# drivers NAME PACKAGE EXECUTABLE...: adds its namespace to `driving` if that drives links; one that stands still
 # (SIGSTOP) is to go on, as it could not disarm its link.
 driving=
 drivers() {
   case "$2 $3" in 'fss_arm_driver link' | 'fss_arm_driver arm') ;; *) return 0 ;; esac
-  ! held "$1.node" || { driving=1; send CONT "$1.node"; }
+  held "$1.node" || return 0
+  send CONT "$1.node"
+  case " $driving " in *" /$FSS_NAMESPACE "*) ;; *) driving="$driving /$FSS_NAMESPACE" ;; esac
 }
 
 # members SESSION: the numbers of its processes. Those of a node have its keeper's number for one.
@@ -59,16 +62,18 @@ stop() {
 reversed=
 for name in $fss_nodes; do reversed="$name $reversed"; done
 # What has been taken out of the configuration meanwhile goes first.
-for file in "$FSS_LOGS"/*.node; do
-  name=${file##*/} name=${name%.node}
+for file in $(cd "$FSS_LOGS${fss_vehicle:+/$fss_vehicle}" && find . -name '*.node'); do
+  name=${file#./} name=${fss_vehicle:+$fss_vehicle/}${name%.node}
   case " $fss_nodes " in *" $name "*) ;; *) reversed="$name $reversed" ;; esac
 done
 
 status=0
 each_node drivers
-if [ "$driving" ] && ! "$fss_scripts/fss_arm.sh" disarm; then
-  echo "not all links are known to be disarmed: a joint that is on will be held, under power" >&2
-  status=1
-fi
+for space in $driving; do
+  if ! "$fss_scripts/fss_arm.sh" --vehicle "$space" disarm; then
+    echo "not all links are known to be disarmed: a joint that is on will be held, under power" >&2
+    status=1
+  fi
+done
 for name in $reversed; do stop "$name"; done
 exit $status

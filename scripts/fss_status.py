@@ -76,8 +76,9 @@ class Heard:
 class Listener(Node):
     """Hears everything that is to be shown."""
 
-    def __init__(self) -> None:
+    def __init__(self, namespace: str = "") -> None:
         super().__init__("status", start_parameter_services=False, enable_rosout=False)
+        self.within = f"/{namespace}/".replace("//", "/")  # what all names begin with
         self.measured: dict[str, Heard] = {}
         self.results: dict[str, Heard] = {}
         self.reports: dict[str, tuple[float, DiagnosticStatus]] = {}
@@ -87,7 +88,7 @@ class Listener(Node):
     def discover(self) -> None:
         """Listen to measurements, and to results: whatever has a verdict."""
         for topic, (msgtype, *_) in self.get_topic_names_and_types():
-            if topic in self.measured or topic in self.results:
+            if topic in self.measured or topic in self.results or not topic.startswith(self.within):
                 continue
             if msgtype in MEASUREMENTS:
                 self.listen(self.measured, topic, msgtype, LOOSE)
@@ -106,9 +107,10 @@ class Listener(Node):
         self.create_subscription(kind, topic, into[topic].take, qos, raw=True)
 
     def on_report(self, message: DiagnosticArray) -> None:
-        """Keep each node's last report."""
+        """Keep each node's last report, under its name as a configuration has it: `fss2/arm`."""
         for status in message.status:
-            self.reports[status.name] = time.monotonic(), status
+            if status.name.startswith(self.within) or "/" not in status.name:
+                self.reports[status.name.lstrip("/")] = time.monotonic(), status
 
     def report(self, name: str) -> DiagnosticStatus | None:
         """What a node said of itself, unless that is long ago."""
@@ -189,7 +191,7 @@ def links(listener: Listener) -> Table:
             continue
         m = heard.message()
         table.add_row(
-            topic.split("/")[-2],
+            topic.rpartition("/")[0].lstrip("/"),
             _in("armed", "bold yellow") if m.armed else "no",
             f"{heard.rate():.1f}",
             f"{1e3 * m.round_trip:.1f}",
@@ -269,6 +271,7 @@ def arguments() -> argparse.ArgumentParser:
     parser.add_argument(
         "--wait", type=float, default=1.0, help="until all is well or a node is down, at most [s]"
     )
+    parser.add_argument("--namespace", default="", help="of the vehicle to show; all by default")
     parser.add_argument("--logs", type=Path, required=True, help="folder of the nodes' logs")
     parser.add_argument(
         "--mute", action="append", default=[], metavar="NODE", help="one that reports nothing"
@@ -283,7 +286,7 @@ def main() -> int:
     processes = Processes(options.logs, options.names, options.mute)
     console = Console(width=None if sys.stdout.isatty() else 120, highlight=False)
     rclpy.init()
-    listener, executor = Listener(), BatchExecutor()
+    listener, executor = Listener(options.namespace), BatchExecutor()
     executor.add_node(listener)
 
     def listen(seconds: float) -> None:

@@ -1,15 +1,16 @@
 #!/bin/sh
 # Shows links, nodes, rates, faults and verdicts at a glance.
-# usage: fss_status.sh [--watch | --wait SECONDS] [CONFIG]     config/fss.sh by default
+# usage: fss_status.sh [--vehicle NAME] [--watch | --wait SECONDS] [CONFIG]     config/fss.sh by default
 set -eu
 fss_scripts=$(CDPATH='' cd -- "$(dirname -- "$0")" && pwd -P)
 # shellcheck source=scripts/fss/config.sh
 . "$fss_scripts/fss/config.sh"
 how=
+case ${1:-} in --vehicle) vehicle "${2:-}"; shift 2 ;; esac
 case ${1:-} in
   --watch) how=--watch; shift ;;
   --wait) how="--wait ${2:-}"; shift 2 ;;
-  -*) fail "usage: fss_status.sh [--watch | --wait SECONDS] [CONFIG]" ;;
+  -*) fail "usage: fss_status.sh [--vehicle NAME] [--watch | --wait SECONDS] [CONFIG]" ;;
 esac
 read_config "${1:-}"
 names=
@@ -17,4 +18,4 @@ names=
 name() { case $2 in fss_*) names="$names $1" ;; *) names="$names --mute $1" ;; esac; }
 each_node name
 # shellcheck disable=SC2086  # both are words
-exec python3 "$fss_scripts/fss_status.py" $how --logs "$FSS_LOGS" $names
+exec python3 "$fss_scripts/fss_status.py" $how --namespace "$fss_vehicle" --logs "$FSS_LOGS" $names

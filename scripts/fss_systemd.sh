@@ -13,10 +13,14 @@ read_config "${2:-}"
 # The nodes read the configuration again; what disarms the links does not.
 reach='DOMAIN_ID|AUTOMATIC_DISCOVERY_RANGE|STATIC_PEERS|DISCOVERY_SERVER|SUPER_CLIENT|SECURITY_[A-Z_]*'
 environment=$(env | sed -nE "s/^ROS_($reach)=.*/Environment=\"&\"/p")
+[ -z "$fss_vehicle" ] || environment="$environment
+Environment=\"FSS_NAMESPACE=$fss_vehicle\""
 
 # Services start one after the other and stop the other way round, as `After` has it.
 after=network-online.target
+service() { echo "$fss_name-$1.service" | tr / -; }
 unit() {
+  file=$(service "$1")
   : >>"$FSS_LOGS/$1.log"   # systemd would make it as root, and fss_up.sh could not write to it
   {
     cat <<END
@@ -36,8 +40,8 @@ WorkingDirectory=$fss_root
 ExecStart=$fss_scripts/fss/node.sh $fss_config $1
 END
     # systemd runs this for a process that has ended by itself, too: nobody is left to be asked then.
-    disarm="[ -z \"\$\$MAINPID\" ] || exec $fss_scripts/fss_arm.sh disarm"
-    [ "$1" != arm ] || echo "ExecStop=-/bin/sh -c '$disarm'"
+    disarm="[ -z \"\$\$MAINPID\" ] || exec $fss_scripts/fss_arm.sh${FSS_NAMESPACE:+ --vehicle $FSS_NAMESPACE} disarm"
+    [ "${1##*/}" != arm ] || echo "ExecStop=-/bin/sh -c '$disarm'"
     # systemd puts the result in.
     cat <<END
 ExecStopPost=-$fss_scripts/fss/tell.sh $fss_config $1 \${SERVICE_RESULT}
@@ -50,15 +54,15 @@ StandardError=inherit
 [Install]
 WantedBy=$fss_name.target
 END
-  } >"$folder/$fss_name-$1.service"
-  after=$fss_name-$1.service
+  } >"$folder/$file"
+  after=$file
 }
 each_node unit
 
 cat >"$folder/$fss_name.target" <<END
 [Unit]
 Description=FSS Arm: all nodes of $fss_config
-Wants=$(for name in $fss_nodes; do printf '%s-%s.service ' "$fss_name" "$name"; done)
+Wants=$(for name in $fss_nodes; do printf '%s ' "$(service "$name")"; done)
 
 [Install]
 WantedBy=multi-user.target

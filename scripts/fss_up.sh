@@ -1,11 +1,12 @@
 #!/bin/sh
 # Starts the nodes of a configuration that do not run yet, and shows how they are.
 # They outlive this shell and its line; a node that fails is started again a few times.
-# usage: fss_up.sh [CONFIG]     config/fss.sh by default
+# usage: fss_up.sh [--vehicle NAME] [CONFIG]     config/fss.sh by default
 set -eu
 fss_scripts=$(CDPATH='' cd -- "$(dirname -- "$0")" && pwd -P)
 # shellcheck source=scripts/fss/config.sh
 . "$fss_scripts/fss/config.sh"
+case ${1:-} in --vehicle) vehicle "${2:-}"; shift 2 ;; esac
 read_config "${1:-}"
 refuse_systemd start
 

@@ -3,7 +3,15 @@
 
 fail() { echo "${0##*/}: $*" >&2; exit 1; }
 
-# read_config CONFIG: its settings, the environment, and $fss_nodes, its nodes' names in order.
+# vehicle NAME: what --vehicle says: the namespace of all that follows.
+vehicle() {
+  [ "$1" ] || fail "--vehicle wants the name of a vehicle, its namespace"
+  export FSS_NAMESPACE="$1"
+}
+
+# read_config CONFIG: its settings, the environment, and $fss_nodes, its nodes' names in order, each
+# with its namespace before it: those in $FSS_NAMESPACE if that is set. A configuration whose nodes
+# are all in one namespace sets it.
 read_config() {
   fss_root=$(CDPATH='' cd -- "$fss_scripts/.." && pwd -P)
   fss_config=$(readlink -f -- "${1:-$fss_root/config/fss.sh}") || fss_config=   # nor its folder
@@ -14,30 +22,55 @@ read_config() {
   FSS_RESTARTS=3           # of a node that fails, until it has run for as long as the window
   FSS_WINDOW=600           # [s]
   FSS_STOP_TIMEOUT=10          # with a node that is to stop [s]
-  fss_nodes=
+  FSS_NAMESPACE=${FSS_NAMESPACE:-} FSS_NAMESPACE=${FSS_NAMESPACE#/}
+  fss_vehicle=$FSS_NAMESPACE fss_nodes='' fss_spaces=''
   . "$fss_config"
-  [ "$fss_nodes" ] || fail "$fss_config: has no node"
-  mkdir -p "$FSS_LOGS" || exit 1
+  FSS_NAMESPACE=$fss_vehicle
+  [ "$fss_nodes" ] || fail "$fss_config: has no node${FSS_NAMESPACE:+ in the namespace $FSS_NAMESPACE}"
+  case $fss_spaces in *' /'*) ;; *) FSS_NAMESPACE=${fss_spaces#/} ;; esac
+  export FSS_NAMESPACE
+  for fss_space in $fss_spaces; do mkdir -p "$FSS_LOGS$fss_space" || exit 1; done
   FSS_LOGS=$(readlink -f -- "$FSS_LOGS")
   export ROS_LOG_DIR="$FSS_LOGS/ros"
   . scripts/env.sh || exit 1
 }
 
-# each_node COMMAND...: runs it with the name, package, executable and arguments of each node.
+# each_node COMMAND...: runs it with the name, package, executable and arguments of each node, in
+# the node's $FSS_NAMESPACE.
 each_node() {
-  fss_each=$*
-  node() { $fss_each "$@"; }
+  fss_each=$* FSS_NAMESPACE=$fss_vehicle
+  node() {
+    ! elsewhere || return 0
+    fss_node=${FSS_NAMESPACE:+$FSS_NAMESPACE/}$1
+    shift
+    $fss_each "$fss_node" "$@"
+  }
   . "$fss_config"
+  FSS_NAMESPACE=$fss_vehicle
 }
 
-# In a configuration: node NAME PACKAGE EXECUTABLE [ARGUMENT...]
+# elsewhere: whether the node of this line is in another namespace than all is to be for.
+elsewhere() { [ "$fss_vehicle" ] && [ "$FSS_NAMESPACE" != "$fss_vehicle" ]; }
+
+# In a configuration: node NAME PACKAGE EXECUTABLE [ARGUMENT...], in the namespace FSS_NAMESPACE.
 node() {
+  case /$FSS_NAMESPACE/ in
+    // | /[A-Za-z]*/) ;;
+    *) fail "$fss_config: FSS_NAMESPACE is '$FSS_NAMESPACE', expected the name of a vehicle" ;;
+  esac
+  case $FSS_NAMESPACE in
+    *[!A-Za-z0-9_/]* | */ | *//*)
+      fail "$fss_config: FSS_NAMESPACE is '$FSS_NAMESPACE', expected letters, digits and _" ;;
+  esac
   case ${1:-} in
     '' | *[!A-Za-z0-9_]*) fail "$fss_config: node '${1:-}': expected letters, digits and _" ;;
   esac
   [ $# -ge 3 ] || fail "$fss_config: node $1: expected NAME PACKAGE EXECUTABLE [ARGUMENT...]"
+  ! elsewhere || return 0
+  set -- "${FSS_NAMESPACE:+$FSS_NAMESPACE/}$1"
   case " $fss_nodes " in *" $1 "*) fail "$fss_config: node $1 is there twice" ;; esac
   fss_nodes="${fss_nodes:+$fss_nodes }$1"
+  case " $fss_spaces " in *" /$FSS_NAMESPACE "*) ;; *) fss_spaces="${fss_spaces:+$fss_spaces }/$FSS_NAMESPACE" ;; esac
 }
 
 # Each node and its keeper hold the lock of a file with their process's number in it. A lock ends

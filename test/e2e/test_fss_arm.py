@@ -24,9 +24,10 @@ from fss_arm_driver.arm_node import ArmNode
 from fss_arm_driver.link_node import LinkNode
 from fss_arm_driver.protocol import Order, State
 from fss_arm_model.description import paper_arm, save
-from fss_arm_msgs.msg import LinkTelemetry
+from fss_arm_msgs.msg import BaseTelemetry, LinkTelemetry
 from fss_arm_ros.convert import to_time
 from fss_arm_ros.qos import SENSOR
+from fss_base_driver.protocol import BaseState
 
 SCRIPT = Path(__file__).resolve().parents[2] / "scripts/fss_arm.py"
 
@@ -211,9 +212,34 @@ def test_a_stop_is_for_all_namespaces_unless_one_is_given(spin, bench, telling):
     assert re.fullmatch(f"fss2/link_1: {STOPPED}", out)
     assert there.link.flags & State.STOPPED
     assert not any(transport.link.flags & State.STOPPED for transport in transports)
-    code, out, err = telling(nodes, STOP)
+    code, out, err = telling(nodes, STOP, FSS_NAMESPACE="fss2")  # narrows all else
     assert (code, err) == (0, "")
     assert re.fullmatch(f"fss2/link_1, link_1, link_2: {STOPPED}", out)
+    arm_it = sys.executable, SCRIPT, "arm", "--wait", "0.5"
+    code, _, err = telling(nodes, arm_it, FSS_NAMESPACE="fss2")
+    assert (code, err) == (1, "nobody offers arm/enable in /fss2; --vehicle is one of /\n")
+
+
+def test_a_stop_is_confirmed_by_the_bases_boards_too(spin, telling):
+    """A base without an arm, in a namespace."""
+    board = Node("board", namespace="fss3")
+    telemetry = board.create_publisher(BaseTelemetry, "base/telemetry", SENSOR)
+    flags = [0]
+
+    def tell():
+        message = BaseTelemetry(flags=flags[0])
+        message.header.stamp = board.get_clock().now().to_msg()
+        telemetry.publish(message)
+
+    board.create_timer(0.05, tell)
+    silent = "fss3/base: no word that it stopped; use the emergency stop\n"
+    assert telling([board], STOP) == (1, "", silent)
+    board.create_subscription(
+        Empty, "arm/stop", lambda _: flags.__setitem__(0, int(BaseState.STOPPED)), 10
+    )
+    code, out, err = telling([board], STOP)
+    assert (code, err) == (0, "")
+    assert re.fullmatch(f"fss3/base: {STOPPED}", out)
 
 
 def test_a_stop_is_confirmed_in_simulated_time(spin, telling):

@@ -33,6 +33,7 @@ ALLOWED = {
     | {"numpy", "rosbags", "mcap", "rich"},
     "fss_arm_driver": ROS
     | {"fss_arm_model.description", "fss_arm_model.settings", "fss_arm_model.urdf"}
+    | {"fss_arm_model.vehicle"}
     | {"fss_arm_model.files", *GUARD, "fss_arm_ros", "numpy", "serial"},
     "fss_sim": ROS | {"fss_arm_model", "fss_arm_ros", PROTOCOL, BOARD, "numpy"},
     "fss_sim.rehearsal": ROS
@@ -89,7 +90,7 @@ ROOMS = {
     },
     "fss_sim.board": {
         "fss_arm_model", BOARD, "fss_sim.plant", "fss_sim.faults", "fss_sim.noise",
-        "fss_sim.link.channel", "fss_sim.link.radio",
+        "fss_sim.link.channel", "fss_sim.link.power", "fss_sim.link.radio",
     },
     "fss_arm_calib.estimation": set(),
     "fss_arm_calib.segments": {"fss_arm_model", "fss_arm_calib.estimation"},

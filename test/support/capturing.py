@@ -15,8 +15,10 @@ from fss_gnc.guidance.capture import Capture
 from fss_gnc.guidance.mission_settings import MissionSettings
 from fss_gnc.navigation.navigation import Navigation
 from fss_sim.noise import PRESETS
+from fss_sim.plant.contact import Contact
 from fss_sim.plant.drives import OFF, VELOCITY
 from fss_sim.plant.plant import Demand, Plant, World
+from fss_sim.plant.target import Gripper
 from fss_sim.sensors import RATE, Sensors
 
 PERIOD = 0.1  # of guidance and control [s]
@@ -44,6 +46,8 @@ class Case:
     fault: str = ""  # outage, open, closed, gyro, link
     phase: str = ""  # at whose begin it happens
     lasts: float = 0.0  # of an outage [s]
+    solid: bool = True  # whether bodies keep each other out
+    gripper: Gripper = field(default_factory=Gripper)
 
 
 @dataclass
@@ -61,6 +65,9 @@ class Flown:
     torque: float = 0.0  # largest at a joint [N m]
     momentum: float = np.nan  # angular, at the grip [N m s]
     contact: str = ""  # of what with what; empty: none
+    nudges: int = 0  # frames in which the gripper touched the target
+    pushed: float = 0.0  # all that was given in contacts [N s]
+    slips: int = 0  # that were lost after they were held
     edge: float = np.inf  # least [m]
     spin: float = 0.0  # of the target at the end [rad/s]
     wall: float = 0.0  # [s]
@@ -81,7 +88,9 @@ class Flight:
         at = centre + case.distance * side
         q = np.array([at.real, at.imag, -1.4, *POSTURE])
         target = [[centre.real, centre.imag, case.heading], [*case.drift, case.spin]]
-        self.plant = Plant(arm, q, None, World(target=settings.target), target)
+        contact = Contact() if case.solid else None
+        world = World(gripper=case.gripper, target=settings.target, contact=contact)
+        self.plant = Plant(arm, q, None, world, target)
         self.craft = Craft(arm, settings)
         self.activity = activity or Capture(self.craft)
         propulsion, self.valves = self.plant.world.propulsion, self.plant.thrusters.layout
@@ -94,8 +103,10 @@ class Flight:
         self.encoders = rng.uniform(-7e-4, 7e-4, arm.n)
         self.joints, self.demands = deque(), deque()
         self.heard = None  # of the joints: angles, rates, torques, when [s]
-        self.frame, self.faulted = 0, np.inf
+        self.frame, self.faulted, self.held = 0, np.inf, False
+        self.last_near = 0.0  # when the gripper was at the fixture last [s]
         self.flown = Flown(case)
+        self.film: list[tuple[float, np.ndarray, np.ndarray]] = []  # time, q, target's pose
         self.around = sizes(settings, settings.target_radius, settings.gripper_length)
 
     @property
@@ -125,7 +136,7 @@ class Flight:
         ended = orders.ended or Ended(False, "it took too long")
         flown.well, flown.message = ended.well, ended.message
         flown.spin = float(self.plant.target[1, 2])
-        if not flown.well:
+        if not flown.well or self.case.fault:
             until = self.t + AFTER
             while self.t < until:
                 self.obey(Orders("idle", rates=np.zeros(self.arm.n)))
@@ -146,7 +157,8 @@ class Flight:
             q, qd, effort, then = self.heard
             q = q + (self.t - then) * qd
         left = self.plant.thrusters.tank - self.plant.thrusters.used
-        return Seen(self.t, *known, q, qd, effort, self.plant.holds, left)
+        last = self.heard[0] if self.heard else None
+        return Seen(self.t, *known, q, qd, effort, self.plant.holds, left, last)
 
     def order(self):
         self.now = seen = self.seen()
@@ -158,8 +170,10 @@ class Flight:
     def obey(self, orders):
         """Base by control and valves, joints late, gripper at once."""
         seen, times = self.now, np.zeros(len(self.valves))
-        if orders.path is not None and seen.base is not None and seen.q is not None:
-            q, qd = seen.floating
+        if orders.path is not None and seen.base is not None and seen.last_q is not None:
+            q_m = seen.last_q if seen.q is None else seen.q
+            qd_m = np.zeros(self.arm.n) if seen.qd is None else seen.qd
+            q, qd = np.concatenate([seen.base.pose, q_m]), np.concatenate([seen.base.twist, qd_m])
             self.control.p = self.navigation.inputs.p
             wrench = self.control.wrench(
                 q, qd, orders.path.at(self.t), PERIOD, np.zeros(self.arm.n)
@@ -204,6 +218,11 @@ class Flight:
 
     def look(self):
         plant = self.plant
+        for names, push in plant.bed.touched.items():
+            self.flown.pushed += push
+            self.flown.nudges += names == ("gripper", "target")
+            if names != ("gripper", "target") and not self.flown.contact:
+                self.flown.contact = f"{' with '.join(names)} at {self.t:.1f} s"
         effort = plant._torques[:, 1]
         self.flown.torque = max(self.flown.torque, float(np.abs(effort).max()))
         now = round(self.t * SECOND)
@@ -231,6 +250,9 @@ class Flight:
 
     def judge(self):
         """Who touches whom."""
+        self.film.append((self.t, self.plant.q.copy(), self.plant.target[0].copy()))
+        self.flown.slips += self.held and not self.plant.holds and self.plant.closed
+        self.held = self.plant.holds
         plant, flown, n = self.plant, self.flown, self.arm.n
         p, q = self.arm.vector(), plant.q
         edge = float(gaps(p, q, list(with_edge(n)), self.around).min())
@@ -244,6 +266,8 @@ class Flight:
             if not flown.captured:
                 flown.captured, flown.grip = True, self.t
                 flown.momentum = float(momentum(plant._p, plant.q, plant.qd)[2])
+        if plant.approach.distance < 0.05:
+            self.last_near = self.t
         half = 2.0 - 0.19
         out = np.abs(plant.target[0, :2]).max() > half and plant.holds
         for name, gap in (("edge", edge), ("itself", own), ("target", float(apart.min()))):

@@ -5,6 +5,7 @@ import numpy as np
 import pinocchio as pin
 
 from fss_arm_model.description import Arm
+from fss_sim.plant.joints import Joints
 
 
 def pinocchio_model(arm: Arm) -> pin.Model:
@@ -34,25 +35,57 @@ def add_body(model, parent, place, body):
     return joint
 
 
-def mujoco_model(arm: Arm) -> mujoco.MjModel:
-    def body(name, place, joints, mass, inertia, x, y, inner):
+def mujoco_model(
+    arm: Arm, joints: Joints | None = None, link_radius: float = 0.0, others: str = ""
+) -> mujoco.MjModel:
+    """The arm; with joints that give, motors turn their ratio as fast, each a body of its own.
+
+    A motor m_i is tied to its joint q_i by a tendon, which is the gear's spring and damper. What
+    the arm's description has of a rotor's inertia, as part of the body that carries it, is the
+    rotor's then. Links are capsules if they have a radius; beside the arm are `others`.
+    """
+    rotor = joints.rotor_inertia / joints.gear_ratio**2 if joints else 0.0
+
+    def body(name, place, joint, mass, inertia, x, y, inner):
         return (
-            f'<body name="{name}" {place}>{joints}<inertial pos="{x!r} {y!r} 0" mass="{mass!r}" '
+            f'<body name="{name}" {place}>{joint}<inertial pos="{x!r} {y!r} 0" mass="{mass!r}" '
             f'diaginertia="{inertia!r} {inertia!r} {inertia!r}"/>{inner}</body>'
         )
 
-    hinge = '<joint type="hinge" axis="0 0 1"/>'
-    inner = ""
+    def hinge(name):
+        return f'<joint name="{name}" type="hinge" axis="0 0 1"/>'
+
+    inner, tendons = "", ""
     for i in reversed(range(arm.n)):
-        link = arm.links[i]
+        link, name = arm.links[i], f"q_{i + 1}"
         x, y, turn = arm.base.mount if i == 0 else (arm.links[i - 1].a, 0.0, 0.0)
         place = f'pos="{x!r} {y!r} 0" euler="0 0 {turn + link.theta_0!r}"'
-        inner = body(
-            f"link_{i + 1}", place, hinge, link.mass, link.inertia, link.g, link.lateral, inner
-        )
+        if link_radius:
+            inner += (
+                f'<geom type="capsule" fromto="0 0 0 {link.a!r} 0 0" size="{link_radius!r}" '
+                'contype="1" conaffinity="2"/>'
+            )
+        inertia = link.inertia - (rotor if i < arm.n - 1 else 0.0)
+        shape = link.mass, inertia, link.g, link.lateral
+        inner = body(f"link_{i + 1}", place, hinge(name), *shape, inner)
+        if joints:
+            motor, half = f"m_{i + 1}", 0.5 * joints.dead_band
+            place = f'pos="{x!r} {y!r} 0"'
+            inner += body(f"motor_{i + 1}", place, hinge(motor), 1e-9, rotor, 0.0, 0.0, "")
+            tendons += (
+                f'<fixed stiffness="{joints.stiffness!r}" damping="{joints.damping!r}" '
+                f'springlength="{-half!r} {half!r}"><joint joint="{name}" coef="1"/>'
+                f'<joint joint="{motor}" coef="{-1.0 / joints.gear_ratio!r}"/></fixed>'
+            )
     slides = '<joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 1 0"/>'
-    base = body("base", "", slides + hinge, arm.base.mass, arm.base.inertia, *arm.base.com, inner)
+    own = arm.base.mass, arm.base.inertia - rotor, *arm.base.com
+    base = body("base", "", slides + hinge("theta"), *own, inner)
     return mujoco.MjModel.from_xml_string(
         '<mujoco><compiler angle="radian"/><option gravity="0 0 0"/>'
-        f"<worldbody>{base}</worldbody></mujoco>"
+        f"<worldbody>{base}{others}</worldbody><tendon>{tendons}</tendon></mujoco>"
     )
+
+
+def mujoco_index(model: mujoco.MjModel, letter: str, n: int) -> list[int]:
+    """Where the angles of joints ("q") or motors ("m") stand."""
+    return [model.joint(f"{letter}_{i}").id for i in range(1, n + 1)]

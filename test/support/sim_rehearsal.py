@@ -24,7 +24,10 @@ from fss_arm_model.description import kinematic_index, load
 from fss_sim import testbed
 from fss_sim.faults import read_script
 from fss_sim.noise import PRESETS
+from fss_sim.plant.joints import PRESETS as JOINTS
+from fss_sim.plant.plant import World
 from fss_sim.testbed import SECOND, State
+from fss_sim.vicon import Vicon
 
 COMMANDS = 20  # frames from one command to the next
 EPOCH = 1_700_000_000 * SECOND
@@ -37,17 +40,23 @@ ROUNDS = 2  # of postures whose rest was rejected
 
 
 class Rehearsal:
-    """An experiment under a fault script."""
+    """An experiment under a fault script, with the joints and errors of a preset."""
 
-    def __init__(self, config, script="", noise=None, seed=1, postures=DEFAULT, **options):
+    def __init__(
+        self, config, script="", noise=None, seed=1, postures=DEFAULT, preset="paper", room=None,
+        **options,
+    ):  # fmt: skip
         self.truth, self.guess = load(config / "truth.yaml"), load(config / "cad.yaml")
         state = State(frame=0, boots=1, rests=0, q=(0.0,) * 7, qd=(0.0,) * 7)
+        noise = replace(PRESETS[preset], **(noise or {}))
         self.bed = testbed.Testbed(
             self.truth,
-            replace(PRESETS["paper"], **(noise or {})),
+            noise,
             seed,
             state,
             script=read_script(script),
+            world=World(JOINTS[preset]),
+            vicon=Vicon(noise, room, seed, [0, 1]) if room else None,
             **options,
         )
         self.links = [LinkSession(i, k) for i, k in enumerate(self.guess.links, 1)]

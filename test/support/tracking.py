@@ -14,8 +14,8 @@ from fss_sim.noise import PRESETS
 from fss_sim.plant.drives import VELOCITY
 from fss_sim.plant.plant import Demand, Plant, World
 from fss_sim.plant.surroundings import Surroundings
-from fss_sim.sensors import RATE, Sensors
-from fss_sim.vicon import Room
+from fss_sim.sensors import RATE, Sensors, compose
+from fss_sim.vicon import BASE, TARGET, TIP, Room, Vicon
 
 SECOND = 1_000_000_000
 FRAME = SECOND // RATE
@@ -48,6 +48,14 @@ def ramp(was, wanted, slopes, t):
     return was + np.clip(wanted - was, -slopes * t, slopes * t)
 
 
+def look_at(vicon, frame, plant):
+    """What a picture gives of base, tip and target."""
+    room, pose = vicon.room, plant.target[0]
+    bodies = np.concatenate([room.bodies(plant.p, plant.q), room.disc(TARGET, pose, 0.19)])
+    poses = [plant.base, compose(plant.base, plant.tip), pose]
+    return dict(enumerate(vicon.look(frame, poses, bodies)))
+
+
 def track(
     seed, frames, *, arm="config/truth.yaml", known=None, outage=(0, 0), moving=True,
     thrusting=True, planned=True, told=True, preset="default", settings=None,
@@ -65,7 +73,8 @@ def track(
     qd = np.concatenate([rng.normal(0, [0.02, 0.02, 0.05]), np.zeros(4)])
     drifting = rng.normal(0, [0.02, 0.02, 0.15])
     plant = Plant(arm, q, qd, world, [[1.0, 1.0, 1.0], drifting])
-    sensors = Sensors(noise, seed, room=room)
+    sensors = Sensors(noise, seed)
+    vicon = Vicon(noise, room, seed, (BASE, TIP, TARGET)) if noise.markers else None
     navigation = Navigation(load(known) if known else arm, settings, of_target)
     encoders = [Encoder(noise.encoder_error, rng.uniform(-np.pi, np.pi)) for _ in range(arm.n)]
     base, target, errors, variances = [], [], [], []
@@ -97,9 +106,7 @@ def track(
                 navigation.joint(i, now, e.reading(motion.q), e.rate(motion.q, motion.qd))
         seen = sensors.observe(
             frame + 1, plant.base, plant.tip, float(plant.qd[2]), plant.qd[3:],
-            target=plant.target[0].tolist(),
-            bodies=room.bodies(arm.vector(), plant.q, plant.target[0], target_radius=0.19)
-            if noise.vicon_occlusion else (),
+            target=plant.target[0].tolist(), looks=vicon and look_at(vicon, frame + 1, plant),
         )  # fmt: skip
         at = now - seen.base.before - round(SECOND * noise.vicon_latency)
         if gyro and navigation.base.rate(now, seen.rate):

@@ -21,6 +21,10 @@ from fss_arm_ros.parameters import declare
 from fss_arm_ros.run import run
 
 MEGABYTE = 1_000_000
+SHARED = (
+    *("/clock", "/tf", "/tf_static", "/diagnostics", "/rosout", "/parameter_events"),
+    *("/vicon", "/sim"),
+)  # by all vehicles of a laboratory
 EARLY = 1000  # latched messages kept until there is a time of receipt
 
 
@@ -29,7 +33,15 @@ class RecordSettings(Settings):
     """The parameters of a RecordNode."""
 
     output: str = setting("", "folder of the bags; the next of bag_0, bag_1, ... is written")
-    topics: tuple[str, ...] = setting((), "names of the topics to record; none: all there are")
+    topics: tuple[str, ...] = setting(
+        (), "names of the topics to record, wherever they are; none: all of the namespace"
+    )
+    namespace: str = setting(
+        "/", "namespace whose topics are recorded; /: all there are", within="/{namespace}"
+    )
+    shared: tuple[str, ...] = setting(
+        SHARED, "topics, with those below them, that are recorded beside those of the namespace"
+    )
     split_size: float = setting(
         2000.0, "size at which the next bag is begun; 0: never", unit="MB", check=NOT_NEGATIVE
     )
@@ -53,6 +65,8 @@ class RecordSettings(Settings):
 class RecordNode(Node):
     """Records topics, as they come up, into the next bags of a folder.
 
+    In a namespace it records that and what all vehicles share, else all there are.
+
     Hidden topics (a part of the name begins with `_`, as those of actions) are left out.
     At most the last second is lost when it is killed. The time of receipt is the node's: with
     use_sim_time it is /clock's; of what comes before the first /clock only latched messages are
@@ -63,6 +77,8 @@ class RecordNode(Node):
         super().__init__("record", **options)
         settings = self.settings = declare(self, RecordSettings)
         self.topics = {self.resolve_topic_name(topic) for topic in settings.topics}
+        names = settings.namespace, *filter(None, settings.shared)
+        self.places = [f"/{name.strip('/')}".rstrip("/") for name in names]
         self.recording = Recording(Path(settings.output), settings.limits())
         self.heard: dict[str, Subscription] = {}
         self.unknown: set[str] = set()
@@ -78,12 +94,18 @@ class RecordNode(Node):
     def discover(self) -> None:
         """Listen to topics that are new, or whose publishers ask for another subscription."""
         for topic, (msgtype, *_) in self.get_topic_names_and_types():
-            if topic in self.unknown or "/_" in topic or (self.topics and topic not in self.topics):
+            if topic in self.unknown or "/_" in topic or not self.wanted(topic):
                 continue
             offered = [info.qos_profile for info in self.get_publishers_info_by_topic(topic)]
             present = [self.heard[topic].qos_profile] if topic in self.heard else []
             if offered and match(offered + present) not in present:
                 self.listen(topic, msgtype, offered + present)
+
+    def wanted(self, topic: str) -> bool:
+        """Whether to record a topic."""
+        if self.topics:
+            return topic in self.topics
+        return any(topic == name or topic.startswith(f"{name}/") for name in self.places)
 
     def listen(self, topic: str, msgtype: str, offered: list[QoSProfile]) -> None:
         """Subscribe to a topic, in place of a subscription that not all publishers match."""

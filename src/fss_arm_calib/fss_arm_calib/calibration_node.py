@@ -18,12 +18,15 @@ from fss_arm_calib.report import write
 from fss_arm_calib.segments.streams import Streams, newest
 from fss_arm_calib.state import Flags, StateError, Writes, restore, save
 from fss_arm_model.description import described
-from fss_arm_model.settings import Settings, setting
+from fss_arm_model.settings import Settings, default_in, setting
+from fss_arm_model.vehicle import Vehicle
 from fss_arm_ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
 from fss_arm_ros.memory import give_back
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED, subscribe_sensor
 from fss_arm_ros.run import run
+
+BASE = Vehicle.__dataclass_fields__["base_frame"]
 
 
 @dataclass(frozen=True)
@@ -53,7 +56,8 @@ class CalibrationNode(Node):
         super().__init__(kind.name, **options)
         self.kind = kind
         s = self.settings = declare(self, node_settings(kind))
-        self.frame = s.frame_id or kind.frame
+        base = default_in(BASE, self.get_namespace())
+        self.frame = s.frame_id or (base if kind.frame == BASE.default else kind.frame)
         self.arm = described(s.arm)
         self.writes = Writes(self.get_logger())
         kept, self.flags = self.restored()

@@ -20,7 +20,7 @@ from fss_arm_calib.outcome import Datum, Outcome
 from fss_arm_calib.segments.streams import newest
 from fss_arm_calib.settings import CalibrationSettings
 from fss_arm_model.description import described, load
-from fss_arm_model.settings import meaning
+from fss_arm_model.settings import default_in, meaning
 from fss_arm_ros.command_line import USER_ERROR, Parser
 from fss_arm_ros.convert import SECOND
 
@@ -40,19 +40,26 @@ def solve_bag(
     kind: Calibration[D, C],
     paths: str | PathLike[str] | Iterable[str | PathLike[str]],
     settings: C | None = None,
+    namespace: str = "",
 ) -> Outcome[D, Any]:
     """Find the data in one or several bags, and calibrate, as the node does on live topics.
+
+    Args:
+        kind: of calibration.
+        paths: the bags'.
+        settings: those of the kind by default.
+        namespace: of the vehicle whose data they are, as `fss2`.
 
     Raises:
         BagError: a bag cannot be read or lacks a topic.
         ValueError: a setting is impossible, or the description is.
         OSError: a file cannot be read.
     """
-    s = settings or kind.settings()
+    s = settings or kind.settings(**defaults(kind.settings, namespace))
     arm = described(s.arm)
     finder = kind.finder(arm.n, s, [])
     with open_bags(paths) as bags:
-        found = newest(fed(bags, finder, kind.inputs(s, arm.n), s.horizon), kind.most(s))
+        found = newest(fed(bags, finder, kind.inputs(s, arm.n), s.horizon, namespace), kind.most(s))
         return kind.calibrate(found, arm, s, finder.streams(), source(bags))
 
 
@@ -64,13 +71,20 @@ def source(bags: Bags) -> str:
     return ", ".join(f"{path.name} {digest(path)}{lost.get(path, '')}" for path in bags.paths)
 
 
-def fed(bags: Bags, finder: Finder[D], inputs: Sequence[Input], horizon: float) -> list[D]:
+def defaults(kind: type[Any], namespace: str) -> dict[str, Any]:
+    """The defaults of settings for a vehicle, which is in a namespace."""
+    return {f.name: default_in(f, namespace) for f in fields(kind)}
+
+
+def fed(
+    bags: Bags, finder: Finder[D], inputs: Sequence[Input], horizon: float, namespace: str = ""
+) -> list[D]:
     """What a finder makes of the bags' messages.
 
     Raises:
         BagError: a topic is missing or of another type.
     """
-    topics = {name(bags, one): one for one in inputs}
+    topics = {name(bags, one, namespace): one for one in inputs}
     found: list[D] = []
     for piece in pieces(bags.raw(set(topics)), round(PIECE * horizon * SECOND)):
         for topic, one in topics.items():
@@ -83,22 +97,34 @@ def fed(bags: Bags, finder: Finder[D], inputs: Sequence[Input], horizon: float) 
     return found + finder.close()
 
 
-def name(bags: Bags, one: Input) -> str:
-    """The name of an input's topic, as in the bags.
+def name(bags: Bags, one: Input, namespace: str = "") -> str:
+    """The name of an input's topic, as in the bags: in the namespace, unless it begins with `/`.
 
     Raises:
         BagError: it is missing or of another type.
     """
-    topic = f"/{one.topic.lstrip('/')}"
+    within = namespace.strip("/")
+    topic = (
+        f"/{within}/{one.topic}" if within and one.topic[0] != "/" else f"/{one.topic.lstrip('/')}"
+    )
     if topic in bags.topics and bags.topics[topic].msgtype != one.type:
         raise BagError(f"{topic} is of type {bags.topics[topic].msgtype}, expected {one.type}")
     if topic not in bags.topics and one.needed:
         there = ", ".join(bags.topics) or "no topics"
-        raise BagError(f"no {topic} in {', '.join(map(str, bags.paths))}, which has {there}")
+        where = ", ".join(map(str, bags.paths))
+        raise BagError(f"no {topic} in {where}, which has {there}{hint(bags, one.topic)}")
     return topic
 
 
-def parser(kind: Calibration[Any, Any]) -> argparse.ArgumentParser:
+def hint(bags: Bags, topic: str) -> str:
+    """In which namespaces there is a topic that was looked for, in words; empty: in none."""
+    last = f"/{topic.lstrip('/')}"
+    spaces = [found.removesuffix(last)[1:] for found in bags.topics if found.endswith(last)]
+    named = " or ".join(f"--namespace {space}" for space in spaces if space)
+    return named and f"; see {named}"
+
+
+def parser(kind: Calibration[Any, Any], namespace: str = "") -> argparse.ArgumentParser:
     """The command line: the bags, what to write, and each setting that the node has, too."""
     lacks = "".join(f" No {what}: {why}." for what, why in kind.lacks.items())
     p = Parser("from_bag", description=f"{__doc__} {kind.about}{lacks}", epilog=EPILOG)
@@ -112,7 +138,9 @@ def parser(kind: Calibration[Any, Any]) -> argparse.ArgumentParser:
     p.add_argument(
         "--truth", metavar="YAML", help="description to compare with, in the report only"
     )
+    p.add_argument("--namespace", default="", help="of the vehicle, if the bag has several: fss2")
     add_settings(p, kind.settings)
+    p.set_defaults(**defaults(kind.settings, namespace))
     return p
 
 
@@ -150,7 +178,7 @@ def calibrated(
     """Solve, show and write what was asked for."""
     truth = load(options.truth) if options.truth else None
     settings = kind.settings(**{f.name: getattr(options, f.name) for f in fields(kind.settings)})
-    outcome = solve_bag(kind, options.bags, settings)
+    outcome = solve_bag(kind, options.bags, settings, options.namespace)
     found = kind.report_of(outcome, truth)
     console.print(report.printed(found))
     if options.report:
@@ -169,7 +197,8 @@ def main(args: Sequence[str] | None = None) -> int:
     """Run as `ros2 run fss_arm_calib from_bag`."""
     given = sys.argv[1:] if args is None else args
     kind = asked(given)
-    options = parser(kind).parse_args(given)
+    namespace = parser(kind).parse_args(given).namespace  # which changes the defaults
+    options = parser(kind, namespace).parse_args(given)
     try:
         return EXIT_CODES[calibrated(kind, options, report.console()).verdict]
     except (ValueError, OSError) as error:

@@ -77,16 +77,18 @@ def _difference(a: Any, b: Any) -> float:
     return float(np.max(np.nan_to_num(np.abs(a[other] - b[other]), nan=np.inf), initial=0.0))
 
 
-def comparisons(bags: Bags) -> list[Comparison]:
-    """All recorded results computed again.
+def comparisons(bags: Bags, namespace: str = "") -> list[Comparison]:
+    """All recorded results, of the vehicle in a namespace, computed again.
 
     Raises:
         BagError: no result was recorded, or one without its data.
         ValueError: a result does not hold its settings.
     """
     found = []
+    space = f"/{namespace.strip('/')}/".replace("//", "/")
     for kind in KINDS.values():
-        results, source, parts = f"/{kind.topic}", f"/{kind.data.topic}", f"{kind.data.noun}s"
+        results, source = f"{space}{kind.topic}", f"{space}{kind.data.topic}"
+        parts = f"{kind.data.noun}s"
         read = [(topic, m) for topic, _, _, m in bags.messages({results, source})]
         data = [m for topic, m in read if topic == source]
         ends = [{0, *(one.end for one in kind.data.from_message(m))} for m in data]
@@ -100,7 +102,7 @@ def comparisons(bags: Bags) -> list[Comparison]:
                 raise BagError(f"a result on {results} lacks its {parts} ({begin}..)")
             found.append(same)
     if not found:
-        topics = " or ".join(f"/{kind.topic}" for kind in KINDS.values())
+        topics = " or ".join(f"{space}{kind.topic}" for kind in KINDS.values())
         raise BagError(f"no result on {topics} in {', '.join(map(str, bags.paths))}")
     return found
 
@@ -109,6 +111,7 @@ def parser() -> argparse.ArgumentParser:
     """The command line."""
     p = Parser("recompute", description=__doc__)
     p.add_argument("bags", nargs="+", metavar="BAG", help="bag, or folder of bags")
+    p.add_argument("--namespace", default="", help="of the vehicle, if the bag has several: fss2")
     return p
 
 
@@ -117,7 +120,7 @@ def main(args: Sequence[str] | None = None) -> int:
     options = parser().parse_args(args)
     try:
         with open_bags(options.bags) as bags:
-            found = comparisons(bags)
+            found = comparisons(bags, options.namespace)
     except (ValueError, OSError) as error:
         print(f"recompute: {' '.join(str(error).split())}", file=sys.stderr)
         return USER_ERROR

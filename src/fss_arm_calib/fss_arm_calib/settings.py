@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 from fss_arm_calib.estimation.least_squares import CAUCHY, HUBER, LOSSES, SQUARE
 from fss_arm_calib.segments.settings import RestSettings
-from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, Check, at_least, one_of, setting
+from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, Check, at_least, like, one_of, setting
+from fss_arm_model.vehicle import Vehicle
 
 SHARE = Check("0 or more, and below 1", lambda value: 0.0 <= value < 1.0, low=0.0, high=1.0)
 
@@ -19,7 +20,7 @@ class CalibrationSettings(RestSettings):
 
     arm: str = setting("", "description YAML to begin from; empty: the paper's arm")
     joints_topic: str = setting("joint_states", "topic of the readings of joint_1 .. joint_n")
-    base_topic: str = setting("vicon/fss/fss", "topic of the base's poses")
+    base_topic: str = like(Vehicle, "base_topic")
     loss: str = setting(
         SQUARE,
         f"{SQUARE}, or {HUBER} or {CAUCHY}, which let data far off count less",

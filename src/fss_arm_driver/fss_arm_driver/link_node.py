@@ -114,7 +114,7 @@ class LinkNode(Node):
         period = 1.0 / settings.rate / self.usual
         self.steady = self.create_timer(period, self.beat, clock=clock)
         self.late = self.create_timer(period, self.send, clock=clock, autostart=False)
-        self.messages = SampleMessages(self.session)
+        self.messages = SampleMessages(self.session, self.settings.frame_prefix)
         self.link_health = LinkHealth(self.session, self.transport, bool(settings.keys))
         self.diagnostics = Diagnostics(self, self.health, settings.url)
         self.news = self.create_guard_condition(self.answer)

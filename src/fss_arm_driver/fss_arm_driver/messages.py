@@ -36,12 +36,12 @@ class SampleMessages:
     publishing it: what is returned holds until the next sample.
     """
 
-    def __init__(self, session: LinkSession) -> None:
+    def __init__(self, session: LinkSession, frame_prefix: str = "") -> None:
         self.session = session
         name = [f"joint_{session.number}"]
         self._joint_state = JointState(name=name, position=[nan], velocity=[nan], effort=[nan])
         self._telemetry = LinkTelemetry(link=session.number)
-        self._telemetry.header.frame_id = f"link_{session.number}"
+        self._telemetry.header.frame_id = f"{frame_prefix}link_{session.number}"
 
     def joint_state(self, sample: Sample) -> JointState:
         """The joint's state at the time of the measurement."""

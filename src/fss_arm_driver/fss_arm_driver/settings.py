@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 from fss_arm_driver.protocol import key_of
 from fss_arm_model.description import Arm, Link, described
-from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, Settings, between, setting
+from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, Settings, between, like, setting
+from fss_arm_model.vehicle import Vehicle
 from fss_arm_motion.guard_settings import GuardSettings
 
 
@@ -42,6 +43,7 @@ class LinkSettings(Settings):
         12.0, "battery voltage at which a link must be switched off", unit="V", check=NOT_NEGATIVE
     )
     keys: str = setting("", "file of the links' keys; empty: frames are not signed")
+    frame_prefix: str = like(Vehicle, "frame_prefix")
     arm: str = setting("", "file of the arm's description; empty: the paper's arm")
 
     def __post_init__(self) -> None:
@@ -125,6 +127,8 @@ class ArmSettings(GuardSettings):
     publish_tf: bool = setting(
         True, "whether to publish transforms; not beside robot_state_publisher, which does"
     )
+    frame_prefix: str = like(Vehicle, "frame_prefix")
+    target_topic: str = like(Vehicle, "target_topic")
 
     def description(self) -> Arm:
         """The arm to move."""

@@ -40,7 +40,7 @@ def with_target(n: int) -> Iterator[tuple[int, int]]:
 
 def with_edge(n: int) -> Iterator[tuple[int, int]]:
     """The edge with base, links and gripper."""
-    return ((i, n + EDGE) for i in range(n + 1 + GRIPPER))
+    return ((i, n + EDGE) for i in range(n + 1 + GRIPPER if n else 1))
 
 
 def body_name(body: int, n: int) -> str:

@@ -225,6 +225,10 @@ class Base:
     def __post_init__(self) -> None:
         _check(self)
 
+    def vector(self) -> npt.NDArray[np.float64]:
+        """The parameters of a base without an arm, (8,), as Arm.vector() begins."""
+        return np.array([self.mass, self.inertia, *self.com, *self.mount, 0.0])
+
 
 @dataclass(frozen=True)
 class Arm:
@@ -256,8 +260,7 @@ class Arm:
         m_0, I_0, com_x, com_y, x_BJ1, y_BJ1, theta_BJ1, theta_E, then for each link
         a, theta_0, mass, inertia, g, lateral.
         """
-        base = self.base
-        numbers = [base.mass, base.inertia, *base.com, *base.mount, self.theta_E]
+        numbers = [*self.base.vector()[:-1], self.theta_E]
         for k in self.links:
             numbers += [k.a, k.theta_0, k.mass, k.inertia, k.g, k.lateral]
         return np.array(numbers)

@@ -15,7 +15,7 @@ from . import layout
 from .dynamics import inertia_matrix
 from .kinematics import tip_jacobian, tip_pose
 from .momentum import momentum, system_com
-from .settings import FINITE, POSITIVE, Settings, setting
+from .settings import FINITE, NOT_NEGATIVE, POSITIVE, Settings, setting
 
 Floats = npt.NDArray[np.float64]
 
@@ -31,6 +31,10 @@ class Target(Settings):
     fixture: tuple[float, ...] = setting(
         (0.19, 0.0, 0.0), "place to grip the target at, in its frame: x, y, outward heading",
         unit="m, m, rad", check=FINITE, size=3,
+    )  # fmt: skip
+    radius: float = setting(
+        0.19, "radius within which the target lies about its centre of mass", unit="m",
+        check=NOT_NEGATIVE,
     )  # fmt: skip
 
     def vector(self) -> Floats:

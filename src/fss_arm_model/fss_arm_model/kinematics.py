@@ -118,9 +118,9 @@ def checked(p: npt.ArrayLike, q: npt.ArrayLike) -> tuple[Floats, Floats, int]:
         ValueError: their last dimensions do not belong to the same number of links.
     """
     p, q = np.asarray(p, dtype=float), np.asarray(q, dtype=float)
-    n = q.shape[-1] - 3 if q.ndim else 0
-    if n < 1 or p.ndim == 0 or p.shape[-1] != layout.size(n):
-        expected = "(..., 8 + 6 n) and (..., 3 + n) with n of 1 or more"
+    n = q.shape[-1] - 3 if q.ndim else -1
+    if n < 0 or p.ndim == 0 or p.shape[-1] != layout.size(n):
+        expected = "(..., 8 + 6 n) and (..., 3 + n) with n of 0 or more"
         raise ValueError(f"p and q have the shapes {p.shape} and {q.shape}, expected {expected}")
     return p, q, n
 

@@ -50,7 +50,13 @@ def one_of(*choices: str) -> Check:
 
 
 def setting(
-    default: Any, about: str, *, unit: str = "", check: Check | None = None, size: int | None = None
+    default: Any,
+    about: str,
+    *,
+    unit: str = "",
+    check: Check | None = None,
+    size: int | None = None,
+    within: str = "",
 ) -> Any:
     """A field of Settings.
 
@@ -60,10 +66,19 @@ def setting(
         unit: of the value.
         check: what the value may be; of a tuple, each of its elements.
         size: how many elements a tuple must have; None: any number.
+        within: the default in a ROS namespace instead, where it is to tell vehicles apart:
+            {namespace} in it is `lab/fss2` in /lab/fss2, {vehicle} is `fss2`.
     """
-    return field(
-        default=default, metadata={"about": about, "unit": unit, "check": check, "size": size}
-    )
+    what = {"about": about, "unit": unit, "check": check, "size": size, "within": within}
+    return field(default=default, metadata=what)
+
+
+def default_in(f: "Field[Any]", namespace: str) -> Any:
+    """The default of a field in a ROS namespace, as `/fss2`."""
+    name, within = namespace.strip("/"), f.metadata["within"]
+    if not name or not within:
+        return f.default
+    return within.format(namespace=name, vehicle=name.rpartition("/")[2])
 
 
 def like(kind: type, name: str, default: Any = MISSING) -> Any:
@@ -107,4 +122,6 @@ def meaning(f: "Field[Any]") -> str:
     about, unit, check = (f.metadata[key] for key in ("about", "unit", "check"))
     words = f"{about} [{unit}]" if unit else about
     each = "each " if isinstance(f.default, tuple) else ""
-    return f"{words}; {each}{check.expected}" if check else words
+    words = f"{words}; {each}{check.expected}" if check else words
+    within = default_in(f, "NAME") if f.metadata["within"] else ""
+    return f"{words}; default in a namespace /NAME: {within}" if within else words

@@ -16,11 +16,13 @@ from nav_msgs.msg import Odometry
 from rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectoryPoint
+from unique_identifier_msgs.msg import UUID
 
 from fss_arm_model.description import described
 from fss_arm_model.kernels import Floats
@@ -87,7 +89,10 @@ class MotionNode(Node):
             self, ExecuteMotion, "arm/execute", self.on_execute, callback_group=group,
             goal_callback=self.on_goal, cancel_callback=self.on_cancel,
         )  # fmt: skip
+        self.alive = self.create_publisher(UUID, "arm_controller/alive", 10)
         self.create_timer(0.1, self.tick, clock=pace(self))
+        # In real time, as whoever listens counts it, also while a simulated one stands still.
+        self.create_timer(0.2, self.show_life, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.diagnostics = Diagnostics(self, self.health)
 
     def now(self) -> int:
@@ -98,6 +103,11 @@ class MotionNode(Node):
         """Let who waits for the arm to rest look again."""
         self.ticked, ticked = Future(), self.ticked
         ticked.set_result(None)
+
+    def show_life(self) -> None:
+        """Say that the path under way is still wanted."""
+        if self.following is not None:
+            self.alive.publish(self.following.goal_id)
 
     def on_joints(self, message: JointState) -> None:
         """Where all joints are."""

@@ -24,13 +24,17 @@ class Health(NamedTuple):
 
 
 class Diagnostics:
-    """Publishes what `health()` returns as one status named as the node, at 1 Hz of real time.
+    """Publishes what `health()` returns as one status, at 1 Hz of real time.
 
-    A new subscriber gets the last state at once. Make it last in a node's constructor.
+    Its name is the node's with its namespace, unless another is given. A new subscriber gets the
+    last state at once. Make it last in a node's constructor.
     """
 
-    def __init__(self, node: Node, health: Callable[[], Health], hardware_id: str = "") -> None:
+    def __init__(
+        self, node: Node, health: Callable[[], Health], hardware_id: str = "", name: str = ""
+    ) -> None:
         self.node, self.health, self.hardware_id = node, health, hardware_id
+        self.name = name or node.get_fully_qualified_name()
         matched = PublisherEventCallbacks(matched=lambda _: self.publish())
         self.publisher = node.create_publisher(
             DiagnosticArray, "/diagnostics", 10, event_callbacks=matched
@@ -44,7 +48,7 @@ class Diagnostics:
         values = {**values, **refusals(self.node)}
         status = DiagnosticStatus(
             level=level,
-            name=self.node.get_name(),
+            name=self.name,
             message=message,
             hardware_id=self.hardware_id,
             values=[KeyValue(key=key, value=_text(value)) for key, value in values.items()],

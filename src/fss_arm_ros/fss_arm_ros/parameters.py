@@ -16,7 +16,7 @@ from rclpy.exceptions import InvalidParameterValueException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from fss_arm_model.settings import SettingError, meaning, refuse
+from fss_arm_model.settings import SettingError, default_in, meaning, refuse
 from fss_arm_ros import alone
 
 Settings = TypeVar("Settings")
@@ -39,13 +39,13 @@ def declare(node: Node, kind: type[Settings], live: bool = False) -> Settings:
     hints = get_type_hints(kind)
     about = ParameterDescriptor(description=alone.ABOUT, read_only=True, dynamic_typing=True)
     allowed = node.declare_parameter(alone.ALLOW, False, about).value
-    allowed = _convert(alone.ALLOW, allowed, bool)
+    allowed = converted(alone.ALLOW, allowed, bool)
     if not live:
         _refuse(_given(node) - set(hints), hints)
     values = {}
     for f in fields(kind):  # type: ignore[arg-type]
         value = _declared(node, f.name, f, read_only=True)
-        values[f.name] = _convert(f.name, value, hints[f.name])
+        values[f.name] = converted(f.name, value, hints[f.name])
     settings = kind(**values)
     if not allowed:
         alone.check_name(node)
@@ -73,7 +73,7 @@ def declare_live(
             for parameter in parameters:
                 if parameter.name in names:
                     prefix, f = names[parameter.name]
-                    take(prefix, f.name, _convert(parameter.name, parameter.value, float))
+                    take(prefix, f.name, converted(parameter.name, parameter.value, float))
         except ValueError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
@@ -89,8 +89,9 @@ def declare_live(
 
 def _declared(node: Node, name: str, f: "Field[Any]", read_only: bool = False) -> Any:
     """Declare a setting as a parameter; return the value that it was given."""
+    default = default_in(f, node.get_namespace())
     try:
-        return node.declare_parameter(name, f.default, descriptor(f, read_only)).value
+        return node.declare_parameter(name, default, descriptor(f, read_only)).value
     except InvalidParameterValueException:  # rclpy checks the range, in words of its own
         refuse(f, node._parameter_overrides[name].value, name)
         raise
@@ -125,14 +126,18 @@ def _given(node: Node) -> set[str]:
     return {n for n in names if not node.has_parameter(n) and not n.startswith("qos_overrides.")}
 
 
-def _convert(name: str, value: Any, hint: Any) -> Any:
-    """The value as the field's type; lists come back as tuples."""
+def converted(name: str, value: Any, hint: Any) -> Any:
+    """A value from outside as the type of a field; lists come back as tuples.
+
+    Raises:
+        SettingError: it is of another type; the message names it.
+    """
     if get_origin(hint) is tuple:
         kind = get_args(hint)[0]
         value = () if value is None else value  # how rcl reads `name:=[]`
         if isinstance(value, str | bytes) or not hasattr(value, "__iter__"):
             raise SettingError(f"{name} is {value!r}, expected a list, each {NAMES[kind]}")
-        return tuple(_convert(name, item, kind) for item in value)
+        return tuple(converted(name, item, kind) for item in value)
     if hint is float and type(value) is int:
         return float(value)
     if type(value) is not hint:

@@ -272,8 +272,16 @@ def words(text: str, level: str = "INFO") -> Drawing:
     return "log", rr.TextLog(text, level=level)
 
 
-def styles(n: int) -> list[Drawing]:
-    """Names and colours of the series."""
+def called(pose: Sequence[float], name: str) -> Drawing:
+    """What a vehicle is called, beside its base."""
+    place = flat([pose[:2]])
+    word = rr.Points2D(place, colors=STONE, radii=0.001, labels=[name], show_labels=True)
+    return "table/name", word
+
+
+def styles(n: int, vehicle: str = "") -> list[Drawing]:
+    """Names and colours of the series, of one of several vehicles with its name."""
+    of = f"{vehicle} " if vehicle else ""
     fixed = {"measured": (STEEL, 2.0), "predicted": (GHOST, 2.0)}
     fixed |= dict.fromkeys(("band_above", "band_below"), (BAND, 1.0))
     found: list[Drawing] = []
@@ -281,11 +289,11 @@ def styles(n: int) -> list[Drawing]:
         for line, of_place in zip(series.lines, PALETTE, strict=False):
             colour, width = fixed.get(line, (of_place, 1.5))
             name = "band of 1 sigma" if line.startswith("band") else NAMED.get(line, line)
-            found.append((f"plot/{series.name}/{line}", _series(name, colour, width)))
+            found.append((f"plot/{series.name}/{line}", _series(of + name, colour, width)))
     for kind in OF_LINKS:
         for i in range(1, n + 1):
             colour = PALETTE[(i - 1) % len(PALETTE)]
-            found.append((f"plot/{kind}/link_{i}", _series(f"link {i}", colour, 1.5)))
+            found.append((f"plot/{kind}/link_{i}", _series(f"{of}link {i}", colour, 1.5)))
     return found
 
 

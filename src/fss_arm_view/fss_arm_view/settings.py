@@ -12,9 +12,11 @@ from fss_arm_model.settings import (
     Settings,
     at_least,
     between,
+    like,
     one_of,
     setting,
 )
+from fss_arm_model.vehicle import Vehicle
 from fss_gnc.navigation import SensorErrors
 
 
@@ -62,10 +64,10 @@ class BaseReactionSettings(ReactionSettings):
 
     arm: str = setting("", "arm to begin with: paper, cad, truth or a file; empty: paper")
     joints_topic: str = setting("joint_states", "topic of the joints' readings")
-    base_topic: str = setting("vicon/fss/fss", "topic of the base's poses")
+    base_topic: str = like(Vehicle, "base_topic")
     gyro_topic: str = setting("fog/imu", "topic of the base's rate")
     world_frame: str = setting("world", "frame id of what is published")
-    base_frame: str = setting("fss", "child frame id of base/state and /tf")
+    base_frame: str = like(Vehicle, "base_frame")
     publish_state: bool = setting(
         True, "whether base/state and /tf are published; false beside the node navigation"
     )
@@ -86,6 +88,9 @@ class ViewSettings(Settings):
     )
     port: int = setting(9876, "port of the data that the viewer listens to", check=PORT)
     web_port: int = setting(9090, "port of the page", check=PORT)
+    names: tuple[str, ...] = setting(
+        (), "names that the page is opened under, beside this computer's own and all addresses"
+    )
     file: str = setting("view.rrd", "file that mode file writes; if there, NAME_1, NAME_2, ...")
     url: str = setting("rerun+http://127.0.0.1:9876/proxy", "viewer that mode connect draws in")
     memory: str = setting("1GB", "memory that the viewer keeps drawings in; the oldest go first")
@@ -97,13 +102,16 @@ class ViewSettings(Settings):
     )
     arm: str = setting("", "arm to begin with: paper, cad, truth or a file; empty: paper")
     joints_topic: str = setting("joint_states", "topic of the joints' readings")
-    base_topic: str = setting("vicon/fss/fss", "topic of the base's poses")
-    tip_topic: str = setting("vicon/end_effector/end_effector", "topic of the end effector's poses")
-    target_topic: str = setting("vicon/target/target", "topic of a target's poses")
+    base_topic: str = like(Vehicle, "base_topic")
+    tip_topic: str = like(Vehicle, "tip_topic")
+    target_topic: str = like(Vehicle, "target_topic")
     outline_topics: tuple[str, ...] = setting(
         ("workspace/markers", "workspace/straight_markers"), "topics of markers: lines are drawn"
     )
-    base_frame: str = setting("fss", "frame id of lines that move with the base")
+    base_frame: str = like(Vehicle, "base_frame")
+    vehicles: tuple[str, ...] = setting(
+        (), "namespaces of vehicles to show together; empty: that of the node alone"
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -3,7 +3,9 @@
 import ctypes
 import os
 import signal
+import socket
 import subprocess
+import sys
 import time
 from collections import Counter
 from collections.abc import Iterable
@@ -12,6 +14,7 @@ from ipaddress import ip_address
 from itertools import count
 from pathlib import Path
 from queue import Full, Queue
+from tempfile import TemporaryDirectory
 from threading import Thread
 from typing import Any
 
@@ -87,19 +90,75 @@ class Sink:
             stream.flush()
 
 
+class Scoped:
+    """A sink for one of several vehicles: what is drawn of it is below its name."""
+
+    def __init__(self, sink: Sink, name: str) -> None:
+        self.sink, self.name, self.counts = sink, name, sink.counts
+
+    @property
+    def stream(self) -> rr.RecordingStream:
+        """That of all."""
+        return self.sink.stream
+
+    @stream.setter
+    def stream(self, stream: rr.RecordingStream) -> None:
+        self.sink.stream = stream
+
+    def due(self, entity: str) -> bool:
+        """As of the sink."""
+        return self.sink.due(f"{self.name} {entity}")
+
+    def put(self, t: int | None, drawings: Iterable[Drawing]) -> bool:
+        """As of the sink."""
+        return self.sink.put(t, [(self._own(entity), drawn) for entity, drawn in drawings])
+
+    def _own(self, entity: str) -> str:
+        kind, _, rest = entity.partition("/")
+        if kind == "table" and not rest.startswith(("legend/", "edge")):
+            return f"table/{self.name}/{rest}"
+        what, _, line = rest.partition("/")
+        return f"plot/{what}/{self.name}/{line}" if kind == "plot" else entity
+
+
 class Viewer:
-    """The rerun program, as a window or as a server of the web page; ended with its owner."""
+    """The rerun program, as a window or as a server of the web page; ended with its owner.
 
-    def __init__(self, mode: str, bind: str, port: int, web_port: int, memory: str) -> None:
-        import rerun_cli
+    Whoever asks for the page or its data comes through the gate.
 
-        program = Path(rerun_cli.__file__).parent / "rerun"
-        command = [program, "--bind", bind, "--port", port, "--memory-limit", memory]
-        if mode == WEB:
-            command += ["--serve-web", "--web-viewer-port", web_port]
-            command += ["--server-memory-limit", memory, *_for_pages(program, bind, web_port)]
-        self.process = subprocess.Popen(
-            [str(word) for word in [*command, "--hide-welcome-screen"]],
+    Args:
+        mode: NATIVE or WEB.
+        bind: address that is served on.
+        port: of the data.
+        web_port: of the page.
+        memory: for drawings, as rerun has it.
+        names: of this computer, beside its own.
+    """
+
+    def __init__(
+        self, mode: str, bind: str, port: int, web_port: int, memory: str, names: Iterable[str] = ()
+    ) -> None:
+        program = rerun_program()
+        common = "--memory-limit", memory, "--hide-welcome-screen"
+        if mode == NATIVE:
+            self.url = f"rerun+http://{host(bind, '127.0.0.1')}:{port}/proxy"  # to draw to
+            command = [program, "--bind", bind, "--port", port, *common]
+            self.processes = [self._start(command)]
+            return
+        data, page = free_port(), free_port()
+        self.url = f"rerun+http://127.0.0.1:{data}/proxy"
+        command = [
+            program, "--bind", "127.0.0.1", "--port", data, *common, "--serve-web",
+            "--web-viewer-port", page, "--server-memory-limit", memory,
+            "--cors-allow-origin", f"http://{host(bind, '*')}:{web_port}",
+        ]  # fmt: skip
+        gate = [bind, port, web_port, data, page, " ".join(names)]
+        gate = [sys.executable, "-m", "fss_arm_view.gate", *gate]
+        self.processes = [self._start(command), self._start(gate)]
+
+    def _start(self, command: list[Any]) -> subprocess.Popen[bytes]:
+        return subprocess.Popen(
+            [str(word) for word in command],
             # Its allocator gives back at once what was forgotten; else it grows for hours.
             env=os.environ | {"MIMALLOC_PURGE_DELAY": "0"},
             stdin=subprocess.DEVNULL,
@@ -111,26 +170,43 @@ class Viewer:
 
     def alive(self) -> bool:
         """Whether it still runs."""
-        return self.process.poll() is None
+        return all(process.poll() is None for process in self.processes)
 
     def close(self) -> None:
         """End it."""
-        self.process.terminate()
-        try:
-            self.process.wait(5.0)
-        except subprocess.TimeoutExpired:
-            self.process.kill()
+        for process in self.processes:
+            process.terminate()
+        for process in self.processes:
+            try:
+                process.wait(5.0)
+            except subprocess.TimeoutExpired:
+                process.kill()
 
 
-def _for_pages(program: Path, bind: str, web_port: int) -> list[str]:
-    """Options that have the page's browser let it read the data, by whatever name it was opened.
+def rerun_program() -> Path:
+    """Where it is."""
+    import rerun_cli
 
-    By itself rerun allows that to localhost and 127.0.0.1; older versions allow all, and have no
-    such option.
+    return Path(rerun_cli.__file__).parent / "rerun"
+
+
+def keep_quiet() -> TemporaryDirectory[str]:
+    """Have rerun, in this process and in those it starts, tell its maker nothing.
+
+    The user's own choice is left alone: what this returns takes its place, for as long as it is.
     """
-    option = "--cors-allow-origin"
-    known = subprocess.run([program, "--help"], capture_output=True, text=True, check=False).stdout
-    return [option, f"http://{host(bind, '*')}:{web_port}"] if option in known else []
+    folder: TemporaryDirectory[str] = TemporaryDirectory(prefix="fss_arm_view_")
+    os.environ["XDG_CONFIG_HOME"] = os.environ["XDG_DATA_HOME"] = folder.name
+    command = [str(rerun_program()), "analytics", "disable"]
+    subprocess.run(command, capture_output=True, check=True)
+    return folder
+
+
+def free_port() -> int:
+    """One that nobody listens on now, on the loopback."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
 
 
 def _end_with_owner() -> None:

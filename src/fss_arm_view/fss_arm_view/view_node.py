@@ -42,7 +42,7 @@ from fss_arm_ros.stamps import Stamps
 
 from . import scene
 from .settings import ViewSettings
-from .sink import CONNECT, FILE, NATIVE, WEB, Sink, Viewer, host, new_file, open_stream
+from .sink import FILE, NATIVE, WEB, Scoped, Sink, Viewer, host, keep_quiet, new_file, open_stream
 
 LEAST_PLUME = 0.2  # a shorter pulse of a thruster is drawn so long [s]
 
@@ -59,14 +59,22 @@ class ViewNode(Node):
     web, open http://127.0.0.1:9090/?url=rerun%2Bhttp://127.0.0.1:9876/proxy in a browser.
     """
 
-    def __init__(self, **options: Any) -> None:
+    def __init__(self, first: "ViewNode | None" = None, **options: Any) -> None:
         super().__init__("view", **options)
         s = self.settings = declare(self, ViewSettings)
+        self.first = first or self  # whose viewer shows this vehicle, too
+        self.vehicle = self.get_namespace().strip("/") if first else ""
+        self.others: list[ViewNode] = []
         self.known = Calibrated(described(s.arm))
+        self.quiet = first.quiet if first else keep_quiet()
         self.viewer = None
-        if s.mode in (NATIVE, WEB):
-            self.viewer = Viewer(s.mode, s.bind, s.port, s.web_port, s.memory)
-        self.sink = Sink(self._recording(), s.rate, s.queue)
+        if s.mode in (NATIVE, WEB) and not first:
+            self.viewer = Viewer(s.mode, s.bind, s.port, s.web_port, s.memory, s.names)
+        self.sink: Sink | Scoped = (
+            Scoped(first.sink, self.vehicle)  # type: ignore[arg-type]  # the first one's is a Sink
+            if first
+            else Sink(self._recording(), s.rate, s.queue)
+        )
         self.q = [0.0] * self.known.arm.n
         self.t = 0  # stamp of the newest measurement [ns]; 0: none yet
         self.outlines: dict[str, MarkerArray] = {}  # the newest of each topic
@@ -76,14 +84,19 @@ class ViewNode(Node):
         self.said: dict[str, bytes] = {}
         self.begin()
         self._listen()
+        if first:
+            first.others.append(self)
+            return
+        subscribe(
+            self, DiagnosticArray, "/diagnostics", self.on_diagnostics, sensor(best_effort=True)
+        )
         if s.mode == WEB:
             self._say_where()
         self.diagnostics = Diagnostics(self, self.health)
 
     def _recording(self) -> rr.RecordingStream:
         s = self.settings
-        here = f"rerun+http://{host(s.bind, '127.0.0.1')}:{s.port}/proxy"
-        target = s.url if s.mode == CONNECT else here
+        target = self.viewer.url if self.viewer else s.url
         if s.mode == FILE:
             target = new_file(s.file)
             self.get_logger().info(f"writes {target}")
@@ -91,7 +104,7 @@ class ViewNode(Node):
 
     def begin(self) -> None:
         """Draw what does not change, and forget what was measured."""
-        self.sink.put(None, [*scene.ground(), *scene.styles(self.known.arm.n)])
+        self.sink.put(None, [*scene.ground(), *scene.styles(self.known.arm.n, self.vehicle)])
         self.legend = [text for text, _ in scene.LEGEND]
         self.stamps: dict[str, Stamps] = defaultdict(Stamps)  # of each stream
         self.valves_until = [0] * 8
@@ -118,7 +131,6 @@ class ViewNode(Node):
             (MissionState, "mission/state", self.on_mission),
             (MultiDOFJointTrajectory, "base/trajectory", self.on_trajectory),
             (BaseReaction, "base_reaction", self.on_reaction),
-            (DiagnosticArray, "/diagnostics", self.on_diagnostics),
         ):
             subscribe(self, kind, topic, take, quick)
         for i in range(1, self.known.arm.n + 1):
@@ -148,8 +160,9 @@ class ViewNode(Node):
         """
         self.t = stamp_ns(message.header.stamp)
         if self.stamps[stream].set_back(self.t):
-            self.sink.stream = self._recording()
-            self.begin()
+            self.sink.stream = self.first._recording()
+            for one in (self.first, *self.first.others):
+                one.begin()
         return self.t
 
     def on_joints(self, message: JointState) -> None:
@@ -176,7 +189,8 @@ class ViewNode(Node):
             parts.append(scene.base(pose, scene.STEEL))
             if self.path and self.t < self.planned + LIVES:
                 parts.append(scene.route([pose[:2], *self.path]))
-            self.sink.put(self.t, [scene.together("arm", parts), scene.place(pose)])
+            named = [scene.called(pose, self.vehicle)] if self.vehicle else []
+            self.sink.put(self.t, [scene.together("arm", parts), scene.place(pose), *named])
             if self.t > self.told + LIVES:
                 self.entitle("")
             self.trace(self.t, "base_path", pose[:2], scene.STEEL)
@@ -297,13 +311,15 @@ class ViewNode(Node):
 
     def explain(self, name: str, colour: tuple[int, int, int]) -> None:
         """Put what is new into the legend."""
-        if name not in self.legend:
-            self.sink.put(None, [scene.legend(len(self.legend), name, colour)])
-            self.legend.append(name)
+        legend = self.first.legend
+        if name not in legend:
+            self.sink.put(None, [scene.legend(len(legend), name, colour)])
+            legend.append(name)
 
     def say(self, text: str, level: str) -> None:
         """A line in the view's log."""
-        self.sink.put(self.t, [scene.words(text, level)])
+        words = f"{self.vehicle}: {text}" if self.vehicle else text
+        self.sink.put(self.t, [scene.words(words, level)])
 
     def health(self) -> Health:
         """For diagnostics."""
@@ -317,9 +333,12 @@ class ViewNode(Node):
 
     def close(self) -> None:
         """Write what waits and end the viewer."""
-        self.sink.close()
+        if isinstance(self.sink, Sink):
+            self.sink.close()
         if self.viewer:
             self.viewer.close()
+        if self.first is self:
+            self.quiet.cleanup()
 
 
 def _pose(message: PoseStamped) -> tuple[float, float, float] | None:
@@ -330,12 +349,21 @@ def _pose(message: PoseStamped) -> tuple[float, float, float] | None:
         return None
 
 
+def views() -> list[ViewNode]:
+    """The node, and one within it for each vehicle that it shows."""
+    first = ViewNode()
+    return [first, *(ViewNode(first, namespace=name) for name in first.settings.vehicles)]
+
+
+views.__doc__ = ViewNode.__doc__  # for --help
+
+
 def main() -> int:
     """Run as `ros2 run fss_arm_view view`."""
     # With its viewer it has only the time that nothing else wants: drivers never wait for it.
     with suppress(OSError):  # a container may forbid it
         os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
-    return run(ViewNode, ViewSettings)
+    return run(views, ViewSettings)
 
 
 if __name__ == "__main__":

@@ -2,7 +2,8 @@
 
 from dataclasses import dataclass
 
-from fss_arm_model.settings import POSITIVE, setting
+from fss_arm_model.settings import POSITIVE, like, setting
+from fss_arm_model.vehicle import Vehicle
 from fss_arm_workspace.analysis import AnalysisSettings
 
 
@@ -17,7 +18,7 @@ class WorkspaceSettings(AnalysisSettings):
     )  # fmt: skip
     rate: float = setting(10.0, "rate of the ellipsoids", unit="1/s", check=POSITIVE)
     scale: float = setting(0.25, "size of drawn ellipsoids", unit="m per m/rad", check=POSITIVE)
-    base_frame: str = setting("fss", "frame id of workspace, maps and ellipsoids")
+    base_frame: str = like(Vehicle, "base_frame")
     world_frame: str = setting("world", "frame id of straight paths, once a pose of the base came")
     joints_topic: str = setting("joint_states", "topic of the readings of joint_1 .. joint_n")
-    base_topic: str = setting("vicon/fss/fss", "topic of the base's poses")
+    base_topic: str = like(Vehicle, "base_topic")

@@ -137,14 +137,15 @@ class BaseNode(Node):
         heard = heard._replace(stamp=heard.stamp + self.clock.ahead)
         frame, slow = heard.frame, self.session.slow
         self.publish_rate(heard)
-        frame_id = self.settings.base_frame
+        frame_id, prefix = self.settings.base_frame, self.settings.frame_prefix
         self.telemetry.publish(messages.telemetry(heard, self.session, now, frame_id))
-        self.gripper.publish(messages.gripper_state(heard))
+        self.gripper.publish(messages.gripper_state(heard, f"{prefix}end_effector"))
         if frame.slow_id == BaseSlow.BATTERY:
             voltage = self.session.battery.voltage
-            self.battery.publish(messages.battery(heard.stamp, voltage))
+            self.battery.publish(messages.battery(heard.stamp, voltage, f"{prefix}base"))
         if frame.slow_id == BaseSlow.TANK:
-            self.pressure.publish(messages.pressure(heard.stamp, frame.slow_value))
+            kilopascals = frame.slow_value
+            self.pressure.publish(messages.pressure(heard.stamp, kilopascals, f"{prefix}tank"))
             if left := messages.propellant(slow, self.settings.tank_volume):
                 self.propellant.publish(left)
 

@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import os
 import sys
 import time
 from collections.abc import Callable
@@ -20,7 +21,9 @@ from sensor_msgs.msg import Imu, JointState
 from std_srvs.srv import SetBool
 
 from fss_arm_model.description import Arm, described
+from fss_arm_model.settings import default_in
 from fss_arm_model.thrusters import COUNT, layout
+from fss_arm_model.vehicle import Vehicle
 from fss_arm_msgs.msg import BaseTelemetry, ThrusterCommand
 from fss_arm_ros.command_line import Parser
 from fss_arm_ros.convert import SECOND, PoseError, joint_readings, planar_pose, stamp_ns
@@ -31,6 +34,7 @@ PASS, FAIL, NOT_TRIED = "pass", "fail", "not tried"
 EXIT_CODES = {PASS: 0, FAIL: 2, NOT_TRIED: 3}
 CANNOT, INTERRUPTED = 1, 130
 PATIENCE = 10.0  # with whoever shall answer [s]
+BASE_TOPIC = Vehicle.__dataclass_fields__["base_topic"]
 DISCOVERY = 1.0  # of topics that are to be heard [s]
 
 
@@ -50,14 +54,16 @@ class Finding(NamedTuple):
 class Tester(Node):
     """Opens valves by the node `base`, and hears what the base does then."""
 
-    def __init__(self) -> None:
-        super().__init__("check", enable_rosout=False, start_parameter_services=False)
+    def __init__(self, namespace: str, base_topic: str) -> None:
+        super().__init__(
+            "check", namespace=namespace, enable_rosout=False, start_parameter_services=False
+        )
         self.poses: list[tuple[float, float, float, float]] = []  # [s], [m], [m], [rad]
         self.rates: list[tuple[float, float]] = []  # [s], [rad/s]
         self.telemetry: list[BaseTelemetry] = []
         self.sent: list[ThrusterCommand] = []
         self.joints: dict[int, float] = {}
-        subscribe_sensor(self, PoseStamped, "vicon/fss/fss", self.on_pose)
+        subscribe_sensor(self, PoseStamped, base_topic, self.on_pose)
         subscribe_sensor(self, Imu, "fog/imu", self.on_imu)
         subscribe_sensor(self, JointState, "joint_states", self.on_joints)
         subscribe_sensor(self, BaseTelemetry, "base/telemetry", self.telemetry.append)
@@ -189,12 +195,20 @@ def parser() -> argparse.ArgumentParser:
     p = Parser(
         prog="check",
         description="Open each valve of the base in turn, by the running node `base`, and compare "
-        "how the base moves (vicon/fss/fss, fog/imu) with the valves' layout. The base floats "
+        "how the base moves (motion capture, fog/imu) with the valves' layout. The base floats "
         "freely, its joints hold.",
         epilog="Exit codes: 0 pass, 1 cannot be carried out, 2 fail, 3 something was not tried, "
         "130 interrupted.",
     )
     p.add_argument("--arm", default="", help="the arm's description (default: the paper's)")
+    p.add_argument(
+        "--namespace", default=os.environ.get("FSS_NAMESPACE", ""),
+        help="of the vehicle (default: $FSS_NAMESPACE)",
+    )  # fmt: skip
+    p.add_argument(
+        "--base-topic",
+        help=f"of the base's poses (default {BASE_TOPIC.default}, of vehicle V /vicon/V/V)",
+    )
     p.add_argument("--q", type=float, nargs="+", help="joint angles [rad], if nobody tells them")
     p.add_argument("--thrust", type=float, default=0.16, help="of a thruster [N] (default 0.16)")
     p.add_argument("--lever", type=float, default=0.11, help="of a thruster [m] (default 0.11)")
@@ -252,13 +266,14 @@ def run(arm: Arm, given: argparse.Namespace, findings: list[Finding]) -> None:
     rows = layout(given.thrust, given.lever) if rows is None else rows
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)  # to disarm at the end
     try:
-        tester = Tester()
+        topic = given.base_topic or default_in(BASE_TOPIC, given.namespace)
+        tester = Tester(given.namespace, topic)
         tester.wait(lambda: tester.telemetry, PATIENCE)  # else the answer to arming says why
         body = Body.of(arm, given.q or tester.angles(arm))
         tester.arm(True)
         try:
             if not tester.wait(lambda: tester.poses, PATIENCE):
-                raise CheckError("vicon/fss/fss is silent: the base is not seen")
+                raise CheckError(f"{topic} is silent: the base is not seen")
             for valve in order(rows):
                 if valve + 1 in (given.valves or range(1, COUNT + 1)):
                     findings.append(tester.try_valve(valve, body, rows, given))

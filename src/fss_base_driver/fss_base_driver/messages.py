@@ -63,14 +63,14 @@ def imu(stamp: int, rate: float, deviation: float, frame_id: str) -> Imu:
     return message
 
 
-def gripper_state(heard: Heard) -> GripperState:
+def gripper_state(heard: Heard, frame_id: str) -> GripperState:
     """The gripper, of which the board knows neither distance nor angle to anything."""
     told = heard.frame.gripper
     message = GripperState(
         closed=bool(told & Hand.TOLD_TO_CLOSE), holds=bool(told & Hand.HOLDS), distance=nan,
         angle=nan, speed=nan,
     )  # fmt: skip
-    message.header.stamp, message.header.frame_id = to_time(heard.stamp), "end_effector"
+    message.header.stamp, message.header.frame_id = to_time(heard.stamp), frame_id
     return message
 
 
@@ -81,20 +81,20 @@ def pulses(stamp: int, on_times: Sequence[float]) -> ThrusterCommand:
     return message
 
 
-def pressure(stamp: int, kilopascals: int) -> FluidPressure:
+def pressure(stamp: int, kilopascals: int, frame_id: str) -> FluidPressure:
     """Of the tank."""
     message = FluidPressure(fluid_pressure=KILOPASCAL * kilopascals, variance=0.0)
-    message.header.stamp, message.header.frame_id = to_time(stamp), "tank"
+    message.header.stamp, message.header.frame_id = to_time(stamp), frame_id
     return message
 
 
-def battery(stamp: int, voltage: float) -> BatteryState:
+def battery(stamp: int, voltage: float, frame_id: str) -> BatteryState:
     """The board's, of which only the voltage is known."""
     message = BatteryState(
         voltage=voltage, temperature=nan, current=nan, charge=nan, capacity=nan,
-        design_capacity=nan, percentage=nan, present=True, location="base",
+        design_capacity=nan, percentage=nan, present=True, location=frame_id,
     )  # fmt: skip
-    message.header.stamp, message.header.frame_id = to_time(stamp), "base"
+    message.header.stamp, message.header.frame_id = to_time(stamp), frame_id
     return message
 
 

@@ -18,6 +18,7 @@ from fss_arm_model.settings import (
     setting,
 )
 from fss_arm_model.thrusters import layout
+from fss_arm_model.vehicle import Vehicle
 from fss_base_driver.dsp3000 import BAUD
 from fss_base_driver.protocol import BOARD, VALVES
 
@@ -48,7 +49,9 @@ class MocapSettings(Settings):
     subjects: tuple[str, ...] = setting(
         (), "names of subjects to pass on, each NAME or NAME=SUBJECT/SEGMENT; empty: all"
     )
-    prefix: str = setting("vicon", "first part of the topics PREFIX/SUBJECT/SEGMENT")
+    prefix: str = setting(
+        "vicon", "first part of the topics PREFIX/SUBJECT/SEGMENT", within="/vicon"
+    )
     frame_id: str = setting("world", "frame that the poses are in")
     latency: float = setting(
         0.0, "delay from exposure to arrival, taken off the time of arrival", unit="s",
@@ -107,7 +110,8 @@ class BaseSettings(Settings):
         check=NOT_NEGATIVE,
     )  # fmt: skip
     keys: str = setting("", "file of keys, the board's under 0; empty: frames are not signed")
-    base_frame: str = setting("fss", "frame of wrenches, of the gyro and of telemetry")
+    base_frame: str = like(Vehicle, "base_frame")
+    frame_prefix: str = like(Vehicle, "frame_prefix")
     thrust: float = setting(0.16, "thrust of one of the thrusters", unit="N", check=POSITIVE)
     lever: float = setting(
         0.11, "lever of a thruster: from the base's origin to the line of thrust", unit="m",

@@ -126,13 +126,15 @@ class ControlNode(Node):
         """The wrench for the next period, or None: there is none to act."""
         now, period = self.now(), 1.0 / self.settings.rate
         self.trouble = self.base.trouble(now) or self.joints.trouble(now)
-        base, joints, heard = self.base.at(now), self.joints.at(now), self.trajectory.at(now)
+        base, joints, heard = self.base.at(now), self.joints.value, self.trajectory.at(now)
         if base is None or joints is None or heard is None:
             return None
         stamp, path = heard
         if path is None:
             return None
         base, (q_m, qd_m, _) = base.after(self.base.age(now)), joints
+        if self.joints.at(now) is None:  # links hold when nobody commands them any more
+            qd_m = np.zeros_like(qd_m)
         q = np.concatenate([base.pose, q_m + self.joints.age(now) * qd_m])
         self.control.p = self.mass(q, now)
         qdd_m = self.planned.accelerations(now, period) if self.settings.feed_forward else None
@@ -149,7 +151,8 @@ class ControlNode(Node):
     def publish(self, wrench: Floats) -> None:
         """Publish force along the base's axes [N] and torque about its origin [N m]."""
         message = WrenchStamped()
-        message.header.stamp, message.header.frame_id = to_time(self.now()), "fss"
+        message.header.stamp = to_time(self.now())
+        message.header.frame_id = self.settings.base_frame
         message.wrench.force.x, message.wrench.force.y, message.wrench.torque.z = map(float, wrench)
         self.wrench.publish(message)
 
@@ -157,7 +160,8 @@ class ControlNode(Node):
         """For diagnostics."""
         values = {"holds the target": self.place is not None, "propellant used [kg]": self.used}
         if self.trouble:
-            return Health(WARN, f"coasts: {self.trouble}", values)
+            does = "takes the joints to rest" if self.acting else "coasts"
+            return Health(WARN, f"{does}: {self.trouble}", values)
         why = self.trajectory.trouble(self.now()) or "base/trajectory has no points"
         return Health(OK, "follows base/trajectory" if self.acting else f"coasts: {why}", values)
 

@@ -155,6 +155,7 @@ class GuidanceNode(Node):
         return Seen(
             (now - begun) / SECOND, moved(self.base), moved(self.target), q, qd, effort,
             self.holds.at(now), np.nan if left is None else left,
+            None if self.joints.value is None else self.joints.value[0],
         )  # fmt: skip
 
     def trouble(self) -> str:

@@ -5,7 +5,7 @@ A script is YAML, a list of
     {at: 12.0, part: link_2, fault: loss, value: 0.2, duration: 30.0}
 
 `at` and `duration` in seconds of the simulation, without `duration` to its end; `part` link_<i>,
-fss, end_effector, fog, board, radio or valve_<i>; `value` 1 by default.
+drive_<i>, fss, end_effector, fog, board, radio or valve_<i>; `value` 1 by default.
 """
 
 from collections.abc import Sequence
@@ -45,7 +45,33 @@ class LinkFaults(Settings):
     duplication: float = fault("share of the datagrams that come twice")
     reordering: float = fault("share of the datagrams that come after the next one")
     corruption: float = fault("share of the datagrams with a bit flipped")
-    dead: float = fault("1: without power; then it starts anew, a link's drive still referenced")
+    dead: float = fault("1: without power; then it starts anew, a link's drive without reference")
+    reset: float = fault("1: its micro-controller is held in reset; a link's drive goes on")
+    resistance: float = fault("resistance beside its battery's own", "ohm", most=100.0)
+
+
+@dataclass(frozen=True)
+class DriveFaults(Settings):
+    """Of a link's servo drive, its motor, its encoder and its joint."""
+
+    short_circuit: float = fault("1: the motor's cable is short-circuited")
+    overcurrent: float = fault("1: the motor takes more current than it should")
+    drive_heat: float = fault("heat of the drive beside its own", "K", most=200.0)
+    motor_heat: float = fault("heat of the motor beside its own", "K", most=200.0)
+    supply: float = fault("supply voltage added to the drive's; -24: none", "V", -24.0, 100.0)
+    encoder: float = fault("1: the encoder's cable is off")
+    phasing: float = fault("1: the motor's phases do not fit the encoder")
+    blocked: float = fault("1: something holds the joint fast")
+    hand: float = fault("torque on the joint by hand, while the drive is off", "N m", -2.0, 2.0)
+    enable: float = fault("1: the enable input is open, as by an emergency stop")
+    positive_limit: float = fault("1: the positive limit switch is pressed")
+    negative_limit: float = fault("1: the negative limit switch is pressed")
+    voltage_limit: float = fault("1: the motor takes all the voltage that there is")
+    wrapped: float = fault("1: the position has run over its 32 bits")
+    flash: float = fault("1: the drive finds its flash memory damaged")
+    internal: float = fault("1: the drive finds an error of its own")
+    logic: float = fault("1: the drive's logic has failed")
+    command_input: float = fault("1: the drive's command input is lost")
 
 
 @dataclass(frozen=True)
@@ -83,17 +109,19 @@ class ValveFaults(Settings):
     stuck_closed: float = fault("1: the valve does not open, and draws no current")
 
 
-Groups = dict[str, Any]  # LinkFaults, SubjectFaults, GyroFaults, RadioFaults, ValveFaults, by part
+Groups = dict[str, Any]  # LinkFaults, DriveFaults, SubjectFaults, ..., by part
 BASE, TIP, GYRO, BOARD, RADIO = "fss", "end_effector", "fog", "board", "radio"
 VALVES = [f"valve_{i}" for i in range(1, COUNT + 1)]
-NO_FAULTS = LinkFaults()
+NO_FAULTS, NO_DRIVE_FAULTS = LinkFaults(), DriveFaults()
 
 
 def kinds(n: int) -> dict[str, type]:
     """The parts of a test bed of n links, and what faults each can have."""
     links = {f"link_{i}": LinkFaults for i in range(1, n + 1)}
+    drives = {f"drive_{i}": DriveFaults for i in range(1, n + 1)}
     others = {BASE: SubjectFaults, TIP: SubjectFaults, GYRO: GyroFaults, BOARD: LinkFaults}
-    return {**links, **others, RADIO: RadioFaults, **dict.fromkeys(VALVES, ValveFaults)}
+    others |= {RADIO: RadioFaults}
+    return {**links, **drives, **others, **dict.fromkeys(VALVES, ValveFaults)}
 
 
 @dataclass(frozen=True)
@@ -176,6 +204,7 @@ class Faults:
         self.board: LinkFaults = groups[BOARD]
         self.radio: RadioFaults = groups[RADIO]
         self.links: list[LinkFaults] = [groups[f"link_{i}"] for i in range(1, self._n + 1)]
+        self.drives: list[DriveFaults] = [groups[f"drive_{i}"] for i in range(1, self._n + 1)]
         valves: list[ValveFaults] = [groups[valve] for valve in VALVES]
         self.stuck_open = [valve.stuck_open > 0.0 for valve in valves]
         self.stuck_closed = [valve.stuck_closed > 0.0 for valve in valves]

@@ -1,16 +1,20 @@
 """Messages of the test bed, which is to run many times as fast as real time."""
 
 from collections.abc import Sequence
-from math import cos, sin
+from math import cos, inf, sin
 
+import numpy as np
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu
 
 from fss_arm_msgs.msg import GripperState, SimTruth
 from fss_arm_ros.convert import pose_stamped, to_time
 from fss_arm_ros.image import Image
-from fss_sim.plant.plant import Plant
+from fss_sim.plant.bed import Clearance
+from fss_sim.plant.plant import Vehicle
 from fss_sim.sensors import Seen
+
+EDGE = "table edge"  # as clearances name it
 
 
 class PoseImage(Image):
@@ -60,10 +64,13 @@ class ClockImage(Image):
 
 
 def truth(
-    stamp: int, frame_id: str, plant: Plant, frame: int = 0, markers: Sequence[int] = (0, 0, 0)
+    stamp: int, frame_id: str, plant: Vehicle, frame: int = 0, markers: Sequence[int] = (0, 0, 0)
 ) -> SimTruth:
-    """The plant as it is, and of VICON's frame the markers that it has."""
-    audit, error, (pose, twist) = plant.audit, plant.imbalance.tolist(), plant.target.tolist()
+    """A vehicle as it is, with the books of all that is on its table, and VICON's frame."""
+    bed = plant.bed
+    audit, error = bed.audit, bed.imbalance.tolist()
+    pose, twist = (bed.targets[0].state if bed.targets else np.zeros((2, 3))).tolist()
+    near = nearest(plant)
     message = SimTruth(
         q=plant.q.tolist(),
         qd=plant.qd.tolist(),
@@ -74,12 +81,13 @@ def truth(
         work=audit.work,
         momentum_error=error[:3],
         energy_error=error[3],
-        clearance=plant.clearance,
+        clearance=near.gap,
+        nearest=[near.one, near.other],
         edge_clearance=plant.edge_clearance,
         valves=plant.valves,
         pressure=plant.thrusters.pressure,
         propellant=plant.thrusters.used,
-        target_present=plant.world.target is not None,
+        target_present=bool(bed.targets),
         target=pose,
         target_twist=twist,
         holds=plant.holds,
@@ -90,7 +98,16 @@ def truth(
     return message
 
 
-def gripper_state(stamp: int, plant: Plant) -> GripperState:
+def nearest(plant: Vehicle) -> Clearance:
+    """The two parts with the least gap of which one, at least, is the vehicle's."""
+    its, found = f"{plant.name} " if plant.name else "", plant.bed.clearances()
+    own = [
+        c for c in found if c.other != EDGE and (c.one.startswith(its) or c.other.startswith(its))
+    ]
+    return min(own, key=lambda c: c.gap, default=Clearance("", "", inf))
+
+
+def gripper_state(stamp: int, frame_id: str, plant: Vehicle) -> GripperState:
     """The gripper by its sensors."""
     seen = plant.approach
     message = GripperState(
@@ -100,5 +117,5 @@ def gripper_state(stamp: int, plant: Plant) -> GripperState:
         angle=seen.angle,
         speed=float(seen.speed),
     )
-    message.header.stamp, message.header.frame_id = to_time(stamp), "end_effector"
+    message.header.stamp, message.header.frame_id = to_time(stamp), frame_id
     return message

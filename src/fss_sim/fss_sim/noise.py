@@ -52,8 +52,18 @@ class Noise(Settings):
     gyro_walk: float = error("change of the FOG's bias in 1 s, 1 sigma", "rad/s")
     gyro_scale: float = error("relative scale error of the FOG in a run, 1 sigma")
     encoder_error: float = error("largest error of an encoder", "rad", check=between(0.0, 0.01))
+    encoder_eccentricity: float = error(
+        "largest error of an encoder and its gear by being off centre, one period a turn of the "
+        "joint", "rad", check=between(0.0, 0.01),
+    )  # fmt: skip
     torque_noise: float = error("white noise of a torque sample, 1 sigma", "N m")
     torque_zero: float = error("zero offset of a torque sensor in a run, 1 sigma", "N m")
+    torque_crosstalk: float = error(
+        "torque that a torque sensor shows of a force across its link, 1 sigma", "N m/N"
+    )
+    torque_drift: float = error(
+        "what a torque sensor's zero changes by as its link warms up, 1 sigma", "N m"
+    )
     clock_drift: float = error("relative drift of a link's clock, 1 sigma")
 
     @property
@@ -78,7 +88,7 @@ _DEFAULT = Noise(
     clock_drift=2e-5,
 )
 
-#: VICON by its markers, in place of poses with white noise: what the preset `laboratory` has of it.
+#: VICON by its markers, in place of poses with white noise: what `laboratory` has of it.
 #: Of markers, 0.2 to 0.3 mm is usual in motion; the rest are assumptions, and no measurement's.
 VICON = {
     "position_noise": 0.0,
@@ -93,8 +103,16 @@ VICON = {
 }
 
 #: `paper`: the errors of a rest that give the residuals of Sec. 4.1, 0.015 m and 0.683 degrees.
+#: `laboratory`: with the joints as they are, plant/joints.py.
 PRESETS = {
     "ideal": Noise(),
     "default": _DEFAULT,
     "paper": replace(_DEFAULT, rest_position_error=0.0177, rest_heading_error=radians(0.715)),
+    "laboratory": replace(
+        _DEFAULT,
+        encoder_eccentricity=radians(60 / 3600),
+        torque_crosstalk=0.002,
+        torque_drift=0.02,
+        **VICON,
+    ),
 }

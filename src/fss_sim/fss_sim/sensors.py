@@ -5,6 +5,7 @@ a run can be resumed anywhere and repeats itself whatever the pace it is compute
 """
 
 from collections import deque
+from collections.abc import Mapping
 from math import cos, sin
 from operator import add
 from typing import NamedTuple
@@ -16,14 +17,12 @@ from fss_arm_model.units import SECOND
 from fss_sim.chance import Chance, Stream, drawn
 from fss_sim.faults import GyroFaults, SubjectFaults
 from fss_sim.noise import Noise
-from fss_sim.vicon import BASE, MARKERS_AT_LEAST, TARGET, TIP, Look, Pose, Room, Vicon
+from fss_sim.vicon import ABSENT, BASE, TARGET, TIP, Look, Pose
 
 RATE = 100  # frames of VICON and samples of the FOG a second
 MOVING = 1e-3  # a joint faster than this moves [rad/s]
 REST = RATE // 5  # frames without a moving joint that make a rest
 MEMORY = RATE  # frames that VICON's latency may last
-SUBJECTS = (BASE, TIP, TARGET)
-NOWHERE = (1e6, 0.0, 0.0)  # where nothing is near a target that there is not
 
 SEEN, HEARD = SubjectFaults(), GyroFaults()  # nothing is wrong
 
@@ -100,23 +99,20 @@ class Sensors:
         noise: the sensors' errors.
         seed: of all of them.
         rests: how many rests there were before, when a run is resumed.
-        room: where cameras and markers are.
     """
 
-    def __init__(self, noise: Noise, seed: int, rests: int = 0, room: Room | None = None) -> None:
+    def __init__(self, noise: Noise, seed: int, rests: int = 0) -> None:
         self.noise, self.seed, self.rests = noise, seed, rests
         self._still = 0
         self._bias, self._scale = drawn(seed, Stream.RUN, 0).standard_normal(2).tolist()
         self._walk = Walk(seed)
         self._chance, self._held = Chance(seed, 7), Chance(seed, 7)
-        self._hold = max(1, round(noise.vicon_hold * RATE))  # [frames]
+        self.hold = max(1, round(noise.vicon_hold * RATE))  # [frames]
         self._white = np.array([noise.position_noise] * 2 + [noise.heading_noise])
         latency = round(noise.vicon_latency * RATE) + (noise.vicon_jitter > 0.0)
         self._base, self._tip, self._target = Camera(latency), Camera(latency), Camera(latency)
         self._target_chance = Chance(seed, 3, Stream.TARGET)
         self._late = Chance(seed, 1, Stream.JITTER)
-        self.vicon = Vicon(noise, room or Room(), seed, SUBJECTS) if noise.markers else None
-        self.looks = [Look((0.0, 0.0, 0.0), MARKERS_AT_LEAST, kind) for kind in SUBJECTS]
         self._draw_rest()
 
     def observe(
@@ -130,7 +126,7 @@ class Sensors:
         tip_faults: SubjectFaults = SEEN,
         gyro_faults: GyroFaults = HEARD,
         target: Pose | None = None,
-        bodies: npt.ArrayLike = (),
+        looks: Mapping[int, Look] | None = None,
     ) -> Sight:
         """What is seen in a frame.
 
@@ -147,20 +143,17 @@ class Sensors:
             tip_faults: what is wrong with the end effector's markers.
             gyro_faults: what is wrong with the FOG.
             target: true pose of the target in the world, if there is one.
-            bodies: (b, 6) what may stand in the cameras' way, by Room.bodies.
+            looks: what VICON's picture gives of each subject, by kind; nothing: no single markers.
         """
         self._follow(qd)
         noise, chance = self.noise, self._chance.uniform(frame)
-        white = self._held.normal(frame // self._hold)
+        white = self._held.normal(frame // self.hold)
         seen_base = _pose(np.array(base) + self._white * white[:3])
         seen_tip = np.array(compose(base, _pose(np.array(tip) + self._error)))
         seen: list[Pose | None] = [seen_base, _pose(seen_tip + self._white * white[3:6])]
         seen.append(target and self._whiten(frame, target))
-        if self.vicon:
-            self.looks = self.vicon.look(
-                frame, [base, compose(base, tip), target or NOWHERE], bodies, frame // self._hold
-            )
-            seen = self._taken(seen)
+        if looks:
+            seen = [_off(pose, looks.get(kind, ABSENT)) for kind, pose in enumerate(seen)]
         bias = noise.gyro_bias * self._bias + gyro_faults.bias
         bias += noise.gyro_walk * self._walk.at(frame)
         scale = 1.0 + noise.gyro_scale * self._scale
@@ -177,14 +170,6 @@ class Sensors:
 
     def _whiten(self, frame: int, pose: Pose) -> Pose:
         return _pose(self._white * self._target_chance.normal(frame) + pose)
-
-    def _taken(self, seen: list[Pose | None]) -> list[Pose | None]:
-        """The poses with the markers' errors, of whom each is taken for; None of what is lost."""
-        off = [
-            pose and (*map(add, pose, look.error),) if look.there else None
-            for pose, look in zip(seen, self.looks, strict=True)
-        ]
-        return [off[look.taken_for] for look in self.looks]
 
     def _before(self, frame: int) -> int:
         """How much before a frame's end its poses are stamped [ns]."""
@@ -207,6 +192,11 @@ class Sensors:
         noise = self.noise
         deviations = np.array(2 * [noise.rest_position_error] + [noise.rest_heading_error])
         self._error = deviations * drawn(self.seed, Stream.REST, self.rests).standard_normal(3)
+
+
+def _off(pose: Pose | None, look: Look) -> Pose | None:
+    """A pose with the markers' errors; None of what is lost."""
+    return (*map(add, pose, look.error),) if pose and look.there else None
 
 
 def _pose(values: npt.NDArray[np.float64]) -> Pose:

@@ -1,11 +1,15 @@
 """The parameters of the test-bed node, and what they amount to."""
 
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
+from itertools import combinations
+from math import dist
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
-from fss_arm_model.description import Arm, described
-from fss_arm_model.files import read_text
+from fss_arm_model.description import Arm, Base, described
+from fss_arm_model.files import ContentError, read_text, read_yaml
 from fss_arm_model.held import Target
 from fss_arm_model.settings import (
     FINITE,
@@ -16,34 +20,66 @@ from fss_arm_model.settings import (
     above,
     at_least,
     between,
+    default_in,
     like,
     one_of,
     setting,
 )
+from fss_arm_model.vehicle import Vehicle
+from fss_arm_ros.parameters import converted
+from fss_sim.link.power import Power
 from fss_sim.link.pty import LinkTerminal
-from fss_sim.link.radio import Radio
+from fss_sim.link.radio import Air, Radio
 from fss_sim.link.tcp import LinkListener
 from fss_sim.link.udp import LinkSocket
 from fss_sim.noise import PRESETS, Noise
-from fss_sim.plant.plant import Joints, World
+from fss_sim.plant.contact import Contact
+from fss_sim.plant.joints import PRESETS as JOINTS
+from fss_sim.plant.joints import Joints
+from fss_sim.plant.plant import World
 from fss_sim.plant.surroundings import Surroundings
 from fss_sim.plant.target import Gripper
 from fss_sim.plant.thrusters import Propulsion
 from fss_sim.sensors import RATE
 from fss_sim.testbed import State
-from fss_sim.vicon import Room
+from fss_sim.vicon import Room, Vicon
 
 Wire = LinkSocket | LinkListener | LinkTerminal
+
+
+def _of_preset(kind: type[Settings], name: str) -> Any:
+    """A field for one of the numbers that a preset sets; below 0: what it says."""
+    about = kind.__dataclass_fields__[name].metadata  # type: ignore[attr-defined]
+    return field(
+        default=-1.0,
+        metadata={**about, "about": f"{about['about']}; below 0: the preset's", "check": FINITE},
+    )
+
+
+def _given(values: dict[str, float]) -> dict[str, float]:
+    """Those that are not left to the preset."""
+    return {name: value for name, value in values.items() if not value < 0.0}
 
 
 @dataclass(frozen=True)
 class PlantSettings(Settings):
     """What base and arm are made of, what acts on them, and the target."""
 
-    rotor_inertia: float = like(Joints, "rotor_inertia")
+    preset: str = setting(
+        "default", "preset of the joints and of all instruments' errors", check=one_of(*PRESETS)
+    )
+    rotor_inertia: float = _of_preset(Joints, "rotor_inertia")
     gear_ratio: float = like(Joints, "gear_ratio")
-    viscous_friction: float = like(Joints, "viscous")
-    coulomb_friction: float = like(Joints, "coulomb")
+    viscous_friction: float = _of_preset(Joints, "viscous")
+    coulomb_friction: float = _of_preset(Joints, "coulomb")
+    static_friction: float = _of_preset(Joints, "static")
+    stribeck_speed: float = _of_preset(Joints, "stribeck_speed")
+    friction_cancelled: float = _of_preset(Joints, "cancelled")
+    gear_stiffness: float = _of_preset(Joints, "stiffness")
+    gear_damping: float = _of_preset(Joints, "damping")
+    dead_band: float = _of_preset(Joints, "dead_band")
+    torque_ripple: float = _of_preset(Joints, "ripple")
+    current_bandwidth: float = _of_preset(Joints, "current_bandwidth")
     end_stops: bool = setting(True, "stops at the ends of the joints' ranges")
     tilt: tuple[float, ...] = like(Surroundings, "tilt")
     film_damping: float = like(Surroundings, "film")
@@ -57,6 +93,9 @@ class PlantSettings(Settings):
     valve_delay: float = like(Propulsion, "valve_delay")
     tank_volume: float = like(Propulsion, "tank_volume")
     tank_pressure: float = like(Propulsion, "tank_pressure")
+    bearing_flow: float = like(Propulsion, "bearing_flow")
+    bearing_pressure: float = like(Propulsion, "bearing_pressure")
+    pad_friction: float = like(Surroundings, "pad_friction")
     tolerance: float = setting(
         0.0, "error that error control allows a step, in each coordinate, SI units; 0: fixed "
         "steps of 1 ms", check=NOT_NEGATIVE,
@@ -76,7 +115,15 @@ class PlantSettings(Settings):
     target_fixture: tuple[float, ...] = like(Target, "fixture")
     grip_reach: float = like(Gripper, "reach")
     grip_angle: float = like(Gripper, "angle")
+    target_radius: float = like(Target, "radius")
     grip_speed: float = like(Gripper, "speed")
+    grip_closing_time: float = like(Gripper, "closing_time")
+    grip_force: float = like(Gripper, "force")
+    grip_torque: float = like(Gripper, "torque")
+    gripper_length: float = like(Gripper, "length")
+    contact: bool = setting(True, "bodies keep each other out; false: they pass through")
+    restitution: float = like(Contact, "restitution")
+    contact_friction: float = like(Contact, "friction")
     vicon_cameras: tuple[float, ...] = like(Room, "cameras")
     base_markers: tuple[float, ...] = like(Room, "base_markers")
     tip_markers: tuple[float, ...] = like(Room, "tip_markers")
@@ -95,14 +142,32 @@ class PlantSettings(Settings):
     wifi_retries: int = like(Radio, "retries")
     wifi_patience: float = like(Radio, "patience")
 
+    def joints(self) -> Joints:
+        """The preset's, with the numbers given in their places."""
+        given = {
+            "rotor_inertia": self.rotor_inertia,
+            "viscous": self.viscous_friction,
+            "coulomb": self.coulomb_friction,
+            "static": self.static_friction,
+            "stribeck_speed": self.stribeck_speed,
+            "cancelled": self.friction_cancelled,
+            "stiffness": self.gear_stiffness,
+            "damping": self.gear_damping,
+            "dead_band": self.dead_band,
+            "ripple": self.torque_ripple,
+            "current_bandwidth": self.current_bandwidth,
+        }
+        stops = {} if self.end_stops else {"stop_stiffness": 0.0, "stop_damping": 0.0}
+        return replace(JOINTS[self.preset], gear_ratio=self.gear_ratio, **_given(given), **stops)
+
     def world(self) -> World:
         """What the plant is made of beside the arm."""
-        stops = {} if self.end_stops else {"stop_stiffness": 0.0, "stop_damping": 0.0}
-        frictions = self.viscous_friction, self.coulomb_friction
         tether = self.tether_drag, self.tether_twist
         return World(
-            Joints(self.rotor_inertia, self.gear_ratio, *frictions, **stops),
-            Surroundings(self.tilt, self.film_damping, *tether, self.table),
+            self.joints(),
+            Surroundings(
+                self.tilt, self.film_damping, *tether, self.table, pad_friction=self.pad_friction
+            ),
             Propulsion(
                 self.thrust,
                 self.thruster_lever,
@@ -111,12 +176,23 @@ class PlantSettings(Settings):
                 self.valve_delay,
                 self.tank_volume,
                 self.tank_pressure,
+                bearing_flow=self.bearing_flow,
+                bearing_pressure=self.bearing_pressure,
             ),
-            Gripper(self.grip_reach, self.grip_angle, self.grip_speed),
-            Target(self.target_mass, self.target_inertia, self.target_fixture)
+            Gripper(
+                self.grip_reach,
+                self.grip_angle,
+                self.grip_speed,
+                self.gripper_length,
+                self.grip_closing_time,
+                self.grip_force,
+                self.grip_torque,
+            ),
+            Target(self.target_mass, self.target_inertia, self.target_fixture, self.target_radius)
             if self.target_mass
             else None,
             self.tolerance,
+            Contact(self.restitution, self.contact_friction) if self.contact else None,
         )
 
     def room(self) -> Room:
@@ -132,20 +208,28 @@ class PlantSettings(Settings):
         return Radio(*given)
 
 
-def _error(name: str) -> Any:
-    """A field for one of the errors of Noise; below 0: what the preset says."""
-    about = Noise.__dataclass_fields__[name].metadata
-    return field(
-        default=-1.0,
-        metadata={**about, "about": f"{about['about']}; below 0: the preset's", "check": FINITE},
-    )
+NAME = re.compile("[A-Za-z][A-Za-z0-9_]*")  # of a vehicle, which is a namespace
+OF_THE_BED = {
+    *("vehicles", "keep_clock", "speed", "paused", "truth_rate", "state_file", "world_frame"),
+    *("tilt", "table", "tolerance", "contact", "restitution", "contact_friction"),
+    *(f.name for f in fields(PlantSettings) if f.name.startswith(("target_", "wifi"))),
+    *(f.name for f in fields(Noise) if f.name.startswith("vicon_")),
+    *("preset", "marker_noise", "vicon_cameras", "base_markers", "tip_markers"),
+    *("heights", "marker_stalk"),
+    "target_topic",
+}  # so no vehicle's own
 
 
 @dataclass(frozen=True)
 class TestbedSettings(PlantSettings):
     """The parameters of a TestbedNode."""
 
+    vehicles: str = setting(
+        "", "file of several vehicles (docs/how-to/vehicles.md), which has what is to differ from "
+        "these parameters; empty: one vehicle",
+    )  # fmt: skip
     arm: str = setting("", "file of the true arm's description; empty: the paper's arm")
+    without_arm: bool = setting(False, "whether the described base floats without its arm")
     host: str = setting("127.0.0.1", "address that the links' ports are opened on")
     transports: tuple[str, ...] = setting(
         (), "what reaches each link: udp, tcp, or serial, a pseudo-terminal as RS-232; one for "
@@ -172,34 +256,38 @@ class TestbedSettings(PlantSettings):
     )
     keys: str = setting("", "file of the links' keys; empty: frames are not signed")
     seed: int = setting(1, "seed of all the sensors' errors", check=at_least(0))
-    preset: str = setting("default", "preset of the sensors' errors", check=one_of(*PRESETS))
-    position_noise: float = _error("position_noise")
-    heading_noise: float = _error("heading_noise")
-    vicon_hold: float = _error("vicon_hold")
-    rest_position_error: float = _error("rest_position_error")
-    rest_heading_error: float = _error("rest_heading_error")
-    gyro_noise: float = _error("gyro_noise")
-    vicon_latency: float = _error("vicon_latency")
-    vicon_jitter: float = _error("vicon_jitter")
-    marker_noise: float = _error("marker_noise")
-    vicon_edge_error: float = _error("vicon_edge_error")
-    vicon_occlusion: float = _error("vicon_occlusion")
-    vicon_merge_distance: float = _error("vicon_merge_distance")
-    vicon_merge_swap: float = _error("vicon_merge_swap")
-    gyro_bias: float = _error("gyro_bias")
-    gyro_walk: float = _error("gyro_walk")
-    gyro_scale: float = _error("gyro_scale")
-    encoder_error: float = _error("encoder_error")
-    torque_noise: float = _error("torque_noise")
-    torque_zero: float = _error("torque_zero")
+    position_noise: float = _of_preset(Noise, "position_noise")
+    heading_noise: float = _of_preset(Noise, "heading_noise")
+    vicon_hold: float = _of_preset(Noise, "vicon_hold")
+    rest_position_error: float = _of_preset(Noise, "rest_position_error")
+    rest_heading_error: float = _of_preset(Noise, "rest_heading_error")
+    gyro_noise: float = _of_preset(Noise, "gyro_noise")
+    vicon_latency: float = _of_preset(Noise, "vicon_latency")
+    vicon_jitter: float = _of_preset(Noise, "vicon_jitter")
+    marker_noise: float = _of_preset(Noise, "marker_noise")
+    vicon_edge_error: float = _of_preset(Noise, "vicon_edge_error")
+    vicon_occlusion: float = _of_preset(Noise, "vicon_occlusion")
+    vicon_merge_distance: float = _of_preset(Noise, "vicon_merge_distance")
+    vicon_merge_swap: float = _of_preset(Noise, "vicon_merge_swap")
+    gyro_bias: float = _of_preset(Noise, "gyro_bias")
+    gyro_walk: float = _of_preset(Noise, "gyro_walk")
+    gyro_scale: float = _of_preset(Noise, "gyro_scale")
+    encoder_error: float = _of_preset(Noise, "encoder_error")
+    encoder_eccentricity: float = _of_preset(Noise, "encoder_eccentricity")
+    torque_noise: float = _of_preset(Noise, "torque_noise")
+    torque_zero: float = _of_preset(Noise, "torque_zero")
+    torque_crosstalk: float = _of_preset(Noise, "torque_crosstalk")
+    torque_drift: float = _of_preset(Noise, "torque_drift")
     torque_rate: int = setting(
         80, "samples of a torque converter", unit="1/s",
         check=Check("10 or 80", lambda rate: rate in (10, 80), 10, 80),
     )  # fmt: skip
-    clock_drift: float = _error("clock_drift")
+    clock_drift: float = _of_preset(Noise, "clock_drift")
     battery: float = setting(
-        1.0, "charge of the links' batteries at the begin, as a share", check=above(0.0, 1.0)
+        1.0, "charge of all batteries at the begin, as a share", check=above(0.0, 1.0)
     )
+    battery_energy: float = like(Power, "energy")
+    battery_resistance: float = like(Power, "resistance")
     faults: str = setting("", "file of a fault script (docs/explanation/simulator.md); empty: none")
     base: tuple[float, ...] = setting(
         (0.0, 0.0, 0.0), "pose of the base at the begin", unit="m, m, rad", check=FINITE, size=3
@@ -222,7 +310,11 @@ class TestbedSettings(PlantSettings):
     )
     state_file: str = setting("", "file that the state is kept in to resume from; empty: none")
     world_frame: str = setting("world", "frame_id of the VICON poses")
-    base_frame: str = setting("fss", "frame_id of the FOG")
+    base_topic: str = like(Vehicle, "base_topic")
+    tip_topic: str = like(Vehicle, "tip_topic")
+    target_topic: str = like(Vehicle, "target_topic")
+    base_frame: str = like(Vehicle, "base_frame")
+    frame_prefix: str = like(Vehicle, "frame_prefix")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -231,16 +323,71 @@ class TestbedSettings(PlantSettings):
                 f"speed is {self.speed} and paused {str(self.paused).lower()}, "
                 "expected 1 and false without keep_clock"
             )
-        _ = self.noise(), self.room()  # which refuse what they must
+        _ = self.noise(), self.joints(), self.room()  # which refuse what they must
 
-    def description(self) -> Arm:
-        """The true arm."""
-        return described(self.arm)
+    def each(self) -> dict[str, "TestbedSettings"]:
+        """The settings of each vehicle by its name; those of the only one if there is no file.
+
+        Raises:
+            OSError: the file of the vehicles cannot be read.
+            ValueError: it says something else.
+        """
+        if not self.vehicles:
+            return {"": self}
+        given = read_yaml(Path(self.vehicles))
+        ones = given.get("vehicles") if isinstance(given, dict) and len(given) == 1 else None
+        if not isinstance(ones, dict) or not ones:
+            raise ContentError(f"{self.vehicles}: vehicles", ones, "the settings of each, by name")
+        made = {str(name): self._named(str(name), k, ones[name]) for k, name in enumerate(ones)}
+        reach = 2.0 * Surroundings().base_radius
+        for (one, a), (other, b) in combinations(made.items(), 2):
+            if dist(a.base[:2], b.base[:2]) < reach:
+                raise SettingError(f"{self.vehicles}: {one} and {other} begin in the same place")
+        return made
+
+    def _named(self, name: str, k: int, given: Any) -> "TestbedSettings":
+        """Those of vehicle k: what the file gives, or its name does, and else the test bed's."""
+        where = f"{self.vehicles}: {name}"
+        if not NAME.fullmatch(name):
+            raise ContentError(f"{self.vehicles}: a vehicle's name", name, "letters, digits and _")
+        own = {f.name: f for f in fields(self) if f.name not in OF_THE_BED}
+        if not isinstance(given, dict) or not set(given) <= set(own):
+            what = ", ".join(map(str, set(given) - set(own))) if isinstance(given, dict) else given
+            raise ContentError(where, what, f"some of {', '.join(own)}")
+        state, hints = Path(self.state_file), get_type_hints(type(self))
+        file = str(state.with_name(f"{state.stem}_{name}{state.suffix}")) if self.state_file else ""
+        changed: dict[str, Any] = {"vehicles": "", "seed": self.seed + k, "state_file": file}
+        changed |= {n: default_in(f, name) for n, f in own.items() if f.metadata.get("within")}
+        changed |= {"target_mass": 0.0} if k else {}
+        try:
+            changed |= {n: converted(n, value, hints[n]) for n, value in given.items()}
+            return replace(self, **changed)
+        except ValueError as error:
+            raise SettingError(f"{where}: {error}") from None
+
+    def description(self) -> Arm | Base:
+        """The true arm, or the base that has none."""
+        arm = described(self.arm)
+        return arm.base if self.without_arm else arm
 
     def noise(self) -> Noise:
         """The preset's deviations, with those given in their places."""
         given = {f.name: getattr(self, f.name) for f in fields(Noise)}
-        return replace(PRESETS[self.preset], **{k: v for k, v in given.items() if not v < 0.0})
+        return replace(PRESETS[self.preset], **_given(given))
+
+    def vicon(self, seed: int, kinds: Sequence[int]) -> Vicon | None:
+        """What looks at the markers of all subjects of these kinds, if poses come from those."""
+        noise = self.noise()
+        return Vicon(noise, self.room(), seed, kinds, self.table) if noise.markers else None
+
+    def air(self, seed: str) -> Air | None:
+        """What links and boards send through, if they share a channel."""
+        radio = self.radio()
+        return Air(radio, seed) if radio else None
+
+    def power(self) -> Power:
+        """The batteries, and what lives on them."""
+        return Power(self.battery_energy, self.battery_resistance)
 
     def script(self) -> str:
         """The fault script's text."""

@@ -10,21 +10,25 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
-from fss_arm_model.description import Arm
+from fss_arm_model.description import Arm, Base
 from fss_arm_model.extents import Extents
 from fss_arm_model.files import read_yaml, shown, write_text
-from fss_arm_model.kernels import Floats
 from fss_arm_model.units import SECOND
 from fss_sim.board.board import Board
 from fss_sim.faults import Event, Faults
 from fss_sim.link.channel import Datagram
 from fss_sim.link.link import Link
-from fss_sim.link.radio import Air, Radio
+from fss_sim.link.power import Power
+from fss_sim.link.radio import Air, Station
 from fss_sim.noise import Noise
-from fss_sim.plant.plant import Plant, World
-from fss_sim.sensors import RATE, Sensors, Sight
-from fss_sim.vicon import Pose, Room
+from fss_sim.plant.bed import Bed
+from fss_sim.plant.joints import axes, carried
+from fss_sim.plant.plant import Floats, Motion, Plant, Vehicle, World
+from fss_sim.plant.target import Passive
+from fss_sim.sensors import RATE, Sensors, Sight, compose
+from fss_sim.vicon import ABSENT, BASE, TARGET, TIP, Look, Pose, Room, Vicon
 
 FRAME = SECOND // RATE  # [ns]
 OUTAGE = RATE  # frames: how far time moves on while a testbed is not running
@@ -98,17 +102,19 @@ class Testbed:
         rate: of the links' telemetry [frames/s].
         keys: by link, that frames are signed under.
         torque_rate: samples of the torque converters a second.
-        charge: of the links' batteries, 0 to 1.
+        charge: of all batteries, 0 to 1.
         script: faults to come.
         world: all that the plant is made of beside the arm.
         board_rate: of the telemetry of the base's board [frames/s]; 0: there is none.
-        room: where VICON's cameras and markers are.
-        radio: the channel that links and board share; None: what is sent is there at once.
+        plant: the vehicle, if it shares the table with others (`together`).
+        power: what the batteries are like, and what lives on them.
+        air: the channel that links and board share, of all vehicles; None: what is sent is there.
+        vicon: what sees the markers on the table; None: one of its own, if noise is by markers.
     """
 
     def __init__(
         self,
-        arm: Arm,
+        arm: Arm | Base,
         noise: Noise,
         seed: int,
         state: State,
@@ -119,29 +125,44 @@ class Testbed:
         script: Sequence[Event] = (),
         world: World | None = None,
         board_rate: float = 0.0,
-        room: Room | None = None,
-        radio: Radio | None = None,
+        plant: Vehicle | None = None,
+        power: Power | None = None,
+        air: Air | None = None,
+        vicon: Vicon | None = None,
     ) -> None:
-        target = np.reshape(state.target, (2, 3))
-        self.plant = Plant(arm, state.q, state.qd, world, target, state.holds, state.propellant)
-        self.room, self._p = room or Room(), arm.vector()
-        self.sensors = Sensors(noise, seed, state.rests, self.room)
-        self.faults = Faults(arm.n, script)
+        self._target = np.reshape(state.target, (2, 3))  # as given
+        self.plant = plant or Plant(
+            arm, state.q, state.qd, world, self._target, state.holds, state.propellant
+        )
+        links = arm.links if isinstance(arm, Arm) else ()
+        self.sensors, self.air = Sensors(noise, seed, state.rests), air
+        kinds = [*self.subjects, *(TARGET for _ in self.plant.bed.targets)]
+        alone = Vicon(noise, Room(), seed, kinds) if noise.markers else None
+        self.vicon = vicon or alone
+        self.looks: dict[int, Look] = {}  # of the last frame, by what VICON sees of it
+        self.faults = Faults(len(links), script)
         keys = keys or {}
-        self.air = Air(radio, f"{seed}, {state.boots}") if radio else None
         self.links = [
-            Link(i, k, noise, seed, state.boots, rate, keys.get(i), torque_rate, charge, self.air)
-            for i, k in enumerate(arm.links, 1)
-        ]
+            Link(
+                i, k, noise, seed, state.boots, rate, keys.get(i), torque_rate, charge, power,
+                self._station(f"{i}"),
+            )
+            for i, k in enumerate(links, 1)
+        ]  # fmt: skip
         self.board = (
-            Board(noise, seed, state.boots, board_rate, keys.get(0), self.air)
+            Board(
+                noise, seed, state.boots, board_rate, keys.get(0), charge, power,
+                self._station("board"),
+            )
             if board_rate
             else None
-        )
+        )  # fmt: skip
         self.frame, self._boots = state.frame, state.boots
         for part in self._electronics():
             part.start(self._boots, self.now, part.uptime)
         self._motions = self.plant.motions()
+        self._strained = noise.torque_crosstalk > 0.0 and bool(links)
+        self._carried = self._momenta() if links else np.zeros((0, 2))
 
     @property
     def now(self) -> int:
@@ -150,30 +171,44 @@ class Testbed:
 
     def step(self) -> Report:
         """Let one frame's time pass."""
+        return step([self])[0]
+
+    def act(self) -> bool:
+        """Have drives, valves and gripper do what they are told until the next frame.
+
+        Returns:
+            Whether the faults in force are others than before.
+        """
         faulted = self.faults.advance(self.now / SECOND)
         self._supply()
-        if self.air:
-            self.air.taken = self.faults.radio.interference
         self.plant.thrusters.stick(self.faults.stuck_open, self.faults.stuck_closed)
         if self.board:
             self.board.act(self.now, self.plant)
         for i, link in enumerate(self.links):
             self.plant.command(i, link.demand(self.now, self._motions[i]))
-        self.plant.advance(1.0 / RATE)
-        self._motions = self.plant.motions()
+            self.plant.block(i, link.drive.blocked)
+        return faulted
+
+    def observe(self, faulted: bool) -> Report:
+        """What comes out of the frame that has passed."""
+        self._motions = self._measured()
         self.frame += 1
         plant, of = self.plant, self.faults
-        rate, qd = float(plant.qd[2]), plant.qd[3:]
-        target = plant.target[0].tolist() if plant.world.target else None
+        rate, target = float(plant.qd[2]), self.target[0].tolist() if plant.bed.targets else None
+        # Without an arm nobody asks where its tip is. Drives rest while links still swing on their
+        # gears: errors of a rest are theirs.
+        tip = plant.tip if plant.n else (0.0, 0.0, 0.0)
+        qd = np.array([motion.qd for motion in self._motions] or [0.0])
         sight = self.sensors.observe(
-            self.frame, plant.base, plant.tip, rate, qd, of.base, of.tip, of.gyro, target,
-            self._bodies(target) if self.sensors.noise.vicon_occlusion else (),
-        )  # fmt: skip
+            self.frame, plant.base, tip, rate, qd, of.base, of.tip, of.gyro, target, self.looks
+        )
         telemetry = [
-            link.report(self.now, self._motions[i], 1.0 / RATE, of.links[i])
+            link.report(self.now, self._motions[i], 1.0 / RATE, of.links[i], of.drives[i])
             for i, link in enumerate(self.links)
         ]
-        board = self.board.report(self.now, plant, sight.rate, of.board) if self.board else ()
+        board: Sequence[Datagram] = ()
+        if self.board:
+            board = self.board.report(self.now, plant, sight.rate, 1.0 / RATE, of.board)
         return Report(sight, telemetry, faulted, board)
 
     def receive(self, link: int, data: bytes, peer: Any = None, late: int = 0) -> None:
@@ -188,25 +223,57 @@ class Testbed:
         if self.board:
             self.board.put(data, peer, self.now + late, self.faults.board)
 
-    def charge(self) -> None:
-        """Make all batteries full; a link whose battery was empty starts again."""
-        for link in self.links:
-            link.instruments.battery.charge = 1.0
+    @property
+    def subjects(self) -> dict[int, Pose]:
+        """True poses of what VICON sees of the vehicle."""
+        base = self.plant.base
+        return {BASE: base, TIP: compose(base, self.plant.tip)} if self.plant.n else {BASE: base}
 
-    def _bodies(self, target: Pose | None) -> Floats:
-        """What stands in the cameras' way."""
+    def bodies(self, room: Room) -> Floats:
+        """What of the vehicle stands in the cameras' way, by Room.bodies."""
         around = self.plant.world.surroundings
         extents = Extents(around.table, around.base_radius, around.link_radius)
-        return self.room.bodies(self._p, self.plant.q, target, extents, around.base_radius)
+        return room.bodies(self.plant.p, self.plant.q, extents)
+
+    @property
+    def target(self) -> Floats:
+        """Pose and twist of the target, (2, 3); those given if there is none."""
+        targets = self.plant.bed.targets
+        return targets[0].state if targets else self._target
+
+    def charge(self) -> None:
+        """Make all batteries full; what had an empty one starts again."""
+        for link in self.links:
+            link.supply.battery.charge = 1.0
+        if self.board:
+            self.board.battery.charge = 1.0
+
+    def _station(self, part: str) -> Station | None:
+        name = f"{self.plant.name} {part}" if self.plant.name else part
+        return self.air.station(name) if self.air else None
+
+    def _measured(self) -> list[Motion]:
+        """The motions, with the mean forces of the last frame if instruments show them."""
+        motions = self.plant.motions()
+        if not self._strained:
+            return motions
+        before, self._carried = self._carried, self._momenta()
+        forces = RATE * (self._carried - before)
+        across = np.sum(forces * axes(self.plant.p, self.plant.q), axis=1).tolist()
+        return [m._replace(shear=f) for m, f in zip(motions, across, strict=True)]
+
+    def _momenta(self) -> npt.NDArray[np.float64]:
+        """Momentum of what lies beyond each joint, (n, 2) [N s]."""
+        return carried(self.plant.p, self.plant.q, self.plant.qd)
 
     def _electronics(self) -> list[Link | Board]:
         return [*self.links, self.board] if self.board else [*self.links]
 
     def _supply(self) -> None:
-        """Take power from links and board, or give it back; one that starts never did so before."""
+        """Stop links and board without power, and start them again, which they do anew."""
         faults = [*self.faults.links, self.faults.board]
         for part, its in zip(self._electronics(), faults, strict=False):
-            powered = part.charged and not its.dead
+            powered = part.has_power(its)
             if part.running and not powered:
                 part.stop()
             elif powered and not part.running:
@@ -216,6 +283,57 @@ class Testbed:
     def state(self) -> State:
         """What to save."""
         plant = self.plant
-        q, qd, target = (tuple(x.ravel().tolist()) for x in (plant.q, plant.qd, plant.target))
+        q, qd, target = (tuple(x.ravel().tolist()) for x in (plant.q, plant.qd, self.target))
+        holds = any(one.holder is plant for one in plant.bed.targets)
         used = plant.thrusters.used
-        return State(self.frame, self._boots, self.sensors.rests, q, qd, target, plant.holds, used)
+        return State(self.frame, self._boots, self.sensors.rests, q, qd, target, holds, used)
+
+
+def together(vehicles: Sequence[Vehicle], states: Sequence[State]) -> None:
+    """Put vehicles on one table, with the target of the first one's world, as their states have it.
+
+    One that held another vehicle, or the target as the second one, has let go.
+    """
+    world = vehicles[0].world
+    if world.target:
+        at = np.reshape(states[0].target, (2, 3))
+        targets = [Passive(world.target, at, world.surroundings)]
+    else:
+        targets = []
+    holders = [one for one, state in zip(vehicles, states, strict=True) if targets and state.holds]
+    for one in holders[:1]:
+        one.closed = True
+        one.take(targets[0])
+    Bed(vehicles, targets, world.contact, world.tolerance)
+
+
+def step(vehicles: Sequence[Testbed]) -> list[Report]:
+    """Let one frame's time pass for all vehicles of a table."""
+    first = vehicles[0]
+    faulted = [one.act() for one in vehicles]
+    if first.air:
+        first.air.taken = max(one.faults.radio.interference for one in vehicles)
+    first.plant.bed.advance(1.0 / RATE)
+    if first.vicon:
+        look(first.vicon, vehicles)
+    return [one.observe(of) for one, of in zip(vehicles, faulted, strict=True)]
+
+
+def look(vicon: Vicon, vehicles: Sequence[Testbed]) -> None:
+    """Tell all vehicles of a table what a picture of them all gives of each."""
+    first, targets = vehicles[0], vehicles[0].plant.bed.targets
+    subjects = [one.subjects for one in vehicles]
+    poses = [pose for its in subjects for pose in its.values()]
+    poses += [(*one.state[0].tolist(),) for one in targets]
+    bodies = np.empty((0, 6))
+    if vicon.hides:
+        rows = [one.bodies(vicon.room) for one in vehicles]
+        rows += [vicon.room.disc(TARGET, one.state[0], one.target.radius) for one in targets]
+        bodies = np.concatenate(rows)
+    frame = first.frame + 1
+    looks = iter(vicon.look(frame, poses, bodies, frame // first.sensors.hold))
+    for one, its in zip(vehicles, subjects, strict=True):
+        one.looks = {kind: next(looks) for kind in its}
+    target = next(looks, ABSENT)
+    for one in vehicles:
+        one.looks[TARGET] = target

@@ -91,31 +91,26 @@ class Room(Settings):
         self,
         p: npt.ArrayLike,
         q: npt.ArrayLike,
-        target: npt.ArrayLike | None = None,
         extents: Extents | None = None,
-        target_radius: float = 0.0,
     ) -> Floats:
-        """What stands in the way: (b, 6) line from x, y to x, y, radius about it, height [m].
+        """A vehicle that stands in the way: (b, 6) line from x, y to x, y, radius about it, height.
 
         Args:
             p: (8 + 6 n,) Arm.vector().
             q: (3 + n,) state of base and arm.
-            target: its pose, if there is one.
-            extents: radii of base and links.
-            target_radius: [m].
+            extents: radii of base and links [m].
         """
         size, q = extents or Extents(), np.asarray(q, dtype=float)
-        rows = [[*q[:2], *q[:2], size.base_radius, self.heights[BASE]]]
-        if len(q) > 3:
-            ends = joint_positions(p, q)
-            rows += [
-                [*a, *b, size.link_radius, self.heights[TIP]]
-                for a, b in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True)
-            ]
-        if target is not None:
-            x, y = np.asarray(target, dtype=float)[:2].tolist()
-            rows.append([x, y, x, y, target_radius, self.heights[TARGET]])
-        return np.array(rows)
+        base = self.disc(BASE, q, size.base_radius)
+        if len(q) == 3:
+            return base
+        ends = joint_positions(p, q)
+        wide = np.broadcast_to([size.link_radius, self.heights[TIP]], (len(ends) - 1, 2))
+        return np.concatenate([base, np.hstack([ends[:-1], ends[1:], wide])])
+
+    def disc(self, kind: int, pose: Floats, radius: float) -> Floats:
+        """A round subject that stands in the way, as (1, 6) of `bodies`."""
+        return np.array([[*pose[:2], *pose[:2], radius, self.heights[kind]]])
 
 
 class RoomError(ValueError):
@@ -133,11 +128,10 @@ class Look(NamedTuple):
     error: Pose  # of its pose
     markers: int  # that are there
     taken_for: int  # the subject whose pose is taken for its own; itself, if all is well
+    there: bool = True  # whether it has a pose
 
-    @property
-    def there(self) -> bool:
-        """Whether it has a pose."""
-        return self.markers >= MARKERS_AT_LEAST
+
+ABSENT = Look((0.0, 0.0, 0.0), 0, -1, there=False)
 
 
 class Vicon:
@@ -159,7 +153,8 @@ class Vicon:
         kinds: Sequence[int],
         volume: tuple[float, ...] = (4.0, 4.0),
     ) -> None:
-        self._noise, self._seed = noise, seed
+        self._noise, self._seed, self.room = noise, seed, room
+        self.hides = noise.vicon_occlusion > 0.0  # bodies, what is behind them
         self._cameras = np.reshape(room.cameras, (-1, 3)).astype(float)
         markers = [room.markers(kind) for kind in kinds]
         self._markers = np.concatenate(markers)
@@ -183,14 +178,15 @@ class Vicon:
             drawn_at: number that selects the white noise, by default the frame's.
         """
         white = self._chance.normal(frame if drawn_at < 0 else drawn_at).reshape(-1, 2)
-        hides = np.reshape(bodies, (-1, 6)) if self._noise.vicon_occlusion else np.empty((0, 6))
+        hides = np.reshape(bodies, (-1, 6)) if self.hides else np.empty((0, 6))
         errors, there, partner = _look(
             self._cameras, self._markers, self._owners, poses, hides, white, self._control
         )
         taken = self._taken_for(frame, partner.astype(int).tolist())
-        counts = there.astype(int).tolist()
+        true, counts = np.asarray(poses, dtype=float), there.astype(int).tolist()
+        errors = errors[taken] + (true[taken] - true)
         return [
-            Look((x, y, turn), count, other)
+            Look((x, y, turn), count, other, counts[other] >= MARKERS_AT_LEAST)
             for (x, y, turn), count, other in zip(errors.tolist(), counts, taken, strict=True)
         ]
 

@@ -12,8 +12,9 @@ from running import OWN
 from std_srvs.srv import SetBool
 
 from fss_arm_msgs.action import ExecuteMotion
-from fss_arm_msgs.msg import MotionReport
-from fss_arm_ros.qos import LATCHED, subscribe_sensor
+from fss_arm_msgs.msg import MotionReport, SimTruth
+from fss_arm_ros.convert import stamp_ns
+from fss_arm_ros.qos import LATCHED, SENSOR, subscribe_sensor
 from fss_sim.rehearsal.processes import Nodes
 
 
@@ -35,10 +36,12 @@ class Person(Node):
     def __init__(self, spin):
         super().__init__("person")
         self.spin, self.seen, self.reports, self.feedback = spin, 0, [], []
+        self.truths = []
         self.armer = self.create_client(SetBool, "arm/enable")
         self.mover = ActionClient(self, ExecuteMotion, "arm/execute")
         self.create_subscription(MotionReport, "arm/motion", self.reports.append, LATCHED)
         subscribe_sensor(self, Odometry, "base/state", self.see)
+        self.create_subscription(SimTruth, "sim/truth", self.truths.append, SENSOR)
 
     def see(self, _):
         self.seen += 1
@@ -120,3 +123,34 @@ def test_a_cancelled_motion_comes_to_rest(person):
     ended = person.after(handle.get_result_async())
     assert ended.status == GoalStatus.STATUS_CANCELED
     assert ended.result.message == "cancelled"
+
+
+def test_the_arm_comes_to_rest_when_the_planner_is_killed_and_goes_on_with_the_next(person, nodes):
+    goal = {"kind": "point_to_point", "arguments": ["--goal", "60", "0", "0", "0",
+                                                    "--duration", "20"]}  # fmt: skip
+    person.send(**goal)
+    person.truths.clear()
+    moving = lambda: person.truths and np.abs(person.truths[-1].qd[3:]).max() > 0.05  # noqa: E731
+    person.spin(person, moving, 120.0)
+    nodes.processes["motion"].kill()
+    killed = len(person.truths)
+    person.spin(person, lambda: np.abs(person.truths[-1].qd[3:]).max() < 0.002, 20.0)
+    rates = np.array([truth.qd[3:] for truth in person.truths[killed:]])
+    took = 1e-9 * (stamp_ns(person.truths[-1].header.stamp)
+                   - stamp_ns(person.truths[killed - 1].header.stamp))  # fmt: skip
+    print(f"at rest {took:.2f} s after the planner was killed")
+    assert took < 3.0  # who asked is missed within a second; then a gentle stop
+    assert np.abs(rates).max() < 0.12  # no jump: the path's own rate is 0.1 rad/s at most
+    there = person.truths[-1].q[3]
+    person.reports.clear()
+    nodes.restart_dead()
+    home = ExecuteMotion.Goal(kind="point_to_point", arguments=["--goal", "0", "0", "0", "0"])
+    deadline, sent = monotonic() + 120.0, []
+    while not any(future.done() for future in sent):  # ROS takes the dead one for ready for 20 s
+        assert monotonic() < deadline
+        sent.append(person.mover.send_goal_async(home))
+        again = monotonic() + 10.0
+        person.spin(person, lambda: sent[-1].done() or monotonic() > again, 20.0)  # noqa: B023
+    assert person.truths[-1].q[3] == pytest.approx(there, abs=0.005)  # no jump as it comes back
+    person.spin(person, lambda: person.reports, 60.0)
+    assert person.truths[-1].q[3] == pytest.approx(0.0, abs=0.01)

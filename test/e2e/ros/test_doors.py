@@ -137,7 +137,8 @@ class Stranger(Node):
 
     def hear(self, message):
         for status in message.status:
-            self.alive[status.name] = monotonic(), {v.key: v.value for v in status.values}
+            name = status.name.lstrip("/")
+            self.alive[name] = monotonic(), {v.key: v.value for v in status.values}
 
     def topics(self, name):
         """What a node listens to."""

@@ -61,7 +61,7 @@ class TestBed(Node):
 
     def hear(self, diagnostics):
         for status in diagnostics.status:
-            if status.name == "record":
+            if status.name == "/record":
                 self.told = {v.key: v.value for v in status.values}
 
 
@@ -107,7 +107,7 @@ def test_a_recorder_that_stands_still_for_a_while_loses_nothing(spin, start, tmp
 
     def recorded():
         """Whether the recorder tells of its messages, and so has come to the present."""
-        told = [v.key for m in heard for s in m.status if s.name == "record" for v in s.values]
+        told = [v.key for m in heard for s in m.status if s.name == "/record" for v in s.values]
         return "/clock" in told
 
     spin(node, recorded, 20.0)
@@ -213,7 +213,7 @@ def test_a_reader_that_stalls_loses_nothing_of_a_replay_at_full_speed(spin, star
 def played(told, diagnostics):
     """Keep how far the replay says it is."""
     for status in diagnostics.status:
-        if status.name == "replay":
+        if status.name == "/replay":
             told[0] = int({v.key: v.value for v in status.values}["played"])
 
 

@@ -19,7 +19,7 @@ ROOT = Path(__file__).parents[3]
 SCRIPT = """
 - {at: 1.0, part: link_1, fault: loss, value: 0.2}
 - {at: 2.0, part: link_1, fault: jitter, value: 0.05}
-- {at: 4.0, part: link_2, fault: dead, duration: 0.5}
+- {at: 4.0, part: link_2, fault: reset, duration: 0.5}
 - {at: 1.0, part: link_3, fault: reordering, value: 0.2}
 - {at: 1.0, part: link_4, fault: corruption, value: 0.2}
 - {at: 1.0, part: end_effector, fault: occlusion, value: 0.1}

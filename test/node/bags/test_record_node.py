@@ -70,6 +70,26 @@ def test_only_the_topics_asked_for(spin, tmp_path):
     assert other.get_subscription_count() == 0
 
 
+def test_a_recorder_of_one_vehicle_leaves_the_others_out(spin, tmp_path):
+    node = Node("source")
+    topics = ["/fss1/joint_states", "/fss2/joint_states", "/fss22/joint_states", "/joint_states"]
+    shared = ["/vicon/fss1/fss1", "/clock", "/sim/faults"]
+    outs = [node.create_publisher(Int64, topic, SENSOR) for topic in topics + shared]
+    parameters = [Parameter("output", value=str(tmp_path))]
+    record = RecordNode(namespace="fss2", parameter_overrides=parameters)
+    all_of_them = recorder(tmp_path, namespace="/")
+    spin([node, record, all_of_them], lambda: all(out.get_subscription_count() for out in outs))
+    named = recorder(tmp_path, namespace="fss1", shared=[""])
+    spin([node, named], lambda: outs[0].get_subscription_count() == 2)
+    expected = {"/fss2/joint_states", *shared}
+    spin(record, lambda: set(record.recording.topics) >= expected)
+    recorded = set(record.recording.topics)
+    of_ros = ("/rosout", "/parameter_events", "/diagnostics")
+    assert {topic for topic in recorded if topic not in of_ros} == expected
+    assert set(all_of_them.recording.topics) >= set(topics + shared)
+    assert "/fss2/joint_states" not in named.recording.topics
+
+
 def test_a_looser_publisher_that_comes_later_is_heard(spin, tmp_path):
     node = Node("source")
     first = node.create_publisher(Int64, "topic", SENSOR)

@@ -188,6 +188,41 @@ def test_an_error_of_the_user_is_one_line(samples, tmp_path, capsys, args, messa
     assert error.count("\n") == 1
 
 
+VEHICLE_2 = {
+    "joint_states": "fss2/joint_states",
+    "vicon/fss/fss": "vicon/fss2/fss2",
+    "vicon/end_effector/end_effector": "vicon/fss2_end_effector/fss2_end_effector",
+}
+
+
+def test_of_a_bag_with_two_vehicles_each_is_calibrated_from_its_own(samples, tmp_path, capsys):
+    others = Rig(DEFAULT[:8] * 0.9, seed=3, rest=3.2, rate=50.0).samples(lag=3_000_000)
+    both = Recording(tmp_path / "both")
+    for topic, kind in TYPES.items():
+        for name in (topic, VEHICLE_2[topic]):
+            both.add(f"/{name}", f"{kind.__module__.split('.')[0]}/msg/{kind.__name__}", [SENSOR])
+    content = [(s, name) for one, name in ((samples, dict), (others, VEHICLE_2.get)) for s in one]
+    for sample, name in sorted(content, key=lambda pair: pair[0].t):
+        topic, one = message(sample)
+        topic = topic if name is dict else VEHICLE_2[topic]
+        both.write(f"/{topic}", sample.t + SECOND // 100, serialize_message(one))
+    both.close()
+    for alone, space in ((samples, ""), (others, "fss2")):
+        expected = solve_bag(KINEMATIC, record(tmp_path / f"of{space}", alone)).provenance.data_hash
+        assert solve_bag(KINEMATIC, both.path, namespace=space).provenance.data_hash == expected
+    assert from_bag([str(both.path), "--namespace", "fss2"]) in (0, 2)
+    assert from_bag([str(both.path), "--namespace", "fss3"]) == 1
+    assert "no /fss3/joint_states" in capsys.readouterr().err
+
+
+def test_a_bag_of_a_vehicle_in_a_namespace_says_how_to_read_it(samples, tmp_path, capsys):
+    bag = Recording(tmp_path)
+    bag.add("/fss2/joint_states", "sensor_msgs/msg/JointState", [SENSOR])
+    bag.close()
+    assert from_bag([str(bag.path)]) == 1
+    assert capsys.readouterr().err.endswith("; see --namespace fss2\n")
+
+
 def test_bags_are_taken_one_after_the_other(samples, tmp_path):
     whole = solve_bag(KINEMATIC, record(tmp_path / "whole", samples))
     record(tmp_path / "parts", [s for s in samples if s.t < at(20.0)])

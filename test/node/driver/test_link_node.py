@@ -590,7 +590,7 @@ def test_one_process_hosts_all_links_and_is_up_soon(start, spin):
     urls = ", ".join(["'udp://127.0.0.1:9?bind=0'"] * 4)
     program = start("fss_arm_driver.link_node", "--ros-args", "-p", f"urls:=[{urls}]")
     spin([user], lambda: len(heard) == 4)
-    assert set(heard) == {"link_1", "link_2", "link_3", "link_4"}
+    assert set(heard) == {"/link_1", "/link_2", "/link_3", "/link_4"}
     assert program.stop() == 0
     assert program.output == ""
 

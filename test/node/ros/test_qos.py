@@ -38,10 +38,10 @@ def test_a_best_effort_publisher_is_heard_and_a_reliable_one_goes_on(spin):
 
 
 def test_diagnostics_tell_name_level_and_counts(spin):
-    node, got = Node("thing"), []
+    node, got = Node("thing", namespace="fss2"), []
     node.create_subscription(DiagnosticArray, "/diagnostics", got.append, 10)
     Diagnostics(node, lambda: Health(ERROR, "lost", {"frames": 3, "age": 0.25}), "link 1")
     status = spin(node, lambda: got)[0].status[0]
-    assert (status.name, status.level, status.message) == ("thing", ERROR, "lost")
+    assert (status.name, status.level, status.message) == ("/fss2/thing", ERROR, "lost")
     assert status.hardware_id == "link 1"
     assert {v.key: v.value for v in status.values} == {"frames": "3", "age": "0.25"}

@@ -7,6 +7,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, SettingError, Settings, between, setting
+from fss_arm_model.vehicle import Vehicle
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.run import run
 
@@ -79,6 +80,29 @@ def test_the_description_is_shown_and_the_value_is_fixed(ros):
     assert [(r.from_value, r.to_value) for r in count.integer_range] == [(0, 9)]
     assert not name.floating_point_range
     assert not node.set_parameters([Parameter("rate", value=3.0)])[0].successful
+    node.destroy_node()
+
+
+@pytest.mark.parametrize(
+    ("namespace", "topic", "prefix"),
+    [
+        ("", "vicon/fss/fss", ""),
+        ("/fss2", "/vicon/fss2/fss2", "fss2/"),
+        ("/lab/fss2", "/vicon/fss2/fss2", "lab/fss2/"),
+    ],
+)
+def test_defaults_tell_vehicles_apart(ros, namespace, topic, prefix):
+    node = Node("thing", namespace=namespace)
+    got = declare(node, Vehicle)
+    assert (got.base_topic, got.frame_prefix) == (topic, prefix)
+    assert got.base_frame == f"{prefix}fss"
+    about = node.describe_parameter("base_frame").description
+    assert about.endswith("default in a namespace /NAME: NAME/fss")
+    node.destroy_node()
+    given = [Parameter("base_frame", value="base"), Parameter("frame_prefix", value="")]
+    node = Node("thing", namespace=namespace, parameter_overrides=given)
+    got = declare(node, Vehicle)
+    assert (got.base_frame, got.frame_prefix) == ("base", "")
     node.destroy_node()
 
 

@@ -123,7 +123,8 @@ def test_the_truth_survives_its_serialization():
         ({"table": (0.0, 4.0)}, "table"),
         ({"tank_volume": 0.0}, "tank_volume is 0.0"),
         ({"truth_rate": 0.0}, "truth_rate is 0.0"),
-        ({"coulomb_friction": -0.1}, "coulomb_friction is -0.1"),
+        ({"film_damping": -0.1}, "film_damping is -0.1"),
+        ({"gear_stiffness": 400.0}, "stiffness is 400 N m/rad with a rotor_inertia of 0"),
     ],
 )
 def test_impossible_settings_are_refused(given, words):

@@ -13,6 +13,7 @@ import pytest
 import rerun_cli
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import Point, PoseStamped, Transform
+from rclpy.node import Node
 from rclpy.parameter import Parameter
 from running import wait_until
 from sensor_msgs.msg import JointState
@@ -56,6 +57,34 @@ def written(node, file):
         timeout=60,
         check=True,
     ).stdout
+
+
+def test_several_vehicles_are_shown_in_one_recording(spin, tmp_path):
+    file = tmp_path / "view.rrd"
+    node = view(mode="file", file=str(file))
+    ones = [ViewNode(node, namespace=name) for name in ("fss1", "fss2")]
+    ears, topics = Node("source"), []
+    for name in ("fss1", "fss2"):
+        topics.append(ears.create_publisher(PoseStamped, f"/vicon/{name}/{name}", SENSOR))
+        topics.append(ears.create_publisher(JointState, f"/{name}/joint_states", SENSOR))
+    stop = ears.create_publisher(Empty, "/fss2/arm/stop", 10)
+    spin([node, *ones, ears], lambda: all(t.get_subscription_count() for t in [*topics, stop]))
+    for k, topic in enumerate(topics):
+        message = pose_stamped(BEGIN, "world", (float(k), 0.0, 0.0))
+        if k % 2:
+            message = JointState(name=["joint_2"], position=[0.1], velocity=[0.0], effort=[0.0])
+            message.header.stamp = to_time(BEGIN)
+        topic.publish(message)
+    stop.publish(Empty())
+    spin([node, *ones], lambda: all(one.q[1] == 0.1 and one.stamps for one in ones))
+    spin([node, *ones], lambda: all({"base", "joints"} <= one.stamps.keys() for one in ones))
+    shown = written(node, file)
+    for name in ("fss1", "fss2"):
+        assert f"/table/{name}/arm" in shown
+        assert f"/table/{name}/name" in shown
+        assert f"/plot/angle/{name}/link_2" in shown
+    assert "fss2: arm/stop" in shown
+    assert "/table/arm" not in shown
 
 
 def free_port():
@@ -219,10 +248,11 @@ def test_the_workspace_is_drawn_where_its_node_publishes_it(spin, flight, tmp_pa
     assert in_world in shown
 
 
-def test_a_viewer_that_ended_is_an_error_and_not_the_end(spin):
+@pytest.mark.parametrize("part", [0, 1], ids=["rerun", "gate"])
+def test_a_viewer_that_ended_is_an_error_and_not_the_end(spin, part):
     node = view(mode="web", port=free_port(), web_port=free_port())
     spin(node, lambda: node.viewer.alive())
-    node.viewer.process.kill()
+    node.viewer.processes[part].kill()
     spin(node, lambda: node.health().level == ERROR)
     assert node.health().message == "the viewer has ended"
 
@@ -231,18 +261,19 @@ OWNER = """
 import sys
 from fss_arm_view.sink import Viewer
 viewer = Viewer("web", "127.0.0.1", sys.argv[1], sys.argv[2], "100MB")
-print(viewer.process.pid, flush=True)
-viewer.process.wait()
+print(*(process.pid for process in viewer.processes), flush=True)
+viewer.processes[0].wait()
 """
 
 
 def test_a_viewer_goes_with_its_owner_however_that_ends():
     command = [sys.executable, "-c", OWNER, str(free_port()), str(free_port())]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as owner:
-        viewer = Path(f"/proc/{owner.stdout.readline().strip()}/cmdline")
-        wait_until(lambda: "rerun" in viewer.read_text(), 10.0, lambda: time.sleep(0.05))
+        rerun, gate = (Path(f"/proc/{pid}/cmdline") for pid in owner.stdout.readline().split())
+        wait_until(lambda: "rerun" in rerun.read_text(), 10.0, lambda: time.sleep(0.05))
+        wait_until(lambda: "gate" in gate.read_text(), 10.0, lambda: time.sleep(0.05))
         owner.kill()
-    wait_until(lambda: not viewer.exists(), 10.0, lambda: time.sleep(0.05))
+    wait_until(lambda: not rerun.exists() and not gate.exists(), 10.0, lambda: time.sleep(0.05))
 
 
 def test_an_open_address_is_warned_of_and_told_as_others_reach_it(spin, capfd):
@@ -258,11 +289,15 @@ def test_an_open_address_is_warned_of_and_told_as_others_reach_it(spin, capfd):
     assert f"open http://{name}:{web_port}/?url=rerun%2Bhttp://{name}:{port}/" in "".join(said)
 
 
-def test_drawings_get_to_the_address_that_the_viewer_is_bound_to(spin):
-    port = free_port()
-    node = view(mode="web", bind="127.0.0.2", port=port, web_port=free_port())
-    established = f"0200007F:{port:04X} 01"  # as the kernel lists addresses and states
-    spin(node, lambda: established in Path("/proc/net/tcp").read_text())
+def test_the_gate_alone_is_at_the_address_that_is_bound_to(spin):
+    ports = free_port(), free_port()
+    node = view(mode="web", bind="127.0.0.2", port=ports[0], web_port=ports[1])
+    table = Path("/proc/net/tcp")  # of addresses and states, as the kernel lists them
+    listening = [f"0200007F:{port:04X} 00000000:0000 0A" for port in ports]
+    spin(node, lambda: all(each in table.read_text() for each in listening))
+    inner = int(node.viewer.url.split(":")[2].split("/")[0])
+    spin(node, lambda: f"0100007F:{inner:04X} 00000000:0000 0A" in table.read_text())
+    spin(node, lambda: f"0100007F:{inner:04X} 01" in table.read_text())  # our drawings get there
 
 
 @pytest.mark.parametrize(

@@ -347,3 +347,53 @@ def test_counted_readings_stay_within_the_bound(parametrization):
 def test_an_impossible_problem_is_refused(change, message):
     with pytest.raises(ValueError, match=message):
         replace(problem(paper_arm(), postures(4, 13), FULL), **change)
+
+
+def test_errors_of_readings_are_in_what_is_claimed():
+    """By sines of unknown phase, at the experiment's postures, beside poses that are better."""
+    rng, truth = np.random.default_rng(2), paper_arm()
+    known = {"position_deviation": 5e-4, "heading_deviation": np.radians(0.05)}
+    ripple, eccentricity = 5e-4, 3e-4
+    exact = problem(truth, DEFAULT, FULL, **known)
+    aware = {"ripple_deviation": ripple, "eccentricity_deviation": eccentricity}
+    nees, chi_square = np.zeros((2, 300)), np.zeros((2, 300))
+    for trial in range(300):
+        phase = rng.uniform(-np.pi, np.pi, (2, 4))
+        off = ripple * np.sin(60 * DEFAULT + phase[0]) + eccentricity * np.sin(DEFAULT + phase[1])
+        tip = exact.tip + rng.normal(size=exact.tip.shape) * exact.sigma
+        for i, told in enumerate((aware, {})):
+            noisy = replace(exact, q=DEFAULT + 2**0.5 * off, tip=tip, **told)
+            result = solve(noisy)
+            error = result.values - exact.initial
+            nees[i, trial] = error @ np.linalg.solve(result.covariance, error) / len(error)
+            chi_square[i, trial] = result.chi_square / result.degrees_of_freedom
+    assert nees[0].mean() == pytest.approx(1.0, abs=0.1)
+    assert nees[1].mean() > 2.0
+    assert chi_square[0].mean() < 1.05
+    assert chi_square[1].mean() > 1.5
+
+
+def test_what_readings_add_is_the_covariance_of_what_they_move():
+    """Against the covariance of all observations together, written out."""
+    exact = problem(arm_of(3), postures(3, 12), FULL, ripple_deviation=4e-4,
+                    eccentricity_deviation=7e-4)  # fmt: skip
+    result, xi = solve(exact), exact.initial
+    Phi_q, s = exact.by_readings(xi), len(exact.q)
+    apart = exact.q[:, None] - exact.q
+    k = 4e-4**2 * np.cos(60 * apart) + 7e-4**2 * np.cos(apart)
+    S = np.einsum("kin,kln,ljn->kilj", Phi_q, k, Phi_q)
+    S[np.arange(s), :, np.arange(s), :] += np.diag(exact.sigma**2)
+    W = np.zeros((s, 3, s, 3))
+    own = S[np.arange(s), :, np.arange(s), :]
+    W[np.arange(s), :, np.arange(s), :] = np.linalg.inv(own)
+    S, W = S.reshape(3 * s, -1), W.reshape(3 * s, -1)
+    Phi = (replace(exact, ripple_deviation=0.0, eccentricity_deviation=0.0).regressor(xi)
+           * np.tile(exact.sigma, s)[:, None])  # fmt: skip
+    gain = np.linalg.solve(Phi.T @ W @ Phi, Phi.T @ W)
+    np.testing.assert_allclose(result.covariance, gain @ S @ gain.T, rtol=1e-6, atol=1e-15)
+
+
+@pytest.mark.parametrize("name", ["ripple_deviation", "eccentricity_deviation"])
+def test_readings_errors_cannot_be_negative(name):
+    with pytest.raises(ValueError, match=f"{name} is -1.0, must not be negative"):
+        problem(paper_arm(), DEFAULT, FULL, **{name: -1.0})

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from capturing import POSTURE, SETTINGS, Case, Flight
 
+from fss_arm_model import layout
 from fss_arm_model.description import paper_arm
 from fss_arm_model.kinematics import tip_pose
 from fss_gnc.guidance.abort import Abort
@@ -14,6 +15,7 @@ from fss_gnc.guidance.approach import Planner, coasted
 from fss_gnc.guidance.capture import GUIDES, begin
 from fss_gnc.guidance.detumble import Detumble
 from fss_gnc.guidance.drift import Drifting
+from fss_gnc.guidance.leak import Leak
 from fss_gnc.guidance.reach import fixtures
 from fss_gnc.guidance.rest import braking, slowing
 from fss_gnc.reference import Body
@@ -48,7 +50,7 @@ def test_it_captures_a_tumbling_target_and_stops_it(reach):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("phase", ["approach", "reach", "detumble"])
-@pytest.mark.parametrize("fault", ["outage", "link"])
+@pytest.mark.parametrize("fault", ["outage", "link", "open"])
 def test_what_fails_ends_the_mission_safely(fault, phase):
     flown = Flight(Case(spin=0.1, distance=1.4, fault=fault, phase=phase, lasts=10.0)).fly()
     assert "abort" in flown.phases
@@ -145,6 +147,58 @@ def test_an_abort_leaves_the_valves_closed_where_the_base_is_not_known_or_drifts
         orders = Abort(CRAFT, "test").step(Seen(0.0, base, rest, q[3:], np.zeros(4), holds=False))
         assert orders.path is None
         np.testing.assert_allclose(orders.rates, 0.0)
+
+
+def pushed(force, torque, seconds, noise=0.0):
+    """Whether a leak is seen in what coasts from rest under a force [N] and a torque [N m]."""
+    rng, leak, found = np.random.default_rng(2), Leak(), []
+    mass = P[layout.MASS] + P[layout.LINK_SIZE + layout.LINK_MASS :: layout.LINK_SIZE].sum()
+    for t in np.arange(0.0, seconds, 0.1):
+        qd = np.concatenate([[force * t / mass, 0.0, 0.02 + torque * t / 2.0], np.zeros(4)])
+        qd[:3] += noise * rng.standard_normal(3) * [1.0, 1.0, 0.5]
+        found.append(leak.pushes(t, P, at(0.0, 0.0, 0.0), qd))
+    return found
+
+
+def test_a_leak_is_what_pushes_and_not_noise_nor_a_sloping_table():
+    assert not any(pushed(0.02, 0.0, 60.0, noise=1e-3))
+    assert any(pushed(0.16, 0.0, 3.0))
+    assert any(pushed(0.0, 0.035, 6.0))
+
+
+def drifting_under(force, propellant):
+    """Phases of an abort, and its path, as one valve pushes along y [N]."""
+    abort, paths = Abort(CRAFT, "test"), []
+    far = Body(np.array([1.5, 1.5, 0.0]), np.zeros(3))
+    for t in np.arange(0.0, 6.0, 0.1):
+        at_y, v = 0.5 * force / 21.5 * t**2, force / 21.5 * t
+        base = Body(np.array([-0.75, -0.75 + at_y, -1.9]), np.array([0.0, v, 0.0]))
+        seen = Seen(t, base, far, np.array(POSTURE), np.zeros(4), None, False, propellant)
+        orders = abort.step(seen)
+        paths.append(orders.path)
+        if orders.ended:
+            break
+    return paths
+
+
+def test_an_abort_holds_where_a_valve_leaks_while_there_is_gas():
+    held = drifting_under(0.16, 0.04)
+    assert held[0] is None
+    assert held[-1] is not None
+    np.testing.assert_array_equal(held[-1].knots[-1, 1], 0.0)  # it ends at rest
+    assert drifting_under(0.0, 0.04)[-1] is None
+    assert len(drifting_under(0.0, 0.04)) < len(held)  # over after three quiet seconds
+
+
+def test_a_detumble_does_not_end_well_where_a_valve_leaks():
+    q, mission, orders = at(0.0, 0.0, 0.0), Detumble(CRAFT), []
+    for t in np.arange(0.0, 8.0, 0.1):
+        alone = bool(orders) and orders[-1].path is None and t > 1.0
+        rate = 0.008 * (t - 2.0) if alone else 0.0
+        base = Body(q[:3], np.array([rate, 0.0, 0.0]))
+        orders.append(mission.step(Seen(t, base, None, q[3:], np.zeros(4), holds=True)))
+    assert orders[-1].phase == "abort"
+    assert mission.abort.reason == "a valve does not close"
 
 
 def test_an_abort_that_is_asked_for_ends_well_when_the_drift_is_safe():

@@ -16,7 +16,7 @@ from fss_gnc.navigation import EstimatorSettings, Navigation
 from fss_gnc.navigation.settings import TargetErrors
 from fss_sim.noise import PRESETS, VICON
 from fss_sim.sensors import Sensors
-from fss_sim.vicon import Room
+from fss_sim.vicon import BASE, TARGET, TIP, Room, Vicon
 
 DOF = 6  # of pose and twist
 EVEN = 1.0 - 1e-3  # probability of both sides of the bounds
@@ -144,13 +144,15 @@ def pass_by(seed, swap):
     low = Room(heights=(0.3, 0.3, 0.3))  # all markers in a plane
     merging = replace(LABORATORY, vicon_merge_distance=0.16, vicon_merge_swap=swap,
                       vicon_edge_error=0.0)  # fmt: skip
-    sensors, navigation = Sensors(merging, seed, room=low), Navigation(load("config/truth.yaml"))
+    sensors, navigation = Sensors(merging, seed), Navigation(load("config/truth.yaml"))
+    vicon, tip = Vicon(merging, low, seed, (BASE, TIP, TARGET)), (1.6, -0.5, 0.0)
     base, drift, found, taken = np.zeros(3), np.array([0.05, 0.0, 0.05]), [], []
     still = np.zeros(4)
     for k in range(2400):
         t, target = k * SECOND // 100, np.array([-0.6, 0.45, 0.3]) + 0.01 * k * drift
-        seen = sensors.observe(k, (0.0, 0.0, 0.0), (1.6, -0.5, 0.0), 0.0, still,
-                               target=tuple(target.tolist()))  # fmt: skip
+        looks = dict(enumerate(vicon.look(k, [base, tip, target])))
+        seen = sensors.observe(k, (0.0, 0.0, 0.0), tip, 0.0, still,
+                               target=tuple(target.tolist()), looks=looks)  # fmt: skip
         at = t - seen.base.before - SECOND // 100
         navigation.base.rate(t, seen.rate)
         if not seen.base.occluded:
@@ -158,7 +160,7 @@ def pass_by(seed, swap):
         if not seen.target.occluded:
             navigation.target_pose(at, *seen.target.pose)
         navigation.predict(t)
-        taken.append([look.taken_for for look in sensors.looks] != [0, 1, 2])
+        taken.append([look.taken_for for look in looks.values()] != [0, 1, 2])
         for body, pose, twist in (
             (navigation.base, base, np.zeros(3)), (navigation.target, target, drift),
         ):  # fmt: skip

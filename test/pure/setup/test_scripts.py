@@ -177,6 +177,20 @@ def test_systemd_disarms_by_the_arm_node_if_there_is_one_left(
     assert (stopped.returncode, stopped.stdout, stopped.stderr) == (0, said, "")
 
 
+def test_units_of_two_vehicles_are_told_apart(tmp_path: Path) -> None:
+    written = run("scripts/fss_systemd.sh", tmp_path, "config/fss_two_sim.sh", cwd=ROOT)
+    assert written.returncode == 0, written.stderr
+    unit = (tmp_path / "fss_two_sim-fss2-arm.service").read_text()
+    assert "After=fss_two_sim-fss2-link_4.service" in unit
+    assert "fss_two_sim.sh fss2/arm\n" in unit
+    assert "fss_arm.sh --vehicle fss2 disarm" in unit
+    assert "fss_two_sim-fss1-record.service" in (tmp_path / "fss_two_sim.target").read_text()
+    assert "FSS_NAMESPACE" not in unit
+    run("scripts/fss_systemd.sh", tmp_path, cwd=ROOT, env=os.environ | {"FSS_NAMESPACE": "fss2"})
+    unit = (tmp_path / "fss-fss2-arm.service").read_text()
+    assert 'Environment="FSS_NAMESPACE=fss2"' in unit
+
+
 @pytest.mark.parametrize("command", [["fss_status.sh"], ["fss_arm.sh", "stop"]])
 def test_a_configuration_that_is_nowhere_is_named(command):
     script, *words = command
@@ -208,6 +222,60 @@ def test_a_wrong_configuration_ends_in_one_line(
     shown = run("scripts/fss_up.sh", config, cwd=ROOT)
     assert (shown.returncode, shown.stdout) == (1, "")
     assert shown.stderr.startswith("fss_up.sh: ")
+    assert words in shown.stderr
+    assert shown.stderr.count("\n") == 1
+
+
+VEHICLES = """
+FSS_NAMESPACE=
+node testbed p x
+for v in fss1 fss2; do
+  FSS_NAMESPACE=$v
+  node arm p y a
+done
+"""
+NODES = '. scripts/fss/config.sh; read_config lab.sh; say() { echo "$* in $FSS_NAMESPACE"; }; '
+
+
+@pytest.mark.parametrize(
+    ("config", "vehicle", "seen"),
+    [
+        (VEHICLES, "", ["testbed p x in", "fss1/arm p y a in fss1", "fss2/arm p y a in fss2"]),
+        (VEHICLES, "fss2", ["fss2/arm p y a in fss2"]),
+        ("node arm p y", "", ["arm p y in"]),
+        ("node arm p y", "/lab/fss2", ["lab/fss2/arm p y in lab/fss2"]),
+        ("FSS_NAMESPACE=fss3; node arm p y", "", ["fss3/arm p y in fss3"]),
+    ],
+)
+def test_nodes_are_in_the_namespace_of_their_vehicle(
+    tmp_path: Path, config: str, vehicle: str, seen: list[str]
+) -> None:
+    (tmp_path / "lab.sh").write_text(f"FSS_LOGS={tmp_path}/logs\n{config}\n")
+    program = NODES.replace("lab.sh", f"{tmp_path}/lab.sh")
+    env = os.environ | {"FSS_NAMESPACE": vehicle}
+    where = f"fss_scripts={ROOT}/scripts; "
+    shown = run("sh", "-euc", f"{where}{program}each_node say; echo $fss_nodes", cwd=ROOT, env=env)
+    assert shown.stderr == ""
+    *lines, names = shown.stdout.splitlines()
+    assert [line.strip() for line in lines] == seen
+    assert names.split() == [line.split()[0] for line in seen]
+
+
+@pytest.mark.parametrize(
+    ("config", "vehicle", "words"),
+    [
+        (VEHICLES, "fss3", "has no node in the namespace fss3"),
+        ("FSS_NAMESPACE=2nd; node a p x", "", "FSS_NAMESPACE is '2nd', expected the name of"),
+        ("FSS_NAMESPACE=a-b; node a p x", "", "FSS_NAMESPACE is 'a-b', expected letters"),
+    ],
+)
+def test_a_wrong_namespace_ends_in_one_line(
+    tmp_path: Path, config: str, vehicle: str, words: str
+) -> None:
+    (tmp_path / "lab.sh").write_text(f"FSS_LOGS={tmp_path}/logs\n{config}\n")
+    option = ["--vehicle", vehicle] if vehicle else []
+    shown = run("scripts/fss_up.sh", *option, tmp_path / "lab.sh", cwd=ROOT)
+    assert (shown.returncode, shown.stdout) == (1, "")
     assert words in shown.stderr
     assert shown.stderr.count("\n") == 1
 

@@ -140,15 +140,33 @@ def test_a_joint_that_does_not_come_to_rest_is_switched_off_in_bounded_time():
 
 
 def test_a_link_without_reference_finds_it_once_for_all_such_commands_in_a_row():
-    electronics = link(QUIET)
-    electronics.referenced = False
-    assert not frame(electronics).flags & State.REFERENCED
-    home = replace(GO, flags=Order.ARM | Order.HOME, set_point=0)
-    for sequence in (2, 3):
-        assert electronics.receive(encode(replace(home, sequence=sequence)), SECOND)
+    electronics, home = link(QUIET), replace(GO, flags=Order.ARM | Order.HOME, set_point=0)
+    assert electronics.drive.referenced
+    assert electronics.receive(encode(home), SECOND)
+    assert not frame(electronics).flags & State.REFERENCED  # from the first that echoes it
+    for k in range(3):
+        assert electronics.receive(encode(replace(home, sequence=3 + k)), SECOND)
+        demand = electronics.demand(SECOND, REST)  # at 0.5 rad, the flag covers it
+        assert (demand.mode, demand.set_point) == (Mode.VELOCITY, -0.2)
+    electronics.demand(SECOND, REST._replace(q=-1e-6))
     assert electronics.homings == 2
-    assert electronics.demand(SECOND, REST).speed == 0.0
-    assert frame(electronics, 2 * SECOND).flags & State.REFERENCED
+    assert electronics.demand(SECOND, REST._replace(q=-0.01)) == (Mode.POSITION, 0.0, 0.2, 1.0)
+    after = frame(electronics, 2 * SECOND)
+    assert after.flags & State.REFERENCED
+    assert after.mode == Mode.POSITION
+
+
+def test_a_homing_that_is_given_up_leaves_no_reference_and_begins_anew_when_told():
+    home = replace(GO, flags=Order.ARM | Order.HOME, set_point=0)
+    electronics = link(QUIET, home)
+    electronics.demand(SECOND, REST)
+    assert electronics.demand(3 * SECOND + 1, REST).speed == 0.0  # the order has expired
+    assert electronics.demand(3 * SECOND + 1, REST._replace(q=-0.01)).speed == 0.0
+    assert not frame(electronics, 3 * SECOND + 1).flags & State.REFERENCED
+    again = replace(home, sequence=4, expiry=9 * SECOND)
+    assert electronics.receive(encode(replace(QUIET, sequence=3)), 3 * SECOND)
+    assert electronics.receive(encode(again), 3 * SECOND)
+    assert electronics.demand(3 * SECOND, REST._replace(q=-0.01)).set_point == 0.2
 
 
 def test_an_expired_set_point_is_held():

@@ -1,5 +1,6 @@
-"""Encoder, torque converter, battery: errors as stated."""
+"""Encoder and torque converter: errors as stated."""
 
+from dataclasses import replace
 from math import pi, radians
 from random import Random
 
@@ -7,7 +8,8 @@ import numpy as np
 import pytest
 
 from fss_arm_model.description import TorqueSensor
-from fss_sim.link.instruments import CAPACITY, EMPTY, FULL, IDLE, Battery, Encoder, TorqueConverter
+from fss_sim.link.instruments import Encoder, TorqueConverter, make
+from fss_sim.noise import PRESETS
 
 ERROR = radians(150 / 3600)
 
@@ -21,8 +23,16 @@ def test_an_encoder_is_off_by_as_much_as_stated_and_its_inverse_is_exact():
     np.testing.assert_allclose(back, q, rtol=0, atol=0.1 * 2 * pi / 240_000)
 
 
+def test_an_encoder_off_centre_is_off_once_a_turn():
+    centred, off = Encoder(ERROR, 1.0), Encoder(ERROR, 1.0, eccentricity=0.0003, way=0.5)
+    for q in np.linspace(-pi, pi, 13):
+        more = off.reading(q) - centred.reading(q)
+        assert more == pytest.approx(0.0003 * np.sin(q + 0.5), abs=1e-12)
+        assert off.angle(off.reading(q)) == pytest.approx(q, abs=0.1 * 2 * pi / 240_000)
+
+
 def test_the_rate_read_is_the_derivative_of_the_reading():
-    encoder, step = Encoder(ERROR, 0.3), 1e-6
+    encoder, step = Encoder(ERROR, 0.3, 0.0003, 0.5), 1e-6
     for q in np.linspace(-1.0, 1.0, 7):
         change = encoder.reading(q + step) - encoder.reading(q - step)
         assert encoder.rate(q, 0.8) == pytest.approx(0.8 * change / (2 * step), rel=1e-6)
@@ -55,14 +65,28 @@ def test_a_converter_is_noisy_and_saturates_at_24_bits():
     assert converter.counts == (1 << 23) - 1
 
 
-def test_a_battery_lasts_as_long_as_its_capacity():
-    battery, hours = Battery(), 0
-    before = battery.volts
-    assert before == pytest.approx(FULL)
-    while battery.charge:
-        battery.draw(0.6, 360.0)
-        hours += 0.1
-        assert battery.volts < before
-        before = battery.volts
-    assert hours == pytest.approx(CAPACITY / 3600 / (IDLE + 0.6), abs=0.11)
-    assert EMPTY - 0.2 < battery.volts < EMPTY
+def test_a_torque_sensor_feels_forces_across_and_drifts_as_it_warms_up():
+    sensor = TorqueSensor(gain=1e-6)
+    converter = TorqueConverter(sensor, 80, 0.0, 0.01, Random(1), crosstalk=0.002, drift=0.02)
+    for clock, shear, expected in (
+        (100_000, 0.0, 0.51),
+        (200_000, 3.0, 0.516),
+        (1_200_000_000, 0.0, 0.51 + 0.02 * (1.0 - np.exp(-1.0))),
+        (10_000_000_000, -3.0, 0.524),
+    ):
+        converter.sample(clock, 0.5, shear)
+        assert converter.counts * 1e-6 == pytest.approx(expected, abs=1e-5)
+
+
+def test_the_laboratorys_errors_leave_the_others_as_they_were():
+    sensor, noise = TorqueSensor(gain=1e-6), PRESETS["default"]
+    known, more = (make(sensor, n, Random(5)) for n in (noise, PRESETS["laboratory"]))
+    off = [one.encoder.reading(0.3) for one in (known, more)]
+    assert 1e-6 < abs(off[1] - off[0]) < radians(60 / 3600)
+    bare = replace(PRESETS["laboratory"], encoder_eccentricity=0.0, torque_drift=0.0)
+    same = make(sensor, bare, Random(5))
+    for clock in range(0, 10**6, 12_500):
+        known.torque.sample(clock, 0.1)
+        same.torque.sample(clock, 0.1)
+        assert same.torque.counts == known.torque.counts
+    assert same.encoder.reading(0.3) == off[0]

@@ -79,7 +79,7 @@ def test_a_link_without_charge_falls_silent():
     frames = [decode(d.data) for d in reports(link, 5.0)]
     volts = [f.slow_value for f in frames if f.slow_id == Slow.BATTERY]
     assert 165 <= volts[-1] <= 168
-    bed = testbed.Testbed(paper_arm(), PRESETS["ideal"], 1, BEGIN, rate=100.0, charge=1e-4)
+    bed = testbed.Testbed(paper_arm(), PRESETS["ideal"], 1, BEGIN, rate=100.0, charge=3e-5)
     counts = [sum(map(len, bed.step().telemetry)) for _ in range(400)]
     assert counts[0] == 4
     assert counts[-1] == 0

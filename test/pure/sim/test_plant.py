@@ -9,7 +9,8 @@ from fss_arm_model.description import paper_arm
 from fss_arm_model.dynamics import forward_dynamics, kinetic_energy
 from fss_arm_model.momentum import system_com
 from fss_sim.plant.drives import CURRENT, OFF, POSITION, VELOCITY
-from fss_sim.plant.plant import Demand, Joints, Plant, World
+from fss_sim.plant.joints import Joints
+from fss_sim.plant.plant import Demand, Plant, World
 from fss_sim.plant.surroundings import Surroundings
 
 COUNT = 2 * np.pi / 240_000  # [rad]

@@ -14,8 +14,11 @@ from fss_sim.faults import Event, LinkFaults
 from fss_sim.link.channel import Channel, Datagram
 from fss_sim.link.radio import HEADERS, Air, Radio
 from fss_sim.noise import PRESETS
+from fss_sim.plant.plant import Vehicle, World
+from fss_sim.plant.surroundings import Surroundings
 from fss_sim.testbed import State
 
+WIDE = World(surroundings=Surroundings(table=(20.0, 20.0)))
 CLEAN = Radio(loss=0.0, burst_interval=0.0)
 BEGIN = State(frame=0, boots=1, rests=0, q=(0.0,) * 7, qd=(0.0,) * 7)
 
@@ -115,8 +118,9 @@ def test_faults_come_on_top_of_the_air():
 def telemetry(seconds, script=(), radio=CLEAN, rate=20.0):
     """Frames of each link that arrive at a bed with its board, and the bed."""
     bed = testbed.Testbed(
-        paper_arm(), PRESETS["ideal"], 1, BEGIN, rate, script=script, board_rate=20.0, radio=radio
-    )
+        paper_arm(), PRESETS["ideal"], 1, BEGIN, rate, script=script, board_rate=20.0,
+        air=Air(radio, "1, 1"),
+    )  # fmt: skip
     reports = [bed.step() for _ in range(100 * seconds)]
     return [[d.data for r in reports for d in r.telemetry[i]] for i in range(4)], bed
 
@@ -130,3 +134,25 @@ def test_a_bed_on_the_air_sends_all_while_there_is_room_and_repeats_itself():
     assert sum(map(len, crowded)) < 0.9 * sum(map(len, frames))
     bursts, _ = telemetry(10, radio=Radio(burst_interval=1.0, burst_length=1.0, burst_loss=1.0))
     assert 0.2 * 800 < sum(map(len, bursts)) < 0.8 * 800
+
+
+def test_vehicles_of_a_table_share_the_air():
+    air, arm = Air(CLEAN, "1, 1"), paper_arm()
+    states = [replace(BEGIN, q=(x, *BEGIN.q[1:3], *4 * (0.0,))) for x in (-5.0, 5.0)]
+    plants = [Vehicle(arm, s.q, s.qd, WIDE, name=n) for n, s in zip("ab", states, strict=True)]
+    testbed.together(plants, states)
+    beds = [
+        testbed.Testbed(arm, PRESETS["ideal"], 1, state, 20.0, plant=plant, air=air)
+        for state, plant in zip(states, plants, strict=True)
+    ]
+    for _ in range(300):
+        testbed.step(beds)
+    assert air.used(beds[0].now) == pytest.approx(160 * air.airtime(72) / SECOND, rel=0.05)
+    assert air.taken == 0.0
+    beds[1].faults.set("radio", "interference", 0.5)
+    testbed.step(beds)
+    assert air.taken == 0.5
+    times = range(0, 60 * SECOND, SECOND)
+    burst = replace(CLEAN, burst_interval=5.0)
+    ways = [Air(burst, "1").station(f"{name} 1") for name in "ab"]
+    assert [ways[0].loss(t) for t in times] != [ways[1].loss(t) for t in times]

@@ -51,7 +51,7 @@ CASES = {
         on(LINKS, "at: 3, fault: corruption, value: 0.3"), ("crc", "missed"), dynamic=GAPS
     ),
     "reboot": Case(
-        on(["link_2"], "at: 12, fault: dead, duration: 0.5"), ("candidates", "lost"), adopted=2
+        on(["link_2"], "at: 12, fault: reset, duration: 0.5"), ("candidates", "lost"), adopted=2
     ),
     "cable out for 10 s": Case(
         on(["link_2"], "at: 20, fault: loss, duration: 10"), ("lost", "missed"), adopted=2
@@ -130,7 +130,9 @@ def test_the_answer_is_within_three_sigma_or_the_verdict_says_why_not(case):
 def test_all_faults_at_once_leave_the_answer_within_three_sigma():
     script = (
         on(["link_1"], "at: 3, fault: duplication, value: 0.3", "at: 3, fault: delay, value: 0.1")
-        + on(["link_2"], "at: 3, fault: corruption, value: 0.2", "at: 12, fault: dead, duration: 1")
+        + on(
+            ["link_2"], "at: 3, fault: corruption, value: 0.2", "at: 12, fault: reset, duration: 1"
+        )
         + on(["link_3"], "at: 3, fault: jitter, value: 0.1", "at: 3, fault: loss, value: 0.1")
         + on(["link_4"], "at: 3, fault: reordering, value: 0.2")
         + on(["fss"], "at: 3, fault: dropout, value: 0.1", "at: 3, fault: latency, value: 0.1")

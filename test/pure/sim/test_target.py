@@ -73,8 +73,7 @@ def test_the_capture_is_the_least_change_that_makes_the_velocities_alike():
     bed.advance(0.0)
 
     def gap(velocity):
-        joined = Plant(bed.arm, q, velocity, bed.world, still)
-        joined._p, joined._place = bed._p, bed._place
+        joined = Plant(bed.arm, q, velocity, bed.world, still, holds=True)
         change = joined.target[1] - still[1]
         arm = Plant(bed.arm, q, velocity - qd, World(bed.world.joints)).audit.energy
         return arm + 0.5 * change**2 @ [TARGET.mass, TARGET.mass, TARGET.inertia]

@@ -145,3 +145,84 @@ def test_commands_that_make_no_sense_are_refused(times):
 def test_a_tank_without_volume_is_refused():
     with pytest.raises(ValueError, match="tank_volume is 0"):
         Propulsion(tank_volume=0.0)
+
+
+AIR = Propulsion(bearing_flow=6e-5)
+
+
+def test_bearings_empty_the_tank_in_the_time_that_their_flow_says():
+    tank, steps = Thrusters(AIR), 0
+    while tank.floats:
+        tank.breathe(1000)
+        steps += 1
+    begin = tank.tank * (1.0 - AIR.regulator_pressure / AIR.tank_pressure)
+    assert begin / AIR.bearing_flow < steps < tank.tank / AIR.bearing_flow
+    assert 27 * 60 < steps < 29 * 60
+    assert tank.pressure == pytest.approx(AIR.bearing_pressure, rel=0.01)
+
+
+def test_bearings_fed_from_outside_never_fail():
+    tank = Thrusters(used=1.0)
+    assert tank.pressure == 0.0
+    assert tank.floats
+    assert tank.breathe(1000) == 0.0
+
+
+BENT = (0.0, 0.0, 0.0, 0.4, -0.3, 0.2, 0.5)
+
+
+def empty(twist=(0.2, -0.1, 0.3), q=BENT, tolerance=0.0):
+    """A vehicle that moves as its tank has just become empty."""
+    arm, around = paper_arm(), Surroundings(table=(20.0, 20.0), pad_friction=0.2)
+    world = World(propulsion=AIR, surroundings=around, tolerance=tolerance)
+    qd = np.array([*twist, 0.0, 0.0, 0.0, 0.0])
+    bed = Plant(arm, q, qd, world, propellant=1.0)
+    assert not bed.thrusters.floats
+    return bed
+
+
+@pytest.mark.parametrize(("tolerance", "exact"), [(0.0, 1e-6), (1e-10, 1e-9)])
+def test_without_air_friction_stops_the_vehicle_as_coulombs_law_has_it(tolerance, exact):
+    bed = empty(twist=(0.2, 0.0, 0.0), tolerance=tolerance)
+    mass, g = bed._p[0] + sum(link.mass for link in bed.arm.links), 9.80665
+    energy = [bed.audit.energy]
+    for _ in range(20):
+        bed.advance(0.01)
+        energy.append(bed.audit.energy)
+    assert bed.qd[0] < 0.001  # after 0.2 / (0.2 g) = 0.102 s
+    way = bed.q[0]
+    assert way == pytest.approx(0.2**2 / (2.0 * 0.2 * g), rel=0.03)
+    assert energy[5] == pytest.approx(0.5 * mass * (0.2 - 0.05 * 0.2 * g) ** 2, rel=0.01)
+    assert (np.diff(energy) <= 0.0).all()
+    assert np.abs(bed.imbalance[:3]).max() < 1e-12
+    assert abs(bed.imbalance[3]) < exact
+
+
+def test_books_balance_on_the_table_and_nothing_creeps():
+    bed = empty(tolerance=1e-10)
+    bed.advance(1.0)
+    assert np.abs(bed.imbalance).max() < 1e-9
+    assert np.abs(bed.qd).max() < 1e-4
+    before = bed.q[:2].copy()
+    bed.thrusters.used = 0.1 * bed.thrusters.tank
+    bed.thrust(pulse(0, 6, seconds=10.0))
+    bed.thrusters.used = bed.thrusters.tank * (1.0 - 0.9 * AIR.bearing_pressure / AIR.tank_pressure)
+    bed.advance(5.0)
+    assert np.abs(bed.q[:2] - before).max() < 1e-3  # 0.2 N against 40 N
+
+
+def test_a_vehicle_floats_until_its_tank_is_empty():
+    small = Propulsion(bearing_flow=1e-3, tank_volume=0.43e-5)  # 1 g
+    around = Surroundings(table=(20.0, 20.0))
+    world = World(propulsion=small, surroundings=around)
+    bed = Plant(paper_arm(), np.zeros(7), [0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], world)
+    mass = bed._p[0]
+    bed.advance(0.5)
+    assert bed.thrusters.floats
+    assert bed.qd[0] == pytest.approx(0.1)
+    for _ in range(100):
+        bed.advance(0.01)
+    assert not bed.thrusters.floats
+    assert abs(bed.qd[0]) < 1e-4
+    assert mass - bed._p[0] == pytest.approx(bed.thrusters.used)
+    assert np.abs(bed.imbalance).max() < 1e-6

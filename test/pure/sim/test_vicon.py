@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from fss_arm_model.description import paper_arm
+from fss_arm_model.kinematics import tip_pose
 from fss_sim import testbed
 from fss_sim.noise import PRESETS, Noise
+from fss_sim.plant.plant import Vehicle, World
 from fss_sim.sensors import RATE, Sensors, compose
 from fss_sim.testbed import FRAME, State
 from fss_sim.vicon import BASE, TARGET, TIP, Room, RoomError, Vicon
@@ -148,11 +150,15 @@ def test_a_merge_swaps_its_subjects_or_does_not_until_it_ends():
 
 
 def observed(noise, frames, target=None, **room):
-    sensors = Sensors(noise, 1, room=Room(**room))
     base, tip = (0.1, 0.2, 0.3), (1.0, 0.5, 0.2)
+    poses = [base, compose(base, tip), *([target] if target else [])]
+    sensors, vicon = Sensors(noise, 1), Vicon(noise, Room(**room), 1, KINDS[: len(poses)])
     return [
-        sensors.observe(k, base, tip, 0.0, STILL, target=target) for k in range(frames)
-    ], compose(base, tip)  # fmt: skip
+        sensors.observe(
+            k, base, tip, 0.0, STILL, target=target, looks=dict(enumerate(vicon.look(k, poses)))
+        )
+        for k in range(frames)
+    ], poses[TIP]
 
 
 def test_the_sensors_report_what_the_cameras_make_of_it():
@@ -190,11 +196,54 @@ def test_the_test_bed_hides_its_subjects_behind_its_own_bodies():
     low = Room(cameras=(3.0, 1.0, 3.0, 3.0, 1.1, 3.0))
     begin = State(0, 1, 0, (0.0, 0.0, math.pi, 0.0, 0.0, 0.0, 0.0), (0.0,) * 7)
     for stands, seen in ((low, 4), (replace(low, heights=(1.5, 0.3, 0.3)), 0)):
-        bed = testbed.Testbed(paper_arm(), Noise(vicon_occlusion=1.0), 1, begin, room=stands)
+        noise = Noise(vicon_occlusion=1.0)
+        vicon = Vicon(noise, stands, 1, [BASE, TIP])
+        bed = testbed.Testbed(paper_arm(), noise, 1, begin, vicon=vicon)
         sight = bed.step().sight
-        base, tip, _ = bed.sensors.looks
+        base, tip = bed.looks[BASE], bed.looks[TIP]
         assert (base.markers, tip.markers) == (5, seen)
         assert (sight.base.occluded, sight.tip.occluded) == (False, not seen)
+
+
+def on_one_table(noise, room, *vehicles):
+    """Test beds of vehicles (description, pose) that one VICON looks at."""
+    states, plants, kinds = [], [], []
+    for name, (made, pose) in zip("ab", vehicles, strict=True):
+        n = getattr(made, "n", 0)
+        states.append(State(0, 1, 0, (*pose, *n * (0.0,)), (3 + n) * (0.0,)))
+        plants.append(Vehicle(made, states[-1].q, states[-1].qd, World(), name=name))
+        kinds += [BASE, TIP] if n else [BASE]
+    testbed.together(plants, states)
+    vicon = Vicon(noise, room, 1, kinds)
+    return [
+        testbed.Testbed(made, noise, 1, state, plant=plant, vicon=vicon)
+        for (made, _), state, plant in zip(vehicles, states, plants, strict=True)
+    ]
+
+
+def test_a_vehicle_hides_anothers_markers():
+    arm, room = paper_arm(), replace(ONE, heights=(1.5, 0.3, 0.3))
+    pose = -1.5, 0.0, -math.pi / 2
+    x, y, _ = tip_pose(arm.vector(), [*pose, *arm.n * (0.0,)])
+    for share, seen in ((0.15, 0), (0.6, 4)):  # of the way from there to the cameras
+        other = x + share * (3.0 - x), y - share * y, 0.0
+        vehicles = (arm, pose), (arm.base, other)
+        one, other = on_one_table(Noise(vicon_occlusion=1.0), room, *vehicles)
+        sights = [report.sight for report in testbed.step([one, other])]
+        assert (one.looks[BASE].markers, one.looks[TIP].markers) == (5, seen)
+        assert other.looks[BASE].markers == 5
+        assert TIP not in other.looks
+        assert sights[0].tip.occluded == (not seen)
+
+
+def test_vehicles_whose_markers_merge_may_be_taken_for_each_other():
+    poses, base = [(0.0, 0.0, 0.0), (0.42, 0.0, 0.0)], paper_arm().base
+    for swap in (0.0, 1.0):
+        noise = Noise(vicon_merge_distance=0.14, vicon_merge_swap=swap)
+        beds = on_one_table(noise, Room(), *((base, pose) for pose in poses))
+        seen = [report.sight.base.pose for report in testbed.step(beds)]
+        assert [bed.looks[BASE].markers for bed in beds] == [4, 4]
+        np.testing.assert_allclose(seen, poses[::-1] if swap else poses, atol=1e-9)
 
 
 @pytest.mark.parametrize(

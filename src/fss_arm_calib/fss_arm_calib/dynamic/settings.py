@@ -11,9 +11,11 @@ from fss_arm_model.settings import (
     POSITIVE,
     SettingError,
     at_least,
+    like,
     one_of,
     setting,
 )
+from fss_arm_model.vehicle import Vehicle
 
 POSE, HEADING = "pose", "heading"
 
@@ -26,7 +28,7 @@ class DynamicSettings(ManeuverSettings, CalibrationSettings, Knowledge):
         SettingError: a setting is impossible.
     """
 
-    tip_topic: str = setting("vicon/end_effector/end_effector", "topic of the end effector's poses")
+    tip_topic: str = like(Vehicle, "tip_topic")
     gyro_topic: str = setting("fog/imu", "topic of the base's turn rates")
     max_maneuvers: int = most(100, "maneuvers")
     estimate: str = setting(

@@ -10,13 +10,23 @@ An observation is a joint reading q (n,) and the end effector's pose seen from t
 is iterated until Delta xi is negligible. W holds the observations' known deviations (the paper
 weighs metres and radians alike), so that the estimate has a covariance, (Phi_k' W Phi_k)^-1.
 
+Readings are off from the joints' angles as well, by gears and encoders: by sines of unknown phase,
+two periods a turn of the wave generator and one a turn of the joint. Of deviations sigma_r, sigma_e
+of these, what is read at q and q' by one joint is off by errors of the covariance
+
+    k(q, q') = sigma_r^2 cos 60 (q - q') + sigma_e^2 cos (q - q')
+
+With Phi_q, derivatives of the pose by the readings, k(q, q) Phi_q Phi_q' is part of W^-1. That
+errors come again at other rests, so that they do not average out, is added to the covariance of the
+estimate: P Phi_k' W Phi_q K Phi_q' W Phi_k P, with P as above and K without its diagonal.
+
 A robust loss rho turns the sum of squares into sum_k rho(d_k^2), d_k being the length of
 observation k's difference in deviations; each step then weighs an observation by rho'(d_k^2).
 """
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import inf
+from math import hypot, inf
 from typing import NamedTuple
 
 import numpy as np
@@ -41,6 +51,8 @@ PARAMETRIZATIONS = (FULL, EQUAL, OFFSETS)
 #: The per-observation errors that give residuals such as the paper's 0.015 m and 0.683 degrees.
 POSITION_DEVIATION = 0.0177  # [m], each axis
 HEADING_DEVIATION = float(np.radians(0.715))
+
+RIPPLE = 60  # periods a turn of a joint: two a turn of the wave generator, at 30 : 1
 
 #: A parameter's share in the undetermined directions from which on it is named.
 NOTICEABLE = 1e-3
@@ -71,6 +83,8 @@ class KinematicProblem:
     parametrization: str = EQUAL  # FULL: all; EQUAL: one length but for the last; OFFSETS: angles
     position_deviation: float = POSITION_DEVIATION  # of an observation, each axis, 1 sigma [m]
     heading_deviation: float = HEADING_DEVIATION  # of an observed heading, 1 sigma [rad]
+    ripple_deviation: float = 0.0  # sigma_r, of readings [rad]
+    eccentricity_deviation: float = 0.0  # sigma_e, of readings [rad]
     theta_e: bool = False  # estimate the heading offset of the end effector's subject, too
     loss: str = SQUARE
 
@@ -91,6 +105,9 @@ class KinematicProblem:
         for name in ("position_deviation", "heading_deviation"):
             if not 0.0 < getattr(self, name) < inf:
                 raise ValueError(f"{name} is {getattr(self, name)}, must be positive")
+        for name in ("ripple_deviation", "eccentricity_deviation"):
+            if not 0.0 <= getattr(self, name) < inf:
+                raise ValueError(f"{name} is {getattr(self, name)}, must not be negative")
 
     def only(self, chosen: npt.NDArray[np.bool_] | npt.NDArray[np.intp]) -> "KinematicProblem":
         """The same with some of the observations."""
@@ -152,8 +169,32 @@ class KinematicProblem:
 
     @property
     def sigma(self) -> Floats:
-        """(3,) deviation of an observation."""
+        """(3,) deviation of an observed pose."""
         return np.array([self.position_deviation] * 2 + [self.heading_deviation])
+
+    @property
+    def reading_deviation(self) -> float:
+        """Of a reading from its joint's angle, 1 sigma [rad]."""
+        return hypot(self.ripple_deviation, self.eccentricity_deviation)
+
+    @cached_property
+    def _whitening(self) -> Floats:
+        """(s, 3, 3) inverse roots of the observations' covariances, seen from the guess."""
+        by_reading = self.reading_deviation * self.by_readings(self.initial)
+        covariance = np.diag(self.sigma**2) + by_reading @ np.swapaxes(by_reading, 1, 2)
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
+
+    def in_deviations(self, x: Floats) -> Floats:
+        """What is said of poses, (s, 3, c), with the observations' errors white and of size 1."""
+        if self.reading_deviation == 0.0:
+            return x / self.sigma[:, None]
+        return self._whitening @ x
+
+    def by_readings(self, xi: Floats) -> Floats:
+        """Phi_q, derivative of the poses by the readings: as by their joints' offsets (s, 3, n)."""
+        n = self.arm.n
+        Phi = tip_regressor(self.vector(xi), self.q)
+        return Phi[..., [2 * n + 1, *range(n, 2 * n - 1)]]
 
     def vector(self, xi: Floats) -> Floats:
         """The model's parameters with xi in place of the guess, (8 + 6n,)."""
@@ -168,15 +209,32 @@ class KinematicProblem:
         return residuals
 
     def regressor(self, xi: Floats) -> Floats:
-        """Phi_k (Eq. 5), rows weighted by 1/sigma: (3s, p)."""
+        """Phi_k (Eq. 5), rows weighted by the root of W: (3s, p)."""
         Phi = tip_regressor(self.vector(xi), self.q)
         by_theta_E = np.broadcast_to(np.array([[0.0], [0.0], [1.0]]), (len(self.q), 3, 1))
         Phi = np.concatenate([Phi, by_theta_E], axis=-1) @ self.basis
-        return (Phi / self.sigma[:, None]).reshape(-1, self.basis.shape[1])
+        return self.in_deviations(Phi).reshape(-1, self.basis.shape[1])
+
+    def normalized(self, residuals: Floats) -> Floats:
+        """Residuals (s, 3) in deviations."""
+        return self.in_deviations(residuals[..., None])[..., 0]
+
+    def repeated(self, xi: Floats, P: Floats) -> Floats:
+        """What errors of readings that come again add to the covariance P of xi, (p, p)."""
+        if self.reading_deviation == 0.0:
+            return np.zeros_like(P)
+        apart = self.q[:, None] - self.q
+        K = self.ripple_deviation**2 * np.cos(RIPPLE * apart)
+        K += self.eccentricity_deviation**2 * np.cos(apart)
+        K[np.diag_indices(len(self.q))] = 0.0
+        Phi_q = self.in_deviations(self.by_readings(xi))
+        Phi_k = self.regressor(xi).reshape(*self.q.shape[:1], 3, -1)
+        G = self.weights(xi)[:, None, None] * np.einsum("kip,kij->kjp", Phi_k, Phi_q)
+        return np.asarray(P @ np.einsum("kjp,klj,ljr->pr", G, K, G) @ P)
 
     def distances(self, xi: Floats) -> Floats:
         """d_k^2, the squared length of each difference in deviations, (s,)."""
-        return np.asarray(np.sum((self.residuals(xi) / self.sigma) ** 2, axis=1))
+        return np.asarray(np.sum(self.normalized(self.residuals(xi)) ** 2, axis=1))
 
     def cost(self, xi: Floats) -> float:
         """What the iteration minimizes, sum_k rho(d_k^2)."""
@@ -191,7 +249,7 @@ class KinematicProblem:
         distances = self.distances(xi)
         root = np.repeat(np.sqrt(LOSSES[self.loss].weight(distances)), 3)
         return Linear(
-            residuals=root * (self.residuals(xi) / self.sigma).ravel(),
+            residuals=root * self.normalized(self.residuals(xi)).ravel(),
             regressor=root[:, None] * self.regressor(xi),
             cost=float(np.sum(LOSSES[self.loss].cost(distances))),
         )
@@ -234,6 +292,7 @@ class KinematicResult:
     problem: KinematicProblem
     values: Floats  # (p,) in the order and units of problem.names and problem.units
     covariance: Floats  # (p, p)
+    weighted: Floats  # (p, p) the part of it that the weights stand for, (Phi_k' W Phi_k)^-1
     residuals: Floats  # (s, 3) observed minus predicted [m, m, rad]
     weights: Floats  # (s,) of the loss: 1, or less for an observation far off
     chi_square: float  # weighted sum of squared residuals
@@ -264,10 +323,10 @@ class KinematicResult:
         """Standard deviation of the s heading residuals: root mean square about zero [rad]."""
         return root_mean_square(self.residuals[:, 2])
 
-    def _spread(self, problem: KinematicProblem) -> Floats:
-        """(s, 3, 3) what the parameters' uncertainty makes of predictions, in deviations."""
+    def _spread(self, problem: KinematicProblem, covariance: Floats) -> Floats:
+        """(s, 3, 3) what the parameters' covariance makes of predictions, in deviations."""
         Phi = problem.regressor(self.values).reshape(-1, 3, len(self.values))
-        return np.asarray(Phi @ self.covariance @ np.swapaxes(Phi, 1, 2))
+        return np.asarray(Phi @ covariance @ np.swapaxes(Phi, 1, 2))
 
     @cached_property
     def leverage(self) -> Floats:
@@ -275,7 +334,7 @@ class KinematicResult:
 
         The mean of its three diagonal elements of the hat matrix; p / 3s on average.
         """
-        hat = self.weights * np.trace(self._spread(self.problem), axis1=1, axis2=2)
+        hat = self.weights * np.trace(self._spread(self.problem, self.weighted), axis1=1, axis2=2)
         return np.asarray(hat / 3.0)
 
     @cached_property
@@ -284,19 +343,19 @@ class KinematicResult:
 
         The squares of correct ones are distributed as chi-square with 3 degrees of freedom.
         """
-        hat = self.weights[:, None, None] * self._spread(self.problem)
-        return _lengths(self.residuals / self.problem.sigma, np.eye(3) - hat)
+        hat = self.weights[:, None, None] * self._spread(self.problem, self.weighted)
+        return _lengths(self.problem.normalized(self.residuals), np.eye(3) - hat)
 
     def predicted(self, problem: KinematicProblem) -> Prediction:
         """Predict observations that were not solved from."""
         residuals = problem.residuals(self.values)
-        z, Phi = residuals / problem.sigma, problem.regressor(self.values)
+        z, Phi = problem.normalized(residuals), problem.regressor(self.values)
         # z' (1 + Phi C Phi')^-1 z, by the matrix inversion lemma
         v, C = Phi.T @ z.ravel(), self.covariance
         chi_square = float(
             np.sum(z**2) - v @ np.linalg.solve(np.eye(len(v)) + C @ Phi.T @ Phi, C @ v)
         )
-        return Prediction(residuals, _lengths(z, np.eye(3) + self._spread(problem)), chi_square)
+        return Prediction(residuals, _lengths(z, np.eye(3) + self._spread(problem, C)), chi_square)
 
     def calibrated(self) -> Arm:
         """The initial arm with the estimated parameters.
@@ -379,11 +438,12 @@ def fit(
     shares = zip(problem.names, best.basis.undetermined(), strict=True)
     missing = len(best.x) - len(best.basis.s)
     angles = np.array(problem.units) == "rad"
-    weights = problem.weights(best.x)
+    weights, P = problem.weights(best.x), best.basis.covariance()
     return KinematicResult(
         problem=problem,
         values=np.where(angles, wrap(best.x), best.x),
-        covariance=best.basis.covariance(),
+        covariance=P + problem.repeated(best.x, P),
+        weighted=P,
         residuals=problem.residuals(best.x),
         weights=weights,
         chi_square=float(weights @ problem.distances(best.x)),
@@ -470,8 +530,7 @@ def quantization_bound(
     """
     n, s = problem.arm.n, len(problem.q)
     xi = problem.initial if values is None else np.asarray(values, dtype=float)
-    by_offset = tip_regressor(problem.vector(xi), problem.q)[..., [2 * n + 1, *range(n, 2 * n - 1)]]
     Phi_q = np.zeros((s, 3, s, n))
-    Phi_q[np.arange(s), :, np.arange(s), :] = by_offset / problem.sigma[:, None]
+    Phi_q[np.arange(s), :, np.arange(s), :] = problem.in_deviations(problem.by_readings(xi))
     influence = np.linalg.pinv(problem.regressor(xi)) @ Phi_q.reshape(3 * s, s * n)
     return half_count * np.sum(np.abs(influence), axis=1)

@@ -12,7 +12,8 @@ from fss_arm_calib.kinematic.problem import (
     POSITION_DEVIATION,
 )
 from fss_arm_calib.settings import SHARE, CalibrationSettings, most
-from fss_arm_model.settings import POSITIVE, Check, at_least, one_of, setting
+from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, Check, at_least, like, one_of, setting
+from fss_arm_model.vehicle import Vehicle
 
 
 @dataclass(frozen=True)
@@ -23,7 +24,7 @@ class KinematicSettings(CalibrationSettings):
         SettingError: a setting is impossible.
     """
 
-    tip_topic: str = setting("vicon/end_effector/end_effector", "topic of the end effector's poses")
+    tip_topic: str = like(Vehicle, "tip_topic")
     max_observations: int = most(200, "rests")
     parametrization: str = setting(
         EQUAL,
@@ -38,6 +39,16 @@ class KinematicSettings(CalibrationSettings):
     heading_deviation: float = setting(
         HEADING_DEVIATION, "1 sigma of an observed heading", unit="rad", check=POSITIVE
     )
+    ripple_deviation: float = setting(
+        0.0,
+        "1 sigma of a reading from its joint's angle, by what comes twice a turn of the wave "
+        "generator: of poses seen to a millimetre it is the larger error",
+        unit="rad", check=NOT_NEGATIVE,
+    )  # fmt: skip
+    eccentricity_deviation: float = setting(
+        0.0, "1 sigma of a reading from its joint's angle, by what comes once a turn of the joint",
+        unit="rad", check=NOT_NEGATIVE,
+    )  # fmt: skip
     min_observations: int = setting(
         6, "fewest observations to accept a result from", check=at_least(1)
     )

@@ -49,6 +49,8 @@ def problem_of(used: Sequence[Observation], arm: Arm, s: KinematicSettings) -> K
         parametrization=s.parametrization,
         position_deviation=s.position_deviation,
         heading_deviation=s.heading_deviation,
+        ripple_deviation=s.ripple_deviation,
+        eccentricity_deviation=s.eccentricity_deviation,
         theta_e=s.theta_e,
         loss=s.loss,
     )

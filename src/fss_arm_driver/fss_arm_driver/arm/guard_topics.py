@@ -25,8 +25,6 @@ from fss_arm_motion.guard import Guard
 from fss_arm_ros.convert import SECOND, PoseError, planar_pose
 from fss_arm_ros.qos import subscribe_sensor
 
-TARGET = "vicon/target/target"
-
 
 class GuardTopics:
     """Refuses what would bring bodies too near, by what is known of base and target.
@@ -45,7 +43,7 @@ class GuardTopics:
         self.base: tuple[int, Floats, Floats] = 0, np.zeros(3), np.zeros(3)  # heard, pose, twist
         self.target: tuple[int, Floats] = 0, np.zeros(3)
         subscribe_sensor(node, Odometry, "base/state", self.on_base)
-        subscribe_sensor(node, PoseStamped, TARGET, self.on_target)
+        subscribe_sensor(node, PoseStamped, settings.target_topic, self.on_target)
 
     def now(self) -> int:
         """The node's clock [ns]."""

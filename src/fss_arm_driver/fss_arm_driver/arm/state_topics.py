@@ -67,7 +67,9 @@ class StateTopics:
         self.frames = frames(arm)
         if self.tf_static:
             now, fixed = self.links.now(), [f for f in self.frames if not f.joint]
-            self.tf_static.publish(TFMessage(transforms=[transform(f, 0.0, now) for f in fixed]))
+            self.tf_static.publish(
+                TFMessage(transforms=[self.transform(f, 0.0, now) for f in fixed])
+            )
 
     def publish(self) -> None:
         """Publish all joints at the present time, and the links' transforms."""
@@ -85,8 +87,18 @@ class StateTopics:
         self.joint_states.publish(message)
         self.planned.publish(self.ahead(joints, now))
         if self.tf:
-            moving = [transform(f, joints.q[f.joint - 1], now) for f in self.frames if f.joint]
+            moving = [self.transform(f, joints.q[f.joint - 1], now) for f in self.frames if f.joint]
             self.tf.publish(TFMessage(transforms=moving))
+
+    def transform(self, frame: Frame, q: float, at: int) -> TransformStamped:
+        """A link's pose in its parent's frame, its joint at q [rad]."""
+        prefix = self.links.settings.frame_prefix
+        message = TransformStamped(child_frame_id=prefix + frame.name)
+        message.header.stamp, message.header.frame_id = to_time(at), prefix + frame.parent
+        message.transform.translation.x, message.transform.translation.y = frame.x, frame.y
+        half = 0.5 * (frame.theta + q)
+        message.transform.rotation.z, message.transform.rotation.w = sin(half), cos(half)
+        return message
 
     def ahead(self, joints: Joints, now: int) -> JointTrajectory:
         """What is planned for the joints from now on; without a plan, what they do now."""
@@ -100,13 +112,3 @@ class StateTopics:
                 JointTrajectoryPoint(positions=list(q), velocities=list(qd), time_from_start=since)
             )
         return message
-
-
-def transform(frame: Frame, q: float, at: int) -> TransformStamped:
-    """A link's pose in its parent's frame, its joint at q [rad]."""
-    message = TransformStamped(child_frame_id=frame.name)
-    message.header.stamp, message.header.frame_id = to_time(at), frame.parent
-    message.transform.translation.x, message.transform.translation.y = frame.x, frame.y
-    half = 0.5 * (frame.theta + q)
-    message.transform.rotation.z, message.transform.rotation.w = sin(half), cos(half)
-    return message

@@ -1,5 +1,6 @@
 """The action and the topic of a joint trajectory controller, by the name `arm_controller`."""
 
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -10,6 +11,7 @@ from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.duration import Duration
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+from unique_identifier_msgs.msg import UUID
 
 from fss_arm_driver.arm.following import Following, Progress
 from fss_arm_driver.arm.guard_topics import GuardTopics
@@ -26,12 +28,15 @@ from fss_arm_driver.arm.trajectory import (
     requested,
 )
 from fss_arm_driver.arm.turn import Motion
+from fss_arm_driver.watch import Asker
 from fss_arm_motion.guard import GuardError
 from fss_arm_ros.convert import SECOND, to_time
 from fss_arm_ros.door import subscribe
 
 CONTROLLER = "arm_controller"
 CANCELLED = "cancelled"
+ASKING = f"{CONTROLLER}/follow_joint_trajectory/_action/get_result"  # whose client who asks is
+KEEP_ALIVE = 1.0  # silence of who has once said that it is alive [s]
 
 
 class TrajectoryAction:
@@ -44,6 +49,7 @@ class TrajectoryAction:
         self.tolerances = Tolerances((Tolerance(s.path_tolerance),) * n, (goal,) * n, s.max_overrun)
         self.motion: Motion | None = None
         self.trajectory: Trajectory | None = None  # of that motion
+        self.goal, self.asker = b"", Asker(0.0, 0.0)  # the goal's id, and who asked for it
         self.server = ActionServer(
             node,
             FollowJointTrajectory,
@@ -55,6 +61,7 @@ class TrajectoryAction:
         )
         topic = f"{CONTROLLER}/joint_trajectory"
         subscribe(node, JointTrajectory, topic, self.on_message, 1)
+        subscribe(node, UUID, f"{CONTROLLER}/alive", self.on_alive, 10)
 
     @property
     def earliest(self) -> int:
@@ -79,6 +86,11 @@ class TrajectoryAction:
         """Let a goal end that nobody wants any more."""
         self.links.wake()
         return CancelResponse.ACCEPT
+
+    def on_alive(self, goal: UUID) -> None:
+        """Whoever asked for a goal still wants it, and goes on saying so."""
+        if goal.uuid.tobytes() == self.goal:
+            self.asker.heard, self.asker.keep_alive = time.monotonic(), KEEP_ALIVE
 
     async def on_execute(self, handle: ServerGoalHandle) -> FollowJointTrajectory.Result:
         """Execute a goal that was accepted."""
@@ -129,6 +141,8 @@ class TrajectoryAction:
             raise TrajectoryError(Code.INVALID_GOAL, str(error)) from None
         motion = self.motion = links.turn.take("a trajectory", links.now())
         self.trajectory, motion.plan = trajectory, trajectory.at
+        self.goal = handle.goal_id.uuid.tobytes() if handle else b""
+        self.asker = Asker(0.0, time.monotonic())
         links.wake()  # what it takes the place of ends
         try:
             await self.keep_on(Following(trajectory, tolerances, self.patience), motion, handle)
@@ -154,6 +168,9 @@ class TrajectoryAction:
             await links.ticked
             if handle and handle.is_cancel_requested:
                 raise TrajectoryError(Code.SUCCESSFUL, CANCELLED)
+            seen = bool(links.node.count_clients(ASKING))
+            if handle and (gone := self.asker.gone(time.monotonic(), seen)):
+                raise TrajectoryError(Code.INVALID_GOAL, gone)
             try:
                 links.check(motion)
                 self.guard.check_trajectory(following.trajectory, links.now())

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from fss_arm_model.held import Target
 from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, between, like, setting
+from fss_arm_model.vehicle import Vehicle
 from fss_gnc.control.pose import PoseGains
 
 
@@ -29,3 +30,4 @@ class ControlSettings(PoseGains):
     )
     target_mass: float = like(Target, "mass")
     target_inertia: float = like(Target, "inertia")
+    base_frame: str = like(Vehicle, "base_frame")

@@ -2,9 +2,13 @@
 
 The thrusters are used for one thing only: if base and arm as they drift would meet the target or
 the table's edge within the horizon, a short push gives them the least other motion that does not.
-Without knowledge of the base, they are not used at all; once it is known again, they may be. The
-joints slow down within their torques. A target that is held stays so: let go, it would tumble
-beside the arm; one that is not is let go.
+Without knowledge of the base, they are not used at all; once it is known again, they may be. Joints
+that are not heard any more are taken to rest where they were last, as links hold when nobody
+commands them, unless a target is held, too; those that are heard slow down within their torques. A
+target that is held stays so: let go, it would tumble beside the arm; one that is not is let go.
+
+Where a valve does not close, no drift is safe: the base comes to rest, with room about it, and is
+held there until the gas is spent.
 """
 
 import numpy as np
@@ -12,15 +16,19 @@ import numpy.typing as npt
 
 from fss_arm_model.held import hold, with_held
 from fss_gnc.guidance.activity import Craft, Ended, Orders, Seen
+from fss_gnc.guidance.base_motion import least_duration
 from fss_gnc.guidance.drift import Drift, Drifting
+from fss_gnc.guidance.leak import Leak
 from fss_gnc.guidance.rest import braking, slowing
-from fss_gnc.reference import Path
+from fss_gnc.reference import Body, Path, Reference
 
 Floats = npt.NDArray[np.float64]
 
 QUIET = 3.0  # for which the drift must be safe, joints at rest, before it is over [s]
 PATIENCE = 30.0  # without knowing the base [s]
 STILL = 0.01  # of a joint [rad/s]
+EMPTY = 5e-4  # of propellant, with which the valves move nothing any more [kg]
+HOLD = 60.0  # at a place with room, until it is tried again whether a valve leaks [s]
 
 
 class Abort:
@@ -42,7 +50,10 @@ class Abort:
         )
         self.joints = Stopping(self.torques)
         self.drift: Drift | None = None
+        self.leak = Leak()
         self._push: Path | None = None
+        self._busy = -np.inf  # until when it is pushed, or held [s]
+        self._leaks = False  # a valve
         self._held = False
         self._known = self._quiet = np.nan  # since when; NaN: it has not begun
 
@@ -69,35 +80,55 @@ class Abort:
         return self.drift.target if self.drift is not None and known else np.nan
 
     def _path(self, seen: Seen) -> Path | None:
-        if seen.base is None or seen.q is None:
+        q_m = seen.last_q if seen.q is None and not seen.holds else seen.q
+        if seen.base is None or q_m is None:
             self._push = None
             return None
         self._known = seen.t
-        q, qd = seen.floating
+        qd_m = np.zeros(q_m.size) if seen.qd is None else seen.qd
+        q, qd = np.concatenate([seen.base.pose, q_m]), np.concatenate([seen.base.twist, qd_m])
         if seen.holds and seen.target is not None and not self._held:
             self._held = True
             place = hold(self.p, q, seen.target.pose)
             self.p = with_held(self.p, self.settings.target, place)
-        if self._push is not None and seen.t < self._push.end:
-            self._quiet = seen.t
-            return self._push
         target = None if seen.holds else seen.target
         drifting = Drifting(self.p, self.settings)
+        if seen.t < self._busy and not seen.propellant <= EMPTY:
+            if self._leaks and self._push is not None and seen.t > self._push.end:
+                self._make_room(drifting, seen.t, q, target)
+            self._quiet = seen.t
+            return self._push
         self.drift, self._push = drifting.as_is(q, qd, target), None
-        if self.drift.safe:
-            return None
-        self._quiet = seen.t
-        away = drifting.away(q, qd, target)
-        if not away.safe and np.allclose(away.twist, qd[:3], atol=2e-3):
-            return None
-        self._push = braking(self.p, q, qd, self.settings, seen.t, away.twist)
+        self._leaks = seen.q is not None and self.leak.pushes(seen.t, self.p, q, qd)
+        if self._leaks:
+            self._push = braking(self.p, q, qd, self.settings, seen.t)
+            self._busy = self._push.end + HOLD
+        elif not self.drift.safe and not seen.propellant <= EMPTY:
+            away = drifting.away(q, qd, target)
+            if away.safe or not np.allclose(away.twist, qd[:3], atol=2e-3):
+                self._push = braking(self.p, q, qd, self.settings, seen.t, away.twist)
+                self._busy = self._push.end
+        if self._push is not None:
+            self._quiet = seen.t
+        if self._push is not None or seen.q is None:
+            self.leak.forget()
         return self._push
+
+    def _make_room(self, drifting: Drifting, t: float, q: Floats, target: Body | None) -> None:
+        """Go on from where it is held, if it cannot stay there."""
+        assert self._push is not None
+        here = Reference.at_rest(self._push.knots[-1, 0])
+        goal = drifting.refuge(np.concatenate([here.pose, q[3:]]), target)
+        if not np.array_equal(goal, here.pose):
+            lasts = least_duration(self.settings, here, goal)
+            self._push = Path.between(here, goal, t, t + lasts)
+            self._busy = max(self._busy, self._push.end)
 
     def _end(self, seen: Seen) -> Ended | None:
         if seen.qd is not None and np.abs(seen.qd).max() > STILL:
             self._quiet = max(self._quiet, seen.t - 0.5 * QUIET)
         if seen.t - self._known > PATIENCE:
-            return Ended(False, f"{self.reason}; the base is not known, valves closed")
+            return Ended(False, f"{self.reason}; base or joints are not known, valves closed")
         if seen.t - self._quiet < QUIET or self.drift is None or seen.base is None:
             return None
         return Ended(self.asked and self.drift.safe, self.reason)

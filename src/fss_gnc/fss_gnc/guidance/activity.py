@@ -33,6 +33,7 @@ class Seen:
     effort: Floats | None = None  # (n,) [N m]
     holds: bool | None = None  # the gripper the target; None: not known
     propellant: float = np.nan  # left [kg]; NaN: not known
+    last_q: Floats | None = None  # (n,) as the joints were last heard [rad]; None: never
 
     @property
     def floating(self) -> tuple[Floats, Floats]:

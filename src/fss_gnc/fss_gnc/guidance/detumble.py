@@ -1,4 +1,7 @@
-"""Base, arm and what it holds come to rest, by references that joints and valves can follow."""
+"""Base, arm and what it holds come to rest, by references that joints and valves can follow.
+
+It is over when they stay at rest with the valves closed; where one leaks, they would not.
+"""
 
 import numpy as np
 import numpy.typing as npt
@@ -6,6 +9,7 @@ import numpy.typing as npt
 from fss_arm_model.held import hold, with_held
 from fss_gnc.guidance.abort import Abort, Stopping
 from fss_gnc.guidance.activity import Craft, Ended, Orders, Seen
+from fss_gnc.guidance.leak import Leak
 from fss_gnc.guidance.rest import braking
 from fss_gnc.guidance.watch import Watch
 from fss_gnc.reference import Path
@@ -14,6 +18,7 @@ Floats = npt.NDArray[np.float64]
 
 ARM_STILL = 0.01  # rate of a joint below which the base is slowed down [rad/s]
 CALM = 2.0  # for which all must be still [s]
+LEFT = 2.0  # alone, valves closed, then [s]
 
 
 class Detumble:
@@ -34,9 +39,11 @@ class Detumble:
         self.watch = Watch(craft)
         self.abort: Abort | None = None
         self.twist = np.full(3, np.nan)  # of the base
+        self.leak = Leak()
         self._path: Path | None = None
         self._held = False
         self._begun = self._moving = np.nan
+        self._left = np.inf  # since when it is left alone
 
     def step(self, seen: Seen) -> Orders:
         """Orders now."""
@@ -61,8 +68,14 @@ class Detumble:
             self._path = braking(self.p, q, qd, self.settings, seen.t)
         if self._path is None or not self._is_still(qd):
             self._moving = seen.t
-        over = self._path is not None and seen.t - max(self._moving, self._path.end) >= CALM
-        return Orders("detumble", self._path, rates, ended=Ended(True) if over else None)
+        if self._path is not None and seen.t - max(self._moving, self._path.end) >= CALM:
+            self._left = min(self._left, seen.t)
+        if seen.t < self._left:
+            return Orders("detumble", self._path, rates)
+        if self.leak.pushes(seen.t, self.p, q, qd):
+            self.cancel("a valve does not close")
+        over = seen.t - self._left >= LEFT
+        return Orders("detumble", None, rates, ended=Ended(True) if over else None)
 
     def cancel(self, reason: str) -> None:
         """Abort."""

@@ -17,6 +17,8 @@ Floats = npt.NDArray[np.float64]
 SAMPLES = 16  # on the way
 DIRECTIONS = 16
 SPEEDS = (0.0, 0.25, 0.5, 0.75, 1.0)  # shares of the drift speed
+STRIDES = (0.1, 0.2, 0.3, 0.45, 0.6, 0.8)  # to a place to stay at [m]
+STAY, ROOM = 120.0, 0.2  # for which it must be free [s], and what about it [m]
 MORE = 0.1  # room that a push makes beyond the least, as it takes its time [m]
 
 
@@ -66,6 +68,20 @@ class Drifting:
         found = self._looked(body, q, np.vstack([qd[:3], twists]), target, more=MORE)
         safe = [drift for drift in found if drift.safe]
         return safe[0] if safe else max(found, key=lambda drift: min(drift.edge, drift.target))
+
+    def refuge(self, q: Floats, target: Body | None) -> Floats:
+        """The nearest pose (3,) to q where, at rest, it can stay; the best if it nowhere can."""
+        body, still = Rigid(self.p, q[3:]), np.zeros((1, 3))
+        around = np.exp(2j * np.pi * np.arange(DIRECTIONS) / DIRECTIONS)
+        steps = np.append(0j, np.outer(STRIDES, around).ravel())
+        poses = q[:3] + np.column_stack([steps.real, steps.imag, np.zeros(steps.size)])
+        stays = [
+            self._looked(body, np.concatenate([pose, q[3:]]), still, target, STAY, ROOM)[0]
+            for pose in poses
+        ]
+        safe = [k for k, drift in enumerate(stays) if drift.safe and drift.edge > ROOM]
+        room = [min(drift.edge, drift.target) for drift in stays]
+        return np.asarray(poses[safe[0] if safe else int(np.argmax(room))])
 
     def _looked(
         self,

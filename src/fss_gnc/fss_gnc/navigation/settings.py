@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from fss_arm_model.held import Target
 from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, Settings, between, like, setting
+from fss_arm_model.vehicle import Vehicle
 
 
 @dataclass(frozen=True)
@@ -144,12 +145,12 @@ class NavigationSettings(EstimatorSettings):
         check=between(1.0, 100.0),
     )  # fmt: skip
     arm: str = setting("", "arm to begin with: paper, cad, truth or a file; empty: paper")
-    base_topic: str = setting("vicon/fss/fss", "topic of the base's poses")
-    target_topic: str = setting("vicon/target/target", "topic of the target's poses")
+    base_topic: str = like(Vehicle, "base_topic")
+    target_topic: str = like(Vehicle, "target_topic")
     gyro_topic: str = setting("fog/imu", "topic of the base's rate")
     joints_topic: str = setting("joint_states", "topic of the joints' readings")
     world_frame: str = setting("world", "frame id of what is published")
-    base_frame: str = setting("fss", "child frame id of base/state and /tf")
+    base_frame: str = like(Vehicle, "base_frame")
     target_frame: str = setting("target", "child frame id of target/state")
 
     def of_target(self) -> TargetErrors:

@@ -14,14 +14,16 @@ from fss_base_driver.protocol import (
 )
 from fss_sim.faults import NO_FAULTS, LinkFaults
 from fss_sim.link.channel import Channel, Datagram
-from fss_sim.link.radio import Air
+from fss_sim.link.power import BROWN_OUT, REVIVAL, Battery, Power
+from fss_sim.link.radio import Station
 from fss_sim.noise import Noise
-from fss_sim.plant.plant import Plant
+from fss_sim.plant.plant import Vehicle
 
 UPTIME = 10_000_000  # it was switched on within this time before the test bed [us]
 GYRO_SCALE = 1e-6  # of a count of the gyro's samples [rad/s]
 SUPPLY_UNIT = 100.0  # [Pa]
-BATTERY, FIRMWARE = 240, 0x010000  # 24.0 V, 1.0.0
+FIRMWARE = 0x010000  # 1.0.0
+BATTERIES = 2  # side by side, each as a link's
 CLOSED = VALVES * (0,)
 
 
@@ -34,7 +36,9 @@ class Board:
         run: seed of what must not repeat itself when a run is resumed.
         rate: of telemetry [frames/s].
         key: that frames are signed under, if any.
-        air: that its datagrams go through; None: a wire of its own.
+        charge: of the batteries, 0 to 1.
+        power: what they are like, and what lives on them.
+        station: on the air, through which its datagrams go; None: a wire of its own.
     """
 
     def __init__(
@@ -44,13 +48,17 @@ class Board:
         run: int,
         rate: float = 20.0,
         key: bytes | None = None,
-        air: Air | None = None,
+        charge: float = 1.0,
+        power: Power | None = None,
+        station: Station | None = None,
     ) -> None:
         self._period, self._key = round(1e6 / rate), key
+        self._power = p = power or Power()
+        self.battery = Battery(BATTERIES * p.energy, p.resistance / BATTERIES, charge)
+        self._runs = True  # the regulator, while there is charge
         self._drift = Random(f"{seed}, board").gauss(0.0, noise.clock_drift)
         ways = Random(f"{seed}, board, {run}")
         self.uptime = ways.randrange(UPTIME)  # when the test bed begins [us]
-        station = air.station("board") if air else None
         self._in, self._out = (Channel(Random(ways.random()), station) for _ in range(2))
         self._peer: Any = None  # whom telemetry goes to
         self._since = self._began = 0  # the clock's time then [us], and the simulation's
@@ -66,7 +74,17 @@ class Board:
         """Whether it is switched on."""
         return self.state is not None
 
-    charged = True  # its battery does not run empty
+    def has_power(self, faults: LinkFaults) -> bool:
+        """Whether it can run."""
+        return bool(self._runs and self.battery.charge) and not (faults.dead or faults.reset)
+
+    def _draw(self, plant: Vehicle, seconds: float, faults: LinkFaults) -> None:
+        """Live on the battery for a time [s]."""
+        if faults.dead or not self.battery.charge:
+            return
+        current = self._power.base + self._power.valve * sum(plant.valves)
+        self.battery.draw(current, 0.0, seconds, faults.resistance)
+        self._runs = self.battery.volts > (BROWN_OUT if self._runs else REVIVAL)
 
     def clock(self, now: int) -> int:
         """Its own clock [us]."""
@@ -82,7 +100,7 @@ class Board:
         self._until = CLOSED  # what the valves were told, by the clock
 
     def stop(self) -> None:
-        """Take its power away."""
+        """Stop it."""
         self.state = None
 
     def put(self, data: bytes, peer: Any, now: int, faults: LinkFaults = NO_FAULTS) -> None:
@@ -90,7 +108,7 @@ class Board:
         self._in.put(Datagram(data, peer), now, faults)
         self._listen(now)
 
-    def act(self, now: int, plant: Plant) -> None:
+    def act(self, now: int, plant: Vehicle) -> None:
         """Have valves and gripper do what they are told from now on."""
         self._listen(now)
         if self.state is None:
@@ -105,9 +123,18 @@ class Board:
             plant.closed = self.state.gripper is Gripper.CLOSE
 
     def report(
-        self, now: int, plant: Plant, rate: float | None, faults: LinkFaults = NO_FAULTS
+        self,
+        now: int,
+        plant: Vehicle,
+        rate: float | None,
+        seconds: float,
+        faults: LinkFaults = NO_FAULTS,
     ) -> list[Datagram]:
-        """What arrives of its telemetry; `rate`: by the gyro, if that answers [rad/s]."""
+        """What arrives of its telemetry, `seconds` after the last time it was asked.
+
+        `rate`: by the gyro, if that answers [rad/s].
+        """
+        self._draw(plant, seconds, faults)
         if self.state and rate is not None:
             self._sum, self._samples = self._sum + round(rate / GYRO_SCALE), self._samples + 1
         clock = self.clock(now)
@@ -123,12 +150,12 @@ class Board:
             self._out.put(Datagram(encode(frame, self._key), self._peer), now, faults)
         return self._out.arrived(now)
 
-    def _slow(self, plant: Plant) -> dict[BaseSlow, int]:
+    def _slow(self, plant: Vehicle) -> dict[BaseSlow, int]:
         tank, propulsion = plant.thrusters.pressure, plant.thrusters.propulsion
         return {
             BaseSlow.TANK: round(1e-3 * tank),
             BaseSlow.SUPPLY: round(min(tank, propulsion.regulator_pressure) / SUPPLY_UNIT),
-            BaseSlow.BATTERY: BATTERY,
+            BaseSlow.BATTERY: round(10.0 * self.battery.volts),
             BaseSlow.TEMPERATURE: round(10.0 * (propulsion.temperature - 273.15)),
             BaseSlow.FIRMWARE: FIRMWARE,
             BaseSlow.FAULTS: self._broken,

@@ -5,7 +5,6 @@ servo drive's counts, the torque converter's counts.
 """
 
 from dataclasses import replace
-from math import pi
 
 from fss_arm_driver.protocol import (
     ACCELERATION_UNIT,
@@ -23,17 +22,15 @@ from fss_arm_driver.protocol import (
 )
 from fss_arm_model.description import Link
 from fss_sim.link.instruments import Instruments, make
+from fss_sim.link.power import Battery
+from fss_sim.link.servo import REST, ServoDrive
 from fss_sim.plant.plant import Demand, Motion
 
-MOTION_THRESHOLD = 1e-3  # a joint slower than this is at rest [rad/s]
 RELEASE_TIMEOUT = 3_000_000  # with a joint that does not come to rest and shall be released [us]
 
 LEAD = 5000  # half the time for which a demand stands [us]
 
-# The servo drive's status word.
-DISABLED, AT_HIGHEST, AT_LOWEST, IN_MOTION = 1 << 12, 1 << 16, 1 << 17, 1 << 27
-
-SUPPLY, TEMPERATURE, FIRMWARE = 240, 31, 0x020000  # 24.0 V, deg C, 2.0.0
+FIRMWARE = 0x020000  # 2.0.0
 
 
 class LinkElectronics(LinkState):
@@ -49,6 +46,8 @@ class LinkElectronics(LinkState):
         rate: of telemetry [frames/s].
         key: that frames are signed under, if any.
         instruments: without errors by default.
+        drive: that it finds as it is; one of its own by default.
+        battery: that it measures; a full one by default.
     """
 
     def __init__(
@@ -59,16 +58,20 @@ class LinkElectronics(LinkState):
         rate: float = 5.0,
         key: bytes | None = None,
         instruments: Instruments | None = None,
+        drive: ServoDrive | None = None,
+        battery: Battery | None = None,
     ) -> None:
         super().__init__(Gate(number, boot, key))
         self.link = link
         self.instruments = instruments or make(link.torque_sensor)
-        self.referenced, self.homings, self._homing = True, 1, False
-        drive = link.drive
-        self._count = drive.direction * 2.0 * pi / drive.counts_per_turn  # [rad]
-        self._demand = Demand(Mode.OFF)
+        self.drive = drive or ServoDrive(link, self.instruments.encoder)
+        self._homed = self.drive.referenced
+        self.homings = int(self._homed)  # how often the drive was found referenced
+        self._homing = self._clearing = False
+        self._battery = battery or Battery()
+        self._demand = self.drive.demand
         self._kept = 0  # when the joint was last not to be released [us]
-        self._acceleration = drive.max_acceleration
+        self._acceleration = link.drive.max_acceleration
         self._period = round(1e6 / rate)  # [us]
         self._periods = -1  # of the clock, at the last frame
         self._sequence = 0  # of the next frame
@@ -77,35 +80,52 @@ class LinkElectronics(LinkState):
         """Obey or refuse a datagram that has come; return whether it was taken."""
         taken, command = super().receive(data, clock), self.gate.command
         if taken and command:
+            self._clearing |= bool(command.flags & Order.CLEAR_FAULTS and self.drive.latched)
             homing, self._homing = self._homing, bool(self.armed and command.flags & Order.HOME)
-            if self._homing and not homing:  # it finds it where it is
-                self.referenced, self.homings = True, self.homings + 1
+            if self._homing and not homing:
+                self.drive.home()
         return taken
 
     def demand(self, clock: int, motion: Motion) -> Demand:
-        """What the servo drive is to do from now on."""
+        """What the servo drive is to do from now on, and does."""
+        if not self.drive.able:
+            self.drop()
         goal, command = self.goal(clock), self.gate.command
+        self._homing = self._homing and goal is Goal.OBEY
         if goal is not Goal.RELEASE:
             self._kept = clock
         if goal is Goal.FOLLOW and command:
             speed = self.velocity(clock, *self._measured(motion), LEAD)
             turn = replace(command, mode=Mode.VELOCITY, set_point=speed or 0)
             self._demand = self._held() if speed is None else self._commanded(turn)
-        elif goal is Goal.OBEY and command and not command.flags & Order.HOME:
+        elif goal is Goal.OBEY and command and not self._homing:
             self._demand = self._commanded(command)
         elif goal is not Goal.RELEASE:
             self._demand = self._held()
         elif self._demand.mode != Mode.OFF:
-            over = abs(motion.qd) < MOTION_THRESHOLD or clock - self._kept > RELEASE_TIMEOUT
+            over = abs(motion.qd) < REST or clock - self._kept > RELEASE_TIMEOUT
             self._demand = Demand(Mode.OFF) if over else self._held()
-        return self._demand
+        does = self.drive.act(None if self._homing else self._demand, motion)
+        if does.mode == Mode.OFF:
+            self._demand = does
+            if self._clearing:  # one that is on would move on by itself
+                self._clearing = False
+                self.drive.clear()
+        self._notice()
+        return does
+
+    def _notice(self) -> None:
+        """Count how often the drive is found referenced."""
+        self.homings += self.drive.referenced and not self._homed
+        self._homed = self.drive.referenced
 
     def telemetry(self, clock: int, motion: Motion) -> bytes | None:
-        """The frame that is due now, measured now; None between frames."""
+        """The frame that is due now, measured now; None between frames, or without a drive."""
         torque = self.instruments.torque
-        torque.sample(clock, motion.torque)
-        if clock // self._period == self._periods:
+        torque.sample(clock, motion.torque, motion.shear)
+        if clock // self._period == self._periods or not self.drive.powered:
             return None
+        self._notice()
         self._periods = clock // self._period
         sequence, self._sequence = self._sequence, (self._sequence + 1) & 0xFFFFFFFF
         slow = self.slow_field(sequence, list(Slow))
@@ -113,7 +133,7 @@ class LinkElectronics(LinkState):
         gate, command = self.gate, self.gate.command
         frame = Telemetry(
             link=gate.number,
-            flags=self.flags(self.referenced),
+            flags=self.flags(self.drive.referenced),
             boot=gate.boot,
             sequence=sequence,
             clock=clock,
@@ -124,7 +144,7 @@ class LinkElectronics(LinkState):
             current=_signed(self.link.drive.direction * motion.current / CURRENT_UNIT, 16),
             mode=self._demand.mode,
             slow_id=slow,
-            status=self._status(motion),
+            status=self.drive.status(motion),
             torque=torque.counts,
             torque_age=min(torque.age(clock) // 1000, 255),
             slow_value=self._slow_value(slow),
@@ -133,10 +153,10 @@ class LinkElectronics(LinkState):
 
     def _measured(self, motion: Motion) -> tuple[int, int]:
         """Position [counts] and velocity [0.1 counts/s], as the encoder has them."""
-        encoder, velocity = self.instruments.encoder, self._count * VELOCITY_UNIT
+        drive = self.drive
         return (
-            _signed(encoder.reading(motion.q) / self._count, 32),
-            _signed(encoder.rate(motion.q, motion.qd) / velocity, 32),
+            _signed(drive.reading(motion.q) / drive.count, 32),
+            _signed(drive.rate(motion) / (drive.count * VELOCITY_UNIT), 32),
         )
 
     def _held(self) -> Demand:
@@ -145,34 +165,26 @@ class LinkElectronics(LinkState):
 
     def _commanded(self, command: Command) -> Demand:
         """The command in SI units, within the drive's own limits."""
-        drive, count = self.link.drive, abs(self._count)
+        drive, count = self.link.drive, self.drive.count
         if command.mode in (Mode.VELOCITY, Mode.POSITION) and command.acceleration:
-            asked = command.acceleration * ACCELERATION_UNIT * count
+            asked = command.acceleration * ACCELERATION_UNIT * abs(count)
             self._acceleration = min(asked, drive.max_acceleration)
-        speed = min(command.velocity * VELOCITY_UNIT * count, drive.max_velocity)
+        speed = min(command.velocity * VELOCITY_UNIT * abs(count), drive.max_velocity)
         if command.mode == Mode.POSITION:
-            set_point = self.instruments.encoder.angle(command.set_point * self._count)
+            set_point = self.drive.angle(command.set_point * count)
         elif command.mode == Mode.VELOCITY:
-            set_point = command.set_point * VELOCITY_UNIT * self._count
+            set_point = command.set_point * VELOCITY_UNIT * count
             speed = min(abs(set_point), drive.max_velocity)
         else:
             set_point = command.set_point * CURRENT_UNIT * drive.direction
         return Demand(command.mode, set_point, speed, self._acceleration)
 
-    def _status(self, motion: Motion) -> int:
-        return (
-            DISABLED * (self._demand.mode == Mode.OFF)
-            | AT_HIGHEST * (motion.q >= self.link.q_max)
-            | AT_LOWEST * (motion.q <= self.link.q_min)
-            | IN_MOTION * (abs(motion.qd) >= MOTION_THRESHOLD)
-        )
-
     def _slow_value(self, slow: Slow) -> int:
         return {
-            Slow.FAULTS: 0,
-            Slow.SUPPLY: SUPPLY,
-            Slow.BATTERY: _signed(10.0 * self.instruments.battery.volts, 32),
-            Slow.TEMPERATURE: TEMPERATURE,
+            Slow.FAULTS: self.drive.latched,
+            Slow.SUPPLY: _signed(10.0 * self.drive.supply, 32),
+            Slow.BATTERY: _signed(10.0 * self._battery.volts, 32),
+            Slow.TEMPERATURE: _signed(self.drive.temperature, 32),
             Slow.FIRMWARE: FIRMWARE,
             Slow.HOMINGS: self.homings,
             Slow.REFUSED: _signed(self.gate.refused.total(), 32),

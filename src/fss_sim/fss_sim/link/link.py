@@ -4,16 +4,17 @@ from random import Random
 from typing import Any
 
 from fss_arm_model import description
-from fss_sim.faults import NO_FAULTS, LinkFaults
+from fss_sim.faults import NO_DRIVE_FAULTS, NO_FAULTS, DriveFaults, LinkFaults
 from fss_sim.link import instruments
 from fss_sim.link.channel import Channel, Datagram
 from fss_sim.link.electronics import LinkElectronics
-from fss_sim.link.radio import Air
+from fss_sim.link.power import Power, Supply
+from fss_sim.link.radio import Station
+from fss_sim.link.servo import OFF, ServoDrive
 from fss_sim.noise import Noise
 from fss_sim.plant.plant import Demand, Motion
 
 UPTIME = 10_000_000  # a link was switched on within this time before the test bed [us]
-OFF = Demand(0)
 
 
 class Link:
@@ -29,7 +30,8 @@ class Link:
         key: that frames are signed under, if any.
         torque_rate: samples of the torque converter a second.
         charge: of the battery, 0 to 1.
-        air: that its datagrams go through; None: a wire of its own.
+        power: what its battery is like, and what lives on it.
+        station: on the air, through which its datagrams go; None: a wire of its own.
     """
 
     def __init__(
@@ -43,16 +45,19 @@ class Link:
         key: bytes | None = None,
         torque_rate: int = 80,
         charge: float = 1.0,
-        air: Air | None = None,
+        power: Power | None = None,
+        station: Station | None = None,
     ) -> None:
         self.number = number
         self._link, self._rate, self._key = link, rate, key
         made = Random(f"{seed}, {number}")
         self._drift = made.gauss(0.0, noise.clock_drift)
-        self.instruments = instruments.make(link.torque_sensor, noise, made, torque_rate, charge)
+        more = Random(f"{seed}, {number}, laboratory")
+        self.instruments = instruments.make(link.torque_sensor, noise, made, torque_rate, more)
+        self.supply = Supply(power, charge)
+        self.drive = ServoDrive(link, self.instruments.encoder)
         ways = Random(f"{seed}, {number}, {run}")
         self.uptime = ways.randrange(UPTIME)  # when the test bed begins [us]
-        station = air.station(str(number)) if air else None
         self._in, self._out = (Channel(Random(ways.random()), station) for _ in range(2))
         self._peer: Any = None  # whom telemetry goes to
         self._since = self._began = 0  # the clock's time then [us], and the simulation's
@@ -68,10 +73,9 @@ class Link:
         """Whether it is switched on."""
         return self.electronics is not None
 
-    @property
-    def charged(self) -> bool:
-        """Whether its battery can run it."""
-        return self.instruments.battery.charge > 0.0
+    def has_power(self, faults: LinkFaults) -> bool:
+        """Whether its electronics can run."""
+        return self.supply.runs and not (faults.dead or faults.reset)
 
     def clock(self, now: int) -> int:
         """Its own clock [us]."""
@@ -80,12 +84,19 @@ class Link:
     def start(self, boot: int, now: int, uptime: int = 0) -> None:
         """Switch it on, `uptime` us ago."""
         self.electronics = LinkElectronics(
-            self.number, self._link, boot, self._rate, self._key, self.instruments
+            self.number,
+            self._link,
+            boot,
+            self._rate,
+            self._key,
+            self.instruments,
+            self.drive,
+            self.supply.battery,
         )
         self._since, self._began, self._peer = uptime, now, None
 
     def stop(self) -> None:
-        """Take its power away."""
+        """Stop its electronics."""
         self.electronics = None
 
     def put(self, data: bytes, peer: Any, now: int, faults: LinkFaults = NO_FAULTS) -> None:
@@ -96,14 +107,27 @@ class Link:
     def demand(self, now: int, motion: Motion) -> Demand:
         """What its servo drive is to do from now on."""
         self._listen(now)
-        return self.electronics.demand(self.clock(now), motion) if self.electronics else OFF
+        if self.electronics:
+            self.electronics.demand(self.clock(now), motion)
+        else:
+            self.drive.go_on(motion)
+        return self.drive.effort(motion)
 
     def report(
-        self, now: int, motion: Motion, seconds: float, faults: LinkFaults = NO_FAULTS
+        self,
+        now: int,
+        motion: Motion,
+        seconds: float,
+        faults: LinkFaults = NO_FAULTS,
+        drive: DriveFaults = NO_DRIVE_FAULTS,
     ) -> list[Datagram]:
         """What arrives of its telemetry, `seconds` after the last time it was asked."""
+        if self.drive.demand.mode == OFF:  # whatever a hand does
+            motion = motion._replace(current=0.0)
+        load = None if faults.dead else self.drive.load(motion)
+        self.supply.advance(load, seconds, faults.resistance)
+        self.drive.advance(seconds, motion, self.supply.volts, drive)
         if self.electronics:
-            self.instruments.battery.draw(motion.current, seconds)
             frame = self.electronics.telemetry(self.clock(now), motion)
             if frame:
                 self._out.put(Datagram(frame, self._peer), now, faults)

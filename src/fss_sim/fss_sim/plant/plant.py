@@ -1,4 +1,4 @@
-"""The test bed itself: base and arm floating on the table, their drives and thrusters, a target."""
+"""A vehicle of the test bed: base and arm floating on the table, with drives and thrusters."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -7,22 +7,25 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from fss_arm_model.clearance import clearance, edge_clearance
-from fss_arm_model.description import Arm
-from fss_arm_model.held import Approach, Target, approach, held, hold, with_held
-from fss_arm_model.integration import STEP
+from fss_arm_model.clearance import edge_clearance
+from fss_arm_model.description import Arm, Base
+from fss_arm_model.dynamics import inertia_matrix
+from fss_arm_model.held import Approach, Target, held, hold, with_held
 from fss_arm_model.kinematics import tip_in_base
-from fss_arm_model.layout import BASE_SIZE, MASS
+from fss_arm_model.layout import BASE_SIZE, LENGTH, MASS, each
 from fss_arm_model.momentum import momentum
-from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, Settings, setting
+from fss_sim.plant.bed import Audit, Bed
+from fss_sim.plant.contact import Contact, Part
 from fss_sim.plant.drives import CURRENT, OFF
-from fss_sim.plant.simulation import advance
+from fss_sim.plant.joints import Joints
+from fss_sim.plant.simulation import advance, advance_geared
 from fss_sim.plant.surroundings import Surroundings
-from fss_sim.plant.target import Gripper, caught
+from fss_sim.plant.target import SHUT, Fingers, Gripper, Passive, rotors_inertia
 from fss_sim.plant.thrusters import Propulsion, Thrusters
 
 Floats = npt.NDArray[np.float64]
 Pose = tuple[float, float, float]  # x [m], y [m], heading [rad]
+HELD = 1000.0  # Coulomb friction of a joint that something holds [N m]
 
 
 class Demand(NamedTuple):
@@ -37,50 +40,11 @@ class Demand(NamedTuple):
 class Motion(NamedTuple):
     """One joint at an instant."""
 
-    q: float  # encoder angle [rad]
+    q: float  # encoder angle, the motor's behind a gear that gives [rad]
     qd: float  # [rad/s]
     current: float  # of the motor, driving the joint counter-clockwise if positive [A]
     torque: float  # that passes the gear, friction taken off [N m]
-
-
-class Audit(NamedTuple):
-    """Books on momentum and energy; what is there, less what was given, stays what it was."""
-
-    momentum: Floats  # linear, x and y [N s], and angular about the world's origin [N m s]
-    energy: float  # kinetic [J]
-    impulse: Floats  # (3,) given from outside since the begin, and carried away by propellant
-    work: float  # done since the begin by all forces, those of a capture too [J]
-
-    @property
-    def balance(self) -> Floats:
-        """What never changes, (4,)."""
-        return np.append(self.momentum - self.impulse, self.energy - self.work)
-
-
-@dataclass(frozen=True)
-class Joints(Settings):
-    """The mechanics that all joints have in common."""
-
-    rotor_inertia: float = setting(
-        0.0, "inertia of each motor, felt at its joint, 0.0026 in the FHA-8C-30; 0: none",
-        unit="kg m^2", check=NOT_NEGATIVE,
-    )  # fmt: skip
-    gear_ratio: float = setting(30.0, "gear ratio of the harmonic drives", check=POSITIVE)
-    viscous: float = setting(
-        0.5, "viscous friction of each joint", unit="N m s/rad", check=NOT_NEGATIVE
-    )
-    coulomb: float = setting(0.3, "Coulomb friction of each joint", unit="N m", check=NOT_NEGATIVE)
-    stop_stiffness: float = setting(
-        2000.0, "stiffness of the joints' end stops", unit="N m/rad", check=NOT_NEGATIVE
-    )
-    stop_damping: float = setting(
-        20.0, "damping of the joints' end stops", unit="N m s/rad", check=NOT_NEGATIVE
-    )
-
-    @property
-    def rotor(self) -> tuple[float, float]:
-        """N^2 J and N J [kg m^2], of an inertia J that turns N times as fast as the joint."""
-        return self.rotor_inertia, self.rotor_inertia / self.gear_ratio
+    shear: float = 0.0  # force across the link that passes the joint [N]
 
 
 @dataclass(frozen=True)
@@ -93,59 +57,67 @@ class World:
     gripper: Gripper = field(default_factory=Gripper)
     target: Target | None = None
     tolerance: float = 0.0  # of error control; 0: fixed steps
+    contact: Contact | None = field(default_factory=Contact)  # None: nobody touches anybody
 
 
-class Plant:
-    """Base and links, floating in the plane, and a target that does too.
+class Vehicle:
+    """Base and links, floating in the plane with drives, thrusters and gripper.
 
     Args:
-        arm: the true parameters, the base with its tank full.
+        arm: the true parameters, the base with its tank full; a base alone has no arm.
         q: (3 + n,) state at the begin: base x, y [m], theta [rad], joints [rad].
         qd: (3 + n,) its velocity; at rest by default.
         world: what there is beside the arm.
-        target: (2, 3) pose and twist of the target at the begin, if there is one.
-        holds: whether the gripper holds it.
         propellant: used before [kg].
+        name: what its parts' names begin with.
     """
+
+    bed: Bed  # that it floats on
 
     def __init__(
         self,
-        arm: Arm,
+        arm: Arm | Base,
         q: npt.ArrayLike,
         qd: npt.ArrayLike | None = None,
         world: World | None = None,
-        target: npt.ArrayLike = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
-        holds: bool = False,
         propellant: float = 0.0,
+        name: str = "",
     ) -> None:
-        self.arm, self.world = arm, world or World()
+        self.arm, self.world, self.name = arm, world or World(), name
+        links = arm.links if isinstance(arm, Arm) else ()
+        self.n = len(links)
         self.thrusters = Thrusters(self.world.propulsion, propellant)
-        self.closed = holds  # the gripper, as commanded
-        self._place: Floats | None = None  # of the target in the frame of the link that holds it
-        self._p, self._step = arm.vector(), 0
+        self.closed, self.fingers = False, Fingers()  # the gripper, as commanded, and as it is
+        self.held: Passive | Vehicle | None = None
+        self._place: Floats | None = None  # of the target that is part of the last link, there
+        self._p = arm.vector()
         self._p[MASS] -= propellant
         joints = self.world.joints
         alike = joints.viscous, joints.coulomb, joints.stop_stiffness, joints.stop_damping
-        self._torque_constant = np.array([k.drive.torque_constant for k in arm.links])
+        self._gears = joints.gears(self._p).reshape(self.n, 11)
+        self._torque_constant = np.array([k.drive.torque_constant for k in links])
         self._joints = np.array(
             [
                 (k.q_min, k.q_max, k.drive.torque_constant * k.drive.max_current, *alike)
-                for k in arm.links
+                for k in links
             ]
-        )
+        ).reshape(-1, 7)
+        self._rotors = rotors_inertia(3 + self.n, joints.rotor, bool(joints.stiffness))
         self._surroundings = self.world.surroundings.vector()
-        self._demand = np.tile(np.array([OFF, 0.0, 0.0, 1.0]), (arm.n, 1))
-        self._state = np.zeros((2, 3 + arm.n))
+        self._pads = self.world.surroundings.vector(floats=False)
+        self._valves: tuple[int, npt.ArrayLike] = -1, SHUT  # from a step on
+        self._demand = np.tile(np.array([OFF, 0.0, 0.0, 1.0]), (self.n, 1))
+        self._state = np.zeros((2, 3 + self.n))
         self._state[0] = q
         self._state[1] = 0.0 if qd is None else qd
         self._reference = self._state[:, 3:].T.copy()
-        self._audit, self._torques = np.zeros((2, 4)), np.zeros((arm.n, 2))
-        self._target, self._target_audit = np.array(target, dtype=float), np.zeros((2, 4))
-        if holds and self.world.target:
-            self._place = hold(self._p, self.q, self._target[0])
-            self._p = with_held(self._p, self.world.target, self._place)
-        self._pass(0)
-        self._begin = self.audit.balance
+        self._motors = np.column_stack([self._reference, np.zeros(self.n)])
+        self.books, self._torques = np.zeros((2, 4)), np.zeros((self.n, 2))
+
+    @property
+    def p(self) -> Floats:
+        """Arm.vector() as it is now: less propellant, and what is held with the last link."""
+        return self._p
 
     @property
     def q(self) -> Floats:
@@ -163,31 +135,17 @@ class Plant:
         scale = self._torque_constant[joint] if mode == CURRENT else 1.0
         self._demand[joint] = mode, scale * set_point, speed, acceleration
 
+    def block(self, joint: int, is_held: bool) -> None:
+        """Hold a joint, counted from 0, as fast as friction can, or let it go."""
+        self._joints[joint, 4] = HELD if is_held else self.world.joints.coulomb
+
     def thrust(self, on_times: Sequence[float]) -> None:
         """Open the thrusters' valves for a time each [s].
 
         Raises:
             ValueError: there are not eight times, or one is not a number from 0 on.
         """
-        self.thrusters.command(on_times, self._step)
-
-    def advance(self, seconds: float) -> None:
-        """Let time pass, in whole steps of the drives."""
-        if self.closed and not self.holds and self.world.gripper.takes(self.approach):
-            self._catch()
-        elif not self.closed and self.holds:
-            self._release()
-        steps = round(seconds / STEP)
-        begin, self._step = self._step, self._step + steps
-        if not self.thrusters.busy(begin):
-            self._pass(steps)
-            return
-        self._pass(steps, self.thrusters.valves(begin))
-        spent = self.thrusters.spend(begin, steps)
-        had = self._audit[0].copy()
-        self._p[MASS] -= spent
-        self._pass(0)
-        self._audit[1] += self._audit[0] - had
+        self.thrusters.command(on_times, self.bed.step)
 
     def motion(self, joint: int) -> Motion:
         """What the instruments of a link are exposed to."""
@@ -196,8 +154,9 @@ class Plant:
     def motions(self) -> list[Motion]:
         """The motion of each joint."""
         motor, passed = self._torques.T
-        rows = [*self._state[:, 3:], motor / self._torque_constant, passed]
-        return list(map(Motion._make, np.stack(rows, axis=1).tolist()))
+        turning = self._motors[:, :2].T if self.world.joints.stiffness else self._state[:, 3:]
+        rows = [*turning, motor / self._torque_constant, passed]
+        return [Motion(*row) for row in np.stack(rows, axis=1).tolist()]
 
     @property
     def base(self) -> Pose:
@@ -212,52 +171,29 @@ class Plant:
         return x, y, theta
 
     @property
-    def target(self) -> Floats:
-        """Pose and twist of the target in the world, (2, 3)."""
-        if self._place is None:
-            return self._target
-        return held(self._p, self.q, self.qd, self._place)
-
-    @property
     def holds(self) -> bool:
-        """Whether the gripper holds the target."""
-        return self._place is not None
+        """Whether the gripper holds something."""
+        return self.held is not None
 
     @property
     def approach(self) -> Approach:
-        """The end effector as seen from the target's fixture; infinitely far without a target."""
-        if self.world.target is None:
-            return Approach(np.inf, 0.0, 0.0)
-        return approach(self._p, self.q, self.qd, self.world.target, self.target)
+        """The end effector as seen from what it holds or may grip next; else infinitely far."""
+        return self.bed.within_reach(self)[1]
 
     @property
     def valves(self) -> list[bool]:
         """Which thrusters' are open."""
-        return self.thrusters.open(self._step)
-
-    @property
-    def clearance(self) -> float:
-        """The least gap between two bodies of base and arm that are not neighbours [m]."""
-        around = self.world.surroundings
-        return float(clearance(self._p, self.q, around.base_radius, around.link_radius))
+        return self.thrusters.open(self.bed.step)
 
     @property
     def edge_clearance(self) -> float:
         """The least gap between base or arm and the table's edge [m]; below 0 the border pushes."""
         around = self.world.surroundings
+        if not self.n:
+            half = 0.5 * np.array(around.table)
+            return float(np.min(half - abs(self.q[:2]))) - around.base_radius
         radii = around.base_radius, around.link_radius
         return float(edge_clearance(self._p, self.q, around.table, *radii))
-
-    @property
-    def audit(self) -> Audit:
-        """The books of all bodies as they are now."""
-        has, given = self._audit + self._target_audit
-        return Audit(has[:3], float(has[3]), given[:3], float(given[3]))
-
-    @property
-    def imbalance(self) -> Floats:
-        """What the books are off by since the begin, (4,) [N s, N s, N m s, J]."""
-        return self.audit.balance - self._begin
 
     def momentum(self) -> Floats:
         """Linear [kg m/s] and, about the centre of mass, angular momentum [kg m^2/s]: (3,).
@@ -266,37 +202,143 @@ class Plant:
         """
         return momentum(self._p, self.q, self.qd)
 
-    def _pass(self, steps: int, valves: npt.ArrayLike = ((0.0,) * 5,)) -> None:
-        """Let steps pass; none: renew the books."""
-        world, around = self.world, self._surroundings
-        self._state, self._reference, self._audit, torques = advance(
-            self._p, world.joints.rotor, self._joints, around, valves, self._demand,
-            self._state, self._reference, self._audit, steps, world.tolerance,
-        )  # fmt: skip
-        self._torques = torques if steps else self._torques
-        if world.target and not self.holds:
-            none, shut = np.zeros((0, 2)), ((0.0,) * 5,)
-            self._target, _, self._target_audit, _ = advance(
-                world.target.vector(), (0.0, 0.0), np.zeros((0, 7)), around, shut,
-                np.zeros((0, 4)), self._target, none, self._target_audit, steps, world.tolerance,
+    def holding(self) -> Floats:
+        """Pose and twist of the target that is part of the last link, (2, 3)."""
+        assert self._place is not None
+        return held(self._p, self.q, self.qd, self._place)
+
+    @property
+    def kept(self) -> tuple[Floats, ...]:
+        """All that a step changes."""
+        return self._state, self._reference, self._motors, self.books, self._torques
+
+    @kept.setter
+    def kept(self, kept: tuple[Floats, ...]) -> None:
+        self._state, self._reference, self._motors, self.books, self._torques = kept
+
+    def parts(self) -> list[Part]:
+        """What of it may touch: with itself the whole last link, with others the gripper too."""
+        around, name = self.world.surroundings, f"{self.name} " if self.name else ""
+        parts = [Part(f"{name}base", 0, 0j, 0j, around.base_radius)]
+        radius, lengths = around.link_radius, each(self._p, LENGTH).tolist()
+        for k, length in enumerate(lengths, 1):
+            parts.append(Part(f"{name}link {k}", k, 0j, length, radius, outer=k < self.n))
+        if self.n:
+            begin = max(0.0, lengths[-1] - self.world.gripper.length)
+            parts += [
+                Part(f"{name}link {self.n}", self.n, 0j, begin, radius, inner=False),
+                Part(f"{name}gripper", self.n, begin, length, 0.0, inner=False, gripper=True),
+            ]
+        if self._place is not None and isinstance(self.held, Passive):
+            at, its = complex(*self._place[:2]), self.held
+            parts.append(Part(its.name, self.n, at, at, its.target.radius, held=True))
+        return parts
+
+    def inertia(self) -> Floats:
+        """What impulses feel of it, (3 + n, 3 + n): behind gears that give, rotors spin on."""
+        return inertia_matrix(self._p, self.q) + self._rotors
+
+    def kick(self, change: Floats) -> None:
+        """Change the velocity at once."""
+        self._state = np.array([self.q, self.qd + change])
+        if self.world.joints.stiffness:  # as seen from its stator, a rotor slows down by as much
+            stators = np.cumsum(change[2:])[:-1] / self.world.joints.gear_ratio
+            self._motors = self._motors - np.outer(stators, [0.0, 1.0, 0.0])
+
+    def go(self, steps: int, at: int, tolerance: float) -> None:
+        """Let steps pass from the step `at` on; none: renew the books."""
+        if steps and self._valves[0] != at:  # else it is a trial of the same steps
+            self._valves = at, self.thrusters.valves(at) if self.thrusters.busy(at) else SHUT
+        joints, valves = self.world.joints, self._valves[1]
+        around = self._surroundings if self.thrusters.floats else self._pads
+        if joints.stiffness:
+            self._state, self._reference, self._motors, self.books, torques = advance_geared(
+                self._p, joints.rotor, self._joints, self._gears, around, valves, self._demand,
+                self._state, self._reference, self._motors, self.books, steps, tolerance,
             )  # fmt: skip
+        else:
+            self._state, self._reference, self.books, torques = advance(
+                self._p, joints.rotor, self._joints, around, valves, self._demand, self._state,
+                self._reference, self.books, steps, tolerance,
+            )  # fmt: skip
+        self._torques = torques if steps else self._torques
 
-    def _catch(self) -> None:
-        """Close the gripper on the target: momentum stays, the energy lost is booked."""
-        target, p, rotor = self.world.target, self._p, self.world.joints.rotor
-        assert target is not None
-        had = self._audit[0] + self._target_audit[0]
-        given = self._audit[1] + self._target_audit[1]
-        self._place = hold(p, self.q, self._target[0])
-        self._state[1] = caught(p, self.q, self.qd, rotor, target, self._target)
-        self._p = with_held(p, target, self._place)
-        self._target_audit = np.zeros((2, 4))
-        self._pass(0)
-        self._audit[1] = given
-        self._audit[1, 3] += self._audit[0, 3] - had[3]
+    def spend(self, begin: int, steps: int) -> None:
+        """Take from the tank what bearings and thrusters used in the steps that have passed."""
+        tank = self.thrusters
+        spent = tank.spend(begin, steps) if tank.busy(begin) else 0.0
+        spent += tank.breathe(steps)
+        if not spent:
+            return
+        had = self.books[0].copy()
+        self._p[MASS] -= spent
+        self.go(0, begin, 0.0)
+        self.books[1] += self.books[0] - had
 
-    def _release(self) -> None:
-        """Let the target go; nothing is lost."""
-        self._target, self._place = self.target, None
+    def take(self, target: Passive, velocity: Floats | None = None) -> None:
+        """Have the target be part of the last link from now on, at a velocity (3 + n,)."""
+        self._place = hold(self._p, self.q, target.q)
+        self._p = with_held(self._p, target.target, self._place)
+        target.holder, self.held = self, target
+        if velocity is not None:
+            self.kick(velocity - self.qd)
+        self.go(0, 0, 0.0)
+
+    def drop(self, target: Passive) -> None:
+        """Have it float by itself again; nothing is lost."""
+        state, self._place, self.held = target.state, None, None
         self._p = np.concatenate([self._p[:BASE_SIZE], self.arm.vector()[BASE_SIZE:]])
-        self._pass(0)
+        self.go(0, 0, 0.0)
+        target.freed(state)
+
+
+class Plant(Vehicle):
+    """A vehicle that has the table for itself, but for a target.
+
+    Args:
+        arm, q, qd, world, propellant: as of a Vehicle.
+        target: (2, 3) pose and twist of the target at the begin, if there is one.
+        holds: whether the gripper holds it.
+    """
+
+    def __init__(
+        self,
+        arm: Arm | Base,
+        q: npt.ArrayLike,
+        qd: npt.ArrayLike | None = None,
+        world: World | None = None,
+        target: npt.ArrayLike = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
+        holds: bool = False,
+        propellant: float = 0.0,
+    ) -> None:
+        super().__init__(arm, q, qd, world, propellant)
+        self._given, its = np.array(target, dtype=float), self.world
+        targets = [Passive(its.target, target, its.surroundings)] if its.target else []
+        self.closed = holds
+        if holds and targets:
+            self.take(targets[0])
+        self.bed = Bed([self], targets, its.contact, its.tolerance)
+
+    def advance(self, seconds: float) -> None:
+        """Let time pass, in whole steps of the drives."""
+        self.bed.advance(seconds)
+
+    @property
+    def target(self) -> Floats:
+        """Pose and twist of the target in the world, (2, 3)."""
+        return self.bed.targets[0].state if self.bed.targets else self._given
+
+    @property
+    def audit(self) -> Audit:
+        """The books of all bodies as they are now."""
+        return self.bed.audit
+
+    @property
+    def imbalance(self) -> Floats:
+        """What the books are off by since the begin, (4,) [N s, N s, N m s, J]."""
+        return self.bed.imbalance
+
+    @property
+    def clearance(self) -> float:
+        """The least gap between two bodies that are not neighbours [m]."""
+        return self.bed.nearest().gap

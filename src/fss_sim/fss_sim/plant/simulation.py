@@ -11,9 +11,20 @@ from fss_arm_model.centroidal import _bodies, _from_centroidal, _momenta, _to_ce
 from fss_arm_model.integration import STEP, classical, controlled
 from fss_arm_model.kernels import Floats, kernel
 from fss_sim.plant.drives import _drive
+from fss_sim.plant.gears import (
+    DAMPER,
+    SPRING,
+    Gears,
+    _act_geared,
+    _act_geared_called,
+    _drive_geared,
+    _twist,
+    _wind_up,
+)
 from fss_sim.plant.surroundings import Forces, _act, _act_called
 
 _classical, _controlled = classical(_act), controlled(_act_called)
+_classical_geared, _controlled_geared = classical(_act_geared), controlled(_act_geared_called)
 
 
 @kernel("(p),(r),(n,l),(e),(t,f),(n,d),(c),(s,m),(n,g),(b,a)->(s,m),(n,g),(b,a),(n,s)")
@@ -60,6 +71,63 @@ def _advance(  # type: ignore[no-untyped-def]
     audit[1, 2], audit[1, 3] = audit0[1, 2] + z[1, 3 + m], audit0[1, 3] + z[1, 2 + m]
 
 
+@kernel(
+    "(p),(r),(n,l),(n,f),(e),(t,v),(n,d),(c),(s,m),(n,g),(n,h),(b,a)->(s,m),(n,g),(n,h),(b,a),(n,s)"
+)
+def _advance_geared(  # type: ignore[no-untyped-def]
+    p, rotor, joints, gears, surroundings, valves, demand, control, state0, reference0, motors0,
+    audit0, state, reference, motors, audit, torques,
+):  # fmt: skip
+    n, kind = demand.shape[0], np.complex128
+    m, size = n + 1, 5 + 2 * n
+    bodies, z, k = _bodies(p.copy(), np.zeros(2)), np.zeros((2, size)), np.zeros((8, 2, size))
+    begin, turned, work = np.empty((3, m), kind), np.empty((3, m), kind), np.empty((2, m), kind)
+    dz, still, whole = np.zeros((2, size)), np.zeros((2, size)), bodies.inertia[0].copy()
+    held, torque, turns, drive = np.empty(m), np.empty(m), np.ones(n), np.zeros(n)
+    around, turning, sprung, springs = surroundings.copy(), rotor.copy(), np.empty(m), gears.copy()
+    tight, wants, follows, engines = joints.copy(), demand.copy(), reference0.copy(), motors0.copy()
+    q, qd = state0[0].copy(), state0[1].copy()
+    _to_centroidal(bodies, q, qd, begin, z)
+    for j in range(n):
+        z[0, 4 + m + j], z[1, 4 + m + j] = engines[j, 0], engines[j, 1]
+    start_x, start_y = z[1, 0], z[1, 1]
+    steps, tolerance = int(control[0]), control[1]
+    for step in range(steps):
+        thrust, held[:] = 0j, 0.0
+        for valve in valves:
+            if valve[3] <= step < valve[4]:
+                thrust += complex(valve[0], valve[1])
+                held[0] += valve[2]
+        forces = Forces(around, thrust, held, torque)
+        geared = Gears(forces, tight, springs, turning, turns, drive, sprung)
+        _drive_geared(bodies, geared, whole, wants, follows, engines, z, begin, work, dz, still)
+        if tolerance > 0.0:
+            _controlled_geared(bodies, geared, STEP, tolerance, z, begin, turned, work, k)
+        else:
+            _classical_geared(bodies, geared, STEP, z, begin, turned, work, k)
+    _from_centroidal(bodies, begin, z, q, qd)
+    for i in range(2 + m):
+        state[0, i], state[1, i] = q[i], qd[i]
+    ratio = turning[1] / turning[0]
+    for i in range(n):
+        bodies.inertia[0, i] = whole[i] - ratio * turning[1]
+    bodies.inertia[0, n] = whole[n]
+    twice_energy, moment = _momenta(bodies, begin, z)
+    for j in range(n):
+        _, x, xd = _twist(springs[j], z, j)
+        wound, spin = _wind_up(springs[j], x), z[1, 4 + m + j] + ratio * z[1, 2 + j]
+        twice_energy += turning[0] * spin * spin + wound * wound / springs[j, SPRING]
+        moment += turning[1] * spin
+        torques[j, 0], torques[j, 1] = engines[j, 2], wound + springs[j, DAMPER] * xd
+        motors[j, 0], motors[j, 1], motors[j, 2] = z[0, 4 + m + j], z[1, 4 + m + j], engines[j, 2]
+        reference[j, 0], reference[j, 1] = follows[j, 0], follows[j, 1]
+    audit[0, 0], audit[0, 1] = bodies.mass * z[1, 0], bodies.mass * z[1, 1]
+    audit[0, 2], audit[0, 3] = moment, 0.5 * twice_energy
+    audit[1, 0] = audit0[1, 0] + bodies.mass * (z[1, 0] - start_x)
+    audit[1, 1] = audit0[1, 1] + bodies.mass * (z[1, 1] - start_y)
+    audit[1, 2], audit[1, 3] = audit0[1, 2] + z[1, 3 + m], audit0[1, 3] + z[1, 2 + m]
+
+
 def advance(
     p: npt.ArrayLike,
     rotor: npt.ArrayLike,
@@ -82,7 +150,7 @@ def advance(
         joints: (n, 7) lowest and highest angle [rad], largest torque of the motor [N m]; viscous
             [N m s/rad] and Coulomb friction [N m]; the end stops' stiffness [N m/rad] and damping
             [N m s/rad].
-        surroundings: (11,) Surroundings.vector().
+        surroundings: (12,) Surroundings.vector().
         valves: (t, 5) force on the base's origin in its own axes [N] and torque [N m] of a thruster
             while its valve is open, and the steps from which and up to which it is.
         demand: (n, 4) of each drive: mode, set point [N m, rad/s or rad, by mode], speed [rad/s]
@@ -105,3 +173,32 @@ def advance(
     return _advance(
         p, rotor, joints, surroundings, valves, demand, control, state, reference, audit
     )
+
+
+def advance_geared(
+    p: npt.ArrayLike,
+    rotor: npt.ArrayLike,
+    joints: npt.ArrayLike,
+    gears: npt.ArrayLike,
+    surroundings: npt.ArrayLike,
+    valves: npt.ArrayLike,
+    demand: npt.ArrayLike,
+    state: npt.ArrayLike,
+    reference: npt.ArrayLike,
+    motors: npt.ArrayLike,
+    audit: npt.ArrayLike,
+    steps: int,
+    tolerance: float = 0.0,
+) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+    """As `advance`, for joints that give (gears.py): the rotors' inertia is above 0.
+
+    What it takes and returns beside: gears (n, 11), as Joints.gears() has them; motors (n, 3), the
+    angle [rad] and rate [rad/s] of each as seen behind its gear, and its torque [N m]. The audit's
+    energy includes that of the springs. The torques are what they are at the end, the motors' and
+    those that the gears pass on, without a step too.
+    """
+    control = np.array([steps, tolerance], dtype=float)
+    return _advance_geared(
+        p, rotor, joints, gears, surroundings, valves, demand, control, state, reference, motors,
+        audit,
+    )  # fmt: skip

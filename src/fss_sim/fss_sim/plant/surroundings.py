@@ -14,9 +14,15 @@ from fss_arm_model.settings import FINITE, NOT_NEGATIVE, Settings, like, setting
 from fss_arm_model.units import GRAVITY
 
 # Where what stands in Surroundings.vector(). The air film's shear grows with the mass that it
-# carries, so that each mass element m feels -film m v.
+# carries, so that each mass element m feels -film m v. Pads that lie on the table rub, whatever the
+# speed; that is shared among the mass elements as the film's shear is, with
+#
+#     film = friction g / sqrt(V^2 + CREEP^2),   V^2 = 2 T / M
+#
+# in its place, so that their power is friction M g V, as Coulomb's law has it for all that slides.
 TILT_X, TILT_Y, FILM, TETHER, TWIST, HALF_X, HALF_Y = range(7)
-STIFFNESS, DAMPING, BASE_RADIUS, LINK_RADIUS = range(7, 11)
+STIFFNESS, DAMPING, BASE_RADIUS, LINK_RADIUS, PADS = range(7, 12)
+CREEP = 0.01  # of pads on the table: below this speed their friction falls, to 0 at rest [m/s]
 
 
 @dataclass(frozen=True)
@@ -44,12 +50,19 @@ class Surroundings(Settings):
     )
     base_radius: float = like(Extents, "base_radius")
     link_radius: float = like(Extents, "link_radius")
+    pad_friction: float = setting(
+        0.2, "friction coefficient of air bearings without air on the table", check=NOT_NEGATIVE
+    )
 
-    def vector(self) -> Floats:
-        """The numbers that the kernel takes, (11,); the tilt as an acceleration, half the table."""
+    def vector(self, floats: bool = True) -> Floats:
+        """The numbers that the kernel takes, (12,); the tilt as an acceleration, half the table.
+
+        `floats`: whether the bearings have air.
+        """
         tilt, half = GRAVITY * np.array(self.tilt), 0.5 * np.array(self.table)
         border = self.border_stiffness, self.border_damping, self.base_radius, self.link_radius
-        return np.array([*tilt, self.film, self.tether, self.tether_twist, *half, *border])
+        pads = 0.0 if floats else GRAVITY * self.pad_friction
+        return np.array([*tilt, self.film, self.tether, self.tether_twist, *half, *border, pads])
 
 
 @helper
@@ -70,10 +83,11 @@ def _push(around, r, v, radius):  # type: ignore[no-untyped-def]
 
 @helper
 def _is_near_edge(bodies, around, z):  # type: ignore[no-untyped-def]
-    """Whether any part may touch the border, judged by the largest reach there can be."""
+    """Whether any part may touch the border, judged by more than the largest reach there can be."""
     reach = max(around[BASE_RADIUS], around[LINK_RADIUS])
     for k in range(bodies.arms.shape[1]):
-        reach += max(abs(bodies.arms[0, k]), abs(bodies.arms[1, k]) / bodies.mass)
+        ahead, back = bodies.arms[0, k], bodies.arms[1, k] / bodies.mass
+        reach += max(abs(ahead.real) + abs(ahead.imag), abs(back.real) + abs(back.imag))
     far_x = abs(z[0, 0]) + reach > around[HALF_X]
     return far_x or abs(z[0, 1]) + reach > around[HALF_Y]
 
@@ -106,7 +120,7 @@ def _border(bodies, around, turned, z, torque):  # type: ignore[no-untyped-def]
 class Forces(NamedTuple):
     """All that acts on the bodies in a step."""
 
-    around: Floats  # (11,) Surroundings.vector()
+    around: Floats  # (12,) Surroundings.vector()
     thrust: complex  # on the base's origin, in the base's own axes [N]
     held: Floats  # (m,) torques on the bodies [N m]
     torque: Floats  # (m,) scratch
@@ -137,11 +151,16 @@ def _act(bodies, forces, turned, z, work, dz):  # type: ignore[no-untyped-def]
     tilt, film = complex(around[TILT_X], around[TILT_Y]), around[FILM]
     dz[1, 0] += tilt.real
     dz[1, 1] += tilt.imag
-    for i in range(2 + m):
-        dz[1, i] -= film * z[1, i]
-    twice_energy, moment = _momenta(bodies, turned, z)
-    power = _dot(force, v_0) + mass * _dot(tilt, v) - film * twice_energy
-    moment = _cross(r_0, force) + mass * _cross(r, tilt) - film * moment
+    power = _dot(force, v_0) + mass * _dot(tilt, v)
+    moment = _cross(r_0, force) + mass * _cross(r, tilt)
+    if film > 0.0 or around[PADS] > 0.0:
+        twice_energy, turning = _momenta(bodies, turned, z)
+        if around[PADS] > 0.0:
+            film += around[PADS] / math.sqrt(twice_energy / mass + CREEP * CREEP)
+        for i in range(2 + m):
+            dz[1, i] -= film * z[1, i]
+        power -= film * twice_energy
+        moment -= film * turning
     for k in range(m):
         power += torque[k] * z[1, 2 + k]
         moment += torque[k]

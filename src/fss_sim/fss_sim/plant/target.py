@@ -1,22 +1,29 @@
 """A second, passive spacecraft simulator on the table, and the gripper that can hold it.
 
-While it is held, the target is part of the last link. At the capture the gripper closes at once,
-plastically: an impulse between end effector and target makes their velocities alike, so that
-momentum stays and energy is lost. With the target's centre of mass at J_t qd,
+While it is held, the target is part of the last link. As the fingers close, an impulse between end
+effector and target makes their velocities alike, so that momentum stays and energy is lost. With
+the target's centre of mass at J_t qd,
 
     (H + J_t' M_t J_t) qd_after = H qd_before + J_t' M_t v_t
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
-from fss_arm_model.dynamics import inertia_matrix
 from fss_arm_model.held import Approach, Target, held_jacobian, hold
 from fss_arm_model.settings import NOT_NEGATIVE, Settings, setting
+from fss_sim.plant.contact import Part
+from fss_sim.plant.simulation import advance
+from fss_sim.plant.surroundings import Surroundings
+
+if TYPE_CHECKING:
+    from fss_sim.plant.plant import Vehicle
 
 Floats = npt.NDArray[np.float64]
+SHUT = ((0.0,) * 5,)  # valves
 
 
 @dataclass(frozen=True)
@@ -33,6 +40,25 @@ class Gripper(Settings):
         0.1, "largest speed of what is gripped past the gripper", unit="m/s", check=NOT_NEGATIVE
     )
 
+    length: float = setting(
+        0.15, "length of the last link's end that is the gripper", unit="m", check=NOT_NEGATIVE
+    )
+    closing_time: float = setting(
+        0.0, "time that the gripper's fingers take to close", unit="s", check=NOT_NEGATIVE
+    )
+    force: float = setting(
+        0.0, "force above which what is gripped slips out; 0: none", unit="N", check=NOT_NEGATIVE
+    )
+    torque: float = setting(
+        0.0, "torque above which what is gripped slips out; 0: none", unit="N m",
+        check=NOT_NEGATIVE,
+    )  # fmt: skip
+
+    @property
+    def limited(self) -> bool:
+        """Whether anything is too much for it."""
+        return self.force > 0.0 or self.torque > 0.0
+
     def takes(self, approach: Approach) -> bool:
         """Whether it can close on a fixture that the end effector sees so."""
         return (
@@ -42,21 +68,108 @@ class Gripper(Settings):
         )
 
 
-def caught(
-    p: Floats, q: Floats, qd: Floats, rotor: tuple[float, float], target: Target, state: Floats
-) -> Floats:
-    """Velocity of the arm right after it has gripped the target at state (2, 3)."""
-    H = inertia_matrix(p, q) + rotors_inertia(q.size, rotor)
-    J = held_jacobian(p, q, hold(p, q, state[0]))
-    M = np.array([target.mass, target.mass, target.inertia])
-    gained = J.T @ (M * (state[1] - J @ qd))
-    return qd + np.linalg.solve(H + J.T @ (M[:, None] * J), gained)
+@dataclass
+class Fingers:
+    """Of a gripper that was told to close: waiting, closing, or shut on nothing."""
+
+    since: int | None = None  # the step at which they began to close
+    missed: bool = False  # what they closed on, or lost it: they must open first
 
 
-def rotors_inertia(size: int, rotor: tuple[float, float]) -> Floats:
-    """What rotors add to H: N^2 J at their joint, N J between it and all that turns its stator."""
+class Passive:
+    """The target as it floats by itself, or in a gripper.
+
+    Args:
+        target: what it is.
+        state: (2, 3) pose and twist at the begin.
+        around: what acts on it beside the table.
+        name: what people call it.
+    """
+
+    def __init__(
+        self,
+        target: Target,
+        state: npt.ArrayLike,
+        around: Surroundings | None = None,
+        name: str = "target",
+    ) -> None:
+        self.target, self.name = target, name
+        self.holder: Vehicle | None = None  # whose last link it is part of
+        self.masses = np.array([target.mass, target.mass, target.inertia])
+        around = around or Surroundings()
+        radius = max(target.radius, 1e-9)
+        self._around = replace(around, tether=0.0, tether_twist=0.0, base_radius=radius).vector()
+        self.p, self.books = target.vector(), np.zeros((2, 4))
+        self._state = np.array(state, dtype=float)
+
+    @property
+    def state(self) -> Floats:
+        """Pose and twist in the world, (2, 3)."""
+        return self._state if self.holder is None else self.holder.holding()
+
+    @property
+    def q(self) -> Floats:
+        """Pose (3,)."""
+        return self.state[0]
+
+    @property
+    def qd(self) -> Floats:
+        """Twist (3,)."""
+        return self.state[1]
+
+    @property
+    def kept(self) -> tuple[Floats, ...]:
+        """All that a step changes."""
+        return self._state, self.books
+
+    @kept.setter
+    def kept(self, kept: tuple[Floats, ...]) -> None:
+        self._state, self.books = kept
+
+    def parts(self) -> list[Part]:
+        """What of it may touch."""
+        return [Part(self.name, 0, 0j, 0j, self.target.radius)]
+
+    def inertia(self) -> Floats:
+        """What impulses feel of it, (3, 3)."""
+        return np.diag(self.masses)
+
+    def kick(self, change: Floats) -> None:
+        """Change the twist at once."""
+        self._state = np.array([self._state[0], self._state[1] + change])
+
+    def go(self, steps: int, at: int, tolerance: float) -> None:
+        """Let steps pass; none: renew the books."""
+        self._state, _, self.books, _ = advance(
+            self.p, (0.0, 0.0), np.zeros((0, 7)), self._around, SHUT, np.zeros((0, 4)),
+            self._state, np.zeros((0, 2)), self.books, steps, tolerance,
+        )  # fmt: skip
+
+    def freed(self, state: Floats) -> None:
+        """Float by itself from now on."""
+        self.holder, self._state, self.books = None, state, np.zeros((2, 4))
+        self.go(0, 0, 0.0)
+
+
+def caught(p: Floats, q: Floats, qd: Floats, H: Floats, body: Passive) -> Floats:
+    """Velocity of the arm of inertia H right after it has gripped the target."""
+    J = held_jacobian(p, q, hold(p, q, body.q))
+    gained = J.T @ (body.masses * (body.qd - J @ qd))
+    return qd + np.linalg.solve(H + J.T @ (body.masses[:, None] * J), gained)
+
+
+def rotors_inertia(size: int, rotor: tuple[float, float], free: bool) -> Floats:
+    """What rotors add to H, felt by an impulse on the links.
+
+    N^2 J at their joint, N J between it and all that turns its stator; of those that are free,
+    behind gears that give, not even the J that the stator's link has of them.
+    """
     H = np.zeros((size, size))
     for k in range(3, size):
-        H[k, k] = rotor[0]
-        H[k, 2:k] = H[2:k, k] = rotor[1]
+        if free and rotor[0]:
+            H[2:k, 2:k] -= rotor[1] * rotor[1] / rotor[0]
+        elif not free:
+            H[k, k] += rotor[0]
+            H[k, 2:k] += rotor[1]
+            H[2:k, k] += rotor[1]
     return H

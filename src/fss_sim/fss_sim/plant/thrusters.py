@@ -42,6 +42,14 @@ class Propulsion(Settings):
         0.7e6, "pressure below which the thrust falls with the tank's", unit="Pa", check=POSITIVE
     )
     temperature: float = setting(293.0, "temperature of tank and gas", unit="K", check=POSITIVE)
+    bearing_flow: float = setting(
+        0.0, "air that the bearings of base and links take from the tank; 0: they are fed from "
+        "outside and never fail", unit="kg/s", check=NOT_NEGATIVE,
+    )  # fmt: skip
+    bearing_pressure: float = setting(
+        0.4e6, "pressure of the tank below which its bearings carry nothing", unit="Pa",
+        check=POSITIVE,
+    )  # fmt: skip
 
 
 class Thrusters:
@@ -70,6 +78,12 @@ class Thrusters:
     def thrust(self) -> float:
         """Of an open thruster now, as a part of its full thrust."""
         return min(1.0, self.pressure / self.propulsion.regulator_pressure)
+
+    @property
+    def floats(self) -> bool:
+        """Whether the bearings carry."""
+        p = self.propulsion
+        return not p.bearing_flow or self.pressure > p.bearing_pressure
 
     @property
     def broken(self) -> int:
@@ -116,6 +130,16 @@ class Thrusters:
     def busy(self, now: int) -> bool:
         """Whether a valve is open or will be."""
         return bool((self._pulses(now)[1] > now).any())
+
+    def breathe(self, steps: int) -> float:
+        """Take from the tank what the bearings use in so many steps; return how much [kg].
+
+        Their flow falls with the pressure before their regulator, as the thrust does.
+        """
+        flow = self.thrust * self.propulsion.bearing_flow
+        spent = min(flow * STEP * steps, self.tank - self.used)
+        self.used += spent
+        return spent
 
     def open(self, now: int) -> list[bool]:
         """Which valves are."""

@@ -63,7 +63,7 @@ class Calibrator(Operator):
     def on_diagnostics(self, message: DiagnosticArray) -> None:
         """How far the experiment is."""
         for status in message.status:
-            if status.name == "experiment":
+            if status.name == "/experiment":
                 self.done = int(status.values[0].value)
 
     def on_result(self, message: KinematicCalibration) -> None:
@@ -210,7 +210,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         default=len(DEFAULT),
         help="to observe: the first so many",
     )
-    parser.add_argument("--preset", default="paper", help="of the simulated errors")
+    parser.add_argument(
+        "--preset", default="paper", help="of the simulator: ideal, default, paper, laboratory"
+    )
     parser.add_argument("--deadline", type=float, default=600.0, help="give up after [s]")
 
 

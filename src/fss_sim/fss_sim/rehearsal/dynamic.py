@@ -73,7 +73,7 @@ class Experimenter(Operator):
     def on_diagnostics(self, message: DiagnosticArray) -> None:
         """How far the experiment is."""
         for status in message.status:
-            if status.name == "experiment":
+            if status.name == "/experiment":
                 self.said = status.message
 
 
@@ -102,7 +102,7 @@ def start_all(
     (first, *_) = from_yaml((out / f"plan_{session}.yaml").read_text(encoding="utf-8"), LINKS)
     nodes.start(
         "testbed", "fss_sim", "testbed", arm=out / "truth.yaml", seed=100 * options.seed + session,
-        ports=nodes.domain.ports(LINKS), position_noise=cameras.position,
+        ports=nodes.domain.ports(LINKS), preset="laboratory", position_noise=cameras.position,
         heading_noise=cameras.heading, vicon_hold=cameras.hold, twist=twist,
         tilt=[options.tilt, -0.5 * options.tilt], base=[0.0, 0.0, rng.uniform(-3.0, 3.0)],
         q=first.waypoints[0].tolist(),

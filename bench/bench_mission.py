@@ -1,0 +1,198 @@
+"""The capture by nodes alone, on the simulated test bed with its default errors.
+
+    . scripts/env.sh; python bench/bench_mission.py --runs 20    # of the grid of bench_capture.py
+    python bench/bench_mission.py --kill                         # each node, in each phase, SIGKILL
+
+Each run is a graph of its own. With --kill it prints when the last valve was open and the last
+joint moving after the kill, and the least gaps of bodies to the target and to the edge in the time
+after it. Exits with 1 if bodies touched, or if what was killed left a valve open for longer than
+--shut.
+"""
+
+import argparse
+import sys
+from itertools import product
+from pathlib import Path
+from tempfile import mkdtemp
+
+import numpy as np
+
+sys.path.append(str(Path(__file__).parents[1] / "test/support"))
+from running import OWN  # enters a ROS domain of its own: before rclpy
+
+import rclpy  # isort: skip
+from rclpy.action import ActionClient  # isort: skip
+from flight import Flyer, start  # isort: skip
+from bench_capture import PHASES, grid  # isort: skip
+from capturing import DEPTH, POSTURE, SETTINGS, Case  # isort: skip
+
+from fss_arm_model.clearance import gaps, sizes, with_target
+from fss_arm_model.description import paper_arm
+from fss_arm_msgs.action import Capture
+from fss_arm_ros.convert import stamp_ns
+from fss_sim.rehearsal.processes import Nodes
+
+NODES = "navigation", "control", "guidance", "base", "arm", "links"
+#: Whose death leaves nobody who may open a valve on purpose.
+LAST = "navigation", "control", "guidance", "base"
+STILL = 0.02  # of a joint [rad/s]
+AFTER = 30.0  # for which it is looked at what comes of a kill [s]
+TARGET = {"target_mass": SETTINGS.target_mass, "target_inertia": SETTINGS.target_inertia}
+
+
+def testbed(case: Case) -> dict[str, object]:
+    """The parameters that begin a case."""
+    at = case.distance * np.exp(1j * np.radians(-135.0))
+    return {
+        "base": [float(at.real), float(at.imag), -1.4],
+        "q": list(POSTURE),
+        "target_pose": [0.0, 0.0, case.heading],
+        "target_twist": [*case.drift, case.spin],
+        "telemetry_rate": 20.0,
+        "seed": case.seed,
+        **TARGET,
+    }
+
+
+class Run:
+    """One mission on one graph."""
+
+    def __init__(self, nodes: Nodes, case: Case, speed: float) -> None:
+        self.nodes, self.arm = nodes, paper_arm()
+        known = dict.fromkeys(("navigation", "control"), TARGET)
+        guidance = {**TARGET, "posture": list(POSTURE)}
+        start(nodes, speed, testbed=testbed(case), guidance=guidance, **known)
+        self.flyer = Flyer(nodes, print)
+        self.capture = ActionClient(self.flyer, Capture, "mission/capture")
+        self.result: Capture.Result | None = None
+
+    def begin(self) -> None:
+        """Arm all, and ask for the capture."""
+        flyer = self.flyer
+        flyer.begin()
+        flyer.until(self.capture.server_is_ready, why="mission/capture")
+        handle = flyer.after(self.capture.send_goal_async(Capture.Goal(detumble=True)))
+        self.answer = handle.get_result_async()
+
+    def end(self, timeout: float = 900.0) -> Capture.Result:
+        """Its result; within real time [s]."""
+        return self.flyer.after(self.answer, timeout).result
+
+    def kill(self, name: str, phase: str) -> dict[str, float]:
+        """Kill a node in a phase; what came of it."""
+        flyer = self.flyer
+        states = flyer.states
+        flyer.until(
+            lambda: self.answer.done() or (states and states[-1].phase == phase), 600.0, phase
+        )
+        if self.answer.done():
+            raise TimeoutError(f"the mission ended before {phase}: {self.answer.result().result}")
+        if phase in ("approach", "reach"):
+            flyer.pass_time(2.0)
+        since = flyer.t
+        self.nodes.processes[name].kill()
+        flyer.pass_time(AFTER, timeout=600.0)
+        rows = [t for t in flyer.truths if 1e-9 * stamp_ns(t.header.stamp) >= since]
+        times = np.array([1e-9 * stamp_ns(t.header.stamp) - since for t in rows])
+        is_open = np.array([any(t.valves) for t in rows])
+        moving = np.array([np.abs(t.qd[3:]).max() > STILL for t in rows])
+        return {
+            "shut": float(times[is_open].max(initial=0.0)),
+            "still": float(times[moving].max(initial=0.0)),
+            "target": min(self.apart(t) for t in rows),
+            "edge": min(t.edge_clearance for t in rows),
+            "itself": min(t.clearance for t in rows),
+            "holds": float(rows[-1].holds),
+        }
+
+    def apart(self, truth) -> float:  # type: ignore[no-untyped-def]
+        """Least gap of base and links to the target, of the gripper but for its depth [m]."""
+        if truth.holds:
+            return np.inf
+        around = sizes(SETTINGS, SETTINGS.target_radius, SETTINGS.gripper_length)
+        found = gaps(
+            self.arm.vector(), np.array(truth.q), list(with_target(self.arm.n)), around,
+            np.array(truth.target[:2]),
+        )  # fmt: skip
+        found[-1] += DEPTH
+        return float(found.min())
+
+    def close(self) -> None:
+        """Let go."""
+        self.capture.destroy()
+        self.flyer.close()
+
+
+def kills(logs: Path, given: argparse.Namespace) -> bool:
+    """The table; whether all is safe."""
+    print("| phase | killed | last valve shut [s] | joints at rest [s] | least gap to target [m] "
+          "| to the edge [m] | holds |")  # fmt: skip
+    print("|---|---|---:|---:|---:|---:|---|")
+    safe = True
+    for phase, name in product(given.phases, given.nodes):
+        with Nodes(logs / f"{phase}_{name}", print, OWN) as nodes:
+            run = Run(nodes, Case(), given.speed)
+            try:
+                run.begin()
+                r = run.kill(name, phase)
+            except (TimeoutError, AssertionError) as error:
+                print(f"| {phase} | {name} | not flown: {error} |", flush=True)
+                safe = False
+                continue
+            finally:
+                run.close()
+        fine = min(r["target"], r["edge"], r["itself"]) > 0.0
+        fine &= r["shut"] < given.shut or name not in LAST
+        safe &= fine
+        print(
+            f"| {phase} | {name} | {r['shut']:.2f} | {r['still']:.2f} | {r['target']:.3f} | "
+            f"{r['edge']:.2f} | {'yes' if r['holds'] else 'no'} |{'' if fine else ' UNSAFE'}",
+            flush=True,
+        )
+    return safe
+
+
+def missions(logs: Path, given: argparse.Namespace) -> bool:
+    """Runs of the grid; whether all ended without contact."""
+    captured, safe = 0, True
+    for k, case in zip(range(given.runs), grid(), strict=False):
+        with Nodes(logs / str(k), print, OWN) as nodes:
+            run = Run(nodes, case, given.speed)
+            try:
+                run.begin()
+                result = run.end()
+                run.flyer.pass_time(1.0)
+                truths = run.flyer.truths[::5]
+                least = min(min(t.edge_clearance, t.clearance, run.apart(t)) for t in truths)
+            finally:
+                run.close()
+        captured += result.stopped
+        safe &= least > 0.0
+        print(
+            f"{k + 1:3}: spin {case.spin:+.2f}  {'captured and stopped' if result.stopped else ''}"
+            f"{'' if result.stopped else result.phase + ': ' + result.message}  "
+            f"{result.duration:.1f} s  {1e3 * result.propellant:.1f} g  "
+            f"{result.largest_torque:.2f} N m  least gap {least:.3f} m",
+            flush=True,
+        )
+    print(f"{captured} of {given.runs} captured and stopped")
+    return safe
+
+
+def main() -> int:
+    """Fly."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--runs", type=int, default=20)
+    parser.add_argument("--kill", action="store_true")
+    parser.add_argument("--phases", nargs="+", default=PHASES, choices=PHASES)
+    parser.add_argument("--nodes", nargs="+", default=NODES, choices=NODES)
+    parser.add_argument("--shut", type=float, default=1.5, help="valves shut after a kill [s]")
+    parser.add_argument("--speed", type=float, default=0.0, help="of the time; 0: as links follow")
+    given = parser.parse_args()
+    rclpy.init()
+    logs = Path(mkdtemp(prefix="bench_mission_"))
+    return int(not (kills if given.kill else missions)(logs, given))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

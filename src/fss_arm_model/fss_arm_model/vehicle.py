@@ -1,0 +1,32 @@
+"""What tells vehicles apart where they share topics: subjects of motion capture, and frames.
+
+A laboratory has one motion-capture receiver and one /tf. Without a namespace the vehicle is `fss`;
+in a namespace /fss2 its subjects and its frames are named after that.
+"""
+
+from dataclasses import dataclass
+
+from .settings import Settings, setting
+
+
+@dataclass(frozen=True)
+class Vehicle(Settings):
+    """What nodes of a vehicle take their settings from (`like`)."""
+
+    base_topic: str = setting(
+        "vicon/fss/fss", "topic of the base's poses", within="/vicon/{vehicle}/{vehicle}"
+    )
+    tip_topic: str = setting(
+        "vicon/end_effector/end_effector", "topic of the end effector's poses",
+        within="/vicon/{vehicle}_end_effector/{vehicle}_end_effector",
+    )  # fmt: skip
+    target_topic: str = setting(
+        "vicon/target/target", "topic of the target's poses", within="/vicon/target/target"
+    )
+    base_frame: str = setting(
+        "fss", "frame id of the base, and of what is relative to it", within="{namespace}/fss"
+    )
+    frame_prefix: str = setting(
+        "", "what the frame ids of the vehicle begin with, as in robot_state_publisher",
+        within="{namespace}/",
+    )  # fmt: skip

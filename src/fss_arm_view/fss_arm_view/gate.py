@@ -1,0 +1,169 @@
+"""The gate before the page and its data: nothing that the page asks for leaves the laboratory.
+
+rerun's program serves whoever asks, under any name, and its page asks hosts of rerun's maker for
+fonts and releases, and tells them how it is used. This stands before both of its servers:
+
+- A request is let in if its Host is an address or a name of this computer, so that a page from
+  elsewhere cannot reach them under a name of its own (DNS rebinding). What speaks HTTP/2 from its
+  first word, as rerun's own programs do and no browser, has no Host to check.
+- The page comes with a policy by which browsers load from here and nowhere else, and without the
+  links by which they would look other hosts up before they obey it.
+
+It imports what starts quickly, and runs as a process of its own: `python -m fss_arm_view.gate`.
+"""
+
+import asyncio
+import re
+import socket
+import sys
+from asyncio import StreamReader, StreamWriter
+from collections.abc import Callable, Coroutine, Iterable
+from contextlib import suppress
+from functools import partial
+from ipaddress import ip_address
+from typing import Any
+from urllib.parse import urlsplit
+
+HTTP2 = b"PRI * HTTP/2.0\r\n"
+PATIENCE = 10.0  # for the head of a request [s]
+POLICY = (
+    "default-src 'self'; script-src 'self' 'unsafe-inline' 'wasm-unsafe-eval'; "
+    "style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; worker-src 'self' blob:; "
+    "connect-src 'self' {data}; form-action 'none'; frame-ancestors 'self'"
+)
+
+
+def is_own(host: str, names: Iterable[str]) -> bool:
+    """Whether a Host header, with or without port, names an address or one of `names`."""
+    try:
+        name = urlsplit(f"//{host.strip()}").hostname or ""
+    except ValueError:
+        return False
+    try:
+        ip_address(name)
+    except ValueError:
+        return name in names
+    return True
+
+
+def header(head: bytes, name: bytes) -> str:
+    """A header's value in the head of a message; empty: there is none, or more than one."""
+    found = [
+        line.partition(b":")[2].decode("latin-1").strip()
+        for line in head.split(b"\r\n")[1:]
+        if line.partition(b":")[0].lower() == name
+    ]
+    return found[0] if len(found) == 1 else ""
+
+
+def without(head: bytes, name: bytes) -> bytes:
+    """The head of a message without a header, and without the empty line that ends it."""
+    lines = head.removesuffix(b"\r\n\r\n").split(b"\r\n")
+    return b"\r\n".join(line for line in lines if line.partition(b":")[0].lower() != name)
+
+
+def shut_in(page: bytes) -> bytes:
+    """A page without links to elsewhere."""
+    return re.sub(rb"<link\b[^>]*\bhref=.https?://[^>]*>", b"", page)
+
+
+async def _pump(reader: StreamReader, writer: StreamWriter) -> None:
+    with suppress(OSError):
+        while chunk := await reader.read(1 << 16):
+            writer.write(chunk)
+            await writer.drain()
+        writer.write_eof()
+
+
+async def _page(head: bytes, here: Any, there: Any, data_port: int) -> None:
+    """One answer, with the policy among its headers."""
+    name = urlsplit(f"//{header(head, b'host')}").hostname or ""
+    data = f"http://{f'[{name}]' if ':' in name else name}:{data_port}"
+    there[1].write(without(head, b"connection") + b"\r\nConnection: close\r\n\r\n")
+    answer = await there[0].readuntil(b"\r\n\r\n")
+    policy = POLICY.format(data=data).encode()
+    added = b"\r\nConnection: close\r\nX-Content-Type-Options: nosniff\r\n"
+    added += b"Content-Security-Policy: " + policy
+    answer = without(without(answer, b"connection"), b"content-security-policy")
+    if header(answer, b"content-type").startswith("text/html"):
+        page = shut_in(await there[0].read(-1))
+        answer = without(answer, b"content-length") + f"\r\nContent-Length: {len(page)}".encode()
+        here[1].write(answer + added + b"\r\n\r\n" + page)
+        await here[1].drain()
+        return
+    here[1].write(answer + added + b"\r\n\r\n")
+    await _pump(there[0], here[1])
+
+
+async def _data(head: bytes, here: Any, there: Any) -> None:
+    """All that both sides say."""
+    there[1].write(head)
+    await asyncio.gather(_pump(here[0], there[1]), _pump(there[0], here[1]))
+
+
+async def _guard(
+    port: int,
+    names: frozenset[str],
+    serve: Callable[[bytes, Any, Any], Coroutine[Any, Any, None]],
+    reader: StreamReader,
+    writer: StreamWriter,
+) -> None:
+    """Let one connection in to a port of this computer, or send it away."""
+    writers = [writer]
+    try:
+        head = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), PATIENCE)
+        if not (head.startswith(HTTP2) or is_own(header(head, b"host"), names)):
+            text = "this computer is not reached under that name: -p names:=[NAME] allows it\n"
+            writer.write(
+                f"HTTP/1.1 403 Forbidden\r\nContent-Length: {len(text)}\r\n"
+                f"Content-Type: text/plain\r\nConnection: close\r\n\r\n{text}".encode()
+            )
+            await writer.drain()
+            return
+        there = await asyncio.open_connection("127.0.0.1", port)
+        writers.append(there[1])
+        await serve(head, (reader, writer), there)
+    except (OSError, TimeoutError, asyncio.IncompleteReadError, asyncio.LimitOverrunError):
+        pass  # whoever asked is gone, says nothing, or too much; or rerun's program is not up yet
+    finally:
+        for each in writers:
+            each.close()
+
+
+async def guard(bind: str, ports: tuple[int, int], inner: tuple[int, int], names: str) -> None:
+    """Stand before the data's port and the page's until cancelled.
+
+    Raises:
+        OSError: a port is taken.
+    """
+    known = frozenset(f"{name}".lower() for name in (*names.split(), *own_names()))
+    serve: tuple[Any, Any] = _data, partial(_page, data_port=ports[0])
+    servers = [
+        await asyncio.start_server(partial(_guard, within, known, how), bind, port)
+        for port, within, how in zip(ports, inner, serve, strict=True)
+    ]
+    await asyncio.gather(*(server.serve_forever() for server in servers))
+
+
+def own_names() -> set[str]:
+    """What this computer is called."""
+    name = socket.gethostname().lower()
+    return {"localhost", name, f"{name}.local", socket.getfqdn().lower()}
+
+
+def main() -> int:
+    """Run: BIND DATA_PORT PAGE_PORT INNER_DATA_PORT INNER_PAGE_PORT NAMES."""
+    bind, *ports, names = sys.argv[1:]
+    data, page, inner_data, inner_page = map(int, ports)
+    try:
+        asyncio.run(guard(bind, (data, page), (inner_data, inner_page), names))
+    except OSError as error:
+        print(f"view: {error.strerror}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        pass
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,145 @@
+"""What electronics live on: a lithium-ion battery, and the converter that feeds a drive from it.
+
+A battery of open-circuit voltage U and resistance R supplies the electronics, behind a linear
+regulator, with a current I, and the converter with a power P. Its voltage V then is the larger of
+
+    V = U - R (I + P / V)
+
+The converter takes no more than leaves it its least input voltage, and no more than its limit; what
+the drive asks for beyond that makes its output sag.
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+from math import exp, sqrt
+from typing import NamedTuple
+
+from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, Settings, between, setting
+
+#: Open-circuit voltage of a cell (NMC) at a charge of 0, 5, ... 100% [V]; typical of data sheets.
+CELL = (
+    3.00, 3.28, 3.42, 3.49, 3.53, 3.56, 3.58, 3.60, 3.62, 3.64, 3.67,
+    3.70, 3.74, 3.79, 3.85, 3.90, 3.95, 4.00, 4.06, 4.12, 4.20,
+)  # fmt: skip
+CELLS = 4  # in series
+_MEAN = sum(0.5 * (a + b) for a, b in pairwise(CELL)) / (len(CELL) - 1)
+
+AMBIENT = 25.0  # [deg C]
+WARMTH, COOLING = 6.0, 1200.0  # of the battery in its enclosure [K/W], [s]; assumed
+COLD = 0.02  # by so much less is the resistance for each kelvin more
+
+# The regulator of the electronics gives up, and gives its 5 V again, at these battery voltages.
+BROWN_OUT, REVIVAL = 6.5, 7.5  # [V]
+
+VOLTS = 24.0  # of the converter's output
+LOWEST = 9.0  # input voltage of the converter [V]
+LIMIT = 60.0  # of the converter's input [W]
+EFFICIENCY = 0.88
+
+
+@dataclass(frozen=True)
+class Power(Settings):
+    """The battery of a link, which the base's board has two of, and what lives on it."""
+
+    energy: float = setting(89.0, "energy of a link's full battery", unit="W h", check=POSITIVE)
+    resistance: float = setting(
+        0.1, "resistance of a link's battery and its wiring at 25 deg C", unit="ohm",
+        check=between(0.001, 10.0),
+    )  # fmt: skip
+    electronics: float = setting(
+        0.15, "current of a link's micro-controller and torque converter", unit="A",
+        check=NOT_NEGATIVE,
+    )  # fmt: skip
+    wifi: float = setting(0.1, "current of a link's Wi-Fi", unit="A", check=NOT_NEGATIVE)
+    idle: float = setting(2.5, "power of a servo drive that is off", unit="W", check=NOT_NEGATIVE)
+    switching: float = setting(
+        1.5, "power that a servo drive takes for itself beyond that when on", unit="W",
+        check=NOT_NEGATIVE,
+    )  # fmt: skip
+    winding: float = setting(2.0, "resistance of a motor", unit="ohm", check=NOT_NEGATIVE)
+    base: float = setting(
+        1.2, "current of the base's computer and board", unit="A", check=NOT_NEGATIVE
+    )
+    valve: float = setting(0.1, "current of each open valve of the base", unit="A",
+                           check=NOT_NEGATIVE)  # fmt: skip
+
+
+class Battery:
+    """A lithium-ion battery, four cells in series.
+
+    Args:
+        energy: when full [W h].
+        resistance: at 25 deg C [ohm].
+        charge: 1 is full, 0 is empty.
+    """
+
+    def __init__(self, energy: float = 89.0, resistance: float = 0.1, charge: float = 1.0) -> None:
+        self.charge, self.temperature = charge, AMBIENT  # [deg C]
+        self.capacity = 3600.0 * energy / (CELLS * _MEAN)  # [A s]
+        self._resistance = resistance
+        self.volts = self.open  # at its terminals
+
+    @property
+    def open(self) -> float:
+        """Voltage without a load [V]."""
+        at = (len(CELL) - 1) * self.charge
+        i = min(int(at), len(CELL) - 2)
+        return CELLS * (CELL[i] + (at - i) * (CELL[i + 1] - CELL[i]))
+
+    def draw(self, current: float, power: float, seconds: float, more: float = 0.0) -> float:
+        """Supply a current [A] and a power [W] for a time [s], which changes voltage and charge.
+
+        There may be `more` resistance beside its own, as of a bad contact [ohm]. Returned is what
+        of the power it gave, as that must leave LOWEST at its terminals [W].
+        """
+        inner = self._resistance * exp(COLD * (AMBIENT - self.temperature)) + more
+        left = self.open - inner * current
+        given = min(power, max(0.0, LOWEST * (left - LOWEST) / inner))
+        self.volts = max(0.0, 0.5 * (left + sqrt(max(0.0, left * left - 4.0 * inner * given))))
+        drawn = current + (given / self.volts if given else 0.0)
+        self.charge = max(0.0, self.charge - drawn * seconds / self.capacity)
+        heat = WARMTH * self._resistance * drawn * drawn
+        self.temperature += (AMBIENT + heat - self.temperature) * seconds / COOLING
+        return given
+
+
+class Load(NamedTuple):
+    """What a servo drive with its motor takes at an instant."""
+
+    on: bool
+    current: float = 0.0  # of the motor [A]
+    mechanical: float = 0.0  # power of its torque, below 0 when it brakes [W]
+
+
+class Supply:
+    """The battery of a link, its regulator and its converter.
+
+    Args:
+        power: what they are like, and what lives on them.
+        charge: of the battery.
+    """
+
+    def __init__(self, power: Power | None = None, charge: float = 1.0) -> None:
+        self.power = power or Power()
+        self.battery = Battery(self.power.energy, self.power.resistance, charge)
+        self.volts = VOLTS  # of the converter's output
+        self.runs = charge > 0.0  # the regulator, so that the electronics can
+
+    def advance(self, load: Load | None, seconds: float, more: float = 0.0) -> None:
+        """Supply electronics and drive for a time [s]; without a load all is switched off.
+
+        There may be `more` resistance beside the battery's own [ohm].
+        """
+        p, battery = self.power, self.battery
+        if load is None or not battery.charge:  # its protection has opened
+            self.volts, self.runs = 0.0, bool(battery.charge)
+            battery.volts = battery.open
+            return
+        asked = p.idle
+        if load.on:  # what a brake gives back, its resistor takes
+            asked += p.switching
+            asked += max(0.0, p.winding * load.current * load.current + load.mechanical)
+        asked /= EFFICIENCY
+        given = battery.draw(p.electronics + p.wifi, min(asked, LIMIT), seconds, more)
+        self.volts = VOLTS * (given / asked) if asked > 0.0 else VOLTS
+        self.runs = battery.volts > (BROWN_OUT if self.runs else REVIVAL)

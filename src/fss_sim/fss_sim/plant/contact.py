@@ -1,0 +1,315 @@
+"""Bodies that touch: where, and the impulses that keep them apart.
+
+All that moves is chains of bodies; a body carries parts: discs, and lines with a radius. Where two
+parts touch, with the normal n from the second to the first and the velocity J v past each other,
+
+    v_after = v + H^-1 J' impulse
+
+Along the normal, impulse >= 0, J v_after >= goal, and one of them an equality: bodies bounce by
+Newton's restitution where they meet faster than a threshold, and else come to rest against each
+other. Along the surface they stick where they can by Coulomb's friction, and else slip. The rows
+are solved in turn until nothing changes (projected Gauss-Seidel). Restitution at several places at
+once, with friction, can make energy from nothing (Kane & Levinson 1985): all goals above 0 are then
+lowered alike until it does not.
+"""
+
+import math
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from itertools import combinations, pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from fss_arm_model import layout
+from fss_arm_model.centroidal import _scaled
+from fss_arm_model.kernels import Floats, helper, kernel
+from fss_arm_model.kinematics import _cross, _dot, _reach
+from fss_arm_model.layout import LINK_SIZE, MOUNT_ANGLE, OFFSET
+from fss_arm_model.settings import NOT_NEGATIVE, Settings, between, setting
+
+
+@dataclass(frozen=True)
+class Contact(Settings):
+    """What happens where bodies touch."""
+
+    restitution: float = setting(
+        0.3, "share of the speed with which bodies meet that they part with", check=between(0, 1)
+    )
+    friction: float = setting(
+        0.2, "coefficient of the Coulomb friction between bodies that touch", check=NOT_NEGATIVE
+    )
+    threshold: float = setting(
+        0.005, "speed below which bodies that meet do not bounce", unit="m/s", check=NOT_NEGATIVE
+    )
+
+
+class Part(NamedTuple):
+    """What of a body may touch: all that is within a radius of a line, or of a point."""
+
+    name: str
+    body: int  # of its chain
+    begin: complex  # in the body's frame [m]
+    end: complex
+    radius: float  # [m]
+    inner: bool = True  # may touch parts of its own chain, neighbours apart
+    outer: bool = True  # may touch parts of other chains
+    gripper: bool = False
+    held: bool = False  # by the chain that it counts as a part of
+
+
+# Where what stands in the tables that kernels take, of chains and of parts.
+P, Q, COUNT = range(3)
+CHAIN, BODY, BEGIN_X, BEGIN_Y, END_X, END_Y, RADIUS = range(7)
+# Of a touch, and of a contact.
+GAP, AT_X, AT_Y, NORMAL_X, NORMAL_Y = range(5)
+FEATURES = 4  # of a pair: each end of either line beside the other line
+_SHAPE = np.empty((FEATURES, NORMAL_Y + 1))
+
+
+@helper
+def _frames(p, q, chains, r, u):  # type: ignore[no-untyped-def]
+    """Write each body's pivot and direction, (chains, bodies)."""
+    for c in range(chains.shape[0]):
+        at, of = int(chains[c, P]), int(chains[c, Q])
+        numbers = p[at : at + LINK_SIZE * int(chains[c, COUNT]) + LINK_SIZE + 2]
+        heading = q[of + 2]
+        r[c, 0], u[c, 0] = complex(q[of], q[of + 1]), complex(math.cos(heading), math.sin(heading))
+        for k in range(1, int(chains[c, COUNT]) + 1):
+            r[c, k] = r[c, k - 1] + _reach(numbers, k - 1) * u[c, k - 1]
+            heading += numbers[LINK_SIZE * k + OFFSET] + q[of + 2 + k]
+            if k == 1:
+                heading += numbers[MOUNT_ANGLE]
+            u[c, k] = complex(math.cos(heading), math.sin(heading))
+
+
+@helper
+def _ends(part, r, u):  # type: ignore[no-untyped-def]
+    c, k = int(part[CHAIN]), int(part[BODY])
+    begin, end = complex(part[BEGIN_X], part[BEGIN_Y]), complex(part[END_X], part[END_Y])
+    return r[c, k] + begin * u[c, k], r[c, k] + end * u[c, k]
+
+
+@helper
+def _velocity(part, chains, r, v, x):  # type: ignore[no-untyped-def]
+    """Of the point x as one of the part's body."""
+    c = int(part[CHAIN])
+    of = int(chains[c, Q])
+    velocity = complex(v[of], v[of + 1])
+    for k in range(int(part[BODY]) + 1):
+        velocity += 1j * v[of + 2 + k] * (x - r[c, k])
+    return velocity
+
+
+@helper
+def _nearest(x, a, b):  # type: ignore[no-untyped-def]
+    """How far along the line from a to b, from 0 to 1, the point nearest to x is."""
+    d = b - a
+    square = _dot(d, d)
+    return min(max(_dot(d, x - a) / max(square, 1e-300), 0.0), 1.0)
+
+
+@helper
+def _off(x, a, b):  # type: ignore[no-untyped-def]
+    return abs(x - a - _nearest(x, a, b) * (b - a))
+
+
+@kernel("(p),(m),(m),(c,f),(s,h),(g,w)->(g,w)")
+def _room(p, q, v, chains, parts, pairs, out):  # type: ignore[no-untyped-def]
+    bodies = int(chains[:, COUNT].max()) + 1
+    r, u = np.empty((2, chains.shape[0], bodies), np.complex128)
+    _frames(p, q, chains, r, u)
+    for g in range(pairs.shape[0]):
+        i, j = parts[int(pairs[g, 0])], parts[int(pairs[g, 1])]
+        a, b = _ends(i, r, u)
+        c, d = _ends(j, r, u)
+        apart = min(min(_off(a, c, d), _off(b, c, d)), min(_off(c, a, b), _off(d, a, b)))
+        crossed = _cross(b - a, c - a) * _cross(b - a, d - a) < 0.0
+        if crossed and _cross(d - c, a - c) * _cross(d - c, b - c) < 0.0:
+            apart = 0.0
+        out[g, 0] = apart - i[RADIUS] - j[RADIUS]
+        own = _velocity(i, chains, r, v, a)
+        turning = abs(_velocity(i, chains, r, v, b) - own)
+        passing = abs(_velocity(j, chains, r, v, c) - own)
+        out[g, 1] = turning + max(passing, abs(_velocity(j, chains, r, v, d) - own))
+
+
+@kernel("(p),(m),(c,f),(s,h),(g,w),(k,t)->(g,k,t)")
+def _touches(p, q, chains, parts, pairs, _kt, out):  # type: ignore[no-untyped-def]
+    bodies = int(chains[:, COUNT].max()) + 1
+    r, u = np.empty((2, chains.shape[0], bodies), np.complex128)
+    _frames(p, q, chains, r, u)
+    for g in range(pairs.shape[0]):
+        i, j = parts[int(pairs[g, 0])], parts[int(pairs[g, 1])]
+        a, b = _ends(i, r, u)
+        c, d = _ends(j, r, u)
+        for f in range(FEATURES):
+            out[g, f, GAP] = np.inf
+            out[g, f, AT_X], out[g, f, AT_Y], out[g, f, NORMAL_X], out[g, f, NORMAL_Y] = 0, 0, 1, 0
+            if f < 2:
+                x = a if f == 0 else b
+                y = c + _nearest(x, c, d) * (d - c)
+            else:
+                y = c if f == 2 else d
+                x = a + _nearest(y, a, b) * (b - a)
+            if (f > 0 and a == b) or (f == 3 and c == d):
+                continue  # as another of them
+            apart = abs(x - y)
+            if apart == 0.0:
+                continue
+            n = _scaled(1.0 / apart, x - y)
+            out[g, f, GAP] = apart - i[RADIUS] - j[RADIUS]
+            middle = 0.5 * (x - i[RADIUS] * n + y + j[RADIUS] * n)
+            out[g, f, AT_X], out[g, f, AT_Y] = middle.real, middle.imag
+            out[g, f, NORMAL_X], out[g, f, NORMAL_Y] = n.real, n.imag
+
+
+@kernel("(p),(m),(c,f),(s,h),(k,w),(k,t)->(k,w,m)")
+def _jacobian(p, q, chains, parts, pairs, touches, out):  # type: ignore[no-untyped-def]
+    bodies = int(chains[:, COUNT].max()) + 1
+    r, u = np.empty((2, chains.shape[0], bodies), np.complex128)
+    _frames(p, q, chains, r, u)
+    out[:] = 0.0
+    for k in range(pairs.shape[0]):
+        x = complex(touches[k, AT_X], touches[k, AT_Y])
+        n = complex(touches[k, NORMAL_X], touches[k, NORMAL_Y])
+        for side in range(2):
+            part, sign = parts[int(pairs[k, side])], 1.0 - 2.0 * side
+            c = int(part[CHAIN])
+            of = int(chains[c, Q])
+            for row in range(2):
+                along = sign * n if row == 0 else 1j * sign * n
+                out[k, row, of] += along.real
+                out[k, row, of + 1] += along.imag
+                for b in range(int(part[BODY]) + 1):
+                    out[k, row, of + 2 + b] += _cross(x - r[c, b], along)
+
+
+@helper
+def _settle(W, v, goals, share, friction, impulse):  # type: ignore[no-untyped-def]
+    """Solve the rows in turn, goals above 0 times `share`; return the energy gained."""
+    impulse[:] = 0.0
+    for _ in range(5000):
+        change, most = 0.0, 0.0
+        for i in range(v.size):
+            if W[i, i] <= 0.0:
+                continue
+            velocity = v[i]
+            for j in range(v.size):
+                velocity += W[i, j] * impulse[j]
+            if i % 2 == 0:
+                goal = goals[i // 2]
+                goal = share * goal if goal > 0.0 else goal
+                new = max(0.0, impulse[i] + (goal - velocity) / W[i, i])
+            else:
+                most_here = friction * impulse[i - 1]
+                new = impulse[i] - velocity / W[i, i]
+                new = min(max(new, -most_here), most_here)
+            change = max(change, abs(new - impulse[i]))
+            most = max(most, abs(new))
+            impulse[i] = new
+        if change <= 1e-13 * most:
+            break
+    gained = 0.0
+    for i in range(v.size):
+        after = 0.0
+        for j in range(v.size):
+            after += W[i, j] * impulse[j]
+        gained += impulse[i] * (v[i] + 0.5 * after)
+    return gained
+
+
+@kernel("(r,r),(r),(c),(s)->(r)")
+def _impulses(W, v, goals, friction, out):  # type: ignore[no-untyped-def]
+    low, high = 0.0, 1.0
+    gained = _settle(W, v, goals, 1.0, friction[0], out)
+    if gained > 0.0:
+        for _ in range(20):
+            share = 0.5 * (low + high)
+            if _settle(W, v, goals, share, friction[0], out) > 0.0:
+                high = share
+            else:
+                low = share
+        gained = _settle(W, v, goals, low, friction[0], out)
+    if gained > 0.0:  # by rounding, or where the rows did not settle
+        out[:] = 0.0
+
+
+class Scene:
+    """All parts of some chains, and which of them may touch.
+
+    Args:
+        p: of each chain, (8 + 6 n,) as Arm.vector().
+        parts: of each chain.
+        rigid: chains whose last bodies do not move against each other.
+    """
+
+    def __init__(
+        self,
+        p: Sequence[Floats],
+        parts: Sequence[Sequence[Part]],
+        rigid: Collection[frozenset[int]] = (),
+    ) -> None:
+        self.p, counts = np.concatenate(p), [layout.count(one) for one in p]
+        starts = np.cumsum([(0, 0), *((one.size, 3 + layout.count(one)) for one in p)], axis=0)
+        self.slices = [slice(a, b) for a, b in pairwise(starts[:, 1].tolist())]
+        self._chains = np.column_stack([starts[:-1], counts]).astype(float)
+        every = [(c, part) for c, row in enumerate(parts) for part in row]
+        rows = [
+            (c, x.body, x.begin.real, x.begin.imag, x.end.real, x.end.imag, x.radius)
+            for c, x in every
+        ]
+        self._parts = np.array(rows).reshape(-1, RADIUS + 1)
+
+        def meet(c: int, a: Part, d: int, b: Part) -> bool:
+            if c == d and not (a.held or b.held):
+                return a.inner and b.inner and abs(a.body - b.body) > 1
+            if c == d:
+                return a.outer and b.outer and a.body != b.body
+            last = a.body == counts[c] and b.body == counts[d] and frozenset((c, d)) in rigid
+            return a.outer and b.outer and not ((a.gripper and b.gripper) or last)
+
+        pairs = [
+            (i, j) for i, j in combinations(range(len(every)), 2) if meet(*every[i], *every[j])
+        ]
+        self.names = [(every[i][1].name, every[j][1].name) for i, j in pairs]
+        self.pairs = np.array(pairs, dtype=float).reshape(-1, 2)
+
+    def room(self, q: Floats, v: Floats) -> Floats:
+        """Of each pair, (g, 2): the gap [m], and no less than the speed it closes with [m/s]."""
+        if not self.names:
+            return np.empty((0, 2))
+        room: Floats = _room(self.p, q, v, self._chains, self._parts, self.pairs)
+        return room
+
+    def touches(self, q: Floats, pairs: Floats) -> Floats:
+        """Where each of some pairs is nearest, (g, 4, 5): gap, point, normal; infinitely far: none.
+
+        Two lines may touch at up to four places: an end of either with the other. The point is in
+        the middle of the gap, the normal points from the second part to the first.
+        """
+        if not len(pairs):
+            return np.empty((0, *_SHAPE.shape))
+        touches: Floats = _touches(self.p, q, self._chains, self._parts, pairs, _SHAPE)
+        return touches
+
+    def jacobian(self, q: Floats, pairs: Floats, touches: Floats) -> Floats:
+        """Velocity of the first past the second along normal and surface, by v: (2 k, m)."""
+        rows = _jacobian(self.p, q, self._chains, self._parts, pairs, touches)
+        return rows.reshape(2 * len(pairs), q.size)
+
+
+def impulses(W: Floats, v: Floats, goals: Floats, friction: float) -> Floats:
+    """The impulses along normals and surfaces, (2 k,) [N s], of k contacts at once.
+
+    Args:
+        W: (2 k, 2 k) J H^-1 J'.
+        v: (2 k,) J v before [m/s].
+        goals: (k,) least J v along the normals after [m/s].
+        friction: Coulomb's coefficient.
+
+    Returns:
+        Those that reach the goals, or, where that would make energy, goals nearer to 0.
+    """
+    out: Floats = _impulses(W, v, goals, np.array([friction]))
+    return out

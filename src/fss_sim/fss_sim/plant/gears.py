@@ -1,0 +1,192 @@
+"""Joints that give: each motor turns by itself, behind a gear that is a spring.
+
+Beside the bodies of centroidal.py, z has for each joint the angle theta and the rate of its motor,
+as seen behind the gear of ratio N (Spong 1987, here with the rotor's whole kinetic energy):
+
+    T = sum J (psi'_{k-1} + N theta'_k)^2 / 2 + ...     V = sum K band(theta_k - q_k)^2 / 2
+    N^2 J (theta'' + psi''_{k-1} / N) = u - s           s = K band(theta - q) + D (theta' - q')
+
+The gear's torque s acts on the link, and -s - (u - s) / N on the body before, whose moment of
+inertia then goes without J: so no rotor is left in A. band(x) is x less a dead band. s is taken as
+it is at each stage of the integration, u is the drive's torque less friction, held for a step.
+
+Friction lies on the motor's side and follows Stribeck's curve, viscous part beside:
+
+    F(v) = coulomb + max(0, static - coulomb) exp(-(v / stribeck)^2)
+
+A motor sticks in a step if F can hold it: its rate is then 0, exactly, for as long as F does.
+Whether and how fast it turns at the end of a step is solved for, friction and servo (drives.py)
+being taken there: v^+ from
+
+    N^2 J (v^+ - v) / dt = tau(v^+) - viscous v^+ - F(v) sign(v^+) + ripple(theta) - s
+"""
+
+import math
+from typing import NamedTuple
+
+from fss_arm_model.centroidal import _rate
+from fss_arm_model.integration import STEP
+from fss_arm_model.kernels import Floats, helper, inlined
+from fss_sim.plant.drives import CURRENT, DAMPING, OFF, STIFFNESS, _goal, _profile
+from fss_sim.plant.surroundings import Forces, _act
+
+# What stands where in a row of gears.
+SPRING, DAMPER, BAND, STATIC, STRIBECK, RIPPLE, PERIODS, MEAN, LEFT, CANCELLED, REST = range(11)
+
+
+class Gears(NamedTuple):
+    """What acts in a step on bodies and motors."""
+
+    forces: Forces
+    joints: Floats  # (n, 7) as advance takes them
+    gears: Floats  # (n, 11)
+    rotor: Floats  # (2,) N^2 J, N J
+    turns: Floats  # (n,) 1, or 0 for a motor that sticks
+    drive: Floats  # (n,) u
+    sprung: Floats  # (m,) scratch
+
+
+@helper
+def _wind_up(gear, x):  # type: ignore[no-untyped-def]
+    """The torque of a gear's spring, twisted by x."""
+    return gear[SPRING] * (max(x - gear[BAND], 0.0) + min(x + gear[BAND], 0.0))
+
+
+@helper
+def _twist(gear, z, j):  # type: ignore[no-untyped-def]
+    """The rate of joint j; angle and rate of its motor ahead of it."""
+    motor = 3 + z.shape[1] // 2 + j
+    q, qd = z[0, 3 + j] - z[0, 2 + j] - gear[REST], z[1, 3 + j] - z[1, 2 + j]
+    return qd, z[0, motor] - q, z[1, motor] - qd
+
+
+@inlined
+def _act_geared(bodies, geared, turned, z, work, dz):  # type: ignore[no-untyped-def]
+    """Write dz (2, 4 + m + n) under all that acts, as _act does, and the gears' springs with it."""
+    forces, joints, gears, rotor, turns, drive, sprung = geared
+    n, m = drive.size, sprung.size
+    ratio, power, spun = rotor[1] / rotor[0], 0.0, 0.0
+    for k in range(m):
+        sprung[k] = forces.held[k]
+    for j in range(n):
+        q, qd = z[0, 3 + j] - z[0, 2 + j] - gears[j, REST], z[1, 3 + j] - z[1, 2 + j]
+        x, xd = z[0, 4 + m + j] - q, z[1, 4 + m + j] - qd
+        wound = gears[j, SPRING] * (max(x - gears[j, BAND], 0.0) + min(x + gears[j, BAND], 0.0))
+        given = wound + gears[j, DAMPER] * xd
+        left = turns[j] * (drive[j] - given)  # of the drive's torque, for its rotor
+        power += wound * xd + left * (z[1, 4 + m + j] + ratio * z[1, 2 + j])
+        spun += ratio * left
+        over = max(q - joints[j, 1], 0.0) + min(q - joints[j, 0], 0.0)
+        push = -joints[j, 5] * over - joints[j, 6] * qd  # of the end stop
+        if push * over < 0.0:
+            given += push
+        sprung[j] -= given + ratio * left
+        sprung[j + 1] += given
+        dz[1, 4 + m + j] = left / rotor[0]
+    sum_of_all = Forces(forces.around, forces.thrust, sprung, forces.torque)
+    _act(bodies, sum_of_all, turned, z, work, dz)
+    for j in range(n):
+        dz[0, 4 + m + j] = z[1, 4 + m + j]
+        dz[1, 4 + m + j] -= turns[j] * ratio * dz[1, 2 + j]
+    dz[1, 2 + m] += power
+    dz[1, 3 + m] += spun
+
+
+_act_geared_called = helper(_act_geared.py_func)
+
+
+@helper
+def _stribeck(joint, gear, v):  # type: ignore[no-untyped-def]
+    """F(v), the friction that does not grow with speed."""
+    more = max(gear[STATIC] - joint[4], 0.0)
+    return joint[4] + more * math.exp(-((v / gear[STRIBECK]) ** 2))
+
+
+@helper
+def _left(push, friction):  # type: ignore[no-untyped-def]
+    """What friction leaves of a push."""
+    return max(push - friction, 0.0) + min(push + friction, 0.0)
+
+
+@helper
+def _steer(joint, gear, demand, inertia, x, v, s, carried, motor, reference):  # type: ignore[no-untyped-def]
+    """Move the reference (2,) and the motor's torque, motor[2], a step on.
+
+    x and v are the motor's angle and rate, s the gear's torque, carried the rate of the joint.
+
+    Returns:
+        u, and whether the motor sticks.
+    """
+    mode, set_point, speed, acceleration = demand
+    most, viscous, coulomb = joint[2], joint[3], joint[4]
+    mean, left = gear[MEAN], gear[LEFT]
+    r, rate, follows, wanted, made_up = x, v, 0.0, 0.0, 0.0
+    if mode == CURRENT:
+        wanted = min(max(set_point, -most), most)
+    elif mode == OFF:
+        mean, left = 1.0, 0.0
+    else:
+        goal = _goal(mode, set_point, joint[0], joint[1], reference[0])
+        r, rate = _profile(goal, speed, acceleration, reference[0], reference[1])
+        follows = DAMPING
+        if rate != 0.0:
+            made_up = gear[CANCELLED] * (viscous * rate + math.copysign(coulomb, rate))
+        wanted = made_up - STIFFNESS * (x + STEP * v - r) + DAMPING * rate
+    reference[0], reference[1] = r, rate
+    friction = _stribeck(joint, gear, v)
+    other = inertia * v / STEP + (1.0 - mean) * motor[2] - s
+    if gear[RIPPLE] > 0.0:
+        other += gear[RIPPLE] * math.sin(gear[PERIODS] * x)
+    slope = inertia / STEP + viscous
+    pushed = _left(other + mean * wanted, friction)
+    after = pushed / (slope + mean * follows)
+    asked = wanted - follows * after
+    given = min(max(asked, -most), most)
+    if given != asked:
+        # No torque to follow with: the reference goes on from where the motor is.
+        pushed = _left(other + mean * given, friction)
+        after = pushed / slope
+        reference[0], reference[1] = x + STEP * v + (given - made_up) / STIFFNESS, carried
+    net = (after - v) * inertia / STEP + s
+    motor[2] = left * motor[2] + (1.0 - left) * given
+    return net, pushed == 0.0 and friction > 0.0
+
+
+@helper
+def _drive_geared(  # type: ignore[no-untyped-def]
+    bodies, geared, whole, demand, reference, motors, z, begin, work, dz, still
+):  # fmt: skip
+    """Set what the drives do in the next step, and stop the motors that stick in it.
+
+    A stop is an impulse between rotor and stator, whose work is booked. whole (m,) is the diagonal
+    of A with all motors stuck, motors (n, 3) has their torques last; dz and still (2, 4 + m + n)
+    are scratch, the latter 0.
+    """
+    rotor, torque = geared.rotor, geared.forces.torque
+    n, m = motors.shape[0], torque.size
+    ratio, stops = rotor[1] / rotor[0], False
+    for k in range(m):
+        torque[k], bodies.inertia[0, k] = 0.0, whole[k]
+    for j in range(n):
+        qd, x, xd = _twist(geared.gears[j], z, j)
+        s = _wind_up(geared.gears[j], x) + geared.gears[j, DAMPER] * xd
+        theta, rate = z[0, 4 + m + j], z[1, 4 + m + j]
+        geared.drive[j], sticks = _steer(
+            geared.joints[j], geared.gears[j], demand[j], rotor[0], theta, rate, s, qd,
+            motors[j], reference[j],
+        )  # fmt: skip
+        geared.turns[j] = 0.0 if sticks else 1.0
+        bodies.inertia[0, j] -= geared.turns[j] * ratio * rotor[1]
+        if sticks and rate != 0.0:
+            torque[j] += rotor[1] * rate
+            stops = True
+    if stops:
+        _rate(bodies, begin, 0j, torque, still, work, dz)
+        for k in range(m):
+            z[1, 2 + k] += dz[1, 2 + k]
+        for j in range(n):
+            rate = z[1, 4 + m + j]
+            gained = -rate if geared.turns[j] == 0.0 else -ratio * dz[1, 2 + j]
+            impulse = rotor[0] * gained + rotor[1] * dz[1, 2 + j]
+            z[1, 4 + m + j] += gained
+            z[1, 2 + m] += impulse * (rate + 0.5 * gained)

@@ -1,0 +1,157 @@
+"""What the joints are made of: motors, gears, friction, end stops."""
+
+from dataclasses import dataclass
+from math import exp, expm1, pi, radians
+
+import numpy as np
+import numpy.typing as npt
+
+from fss_arm_model.integration import STEP
+from fss_arm_model.kernels import Floats
+from fss_arm_model.layout import LINK_MASS, MOUNT_ANGLE, OFFSET, com, each, reach
+from fss_arm_model.settings import (
+    NOT_NEGATIVE,
+    POSITIVE,
+    SettingError,
+    Settings,
+    between,
+    setting,
+)
+
+
+@dataclass(frozen=True)
+class Joints(Settings):
+    """The mechanics that all joints have in common."""
+
+    rotor_inertia: float = setting(
+        0.0, "inertia of each motor, felt at its joint, 0.0026 in the FHA-8C-30; 0: none",
+        unit="kg m^2", check=NOT_NEGATIVE,
+    )  # fmt: skip
+    gear_ratio: float = setting(30.0, "gear ratio of the harmonic drives", check=POSITIVE)
+    viscous: float = setting(
+        0.5, "viscous friction of each joint", unit="N m s/rad", check=NOT_NEGATIVE
+    )
+    coulomb: float = setting(0.3, "Coulomb friction of each joint", unit="N m", check=NOT_NEGATIVE)
+    stop_stiffness: float = setting(
+        2000.0, "stiffness of the joints' end stops", unit="N m/rad", check=NOT_NEGATIVE
+    )
+    stop_damping: float = setting(
+        20.0, "damping of the joints' end stops", unit="N m s/rad", check=NOT_NEGATIVE
+    )
+
+    stiffness: float = setting(
+        0.0, "stiffness of the harmonic drives, 340 to 440 in the FHA-8C-30; 0: rigid",
+        unit="N m/rad", check=NOT_NEGATIVE,
+    )  # fmt: skip
+    damping: float = setting(
+        0.0, "damping of a harmonic drive's twist", unit="N m s/rad", check=NOT_NEGATIVE
+    )
+    dead_band: float = setting(
+        0.0, "twist of a harmonic drive without torque, from end to end", unit="rad",
+        check=NOT_NEGATIVE,
+    )  # fmt: skip
+    static: float = setting(
+        0.0, "friction of a joint that stands still, if more than Coulomb's", unit="N m",
+        check=NOT_NEGATIVE,
+    )  # fmt: skip
+    stribeck_speed: float = setting(
+        0.05, "speed at which 1/e of what static friction is more is left", unit="rad/s",
+        check=POSITIVE,
+    )  # fmt: skip
+    cancelled: float = setting(
+        1.0,
+        "share of viscous and Coulomb friction that a servo makes up for",
+        check=between(0.0, 1.0),
+    )
+    ripple: float = setting(
+        0.0, "amplitude of the motors' torque ripple, two periods a turn of the motor",
+        unit="N m", check=NOT_NEGATIVE,
+    )  # fmt: skip
+    current_bandwidth: float = setting(
+        0.0, "bandwidth of the current loops; 0: without delay", unit="Hz", check=NOT_NEGATIVE
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.stiffness and not self.rotor_inertia:
+            raise SettingError(
+                f"stiffness is {self.stiffness:g} N m/rad with a rotor_inertia of 0, expected one "
+                "above 0: behind a gear that gives, a motor turns by itself"
+            )
+        rigid = Joints.__dataclass_fields__
+        needs = "damping", "dead_band", "static", "cancelled", "ripple", "current_bandwidth"
+        for name in needs if not self.stiffness else ():
+            if (value := getattr(self, name)) != rigid[name].default:
+                raise SettingError(f"{name} is {value:g}, which needs a stiffness above 0")
+
+    def gears(self, p: Floats) -> Floats:
+        """What gears.py takes of the joints of Arm.vector() p, (n, 11)."""
+        lag = 2.0 * pi * self.current_bandwidth * STEP  # a step, by the loop's time
+        mean, left = (1.0 + expm1(-lag) / lag, exp(-lag)) if lag else (1.0, 0.0)
+        spring = self.stiffness, self.damping, 0.5 * self.dead_band
+        friction = self.static, self.stribeck_speed
+        drive = self.ripple, 2.0 * self.gear_ratio, mean, left, self.cancelled
+        rest = each(p, OFFSET).copy()
+        rest[:1] += p[MOUNT_ANGLE]
+        return np.array([(*spring, *friction, *drive, angle) for angle in rest])
+
+    @property
+    def rotor(self) -> tuple[float, float]:
+        """N^2 J and N J [kg m^2], of an inertia J that turns N times as fast as the joint."""
+        return self.rotor_inertia, self.rotor_inertia / self.gear_ratio
+
+
+def carried(p: Floats, q: Floats, qd: Floats) -> Floats:
+    """Momentum of all links beyond each joint, (n, 2) [N s].
+
+    What it changes by in a time is what the joint passes on, and what acts on the links from
+    outside.
+
+    Args:
+        p: (8 + 6 n,) Arm.vector().
+        q: (3 + n,) state.
+        qd: (3 + n,) its rate.
+    """
+    turns, spins = _turns(p, q), np.cumsum(qd[2:])
+    arms = np.array([reach(p, k) for k in range(turns.size)]) * turns
+    rates = complex(*qd[:2]) + np.concatenate([[0.0], np.cumsum(1j * spins * arms)[:-1]])
+    centres = np.array([com(p, k) for k in range(turns.size)]) * turns
+    momenta = each(p, LINK_MASS) * (rates + 1j * spins * centres)[1:]
+    beyond = np.cumsum(momenta[::-1])[::-1]
+    return np.column_stack([beyond.real, beyond.imag])
+
+
+def axes(p: Floats, q: Floats) -> Floats:
+    """Unit vectors across each link, in the world (n, 2)."""
+    across = 1j * _turns(p, q)[1:]
+    return np.column_stack([across.real, across.imag])
+
+
+def _turns(p: Floats, q: Floats) -> npt.NDArray[np.complex128]:
+    """exp(i psi) of base and links, (1 + n,)."""
+    angles = q[2:].copy()
+    angles[1:] += each(p, OFFSET)
+    angles[1:2] += p[MOUNT_ANGLE]
+    turns: npt.NDArray[np.complex128] = np.exp(1j * np.cumsum(angles))
+    return turns
+
+
+_AS_THEY_ARE = Joints(
+    rotor_inertia=0.0026,
+    stiffness=390.0,
+    damping=1.0,
+    dead_band=radians(60 / 3600),
+    static=0.4,
+    cancelled=0.9,
+    ripple=0.02,
+    current_bandwidth=300.0,
+)
+
+#: By the names of noise.PRESETS. Inertia and stiffness are the FHA-8C-30's; the others are of the
+#: size that such drives have, and not measured on the arm.
+PRESETS = {
+    "ideal": Joints(),
+    "default": Joints(),
+    "paper": Joints(),
+    "laboratory": _AS_THEY_ARE,
+}

@@ -1,0 +1,240 @@
+"""One vehicle of the test bed: its topics, its links' wires, its faults."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from threading import RLock
+from typing import Any
+
+from geometry_msgs.msg import PoseStamped
+from rclpy.node import Node
+from sensor_msgs.msg import Imu
+from std_msgs.msg import Bool
+
+from fss_arm_driver.protocol import load_keys
+from fss_arm_model.description import Arm
+from fss_arm_msgs.msg import GripperState, SimFaults, SimTruth, ThrusterCommand
+from fss_arm_ros.convert import to_time
+from fss_arm_ros.door import subscribe
+from fss_arm_ros.qos import COMMAND, LATCHED, SENSOR
+from fss_sim.faults import kinds, read_script
+from fss_sim.link.radio import Air
+from fss_sim.messages import GyroImage, PoseImage, gripper_state, nearest, truth
+from fss_sim.plant.plant import Vehicle
+from fss_sim.sensors import RATE, Sight
+from fss_sim.settings import TestbedSettings
+from fss_sim.testbed import Report, State, Testbed
+from fss_sim.vicon import BASE, MARKERS_AT_LEAST, TARGET, TIP, Vicon
+
+REMINDED = 10 * RATE  # from one telling of the faults to the next, for recorders that come late
+TOUCH = 1e-6  # [m]: nearer, bodies lean on each other
+SUBJECTS = {BASE: "base", TIP: "end effector", TARGET: "target"}
+SAVED = RATE // 5  # frames from one writing of the state file to the next
+
+
+class VehicleTopics:
+    """Publishes what a vehicle's sensors see, and hands datagrams to its links and its board.
+
+    Args:
+        node: the test bed; a vehicle without a name has its topics, one with a name a namespace.
+        lock: that callbacks hold.
+        stamp: the time of the last frame [ns].
+        settings: the vehicle's.
+        name: of the vehicle.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        lock: RLock,
+        stamp: Callable[[], int],
+        settings: TestbedSettings,
+        name: str = "",
+    ) -> None:
+        self.node, self.lock, self.stamp = node, lock, stamp
+        self.settings, self.name = settings, name
+        self.space, self.prefix = (f"/{name}/", f"{name}.") if name else ("", "")
+        self.arm = settings.description()
+        self.n = self.arm.n if isinstance(self.arm, Arm) else 0
+        self.subjects = (BASE, TIP) if self.n else (BASE,)  # to VICON
+        self.keys = load_keys(settings.keys) if settings.keys else {}
+        self.script = settings.script()
+        self.wires = settings.wires(self.n)
+        self.board_wire = settings.board_wire()
+        self.base = node.create_publisher(PoseStamped, settings.base_topic, SENSOR)
+        self.tip = self.gripper = self.target = None
+        if self.n:
+            self.tip = node.create_publisher(PoseStamped, settings.tip_topic, SENSOR)
+        if self.board_wire is None:
+            self.take_base()
+        if settings.target_mass:
+            self.target = node.create_publisher(PoseStamped, settings.target_topic, SENSOR)
+        self.truth = node.create_publisher(SimTruth, f"{self.space}sim/truth", SENSOR)
+        self.faults = node.create_publisher(SimFaults, f"{self.space}sim/faults", LATCHED)
+        self.pose_image = PoseImage(settings.world_frame)
+        self.gyro_image = GyroImage(settings.base_frame, settings.noise().gyro_noise)
+        self.set_faults: dict[tuple[str, str], float] = {}
+
+    def take_base(self) -> None:
+        """Be the base's topics, as there is no board for the node `base`."""
+        node, space = self.node, self.space
+        self.gyro = node.create_publisher(Imu, f"{space}fog/imu", SENSOR)
+        if self.n:
+            self.gripper = node.create_publisher(GripperState, f"{space}gripper/state", SENSOR)
+            node.create_subscription(Bool, f"{space}gripper/command", self.on_grip, COMMAND)
+        self.pulses = node.create_publisher(ThrusterCommand, f"{space}thrusters/pulses", SENSOR)
+        subscribe(node, ThrusterCommand, f"{space}thrusters/command", self.on_thrust, COMMAND)
+
+    def made(self, state: State) -> Vehicle:
+        """The vehicle in a state, to be put on a table."""
+        world = self.settings.world()
+        return Vehicle(self.arm, state.q, state.qd, world, state.propellant, self.name)
+
+    def begin(
+        self,
+        plant: Vehicle | None,
+        state: State,
+        seed: int,
+        air: Air | None = None,
+        vicon: Vicon | None = None,
+    ) -> None:
+        """Give electronics and sensors to a vehicle in this state; None: to one that is alone."""
+        settings = self.settings
+        self.testbed = Testbed(
+            self.arm,
+            settings.noise(),
+            seed,
+            state,
+            settings.telemetry_rate,
+            self.keys,
+            settings.torque_rate,
+            settings.battery,
+            read_script(self.script),
+            settings.world(),
+            settings.board_rate if self.board_wire else 0.0,
+            plant,
+            settings.power(),
+            air,
+            vicon,
+        )
+        for (part, fault), value in self.set_faults.items():
+            self.testbed.faults.set(part, fault, value)
+        self.save()
+
+    def report(self, report: Report) -> None:
+        """Hand on what has come out of a frame."""
+        self.publish(self.stamp(), report.sight)
+        for wire, datagrams in zip(self.wires, report.telemetry, strict=True):
+            for datagram in datagrams:
+                wire.send(*datagram)
+        if self.board_wire:
+            for datagram in report.board:
+                self.board_wire.send(*datagram)
+        if report.faulted or self.testbed.frame % REMINDED == 0:
+            self.publish_faults()
+        if self.testbed.frame % SAVED == 0:
+            self.save()
+
+    def publish(self, stamp: int, sight: Sight) -> None:
+        """Publish what the sensors see."""
+        settings, plant = self.settings, self.testbed.plant
+        publishers = (self.base, sight.base), (self.tip, sight.tip), (self.target, sight.target)
+        for publisher, seen in publishers:
+            if publisher and seen:
+                publisher.publish(self.pose_image.of(stamp, seen))
+        if sight.rate is not None and self.board_wire is None:
+            self.gyro.publish(self.gyro_image.of(stamp, sight.rate))
+        if self.testbed.frame % round(RATE / settings.truth_rate) == 0:
+            bed = self.testbed
+            looks = [bed.looks.get(kind) for kind in SUBJECTS]
+            markers = [look.markers if look else MARKERS_AT_LEAST for look in looks]
+            self.truth.publish(truth(stamp, settings.world_frame, plant, bed.frame, markers))
+            if self.gripper:
+                frame_id = f"{settings.frame_prefix}end_effector"
+                self.gripper.publish(gripper_state(stamp, frame_id, plant))
+
+    def receive(self, late: int) -> Iterator[int]:
+        """Hand datagrams to the links, as arrived `late` ns after the last frame; to which ones."""
+        for link, wire in enumerate(self.wires):
+            for data, sender in wire.receive():
+                yield link
+                self.testbed.receive(link, data, sender, late)
+        for data, sender in self.board_wire.receive() if self.board_wire else ():
+            self.testbed.receive_base(data, sender, late)
+
+    def on_thrust(self, command: ThrusterCommand) -> None:
+        """Open valves."""
+        with self.lock:
+            try:
+                self.testbed.plant.thrust(command.on_time)
+                pulses = ThrusterCommand(on_time=command.on_time)
+                pulses.header.stamp = to_time(self.stamp())
+                self.pulses.publish(pulses)
+            except ValueError as error:
+                words = f"{self.space}thrusters/command is refused: {error}"
+                self.node.get_logger().warning(words)
+
+    def on_grip(self, command: Bool) -> None:
+        """Close the gripper, or open it."""
+        with self.lock:
+            self.testbed.plant.closed = command.data
+
+    def kinds(self) -> dict[str, type]:
+        """The parameters of its faults, by what their names begin with."""
+        return {f"{self.prefix}{part}": kind for part, kind in kinds(self.n).items()}
+
+    def set_fault(self, part: str, fault: str, value: float) -> None:
+        """Set a fault by hand."""
+        self.testbed.faults.set(part, fault, value)
+        self.set_faults[part, fault] = value
+        self.publish_faults()
+
+    def publish_faults(self) -> None:
+        """Publish what is wrong."""
+        message = SimFaults(script=self.script)
+        message.header.stamp = to_time(self.stamp())
+        for part, fault, value in self.testbed.faults.in_force():
+            message.part.append(part)
+            message.fault.append(fault)
+            message.value.append(value)
+        self.faults.publish(message)
+
+    def touches(self) -> bool:
+        """Whether its bodies touch each other or the table's border."""
+        plant = self.testbed.plant
+        return min(nearest(plant).gap, plant.edge_clearance) < TOUCH
+
+    def values(self) -> dict[str, Any]:
+        """What it is like, for diagnostics."""
+        plant = self.testbed.plant
+        values: dict[str, Any] = {
+            "momentum and energy from nothing [N s, N m s, J]": abs(plant.bed.imbalance).max(),
+            "gap between bodies [m]": nearest(plant).gap,
+            "gap to the table's edge [m]": plant.edge_clearance,
+            "propellant used [kg]": plant.thrusters.used,
+            "rests": self.testbed.sensors.rests,
+        }
+        for kind, seen in self.testbed.looks.items():
+            values[f"markers of the {SUBJECTS[kind]}"] = seen.markers
+        for link, wire in zip(self.testbed.links, self.wires, strict=True):
+            values[f"link {link.number}"] = f"{wire.place}, {link.refused} refused"
+        if self.board_wire and self.testbed.board:
+            values["board"] = f"{self.board_wire.place}, {self.testbed.board.refused} refused"
+        for part, fault, value in self.testbed.faults.in_force():
+            values[f"fault {part}.{fault}"] = value
+        return values
+
+    def save(self) -> None:
+        """Write the state file."""
+        if self.settings.state_file:
+            self.testbed.state().save(Path(self.settings.state_file))
+
+    def all_wires(self) -> list[Any]:
+        """What links and board are reached by."""
+        return [*self.wires, *([self.board_wire] if self.board_wire else [])]
+
+
+def at_one_time(states: list[State]) -> list[State]:
+    """The states of several vehicles, which are to begin with the same frame: the latest of all."""
+    frame = max(state.frame for state in states)
+    return [replace(state, frame=frame) for state in states]

@@ -1,0 +1,65 @@
+"""Frames that reach a link of another vehicle, which has the same number."""
+
+from random import Random
+
+import pytest
+
+from fss_arm_driver.protocol import Command, Mode, Order, Refused, encode
+from fss_arm_model.description import paper_arm
+from fss_sim.link.electronics import LinkElectronics
+
+LINKS = range(1, 5)
+KEYS = {v: {i: bytes([v, i]) * 16 for i in LINKS} for v in (1, 2)}
+SECOND = 1_000_000
+
+
+def links(keys=None, boots=(1, 1, 1, 1)):
+    arm = paper_arm()
+    return [
+        LinkElectronics(i, link, boot, key=keys and keys[i])
+        for i, link, boot in zip(LINKS, arm.links, boots, strict=True)
+    ]
+
+
+def command(rng, k, i, boot):
+    """What a driver of a link may ever say: it arms, moves, stops, homes and clears."""
+    return Command(
+        link=i, flags=rng.choice((0, Order.ARM, Order.STOP, Order.ARM | Order.HOME)), boot=boot,
+        sequence=k, clock=SECOND + 1000 * k, expiry=SECOND + 1000 * k + 500, watchdog=2000,
+        mode=rng.choice((Mode.OFF, Mode.CURRENT, Mode.VELOCITY, Mode.POSITION)),
+        set_point=rng.randrange(-1000, 1000), velocity=rng.randrange(1000), acceleration=1000,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("count", [20_000, pytest.param(1_000_000, marks=pytest.mark.slow)])
+def test_a_link_takes_no_command_that_is_signed_for_another_vehicle(count):
+    rng, own, other = Random(1), links(KEYS[1]), links(KEYS[2])
+    for k in range(count):
+        i = 1 + k % 4
+        link = own[i - 1]
+        data = encode(command(rng, k, i, link.gate.boot), KEYS[2][i])
+        assert not link.receive(data, SECOND + 1000 * k)
+        if k % 1000 < 4:  # it is a good command to whom it is for
+            other[i - 1].receive(data, SECOND + 1000 * k)
+    for link in own:
+        assert link.gate.refused == {Refused.FRAME: count // 4}
+        assert not link.armed
+        assert link.gate.command is None
+    assert all(link.gate.command for link in other)
+
+
+def test_without_keys_only_the_start_that_a_command_is_for_tells_vehicles_apart():
+    """Why docs/how-to/security.md asks for keys of each vehicle's own."""
+    first, second = links(boots=(1, 2, 3, 4)), links(boots=(9, 2, 9, 9))
+    disarmed = {
+        "flags": 0, "sequence": 1, "clock": SECOND, "expiry": 0, "watchdog": 2000,
+        "mode": Mode.OFF, "set_point": 0, "velocity": 0, "acceleration": 0,
+    }  # fmt: skip
+    taken = [
+        first[i - 1].receive(encode(Command(link=i, boot=link.gate.boot, **disarmed)), SECOND)
+        for i, link in zip(LINKS, second, strict=True)
+    ]
+    assert taken == [False, True, False, False]  # link 2 has begun as often as its namesake
+    assert first[0].receive(encode(Command(link=1, boot=0, **disarmed)), SECOND)  # to whom it finds
+    stop = {**disarmed, "flags": Order.STOP, "sequence": 2, "clock": SECOND + 1}
+    assert first[2].receive(encode(Command(link=3, boot=9, **stop)), SECOND)  # is obeyed always

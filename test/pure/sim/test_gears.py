@@ -1,0 +1,287 @@
+"""Joints that give: right against MuJoCo, eigenvalues and formulas; books that balance."""
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+from model_arms import random_arm
+from model_oracles import mujoco_index, mujoco_model
+from scipy.linalg import eigh
+
+from fss_arm_model.description import paper_arm
+from fss_arm_model.dynamics import inertia_matrix
+from fss_arm_model.held import Target
+from fss_arm_model.integration import STEP
+from fss_arm_model.settings import SettingError
+from fss_sim import settings as of_testbed
+from fss_sim.noise import PRESETS as NOISE
+from fss_sim.plant.drives import CURRENT, OFF, POSITION, STIFFNESS, VELOCITY
+from fss_sim.plant.joints import PRESETS, Joints, axes, carried
+from fss_sim.plant.plant import Demand, Plant, World
+from fss_sim.plant.surroundings import Surroundings
+from fss_sim.plant.target import Gripper
+
+WIDE = Surroundings(table=(20.0, 20.0))
+REAL = PRESETS["laboratory"]
+#: Springs alone.
+BARE = Joints(
+    rotor_inertia=0.0026, stiffness=390.0, damping=1.0, viscous=0.0, coulomb=0.0,
+    stop_stiffness=0.0, stop_damping=0.0,
+)  # fmt: skip
+
+
+def bed(joints, q=(0.3, -0.2, 0.4, 0.1), qd=None, tolerance=0.0, arm=None):
+    arm = arm or paper_arm()
+    world = World(joints, WIDE, tolerance=tolerance)
+    return Plant(arm, (0.1, -0.2, 0.3, *q), qd, world)
+
+
+def motors(plant):
+    """Angle and rate of each motor, (n, 2)."""
+    return np.array([motion[:2] for motion in plant.motions()])
+
+
+@pytest.mark.parametrize("tolerance", [0.0, 1e-12])
+@pytest.mark.parametrize("n", [1, 2, 4, 6])
+def test_it_moves_as_mujoco_says_with_motors_and_springs(n, tolerance):
+    """The same method and step in other coordinates, 2e-9; the truth, which both are near."""
+    rng = np.random.default_rng(n)
+    arm = random_arm(n, rng)
+    model = mujoco_model(arm, BARE)
+    model.opt.integrator, model.opt.timestep = mujoco.mjtIntegrator.mjINT_RK4, 0.2 * STEP
+    data, joints, motor = (
+        mujoco.MjData(model), mujoco_index(model, "q", n), mujoco_index(model, "m", n)
+    )  # fmt: skip
+    place, N = [0, 1, 2, *joints], BARE.gear_ratio
+    q, qd = rng.uniform(-0.5, 0.5, (2, 3 + n))
+    torques = rng.uniform(-0.4, 0.4, n)
+    data.qpos[place], data.qvel[place] = q, qd
+    data.qpos[motor], data.qvel[motor] = N * q[3:], N * qd[3:]
+    data.qfrc_applied[motor] = torques / N
+    plant = Plant(arm, q, qd, World(BARE, WIDE, tolerance=tolerance))
+    for joint, torque in enumerate(torques):
+        plant.command(joint, Demand(CURRENT, torque / arm.links[joint].drive.torque_constant))
+    for _ in range(4):
+        plant.advance(0.1)
+        for _ in range(500):
+            mujoco.mj_step(model, data)
+        np.testing.assert_allclose(plant.q, data.qpos[place], rtol=0, atol=1e-7)
+        np.testing.assert_allclose(plant.qd, data.qvel[place], rtol=0, atol=1e-6)
+        turned = np.column_stack([data.qpos[motor], data.qvel[motor]]) / N
+        np.testing.assert_allclose(motors(plant), turned, rtol=0, atol=1e-6)
+    assert np.abs(plant.q[3:] - motors(plant)[:, 0]).max() > 1e-4  # they did wind up
+
+
+def test_a_dead_band_is_mujocos():
+    joints, torques = replace(BARE, dead_band=0.002), np.array([0.3, -0.2, 0.1, 0.05])
+    model = mujoco_model(paper_arm(), joints)
+    model.opt.integrator, model.opt.timestep = mujoco.mjtIntegrator.mjINT_RK4, 0.1 * STEP
+    data, motor = mujoco.MjData(model), mujoco_index(model, "m", 4)
+    data.qfrc_applied[motor] = torques / joints.gear_ratio
+    plant = Plant(paper_arm(), np.zeros(7), None, World(joints, WIDE, tolerance=1e-11))
+    for joint, torque in enumerate(torques):
+        plant.command(joint, Demand(CURRENT, torque / 0.8))
+    plant.advance(0.3)
+    for _ in range(3000):
+        mujoco.mj_step(model, data)
+    place = [0, 1, 2, *mujoco_index(model, "q", 4)]
+    np.testing.assert_allclose(plant.q, data.qpos[place], rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("n", [1, 4])
+def test_natural_frequencies_are_the_eigenvalues(n):
+    """Of the flow over 1 ms, linearized by differences, against det(K - w^2 M) = 0."""
+    arm, joints = random_arm(n, np.random.default_rng(n)), replace(BARE, damping=0.0)
+    q = np.random.default_rng(n).uniform(-1.0, 1.0, 3 + n)
+    J, N = joints.rotor_inertia, joints.gear_ratio
+    M, K = np.zeros((2, 3 + 2 * n, 3 + 2 * n))
+    M[: 3 + n, : 3 + n] = inertia_matrix(arm.vector(), q)
+    for j in range(n):
+        joint, motor = 3 + j, 3 + n + j
+        M[motor, motor] = J
+        M[motor, 2:joint] = M[2:joint, motor] = J / N
+        K[np.ix_([joint, motor], [joint, motor])] = 390.0 * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    expected = np.sqrt(np.maximum(eigh(K, M, eigvals_only=True), 0.0))
+
+    def flow(off):
+        start = off.reshape(2, 3 + 2 * n)
+        plant = Plant(arm, q + start[0, : 3 + n], start[1, : 3 + n], World(joints, WIDE,
+                      tolerance=1e-15))  # fmt: skip
+        plant._motors[:, 0] = q[3:] + start[0, 3 + n :]
+        plant._motors[:, 1] = start[1, 3 + n :]
+        for joint in range(n):
+            plant.command(joint, Demand(CURRENT, 0.0))
+        plant.advance(STEP)
+        turned = motors(plant).T
+        return np.array([[*plant.q, *turned[0]], [*plant.qd, *turned[1]]]).ravel()
+
+    size = 2 * (3 + 2 * n)
+    columns = [(flow(d) - flow(-d)) / 2e-5 for d in 1e-5 * np.eye(size)]
+    turns = np.abs(np.angle(np.linalg.eigvals(np.column_stack(columns)))) / STEP
+    found = np.sort(turns)[-2 * n :: 2]
+    np.testing.assert_allclose(found, expected[-n:], rtol=1e-6)
+    assert found.max() / (2 * np.pi) > 60.0  # a motor against its spring [Hz]
+
+
+@pytest.mark.parametrize("speed", [0.01, 0.03, 0.06, 0.1, 0.4])
+def test_friction_follows_stribecks_curve(speed):
+    joints = replace(REAL, ripple=0.0, dead_band=0.0, current_bandwidth=0.0, static=0.5)
+    plant, torques = bed(joints), []
+    plant.command(0, Demand(VELOCITY, speed, speed, 2.0))
+    plant.advance(0.5 + speed)
+    for _ in range(1000):
+        plant.advance(STEP)
+        motor, passed = plant._torques[0]
+        torques.append(motor - passed)
+    expected = 0.3 + 0.2 * np.exp(-((speed / 0.05) ** 2)) + 0.5 * speed
+    assert np.mean(torques) == pytest.approx(expected, rel=0.01)
+
+
+def test_a_motor_sticks_up_to_static_friction_and_no_further():
+    plant = bed(replace(REAL, ripple=0.0))
+    for joint in range(4):
+        plant.command(joint, Demand(CURRENT, 0.99 * REAL.static / 0.8))
+    before = motors(plant)
+    plant.advance(10.0)
+    assert (motors(plant) == before).all()
+    for joint in range(4):
+        plant.command(joint, Demand(CURRENT, 1.02 * REAL.static / 0.8))
+    plant.advance(0.5)
+    assert (motors(plant)[:, 0] > before[:, 0] + 1e-4).all()
+
+
+def test_motors_come_to_rest_exactly_and_energy_never_grows():
+    rng, energies = np.random.default_rng(3), []
+    plant = bed(REAL, qd=rng.uniform(-0.3, 0.3, 7))
+    for _ in range(2000):
+        plant.advance(STEP)
+        energies.append(plant.audit.energy)
+    assert np.diff(energies).max() < 1e-12
+    rest = motors(plant)
+    assert (rest[:, 1] == 0.0).all()
+    plant.advance(1.0)
+    assert (motors(plant) == rest).all()
+
+
+@pytest.mark.parametrize("n", range(1, 7))
+def test_books_balance_with_springs_and_friction(n):
+    """To 1e-9 where the integration is as exact; in steps of 1 ms, to the error of those."""
+    rng = np.random.default_rng(n)
+    around = Surroundings((0.001, -0.002), 0.01, 0.5, 0.02, table=(20.0, 20.0))
+    q, qd = rng.uniform(-1.0, 1.0, (2, 3 + n))
+    arm = random_arm(n, rng)
+    for tolerance, momentum, energy in ((1e-12, 1e-9, 1e-9), (0.0, 1e-8, 1e-4)):
+        plant = Plant(arm, q, 0.2 * qd, World(REAL, around, tolerance=tolerance))
+        for joint in range(n):
+            mode = (OFF, CURRENT, VELOCITY, POSITION)[joint % 4]
+            plant.command(joint, Demand(mode, rng.uniform(-0.5, 0.5), 0.5, 1.0))
+        plant.advance(1.5)
+        assert np.abs(plant.audit.impulse).min() > 1e-3
+        off = np.abs(plant.imbalance)
+        assert off[:3].max() < momentum
+        assert off[3] < energy
+
+
+def test_a_capture_keeps_the_books():
+    target = Target(mass=9.0, inertia=0.2, fixture=(0.0, 0.0, 0.0))
+    gripper = Gripper(reach=10.0, angle=4.0, speed=10.0)
+    world = World(REAL, WIDE, gripper=gripper, target=target, tolerance=1e-12)
+    rng = np.random.default_rng(1)
+    start = [[1.8, 0.1, 3.0], [-0.1, 0.05, 0.2]]
+    plant = Plant(paper_arm(), np.zeros(7), rng.uniform(-0.2, 0.2, 7), world, start)
+    plant.advance(0.1)
+    plant.closed = True
+    plant.advance(0.3)
+    assert plant.holds
+    np.testing.assert_allclose(plant.imbalance, 0.0, rtol=0, atol=1e-9)
+
+
+def test_a_link_stays_behind_its_motor_by_torque_over_stiffness():
+    joints = replace(BARE, stop_stiffness=2000.0, stop_damping=20.0, dead_band=0.0004)
+    plant = bed(joints)
+    plant.command(1, Demand(CURRENT, 1.0))  # into its end stop
+    plant.advance(15.0)
+    motion = plant.motion(1)
+    assert motion.torque == pytest.approx(0.8, rel=1e-3)
+    assert motion.q - plant.q[4] == pytest.approx(0.8 / 390.0 + 0.0002, rel=1e-3)
+
+
+def test_a_current_follows_its_command_at_the_loops_bandwidth():
+    plant, seen = bed(replace(REAL, current_bandwidth=50.0)), []
+    plant.command(0, Demand(CURRENT, 1.0))
+    for _ in range(10):
+        plant.advance(STEP)
+        seen.append(plant.motion(0).current)
+    t = STEP * np.arange(1, 11)
+    np.testing.assert_allclose(seen, 1.0 - np.exp(-2 * np.pi * 50.0 * t), rtol=1e-12)
+
+
+@pytest.mark.parametrize("bandwidth", [0.0, 30.0, 300.0])
+@pytest.mark.parametrize("posture", [(1.0, -0.5, 0.2, 0.6), (-1.4, 1.4, -1.3, 1.4)])
+def test_a_move_arrives_where_friction_lets_it(posture, bandwidth):
+    plant = bed(replace(REAL, current_bandwidth=bandwidth))
+    for joint, target in enumerate(posture):
+        plant.command(joint, Demand(POSITION, target, 0.8, 1.0))
+    plant.advance(6.0)
+    q, qd = motors(plant).T
+    assert np.abs(q - posture).max() < 2.0 * REAL.static / STIFFNESS
+    assert np.abs(qd).max() < 1e-3
+    assert np.abs(plant.q[3:] - q).max() < 0.5 * REAL.dead_band + 5e-4
+    assert np.abs(plant.momentum()).max() < 1e-4  # the rotors' is left out
+
+
+def test_a_servo_cancels_its_share_of_friction():
+    """While it moves, its following error is what is left over its stiffness."""
+    joints = replace(REAL, ripple=0.0, dead_band=0.0, static=0.3, current_bandwidth=0.0)
+    for share in (1.0, 0.5):
+        plant, speed = bed(replace(joints, cancelled=share)), 0.1
+        plant.command(0, Demand(VELOCITY, speed, speed, 2.0))
+        plant.advance(4.0)
+        lag = plant._reference[0, 0] - motors(plant)[0, 0]
+        expected = (1.0 - share) * (0.3 + 0.5 * speed) / STIFFNESS
+        assert lag == pytest.approx(expected, abs=2e-5)
+
+
+def test_what_joints_carry_is_the_momentum_beyond_them():
+    rng = np.random.default_rng(2)
+    arm, (q, qd) = random_arm(3, rng), rng.uniform(-1.0, 1.0, (2, 6))
+    p = arm.vector()
+    x, y = arm.base.com
+    turn = np.exp(1j * q[2])
+    base = arm.base.mass * (complex(*qd[:2]) + 1j * qd[2] * complex(x, y) * turn)
+    total = Plant(arm, q, qd).momentum()[:2]
+    momenta = carried(p, q, qd)
+    np.testing.assert_allclose(momenta[0] + [base.real, base.imag], total, atol=1e-12)
+    still = carried(p, q, np.array([0.3, -0.1, 0.0, 0.0, 0.0, 0.0]))
+    masses = np.cumsum([link.mass for link in arm.links][::-1])[::-1]
+    np.testing.assert_allclose(still, masses[:, None] * [0.3, -0.1], atol=1e-12)
+    along = q[2] + arm.base.mount[2] + arm.links[0].theta_0 + q[3]
+    np.testing.assert_allclose(axes(p, q)[0], [-np.sin(along), np.cos(along)], atol=1e-12)
+
+
+def test_a_preset_sets_joints_and_errors_and_what_is_given_wins():
+    assert PRESETS.keys() == NOISE.keys()
+    for name in PRESETS:
+        settings = of_testbed.TestbedSettings(preset=name)
+        assert settings.world().joints == PRESETS[name]
+        assert settings.noise() == NOISE[name]
+    given = of_testbed.TestbedSettings(preset="laboratory", dead_band=0.0, coulomb_friction=0.1)
+    assert given.world().joints == replace(REAL, dead_band=0.0, coulomb=0.1)
+    rigid = {"dead_band": 0.0, "gear_damping": 0.0, "static_friction": 0.0, "torque_ripple": 0.0}
+    rigid |= {"friction_cancelled": 1.0, "current_bandwidth": 0.0, "rotor_inertia": 0.0}
+    settings = of_testbed.TestbedSettings(preset="laboratory", gear_stiffness=0.0, **rigid)
+    assert settings.world().joints == Joints()
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"gear_stiffness": 400.0}, "stiffness is 400 N m/rad with a rotor_inertia of 0"),
+        ({"static_friction": 0.5}, "static is 0.5, which needs a stiffness above 0"),
+        ({"friction_cancelled": 1.5, "preset": "laboratory"}, "cancelled is 1.5, expected 0 to 1"),
+    ],
+)
+def test_joints_that_cannot_be_are_refused(given, message):
+    with pytest.raises(SettingError, match=message):
+        of_testbed.TestbedSettings(**given)
