@@ -68,7 +68,9 @@ def track(
     rng = np.random.default_rng((7, seed))
     arm = load(arm)
     noise, room = PRESETS[preset] if isinstance(preset, str) else preset, room or Room()
-    world = World(surroundings=Surroundings(table=(20.0, 20.0)), target=Target())
+    # Bodies that go through each other: what a bump does, no navigation knows beforehand.
+    around = Surroundings(table=(20.0, 20.0))
+    world = World(surroundings=around, target=Target(), contact=None)
     q = np.concatenate([rng.uniform(-0.1, 0.1, 2), rng.uniform(-3, 3, 1), rng.uniform(-1, 1, 4)])
     qd = np.concatenate([rng.normal(0, [0.02, 0.02, 0.05]), np.zeros(4)])
     drifting = rng.normal(0, [0.02, 0.02, 0.15])

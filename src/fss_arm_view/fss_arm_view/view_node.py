@@ -9,6 +9,7 @@ from contextlib import suppress
 from functools import partial
 from ipaddress import ip_address
 from math import degrees, dist, isfinite
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -66,7 +67,7 @@ class ViewNode(Node):
         self.vehicle = self.get_namespace().strip("/") if first else ""
         self.others: list[ViewNode] = []
         self.known = Calibrated(described(s.arm))
-        self.quiet = first.quiet if first else keep_quiet()
+        self.quiet: TemporaryDirectory[str] = first.quiet if first else keep_quiet()
         self.viewer = None
         if s.mode in (NATIVE, WEB) and not first:
             self.viewer = Viewer(s.mode, s.bind, s.port, s.web_port, s.memory, s.names)
