@@ -39,6 +39,7 @@ ALLOWED = {
     "fss_sim.rehearsal": ROS
     | {
         "fss_sim",
+        PROTOCOL,
         "fss_arm_model",
         "fss_arm_ros",
         "fss_arm_bags",

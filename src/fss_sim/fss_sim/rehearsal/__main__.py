@@ -14,8 +14,11 @@ from fss_sim.rehearsal.processes import rehearse, results
 REHEARSALS = {
     "demo": "the main job: simulator, drivers, kinematic calibration, bag, and back",
     "dynamic": "a dynamic calibration: maneuvers designed, made, recorded and solved",
+    "drift": "a drift calibration: tilt, hose and momentum, from a base that drifts",
     "capture": "go to a tumbling target by thrusters, grip it with the arm, stop it",
     "wifi_outage": "the Wi-Fi fails while the arm moves, and comes back",
+    "power_failure": "a link's power fails while the arm moves, and comes back",
+    "first_day": "a link is tried by itself, with a person's hand on its joint",
 }
 HELP = "\n".join(f"  {name:<14}{about}" for name, about in REHEARSALS.items())
 

@@ -5,99 +5,42 @@ has not noticed would; a person arms the links again after the Wi-Fi has come ba
 """
 
 import argparse
-import time
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import rclpy
-from rcl_interfaces.srv import SetParameters
-from rclpy.parameter import Parameter
 from rich.console import Console
 
 from fss_arm_bags.reader import open_bags
 from fss_arm_calib.report import Figure
-from fss_arm_msgs.msg import LinkCommand, LinkTelemetry, SimTruth
+from fss_arm_msgs.msg import LinkTelemetry
 from fss_arm_ros.convert import SECOND, stamp_ns
-from fss_arm_ros.qos import COMMAND
 from fss_sim.rehearsal.domain import Domain
-from fss_sim.rehearsal.person import LINKS, Operator, own_domain
-from fss_sim.rehearsal.processes import Nodes, RehearsalError
+from fss_sim.rehearsal.person import LINKS, Mover, own_domain
+from fss_sim.rehearsal.processes import Nodes
 from fss_sim.rehearsal.rehearsed import Check, Rehearsed
 
-GOALS = (0.9, -0.9, 0.9, -0.9)  # of the joints [rad]
-SPEED, MOVING, STILL = 0.05, 0.03, 1e-3  # commanded; what counts as motion, and as rest [rad/s]
+STILL = 1e-3  # what counts as rest [rad/s]
 WATCHDOG, MARGIN = 2.0, 1.5  # of the links; for the way there, stopping, and a busy computer [s]
 BACK = 5.0  # for a link to be heard again [s]
-PATIENCE = 60.0  # for anything to happen [s]
 
 
-class Person(Operator):
-    """Takes the Wi-Fi away and gives it back; commands all joints all the time."""
+class Person(Mover):
+    """Takes the Wi-Fi away and gives it back."""
 
     def __init__(self, domain: Domain) -> None:
         super().__init__(domain)
-        self.rates, self.heard = np.zeros(LINKS), dict.fromkeys(self.armed, 0)
-        self.create_subscription(SimTruth, "sim/truth", self.on_truth, 1)
-        self.commands = [
-            self.create_publisher(LinkCommand, f"link_{i}/command", COMMAND) for i in self.armed
-        ]
-        self.create_timer(0.2, self.command)
-        self.arms = False  # what is not armed
-        self.create_timer(0.5, lambda: self.keep_armed() if self.arms else None)
-        self.set = self.create_client(SetParameters, "testbed/set_parameters")
-
-    def on_truth(self, message: SimTruth) -> None:
-        """How fast the joints are."""
-        self.rates = np.abs(message.qd[3:])
+        self.heard = dict.fromkeys(self.armed, 0)
 
     def on_link(self, message: LinkTelemetry) -> None:
         """Whether the link is armed, and when it was heard."""
         super().on_link(message)
         self.heard[message.link] = self.now()
 
-    def now(self) -> int:
-        """[ns]."""
-        return int(self.get_clock().now().nanoseconds)
-
-    def command(self) -> None:
-        """Have each joint turn to its goal."""
-        for publisher, goal in zip(self.commands, GOALS, strict=True):
-            command = LinkCommand(mode=LinkCommand.POSITION, set_point=goal, max_velocity=SPEED)
-            command.time_to_live = 60.0
-            publisher.publish(command)
-
-    def wait(self, until: Callable[[], bool], complaint: str) -> None:
-        """Spin until something holds.
-
-        Raises:
-            RehearsalError: it does not.
-        """
-        deadline = time.monotonic() + PATIENCE
-        while not until():
-            if time.monotonic() > deadline:
-                raise RehearsalError(complaint)
-            rclpy.spin_once(self, timeout_sec=0.02)
-
-    def turn(self) -> int:
-        """Arm all links and wait until they turn; when they do."""
-        self.arms = True
-        self.wait(lambda: all(self.armed.values()), "not all links get armed")
-        self.wait(lambda: bool((self.rates > MOVING).all()), "not all joints turn")
-        self.arms = False
-        return self.now()
-
     def outage(self, on: bool) -> int:
-        """Cut all links off, or end that; when it was done."""
-        self.wait(self.set.service_is_ready, "the test bed offers no parameters")
-        losses = [
-            Parameter(f"link_{i}.loss", value=float(on)).to_parameter_msg() for i in self.armed
-        ]
-        answer = self.set.call_async(SetParameters.Request(parameters=losses))
-        self.wait(answer.done, "the test bed does not answer")
-        return self.now()
+        """Cut all links off, or end that; when it was done [ns]."""
+        return self.put({f"link_{i}.loss": float(on) for i in self.armed})
 
 
 class Times(NamedTuple):
@@ -184,7 +127,7 @@ def judge(times: Times, t: np.ndarray, rates: np.ndarray, telemetry: list[Any]) 
     anew = np.abs(rates[t > times.again])
     return [
         Check("the joints turn before it", f"at {fastest[t < times.cut][-1]:.3f} rad/s",
-              bool(fastest[t < times.cut][-1] > MOVING)),
+              bool(fastest[t < times.cut][-1] > Mover.MOVING)),
         Check(f"all joints rest by their watchdogs, {WATCHDOG:g} s after the last command",
               f"{stopped:.1f} s after the cut", bool(stopped < WATCHDOG + MARGIN)),
         Check("nothing moves until the links are armed again, whatever is commanded",
@@ -195,7 +138,7 @@ def judge(times: Times, t: np.ndarray, rates: np.ndarray, telemetry: list[Any]) 
               not armed),
         Check("armed anew, all joints turn",
               f"the slowest at up to {anew.max(axis=0, initial=0.0).min():.3f} rad/s",
-              bool(anew.max(axis=0, initial=0.0).min() > MOVING)),
+              bool(anew.max(axis=0, initial=0.0).min() > Mover.MOVING)),
     ]  # fmt: skip
 
 
