@@ -24,7 +24,7 @@ from fss_sim.plant.plant import Vehicle
 from fss_sim.sensors import RATE, Sight
 from fss_sim.settings import TestbedSettings
 from fss_sim.testbed import Report, State, Testbed
-from fss_sim.vicon import BASE, MARKERS_AT_LEAST, TARGET, TIP, Vicon
+from fss_sim.vicon import ABSENT, BASE, MARKERS_AT_LEAST, TARGET, TIP, Vicon
 
 REMINDED = 10 * RATE  # from one telling of the faults to the next, for recorders that come late
 TOUCH = 1e-6  # [m]: nearer, bodies lean on each other
@@ -146,8 +146,9 @@ class VehicleTopics:
             self.gyro.publish(self.gyro_image.of(stamp, sight.rate))
         if self.testbed.frame % round(RATE / settings.truth_rate) == 0:
             bed = self.testbed
-            looks = [bed.looks.get(kind) for kind in SUBJECTS]
-            markers = [look.markers if look else MARKERS_AT_LEAST for look in looks]
+            others = ABSENT.markers if bed.vicon else MARKERS_AT_LEAST
+            counts = {kind: look.markers for kind, look in bed.looks.items()}
+            markers = [counts.get(kind, others) for kind in SUBJECTS]
             self.truth.publish(truth(stamp, settings.world_frame, plant, bed.frame, markers))
             if self.gripper:
                 frame_id = f"{settings.frame_prefix}end_effector"
