@@ -9,6 +9,7 @@ from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
 
 from fss_arm_ros.door import refusals
+from fss_arm_ros.sources import rivals
 
 OK = DiagnosticStatus.OK
 WARN = DiagnosticStatus.WARN
@@ -27,7 +28,8 @@ class Diagnostics:
     """Publishes what `health()` returns as one status, at 1 Hz of real time.
 
     Its name is the node's with its namespace, unless another is given. A new subscriber gets the
-    last state at once. Make it last in a node's constructor.
+    last state at once. Make it last in a node's constructor. Measurements that two others publish
+    are named, and logged when that begins.
     """
 
     def __init__(
@@ -35,6 +37,7 @@ class Diagnostics:
     ) -> None:
         self.node, self.health, self.hardware_id = node, health, hardware_id
         self.name = name or node.get_fully_qualified_name()
+        self.rivals = ""
         matched = PublisherEventCallbacks(matched=lambda _: self.publish())
         self.publisher = node.create_publisher(
             DiagnosticArray, "/diagnostics", 10, event_callbacks=matched
@@ -45,6 +48,11 @@ class Diagnostics:
     def publish(self) -> None:
         """Publish now, out of turn."""
         level, message, values = self.health()
+        before, self.rivals = self.rivals, rivals(self.node)
+        if self.rivals and self.rivals != before:
+            self.node.get_logger().warning(self.rivals)
+        if self.rivals:
+            level, message = max(level, WARN), f"{self.rivals}; {message}"
         values = {**values, **refusals(self.node)}
         status = DiagnosticStatus(
             level=level,

@@ -7,7 +7,7 @@ survives, times are from 1970 on. What does not conform is refused, counted (dia
 tell) and logged once in a row; the node goes on with the next.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import cache
 from importlib import import_module
 from math import isfinite, isnan
@@ -193,6 +193,7 @@ class Door:
 
     def __init__(self, node: Node, kind: type, topic: str) -> None:
         self._node, self._kind, self.topic = node, kind, topic
+        self.kind = kind.__name__
         self._check, self.refused, self.reason = check(kind), 0, ""
         name = f"{kind.__module__.partition('.')[0]}/{kind.__name__}"
         self.most = RULES.get(name, Rule()).size
@@ -222,10 +223,14 @@ class Door:
         self.refused, self.reason = self.refused + 1, why
 
 
+def doors(node: Node) -> Sequence[Door]:
+    """All of a node."""
+    return tuple(vars(node).get(DOORS, ()))
+
+
 def refusals(node: Node) -> dict[str, int]:
     """How many messages a node has refused, by topic."""
-    doors = [door for door in vars(node).get(DOORS, ()) if door.refused]
-    return {f"refused on {door.topic}": door.refused for door in doors}
+    return {f"refused on {door.topic}": door.refused for door in doors(node) if door.refused}
 
 
 def subscribe(

@@ -6,13 +6,16 @@ from weakref import ref
 
 import pytest
 from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from sensor_msgs.msg import Imu, JointState
 
 from fss_arm_msgs.msg import Calibration, KinematicCalibration, LinkTelemetry
+from fss_arm_ros.diagnostics import WARN, Diagnostics, Health
 from fss_arm_ros.door import check, refusals, subscribe
+from fss_arm_ros.sources import rivals
 
 
 def odometry(**numbers):
@@ -85,3 +88,48 @@ def test_a_node_that_nobody_holds_is_gone_with_its_doors(ros):
     del node
     gc.collect()
     assert known() is None
+
+
+class Source(Node):
+    """A node that publishes some topics."""
+
+    def __init__(self, name, *topics):
+        super().__init__(name)
+        for topic, kind in topics:
+            self.create_publisher(kind, topic, 10)
+
+
+def test_two_sources_of_a_measurement_are_named(spin):
+    listener, heard = Node("listener"), []
+    subscribe(listener, PoseStamped, "vicon/fss/fss", heard.append, 10)
+    subscribe(listener, JointState, "arm/joint_commands", heard.append, 10)
+    Diagnostics(listener, lambda: Health(b"\0", "as ever"))
+    said, user = [], Node("user")
+    user.create_subscription(
+        DiagnosticArray, "/diagnostics", lambda m: said.append(m.status[0]), 10
+    )
+    users = [
+        Source(name, ("vicon/fss/fss", PoseStamped), ("arm/joint_commands", JointState))
+        for name in ("mocap", "testbed")
+    ]
+    words = "vicon/fss/fss has 2 sources: /mocap, /testbed"
+    spin([listener, user, *users], lambda: said and said[-1].message == f"{words}; as ever")
+    assert said[-1].level == WARN
+    users.pop().destroy_node()
+    spin([listener, user, *users], lambda: said[-1].message == "as ever")
+
+
+def test_links_share_a_topic_and_a_replay_beside_them_does_not(spin):
+    listener = Node("listener")
+    subscribe(listener, JointState, "joint_states", print, 10)
+    links = [
+        Source(f"link_{i}", ("joint_states", JointState), (f"link_{i}/telemetry", LinkTelemetry))
+        for i in (1, 2)
+    ]
+    spin([listener], lambda: listener.count_publishers("joint_states") == 2)
+    spin([listener], lambda: not rivals(listener))
+    replay = Source("replay", ("joint_states", JointState), ("link_1/telemetry", LinkTelemetry))
+    expected = "joint_states has 3 sources: /link_1, /link_2, /replay"
+    spin([listener], lambda: rivals(listener) == expected)
+    for node in (*links, replay):
+        node.destroy_node()

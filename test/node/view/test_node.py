@@ -68,6 +68,8 @@ def test_several_vehicles_are_shown_in_one_recording(spin, tmp_path):
         topics.append(ears.create_publisher(PoseStamped, f"/vicon/{name}/{name}", SENSOR))
         topics.append(ears.create_publisher(JointState, f"/{name}/joint_states", SENSOR))
     stop = ears.create_publisher(Empty, "/fss2/arm/stop", 10)
+    said, say = [], ones[1].say
+    ones[1].say = lambda *words: (said.append(words), say(*words))
     spin([node, *ones, ears], lambda: all(t.get_subscription_count() for t in [*topics, stop]))
     for k, topic in enumerate(topics):
         message = pose_stamped(BEGIN, "world", (float(k), 0.0, 0.0))
@@ -78,6 +80,7 @@ def test_several_vehicles_are_shown_in_one_recording(spin, tmp_path):
     stop.publish(Empty())
     spin([node, *ones], lambda: all(one.q[1] == 0.1 and one.stamps for one in ones))
     spin([node, *ones], lambda: all({"base", "joints"} <= one.stamps.keys() for one in ones))
+    spin([node, *ones], lambda: said)
     shown = written(node, file)
     for name in ("fss1", "fss2"):
         assert f"/table/{name}/arm" in shown
