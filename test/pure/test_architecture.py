@@ -39,6 +39,7 @@ ALLOWED = {
     "fss_sim.rehearsal": ROS
     | {
         "fss_sim",
+        PROTOCOL,
         "fss_arm_model",
         "fss_arm_ros",
         "fss_arm_bags",
@@ -90,7 +91,7 @@ ROOMS = {
     },
     "fss_sim.board": {
         "fss_arm_model", BOARD, "fss_sim.plant", "fss_sim.faults", "fss_sim.noise",
-        "fss_sim.link.channel", "fss_sim.link.power",
+        "fss_sim.link.channel", "fss_sim.link.power", "fss_sim.link.radio",
     },
     "fss_arm_calib.estimation": set(),
     "fss_arm_calib.segments": {"fss_arm_model", "fss_arm_calib.estimation"},

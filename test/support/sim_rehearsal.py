@@ -27,6 +27,7 @@ from fss_sim.noise import PRESETS
 from fss_sim.plant.joints import PRESETS as JOINTS
 from fss_sim.plant.plant import World
 from fss_sim.testbed import SECOND, State
+from fss_sim.vicon import Vicon
 
 COMMANDS = 20  # frames from one command to the next
 EPOCH = 1_700_000_000 * SECOND
@@ -42,17 +43,20 @@ class Rehearsal:
     """An experiment under a fault script, with the joints and errors of a preset."""
 
     def __init__(
-        self, config, script="", noise=None, seed=1, postures=DEFAULT, preset="paper", **options
-    ):
+        self, config, script="", noise=None, seed=1, postures=DEFAULT, preset="paper", room=None,
+        **options,
+    ):  # fmt: skip
         self.truth, self.guess = load(config / "truth.yaml"), load(config / "cad.yaml")
         state = State(frame=0, boots=1, rests=0, q=(0.0,) * 7, qd=(0.0,) * 7)
+        noise = replace(PRESETS[preset], **(noise or {}))
         self.bed = testbed.Testbed(
             self.truth,
-            replace(PRESETS[preset], **(noise or {})),
+            noise,
             seed,
             state,
             script=read_script(script),
             world=World(JOINTS[preset]),
+            vicon=Vicon(noise, room, seed, [0, 1]) if room else None,
             **options,
         )
         self.links = [LinkSession(i, k) for i, k in enumerate(self.guess.links, 1)]

@@ -14,7 +14,8 @@ from fss_sim.noise import PRESETS
 from fss_sim.plant.drives import VELOCITY
 from fss_sim.plant.plant import Demand, Plant, World
 from fss_sim.plant.surroundings import Surroundings
-from fss_sim.sensors import RATE, Sensors
+from fss_sim.sensors import RATE, Sensors, compose
+from fss_sim.vicon import BASE, TARGET, TIP, Room, Vicon
 
 SECOND = 1_000_000_000
 FRAME = SECOND // RATE
@@ -47,15 +48,26 @@ def ramp(was, wanted, slopes, t):
     return was + np.clip(wanted - was, -slopes * t, slopes * t)
 
 
+def look_at(vicon, frame, plant):
+    """What a picture gives of base, tip and target."""
+    room, pose = vicon.room, plant.target[0]
+    bodies = np.concatenate([room.bodies(plant.p, plant.q), room.disc(TARGET, pose, 0.19)])
+    poses = [plant.base, compose(plant.base, plant.tip), pose]
+    return dict(enumerate(vicon.look(frame, poses, bodies)))
+
+
 def track(
     seed, frames, *, arm="config/truth.yaml", known=None, outage=(0, 0), moving=True,
     thrusting=True, planned=True, told=True, preset="default", settings=None,
-    of_target=None, gyro=True,
+    of_target=None, gyro=True, room=None,
 ):  # fmt: skip
-    """Fly with random pulses of thrusters and a moving arm; poses are missing in the outage."""
+    """Fly with random pulses of thrusters and a moving arm; poses are missing in the outage.
+
+    The preset is one's name, or a Noise of one's own; of the poses' stamps, the latency is known.
+    """
     rng = np.random.default_rng((7, seed))
     arm = load(arm)
-    noise = PRESETS[preset]
+    noise, room = PRESETS[preset] if isinstance(preset, str) else preset, room or Room()
     # Bodies that go through each other: what a bump does, no navigation knows beforehand.
     around = Surroundings(table=(20.0, 20.0))
     world = World(surroundings=around, target=Target(), contact=None)
@@ -64,6 +76,7 @@ def track(
     drifting = rng.normal(0, [0.02, 0.02, 0.15])
     plant = Plant(arm, q, qd, world, [[1.0, 1.0, 1.0], drifting])
     sensors = Sensors(noise, seed)
+    vicon = Vicon(noise, room, seed, (BASE, TIP, TARGET)) if noise.markers else None
     navigation = Navigation(load(known) if known else arm, settings, of_target)
     encoders = [Encoder(noise.encoder_error, rng.uniform(-np.pi, np.pi)) for _ in range(arm.n)]
     base, target, errors, variances = [], [], [], []
@@ -95,14 +108,17 @@ def track(
                 navigation.joint(i, now, e.reading(motion.q), e.rate(motion.q, motion.qd))
         seen = sensors.observe(
             frame + 1, plant.base, plant.tip, float(plant.qd[2]), plant.qd[3:],
-            target=plant.target[0].tolist(),
+            target=plant.target[0].tolist(), looks=vicon and look_at(vicon, frame + 1, plant),
         )  # fmt: skip
+        at = now - seen.base.before - round(SECOND * noise.vicon_latency)
         if gyro and navigation.base.rate(now, seen.rate):
             nis["gyro"].append(navigation.base.nis[TURN_RATE][-1])
-        if not outage[0] <= frame < outage[1]:
-            if navigation.base.pose(now, *seen.base.pose) and frame:
-                nis["pose"].append(navigation.base.nis[POSE][-1] / 3.0)
-            navigation.target_pose(now, *seen.target.pose)
+        looks = not outage[0] <= frame < outage[1]
+        has_base = looks and not seen.base.occluded
+        if has_base and navigation.base.pose(at, *seen.base.pose) and frame:
+            nis["pose"].append(navigation.base.nis[POSE][-1] / 3.0)
+        if looks and not seen.target.occluded:
+            navigation.target_pose(at, *seen.target.pose)
         navigation.predict(now)
         square, error = nees(navigation.base.state(), plant.q[:3], plant.qd[:3])
         base.append(np.nan if navigation.base.lost(now) else square)

@@ -5,7 +5,7 @@ A script is YAML, a list of
     {at: 12.0, part: link_2, fault: loss, value: 0.2, duration: 30.0}
 
 `at` and `duration` in seconds of the simulation, without `duration` to its end; `part` link_<i>,
-drive_<i>, fss, end_effector, fog, board or valve_<i>; `value` 1 by default.
+drive_<i>, fss, end_effector, fog, board, radio or valve_<i>; `value` 1 by default.
 """
 
 from collections.abc import Sequence
@@ -95,6 +95,13 @@ class GyroFaults(Settings):
 
 
 @dataclass(frozen=True)
+class RadioFaults(Settings):
+    """Of the radio channel, if links and base share one."""
+
+    interference: float = fault("share of the airtime that others take", most=0.95)
+
+
+@dataclass(frozen=True)
 class ValveFaults(Settings):
     """Of a thruster's valve, whatever it is told."""
 
@@ -103,7 +110,7 @@ class ValveFaults(Settings):
 
 
 Groups = dict[str, Any]  # LinkFaults, DriveFaults, SubjectFaults, ..., by part
-BASE, TIP, GYRO, BOARD = "fss", "end_effector", "fog", "board"
+BASE, TIP, GYRO, BOARD, RADIO = "fss", "end_effector", "fog", "board", "radio"
 VALVES = [f"valve_{i}" for i in range(1, COUNT + 1)]
 NO_FAULTS, NO_DRIVE_FAULTS = LinkFaults(), DriveFaults()
 
@@ -113,6 +120,7 @@ def kinds(n: int) -> dict[str, type]:
     links = {f"link_{i}": LinkFaults for i in range(1, n + 1)}
     drives = {f"drive_{i}": DriveFaults for i in range(1, n + 1)}
     others = {BASE: SubjectFaults, TIP: SubjectFaults, GYRO: GyroFaults, BOARD: LinkFaults}
+    others |= {RADIO: RadioFaults}
     return {**links, **drives, **others, **dict.fromkeys(VALVES, ValveFaults)}
 
 
@@ -194,6 +202,7 @@ class Faults:
         self.tip: SubjectFaults = groups[TIP]
         self.gyro: GyroFaults = groups[GYRO]
         self.board: LinkFaults = groups[BOARD]
+        self.radio: RadioFaults = groups[RADIO]
         self.links: list[LinkFaults] = [groups[f"link_{i}"] for i in range(1, self._n + 1)]
         self.drives: list[DriveFaults] = [groups[f"drive_{i}"] for i in range(1, self._n + 1)]
         valves: list[ValveFaults] = [groups[valve] for valve in VALVES]

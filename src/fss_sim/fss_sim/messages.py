@@ -1,5 +1,6 @@
 """Messages of the test bed, which is to run many times as fast as real time."""
 
+from collections.abc import Sequence
 from math import cos, inf, sin
 
 import numpy as np
@@ -23,9 +24,9 @@ class PoseImage(Image):
         super().__init__(pose_stamped(0, frame_id, (0.0, 0.0, 0.0)), 7)
 
     def of(self, stamp: int, seen: Seen) -> bytes:
-        """What is seen; of an occluded subject pose and quaternion are zero."""
+        """What is seen in a frame; of an occluded subject pose and quaternion are zero."""
         x, y, heading = seen.pose
-        self.stamped(stamp)
+        self.stamped(stamp - seen.before)
         if seen.occluded:
             self.put(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         else:
@@ -62,8 +63,10 @@ class ClockImage(Image):
         return self.bytes()
 
 
-def truth(stamp: int, frame_id: str, plant: Vehicle) -> SimTruth:
-    """A vehicle as it is, with the books of all that is on its table."""
+def truth(
+    stamp: int, frame_id: str, plant: Vehicle, frame: int = 0, markers: Sequence[int] = (0, 0, 0)
+) -> SimTruth:
+    """A vehicle as it is, with the books of all that is on its table, and VICON's frame."""
     bed = plant.bed
     audit, error = bed.audit, bed.imbalance.tolist()
     pose, twist = (bed.targets[0].state if bed.targets else np.zeros((2, 3))).tolist()
@@ -88,6 +91,8 @@ def truth(stamp: int, frame_id: str, plant: Vehicle) -> SimTruth:
         target=pose,
         target_twist=twist,
         holds=plant.holds,
+        frame=frame,
+        markers=markers,
     )
     message.header.stamp, message.header.frame_id = to_time(stamp), frame_id
     return message

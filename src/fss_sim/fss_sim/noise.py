@@ -26,6 +26,27 @@ class Noise(Settings):
         "error of the tip's heading seen from the base, by rest, 1 sigma", "rad"
     )
     vicon_latency: float = error("age of VICON poses at their stamps", "s", check=between(0.0, 1.0))
+    vicon_jitter: float = error(
+        "how much later than that VICON poses are stamped, half normal, 1 sigma", "s",
+        check=between(0.0, 0.003),
+    )  # fmt: skip
+    marker_noise: float = error(
+        "white noise of a VICON marker, each axis, 1 sigma; a pose has it by its markers", "m"
+    )
+    vicon_edge_error: float = error(
+        "displacement of VICON markers at the middle of the table's edge; it grows with the cube "
+        "of the distance from the table's middle", "m",
+    )  # fmt: skip
+    vicon_occlusion: float = error(
+        "1: bodies hide VICON's markers from cameras", check=between(0.0, 1.0)
+    )
+    vicon_merge_distance: float = error(
+        "distance at which markers of two subjects are lost as one", "m"
+    )
+    vicon_merge_swap: float = error(
+        "share of the times that markers of two subjects merge in which the subjects are taken "
+        "for each other", check=between(0.0, 1.0),
+    )  # fmt: skip
     gyro_noise: float = error("white noise of a FOG sample, 1 sigma", "rad/s")
     gyro_bias: float = error("bias of the FOG in a run, 1 sigma", "rad/s")
     gyro_walk: float = error("change of the FOG's bias in 1 s, 1 sigma", "rad/s")
@@ -45,6 +66,12 @@ class Noise(Settings):
     )
     clock_drift: float = error("relative drift of a link's clock, 1 sigma")
 
+    @property
+    def markers(self) -> bool:
+        """Whether VICON's poses come from single markers."""
+        each = self.marker_noise, self.vicon_edge_error, self.vicon_merge_distance
+        return any(each) or self.vicon_occlusion > 0.0
+
 
 _DEFAULT = Noise(
     position_noise=0.0003,
@@ -61,6 +88,20 @@ _DEFAULT = Noise(
     clock_drift=2e-5,
 )
 
+#: VICON by its markers, in place of poses with white noise: what `laboratory` has of it.
+#: Of markers, 0.2 to 0.3 mm is usual in motion; the rest are assumptions, and no measurement's.
+VICON = {
+    "position_noise": 0.0,
+    "heading_noise": 0.0,
+    "marker_noise": 0.0003,
+    "vicon_edge_error": 0.001,
+    "vicon_latency": 0.01,
+    "vicon_jitter": 0.001,
+    "vicon_occlusion": 1.0,
+    "vicon_merge_distance": 0.025,
+    "vicon_merge_swap": 0.3,
+}
+
 #: `paper`: the errors of a rest that give the residuals of Sec. 4.1, 0.015 m and 0.683 degrees.
 #: `laboratory`: with the joints as they are, plant/joints.py.
 PRESETS = {
@@ -72,5 +113,6 @@ PRESETS = {
         encoder_eccentricity=radians(60 / 3600),
         torque_crosstalk=0.002,
         torque_drift=0.02,
+        **VICON,
     ),
 }

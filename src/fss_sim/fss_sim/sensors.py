@@ -5,26 +5,26 @@ a run can be resumed anywhere and repeats itself whatever the pace it is compute
 """
 
 from collections import deque
+from collections.abc import Mapping
 from math import cos, sin
+from operator import add
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from fss_arm_model.units import SECOND
+from fss_sim.chance import Chance, Stream, drawn
 from fss_sim.faults import GyroFaults, SubjectFaults
 from fss_sim.noise import Noise
-
-Pose = tuple[float, float, float]  # x [m], y [m], heading [rad]
+from fss_sim.vicon import ABSENT, BASE, TARGET, TIP, Look, Pose
 
 RATE = 100  # frames of VICON and samples of the FOG a second
 MOVING = 1e-3  # a joint faster than this moves [rad/s]
 REST = RATE // 5  # frames without a moving joint that make a rest
 MEMORY = RATE  # frames that VICON's latency may last
-BLOCK = 256  # frames whose random numbers are drawn at once
 
 SEEN, HEARD = SubjectFaults(), GyroFaults()  # nothing is wrong
-
-_FRAME, _REST, _RUN, _CHANCE, _WALK, _TARGET = range(6)  # the streams of random numbers
 
 
 class Seen(NamedTuple):
@@ -32,6 +32,7 @@ class Seen(NamedTuple):
 
     pose: Pose  # in the world
     occluded: bool = False  # the pose says nothing
+    before: int = 0  # the frame's end it is stamped [ns]
 
 
 class Sight(NamedTuple):
@@ -43,39 +44,11 @@ class Sight(NamedTuple):
     target: Seen | None = None
 
 
-class Chance:
-    """Random numbers by frame, `width` of each kind: normal and uniform ones."""
-
-    def __init__(self, seed: int, width: int, stream: int = _FRAME) -> None:
-        self._seed, self._width, self._stream = seed, width, stream
-        self._block = -1
-        self._normal = self._uniform = np.empty((0, 0))
-
-    def normal(self, frame: int) -> npt.NDArray[np.float64]:
-        """(width,) of mean 0 and deviation 1."""
-        self._draw(frame // BLOCK)
-        row: npt.NDArray[np.float64] = self._normal[frame % BLOCK]
-        return row
-
-    def uniform(self, frame: int) -> list[float]:
-        """(width,) from 0 to 1."""
-        self._draw(frame // BLOCK)
-        row: list[float] = self._uniform[frame % BLOCK].tolist()
-        return row
-
-    def _draw(self, block: int) -> None:
-        if block != self._block:
-            size = BLOCK, self._width
-            self._block = block
-            self._normal = _random(self._seed, self._stream, block).standard_normal(size)
-            self._uniform = _random(self._seed, _CHANCE, block).random(size)
-
-
 class Walk:
     """A random walk that is 0 at time 0 and has the deviation sqrt(t) at time t [s]."""
 
     def __init__(self, seed: int) -> None:
-        self._random = _random(seed, _WALK, 0)
+        self._random = drawn(seed, Stream.WALK, 0)
         self._values = np.zeros(1)  # at 0, 1, 2, ... s
 
     def at(self, frame: int) -> float:
@@ -93,19 +66,30 @@ class Camera:
 
     def __init__(self, latency: int) -> None:
         self._latency = latency  # [frames]
-        self._poses: deque[Pose] = deque(maxlen=MEMORY + 1)
-        self._reported = (0.0, 0.0, 0.0)
+        self._poses: deque[Pose | None] = deque(maxlen=MEMORY + 1)
+        self._reported: Pose | None = (0.0, 0.0, 0.0)
 
-    def report(self, pose: Pose, faults: SubjectFaults, lost: float, hidden: float) -> Seen | None:
-        """What comes of a picture; `lost` and `hidden`, from 0 to 1, are its chances."""
+    def report(
+        self, pose: Pose | None, faults: SubjectFaults, lost: float, hidden: float, before: int = 0
+    ) -> Seen | None:
+        """What comes of a picture that has this pose, None: it has none.
+
+        Args:
+            pose: in the world.
+            faults: in force.
+            lost: chance, from 0 to 1, against which a dropout is held.
+            hidden: the same of an occlusion.
+            before: how much before the frame's end the pose is stamped [ns].
+        """
         self._poses.append(pose)
         late = min(self._latency + round(faults.latency * RATE), len(self._poses) - 1)
         if lost < faults.dropout:
             return None
         if not faults.frozen:
-            x, y, heading = self._poses[-1 - late]
-            self._reported = x, y, heading + faults.turn
-        return Seen(self._reported, occluded=hidden < faults.occlusion)
+            then = self._poses[-1 - late]
+            self._reported = then and (*then[:2], then[2] + faults.turn)
+        occluded = self._reported is None or hidden < faults.occlusion
+        return Seen(self._reported or (0.0, 0.0, 0.0), occluded, before)
 
 
 class Sensors:
@@ -120,14 +104,15 @@ class Sensors:
     def __init__(self, noise: Noise, seed: int, rests: int = 0) -> None:
         self.noise, self.seed, self.rests = noise, seed, rests
         self._still = 0
-        self._bias, self._scale = _random(seed, _RUN, 0).standard_normal(2).tolist()
+        self._bias, self._scale = drawn(seed, Stream.RUN, 0).standard_normal(2).tolist()
         self._walk = Walk(seed)
         self._chance, self._held = Chance(seed, 7), Chance(seed, 7)
-        self._hold = max(1, round(noise.vicon_hold * RATE))  # [frames]
+        self.hold = max(1, round(noise.vicon_hold * RATE))  # [frames]
         self._white = np.array([noise.position_noise] * 2 + [noise.heading_noise])
-        latency = round(noise.vicon_latency * RATE)
+        latency = round(noise.vicon_latency * RATE) + (noise.vicon_jitter > 0.0)
         self._base, self._tip, self._target = Camera(latency), Camera(latency), Camera(latency)
-        self._target_chance = Chance(seed, 3, _TARGET)
+        self._target_chance = Chance(seed, 3, Stream.TARGET)
+        self._late = Chance(seed, 1, Stream.JITTER)
         self._draw_rest()
 
     def observe(
@@ -141,6 +126,7 @@ class Sensors:
         tip_faults: SubjectFaults = SEEN,
         gyro_faults: GyroFaults = HEARD,
         target: Pose | None = None,
+        looks: Mapping[int, Look] | None = None,
     ) -> Sight:
         """What is seen in a frame.
 
@@ -157,29 +143,40 @@ class Sensors:
             tip_faults: what is wrong with the end effector's markers.
             gyro_faults: what is wrong with the FOG.
             target: true pose of the target in the world, if there is one.
+            looks: what VICON's picture gives of each subject, by kind; nothing: no single markers.
         """
         self._follow(qd)
         noise, chance = self.noise, self._chance.uniform(frame)
-        white = self._held.normal(frame // self._hold)
-        seen_base = (np.array(base) + self._white * white[:3]).tolist()
-        seen_tip = np.array(compose(base, (np.array(tip) + self._error).tolist()))
-        seen_tip = (seen_tip + self._white * white[3:6]).tolist()
+        white = self._held.normal(frame // self.hold)
+        seen_base = _pose(np.array(base) + self._white * white[:3])
+        seen_tip = np.array(compose(base, _pose(np.array(tip) + self._error)))
+        seen: list[Pose | None] = [seen_base, _pose(seen_tip + self._white * white[3:6])]
+        seen.append(target and self._whiten(frame, target))
+        if looks:
+            seen = [_off(pose, looks.get(kind, ABSENT)) for kind, pose in enumerate(seen)]
         bias = noise.gyro_bias * self._bias + gyro_faults.bias
         bias += noise.gyro_walk * self._walk.at(frame)
         scale = 1.0 + noise.gyro_scale * self._scale
         seen_rate = scale * rate + bias + noise.gyro_noise * float(self._chance.normal(frame)[6])
-        as_base = seen_tip if chance[5] < base_faults.swap else seen_base
-        as_tip = seen_base if chance[6] < tip_faults.swap else seen_tip
+        as_base = seen[TIP] if chance[5] < base_faults.swap else seen[BASE]
+        as_tip = seen[BASE] if chance[6] < tip_faults.swap else seen[TIP]
+        before = self._before(frame)
         return Sight(
-            self._base.report(tuple(as_base), base_faults, *chance[:2]),
-            self._tip.report(tuple(as_tip), tip_faults, *chance[2:4]),
+            self._base.report(as_base, base_faults, chance[0], chance[1], before),
+            self._tip.report(as_tip, tip_faults, chance[2], chance[3], before),
             None if chance[4] < gyro_faults.dropout else seen_rate,
-            target and self._see_target(frame, target),
+            target and self._target.report(seen[TARGET], SEEN, 1.0, 1.0, before),
         )
 
-    def _see_target(self, frame: int, pose: Pose) -> Seen | None:
-        x, y, heading = (self._white * self._target_chance.normal(frame) + pose).tolist()
-        return self._target.report((x, y, heading), SEEN, 1.0, 1.0)
+    def _whiten(self, frame: int, pose: Pose) -> Pose:
+        return _pose(self._white * self._target_chance.normal(frame) + pose)
+
+    def _before(self, frame: int) -> int:
+        """How much before a frame's end its poses are stamped [ns]."""
+        if not self.noise.vicon_jitter:
+            return 0
+        late = self.noise.vicon_jitter * abs(float(self._late.normal(frame)[0]))
+        return round(SECOND * max(1.0 / RATE - late, 0.0))
 
     def _follow(self, qd: npt.NDArray[np.float64]) -> None:
         """Count rests: one ends with the first motion after it, which redraws its error."""
@@ -194,11 +191,17 @@ class Sensors:
     def _draw_rest(self) -> None:
         noise = self.noise
         deviations = np.array(2 * [noise.rest_position_error] + [noise.rest_heading_error])
-        self._error = deviations * _random(self.seed, _REST, self.rests).standard_normal(3)
+        self._error = deviations * drawn(self.seed, Stream.REST, self.rests).standard_normal(3)
 
 
-def _random(seed: int, stream: int, counter: int) -> np.random.Generator:
-    return np.random.default_rng((seed, stream, counter))
+def _off(pose: Pose | None, look: Look) -> Pose | None:
+    """A pose with the markers' errors; None of what is lost."""
+    return (*map(add, pose, look.error),) if pose and look.there else None
+
+
+def _pose(values: npt.NDArray[np.float64]) -> Pose:
+    x, y, heading = values.tolist()
+    return x, y, heading
 
 
 def compose(a: Pose, b: Pose) -> Pose:

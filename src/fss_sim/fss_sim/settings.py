@@ -1,6 +1,7 @@
 """The parameters of the test-bed node, and what they amount to."""
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from itertools import combinations
 from math import dist
@@ -28,6 +29,8 @@ from fss_arm_model.vehicle import Vehicle
 from fss_arm_ros.parameters import converted
 from fss_sim.link.power import Power
 from fss_sim.link.pty import LinkTerminal
+from fss_sim.link.radio import Air, Radio
+from fss_sim.link.tcp import LinkListener
 from fss_sim.link.udp import LinkSocket
 from fss_sim.noise import PRESETS, Noise
 from fss_sim.plant.contact import Contact
@@ -39,6 +42,9 @@ from fss_sim.plant.target import Gripper
 from fss_sim.plant.thrusters import Propulsion
 from fss_sim.sensors import RATE
 from fss_sim.testbed import State
+from fss_sim.vicon import Room, Vicon
+
+Wire = LinkSocket | LinkListener | LinkTerminal
 
 
 def _of_preset(kind: type[Settings], name: str) -> Any:
@@ -118,6 +124,23 @@ class PlantSettings(Settings):
     contact: bool = setting(True, "bodies keep each other out; false: they pass through")
     restitution: float = like(Contact, "restitution")
     contact_friction: float = like(Contact, "friction")
+    vicon_cameras: tuple[float, ...] = like(Room, "cameras")
+    base_markers: tuple[float, ...] = like(Room, "base_markers")
+    tip_markers: tuple[float, ...] = like(Room, "tip_markers")
+    target_markers: tuple[float, ...] = like(Room, "target_markers")
+    heights: tuple[float, ...] = like(Room, "heights")
+    marker_stalk: float = like(Room, "stalk")
+    wifi: bool = setting(
+        False, "links and base share a radio channel; else what they send is there at once"
+    )
+    wifi_rate: float = like(Radio, "rate")
+    wifi_overhead: float = like(Radio, "overhead")
+    wifi_loss: float = like(Radio, "loss")
+    wifi_burst_interval: float = like(Radio, "burst_interval")
+    wifi_burst_length: float = like(Radio, "burst_length")
+    wifi_burst_loss: float = like(Radio, "burst_loss")
+    wifi_retries: int = like(Radio, "retries")
+    wifi_patience: float = like(Radio, "patience")
 
     def joints(self) -> Joints:
         """The preset's, with the numbers given in their places."""
@@ -172,12 +195,27 @@ class PlantSettings(Settings):
             Contact(self.restitution, self.contact_friction) if self.contact else None,
         )
 
+    def room(self) -> Room:
+        """Where VICON's cameras and markers are."""
+        places = self.base_markers, self.tip_markers, self.target_markers
+        return Room(self.vicon_cameras, *places, self.heights, self.marker_stalk)
+
+    def radio(self) -> Radio | None:
+        """The channel that links and base share, if they do."""
+        if not self.wifi:
+            return None
+        given = (getattr(self, f"wifi_{f.name}") for f in fields(Radio))
+        return Radio(*given)
+
 
 NAME = re.compile("[A-Za-z][A-Za-z0-9_]*")  # of a vehicle, which is a namespace
 OF_THE_BED = {
     *("vehicles", "keep_clock", "speed", "paused", "truth_rate", "state_file", "world_frame"),
     *("tilt", "table", "tolerance", "contact", "restitution", "contact_friction"),
-    *(f.name for f in fields(PlantSettings) if f.name.startswith("target_")),
+    *(f.name for f in fields(PlantSettings) if f.name.startswith(("target_", "wifi"))),
+    *(f.name for f in fields(Noise) if f.name.startswith("vicon_")),
+    *("preset", "marker_noise", "vicon_cameras", "base_markers", "tip_markers"),
+    *("heights", "marker_stalk"),
     "target_topic",
 }  # so no vehicle's own
 
@@ -192,12 +230,17 @@ class TestbedSettings(PlantSettings):
     )  # fmt: skip
     arm: str = setting("", "file of the true arm's description; empty: the paper's arm")
     without_arm: bool = setting(False, "whether the described base floats without its arm")
-    host: str = setting("127.0.0.1", "address that the links' UDP ports are opened on")
+    host: str = setting("127.0.0.1", "address that the links' ports are opened on")
+    transports: tuple[str, ...] = setting(
+        (), "what reaches each link: udp, tcp, or serial, a pseudo-terminal as RS-232; one for "
+        "all or one each; empty: serial if there are terminals, else udp",
+        check=one_of("udp", "tcp", "serial"),
+    )  # fmt: skip
     ports: tuple[int, ...] = setting(
-        (), "the links' UDP ports, 0: any; empty: 5001, 5002, ...", check=between(0, 65535)
+        (), "the links' UDP or TCP ports, 0: any; empty: 5001, 5002, ...", check=between(0, 65535)
     )
     terminals: tuple[str, ...] = setting(
-        (), "paths of pseudo-terminals to reach the links by, as by RS-232; empty: UDP"
+        (), "paths of the links' pseudo-terminals, one each; the others' count for nothing"
     )
     board_port: int = setting(
         0,
@@ -220,6 +263,12 @@ class TestbedSettings(PlantSettings):
     rest_heading_error: float = _of_preset(Noise, "rest_heading_error")
     gyro_noise: float = _of_preset(Noise, "gyro_noise")
     vicon_latency: float = _of_preset(Noise, "vicon_latency")
+    vicon_jitter: float = _of_preset(Noise, "vicon_jitter")
+    marker_noise: float = _of_preset(Noise, "marker_noise")
+    vicon_edge_error: float = _of_preset(Noise, "vicon_edge_error")
+    vicon_occlusion: float = _of_preset(Noise, "vicon_occlusion")
+    vicon_merge_distance: float = _of_preset(Noise, "vicon_merge_distance")
+    vicon_merge_swap: float = _of_preset(Noise, "vicon_merge_swap")
     gyro_bias: float = _of_preset(Noise, "gyro_bias")
     gyro_walk: float = _of_preset(Noise, "gyro_walk")
     gyro_scale: float = _of_preset(Noise, "gyro_scale")
@@ -274,7 +323,7 @@ class TestbedSettings(PlantSettings):
                 f"speed is {self.speed} and paused {str(self.paused).lower()}, "
                 "expected 1 and false without keep_clock"
             )
-        _ = self.noise(), self.joints()  # which refuse what they must
+        _ = self.noise(), self.joints(), self.room()  # which refuse what they must
 
     def each(self) -> dict[str, "TestbedSettings"]:
         """The settings of each vehicle by its name; those of the only one if there is no file.
@@ -326,6 +375,16 @@ class TestbedSettings(PlantSettings):
         given = {f.name: getattr(self, f.name) for f in fields(Noise)}
         return replace(PRESETS[self.preset], **_given(given))
 
+    def vicon(self, seed: int, kinds: Sequence[int]) -> Vicon | None:
+        """What looks at the markers of all subjects of these kinds, if poses come from those."""
+        noise = self.noise()
+        return Vicon(noise, self.room(), seed, kinds, self.table) if noise.markers else None
+
+    def air(self, seed: str) -> Air | None:
+        """What links and boards send through, if they share a channel."""
+        radio = self.radio()
+        return Air(radio, seed) if radio else None
+
     def power(self) -> Power:
         """The batteries, and what lives on them."""
         return Power(self.battery_energy, self.battery_resistance)
@@ -334,13 +393,26 @@ class TestbedSettings(PlantSettings):
         """The fault script's text."""
         return read_text(self.faults) if self.faults else ""
 
-    def wires(self, n: int) -> list[LinkSocket | LinkTerminal]:
+    def wires(self, n: int) -> list[Wire]:
         """Open what each link is reached by."""
-        if not self.terminals:
-            return [LinkSocket(self.host, port) for port in self.link_ports(n)]
-        if len(self.terminals) != n:
+        usual = "serial" if self.terminals else "udp"
+        kinds = n * (self.transports or (usual,)) if len(self.transports) < 2 else self.transports
+        if len(kinds) != n:
+            raise ValueError(f"transports is {list(kinds)}, expected 1 or {n}")
+        if "serial" in kinds and len(self.terminals) != n:
             raise ValueError(f"terminals has {len(self.terminals)} paths, expected {n}")
-        return [LinkTerminal(path) for path in self.terminals]
+        paths, ports, opened = self.terminals or n * ("",), self.link_ports(n), list[Wire]()
+        try:
+            for kind, port, path in zip(kinds, ports, paths, strict=True):
+                if kind == "serial":
+                    opened.append(LinkTerminal(path))
+                else:
+                    opened.append((LinkListener if kind == "tcp" else LinkSocket)(self.host, port))
+        except OSError:
+            for wire in opened:
+                wire.close()
+            raise
+        return opened
 
     def board_wire(self) -> LinkSocket | None:
         """Open what the base's board is reached by, if there is one."""

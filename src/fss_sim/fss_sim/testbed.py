@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fss_arm_model.description import Arm, Base
+from fss_arm_model.extents import Extents
 from fss_arm_model.files import read_yaml, shown, write_text
 from fss_arm_model.units import SECOND
 from fss_sim.board.board import Board
@@ -20,12 +21,14 @@ from fss_sim.faults import Event, Faults
 from fss_sim.link.channel import Datagram
 from fss_sim.link.link import Link
 from fss_sim.link.power import Power
+from fss_sim.link.radio import Air, Station
 from fss_sim.noise import Noise
 from fss_sim.plant.bed import Bed
 from fss_sim.plant.joints import axes, carried
 from fss_sim.plant.plant import Floats, Motion, Plant, Vehicle, World
 from fss_sim.plant.target import Passive
-from fss_sim.sensors import RATE, Sensors, Sight
+from fss_sim.sensors import RATE, Sensors, Sight, compose
+from fss_sim.vicon import ABSENT, BASE, TARGET, TIP, Look, Pose, Room, Vicon
 
 FRAME = SECOND // RATE  # [ns]
 OUTAGE = RATE  # frames: how far time moves on while a testbed is not running
@@ -105,6 +108,8 @@ class Testbed:
         board_rate: of the telemetry of the base's board [frames/s]; 0: there is none.
         plant: the vehicle, if it shares the table with others (`together`).
         power: what the batteries are like, and what lives on them.
+        air: the channel that links and board share, of all vehicles; None: what is sent is there.
+        vicon: what sees the markers on the table; None: one of its own, if noise is by markers.
     """
 
     def __init__(
@@ -122,24 +127,36 @@ class Testbed:
         board_rate: float = 0.0,
         plant: Vehicle | None = None,
         power: Power | None = None,
+        air: Air | None = None,
+        vicon: Vicon | None = None,
     ) -> None:
         self._target = np.reshape(state.target, (2, 3))  # as given
         self.plant = plant or Plant(
             arm, state.q, state.qd, world, self._target, state.holds, state.propellant
         )
         links = arm.links if isinstance(arm, Arm) else ()
-        self.sensors = Sensors(noise, seed, state.rests)
+        self.sensors, self.air = Sensors(noise, seed, state.rests), air
+        kinds = [*self.subjects, *(TARGET for _ in self.plant.bed.targets)]
+        alone = Vicon(noise, Room(), seed, kinds) if noise.markers else None
+        self.vicon = vicon or alone
+        self.looks: dict[int, Look] = {}  # of the last frame, by what VICON sees of it
         self.faults = Faults(len(links), script)
         keys = keys or {}
         self.links = [
-            Link(i, k, noise, seed, state.boots, rate, keys.get(i), torque_rate, charge, power)
+            Link(
+                i, k, noise, seed, state.boots, rate, keys.get(i), torque_rate, charge, power,
+                self._station(f"{i}"),
+            )
             for i, k in enumerate(links, 1)
-        ]
+        ]  # fmt: skip
         self.board = (
-            Board(noise, seed, state.boots, board_rate, keys.get(0), charge, power)
+            Board(
+                noise, seed, state.boots, board_rate, keys.get(0), charge, power,
+                self._station("board"),
+            )
             if board_rate
             else None
-        )
+        )  # fmt: skip
         self.frame, self._boots = state.frame, state.boots
         for part in self._electronics():
             part.start(self._boots, self.now, part.uptime)
@@ -183,7 +200,7 @@ class Testbed:
         tip = plant.tip if plant.n else (0.0, 0.0, 0.0)
         qd = np.array([motion.qd for motion in self._motions] or [0.0])
         sight = self.sensors.observe(
-            self.frame, plant.base, tip, rate, qd, of.base, of.tip, of.gyro, target
+            self.frame, plant.base, tip, rate, qd, of.base, of.tip, of.gyro, target, self.looks
         )
         telemetry = [
             link.report(self.now, self._motions[i], 1.0 / RATE, of.links[i], of.drives[i])
@@ -207,6 +224,18 @@ class Testbed:
             self.board.put(data, peer, self.now + late, self.faults.board)
 
     @property
+    def subjects(self) -> dict[int, Pose]:
+        """True poses of what VICON sees of the vehicle."""
+        base = self.plant.base
+        return {BASE: base, TIP: compose(base, self.plant.tip)} if self.plant.n else {BASE: base}
+
+    def bodies(self, room: Room) -> Floats:
+        """What of the vehicle stands in the cameras' way, by Room.bodies."""
+        around = self.plant.world.surroundings
+        extents = Extents(around.table, around.base_radius, around.link_radius)
+        return room.bodies(self.plant.p, self.plant.q, extents)
+
+    @property
     def target(self) -> Floats:
         """Pose and twist of the target, (2, 3); those given if there is none."""
         targets = self.plant.bed.targets
@@ -218,6 +247,10 @@ class Testbed:
             link.supply.battery.charge = 1.0
         if self.board:
             self.board.battery.charge = 1.0
+
+    def _station(self, part: str) -> Station | None:
+        name = f"{self.plant.name} {part}" if self.plant.name else part
+        return self.air.station(name) if self.air else None
 
     def _measured(self) -> list[Motion]:
         """The motions, with the mean forces of the last frame if instruments show them."""
@@ -276,6 +309,31 @@ def together(vehicles: Sequence[Vehicle], states: Sequence[State]) -> None:
 
 def step(vehicles: Sequence[Testbed]) -> list[Report]:
     """Let one frame's time pass for all vehicles of a table."""
+    first = vehicles[0]
     faulted = [one.act() for one in vehicles]
-    vehicles[0].plant.bed.advance(1.0 / RATE)
+    if first.air:
+        first.air.taken = max(one.faults.radio.interference for one in vehicles)
+    first.plant.bed.advance(1.0 / RATE)
+    if first.vicon:
+        look(first.vicon, vehicles)
     return [one.observe(of) for one, of in zip(vehicles, faulted, strict=True)]
+
+
+def look(vicon: Vicon, vehicles: Sequence[Testbed]) -> None:
+    """Tell all vehicles of a table what a picture of them all gives of each."""
+    first, targets = vehicles[0], vehicles[0].plant.bed.targets
+    subjects = [one.subjects for one in vehicles]
+    poses = [pose for its in subjects for pose in its.values()]
+    poses += [(*one.state[0].tolist(),) for one in targets]
+    bodies = np.empty((0, 6))
+    if vicon.hides:
+        rows = [one.bodies(vicon.room) for one in vehicles]
+        rows += [vicon.room.disc(TARGET, one.state[0], one.target.radius) for one in targets]
+        bodies = np.concatenate(rows)
+    frame = first.frame + 1
+    looks = iter(vicon.look(frame, poses, bodies, frame // first.sensors.hold))
+    for one, its in zip(vehicles, subjects, strict=True):
+        one.looks = {kind: next(looks) for kind in its}
+    target = next(looks, ABSENT)
+    for one in vehicles:
+        one.looks[TARGET] = target

@@ -31,6 +31,7 @@ from fss_sim.settings import TestbedSettings
 from fss_sim.testbed import FRAME, State, Testbed, step, together
 from fss_sim.ticker import Ticker
 from fss_sim.vehicle_topics import VehicleTopics, at_one_time
+from fss_sim.vicon import TARGET
 
 BURST = RATE  # frames made up for at once, so that the node remains responsive
 STALL = 0.3  # of a busy computer, in real time [s]
@@ -84,8 +85,14 @@ class TestbedNode(Node):
         if self.settings.vehicles:
             plants = [v.made(state) for v, state in zip(self.vehicles, states, strict=True)]
             together(plants, states)
-        for vehicle, plant, state in zip(self.vehicles, plants, at_one_time(states), strict=True):
-            vehicle.begin(plant, state, self.seed + vehicle.settings.seed - self.settings.seed)
+        states = at_one_time(states)
+        kinds = [kind for vehicle in self.vehicles for kind in vehicle.subjects]
+        kinds += [TARGET] if self.settings.target_mass else []
+        air = self.settings.air(f"{self.seed}, {states[0].boots}")
+        vicon = self.settings.vicon(self.seed, kinds)
+        for vehicle, plant, state in zip(self.vehicles, plants, states, strict=True):
+            seed = self.seed + vehicle.settings.seed - self.settings.seed
+            vehicle.begin(plant, state, seed, air, vicon)
         self.pace = self.new_pace()
         for vehicle in self.vehicles:
             vehicle.publish_faults()
@@ -213,7 +220,9 @@ class TestbedNode(Node):
         speed = (frame - before) / RATE / max(now - then, 1e-9)
         slow = now - then > 0.5 and speed < 0.95 * self.settings.speed and not self.paused
         values = {"simulated time [s]": frame / RATE, "speed": speed}
-        values["clock jumps"] = self.pace.jumps
+        values["VICON's frame"], values["clock jumps"] = frame, self.pace.jumps
+        if self.testbed.air:
+            values["airtime used"] = self.testbed.air.used(self.testbed.now)
         state = "paused" if self.paused else "too slow" if slow else "running"
         level = WARN if slow else OK
         if self.settings.vehicles:

@@ -18,14 +18,17 @@ from fss_arm_ros.convert import to_time
 from fss_arm_ros.door import subscribe
 from fss_arm_ros.qos import COMMAND, LATCHED, SENSOR
 from fss_sim.faults import kinds, read_script
+from fss_sim.link.radio import Air
 from fss_sim.messages import GyroImage, PoseImage, gripper_state, nearest, truth
 from fss_sim.plant.plant import Vehicle
 from fss_sim.sensors import RATE, Sight
 from fss_sim.settings import TestbedSettings
 from fss_sim.testbed import Report, State, Testbed
+from fss_sim.vicon import ABSENT, BASE, MARKERS_AT_LEAST, TARGET, TIP, Vicon
 
 REMINDED = 10 * RATE  # from one telling of the faults to the next, for recorders that come late
 TOUCH = 1e-6  # [m]: nearer, bodies lean on each other
+SUBJECTS = {BASE: "base", TIP: "end effector", TARGET: "target"}
 SAVED = RATE // 5  # frames from one writing of the state file to the next
 
 
@@ -53,6 +56,7 @@ class VehicleTopics:
         self.space, self.prefix = (f"/{name}/", f"{name}.") if name else ("", "")
         self.arm = settings.description()
         self.n = self.arm.n if isinstance(self.arm, Arm) else 0
+        self.subjects = (BASE, TIP) if self.n else (BASE,)  # to VICON
         self.keys = load_keys(settings.keys) if settings.keys else {}
         self.script = settings.script()
         self.wires = settings.wires(self.n)
@@ -86,7 +90,14 @@ class VehicleTopics:
         world = self.settings.world()
         return Vehicle(self.arm, state.q, state.qd, world, state.propellant, self.name)
 
-    def begin(self, plant: Vehicle | None, state: State, seed: int) -> None:
+    def begin(
+        self,
+        plant: Vehicle | None,
+        state: State,
+        seed: int,
+        air: Air | None = None,
+        vicon: Vicon | None = None,
+    ) -> None:
         """Give electronics and sensors to a vehicle in this state; None: to one that is alone."""
         settings = self.settings
         self.testbed = Testbed(
@@ -103,6 +114,8 @@ class VehicleTopics:
             settings.board_rate if self.board_wire else 0.0,
             plant,
             settings.power(),
+            air,
+            vicon,
         )
         for (part, fault), value in self.set_faults.items():
             self.testbed.faults.set(part, fault, value)
@@ -132,7 +145,11 @@ class VehicleTopics:
         if sight.rate is not None and self.board_wire is None:
             self.gyro.publish(self.gyro_image.of(stamp, sight.rate))
         if self.testbed.frame % round(RATE / settings.truth_rate) == 0:
-            self.truth.publish(truth(stamp, settings.world_frame, plant))
+            bed = self.testbed
+            others = ABSENT.markers if bed.vicon else MARKERS_AT_LEAST
+            counts = {kind: look.markers for kind, look in bed.looks.items()}
+            markers = [counts.get(kind, others) for kind in SUBJECTS]
+            self.truth.publish(truth(stamp, settings.world_frame, plant, bed.frame, markers))
             if self.gripper:
                 frame_id = f"{settings.frame_prefix}end_effector"
                 self.gripper.publish(gripper_state(stamp, frame_id, plant))
@@ -198,6 +215,8 @@ class VehicleTopics:
             "propellant used [kg]": plant.thrusters.used,
             "rests": self.testbed.sensors.rests,
         }
+        for kind, seen in self.testbed.looks.items():
+            values[f"markers of the {SUBJECTS[kind]}"] = seen.markers
         for link, wire in zip(self.testbed.links, self.wires, strict=True):
             values[f"link {link.number}"] = f"{wire.place}, {link.refused} refused"
         if self.board_wire and self.testbed.board:

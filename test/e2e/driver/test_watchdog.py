@@ -1,5 +1,6 @@
 """The driver's node and the firmware's own code: a link left alone stops; one driver has it."""
 
+import json
 import signal
 import socket
 import subprocess
@@ -12,6 +13,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from firmware import build
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from running import wait_until
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
 
@@ -40,15 +42,32 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-@pytest.fixture(params=["--udp 0", "--pty"])
-def url(request, keys) -> Iterator[str]:
-    """Where the firmware, as a process, is."""
+@pytest.fixture(params=["--udp 0", "--tcp 0", "--pty"])
+def url(request, keys, start, tmp_path) -> Iterator[str]:
+    """Where the firmware, as a process, is, or a link of the test bed."""
+    if request.param.startswith("testbed"):
+        kind, port = request.param.split()[1], free_port()
+        device = str(tmp_path / "link_1")
+        ways = {
+            "ports": [port, *(free_port() for _ in range(3))],
+            "keys": keys,
+            "transports": [kind, "udp", "udp", "udp"],
+            "terminals": [device, "", "", ""],
+        }
+        given = [f"{name}:={json.dumps(way, default=str)}" for name, way in ways.items()]
+        start("fss_sim.testbed_node", "--ros-args", *(x for one in given for x in ("-p", one)))
+        forms = {"udp": f"udp://127.0.0.1:{port}?bind={free_port()}",
+                 "tcp": f"tcp://127.0.0.1:{port}", "serial": f"serial://{device}"}  # fmt: skip
+        wait_until(lambda: kind != "serial" or Path(device).exists(), 20.0, lambda: None)
+        yield forms[kind]
+        return
     command = [build("fss_link"), "--link", "1", *request.param.split(), "--keys", str(keys)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as link:
         told = link.stdout.readline()  # "link 1 at udp 40001, signed"
         place = told.split()[4].rstrip(",")
-        udp = f"udp://127.0.0.1:{place}?bind={free_port()}"
-        yield udp if "udp" in told else f"serial://{place}"
+        forms = {"udp": f"udp://127.0.0.1:{place}?bind={free_port()}",
+                 "tcp": f"tcp://127.0.0.1:{place}", "serial": f"serial://{place}"}  # fmt: skip
+        yield forms[told.split()[3]]
         link.kill()
 
 
@@ -104,6 +123,10 @@ def begin(spin, nodes, person):
     spin(nodes, person.turning, 20.0)
 
 
+@pytest.mark.parametrize(
+    "url", ["--udp 0", "--tcp 0", "--pty", "testbed udp", "testbed tcp", "testbed serial"],
+    indirect=True,
+)  # fmt: skip
 def test_a_link_whose_driver_was_killed_stops_within_the_watchdog_time(spin, start, url, keys):
     driver = start(*arguments(url, keys))
     person = Person()

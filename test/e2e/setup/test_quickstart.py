@@ -135,7 +135,7 @@ def test_dynamics(tmp_path):
     calib_rig.record(tmp_path / "sunday", calib_rig.Rig(DEFAULT[:8], rate=50.0).samples())
     record(tmp_path / "monday", Float(postures(8)).samples(rate=20))
     text = typed("explanation/dynamic.md")
-    text = text.replace("scripts/rehearse_dynamic.sh", ":")  # has a test of its own
+    text = text.replace("scripts/rehearse.sh dynamic", ":")  # has a test of its own
     for old, new in (
         ("--report report", f"--report {tmp_path / 'report'} || [ $? = 2 ]"),
         ("bags/sunday", str(tmp_path / "sunday")),

@@ -35,7 +35,7 @@ def free_port():
 @pytest.fixture
 def demo(tmp_path):
     """The main job on the simulated test bed; the ROS domain that it says it is in."""
-    command = [sys.executable, "-m", "fss_sim.rehearsal.demo", "--out", tmp_path / "demo"]
+    command = [sys.executable, "-m", "fss_sim.rehearsal", "demo", "--out", tmp_path / "demo"]
     log = tmp_path / "demo.log"
     with log.open("wb") as output:
         process = subprocess.Popen(command, stdout=output, stderr=output)

@@ -15,7 +15,7 @@ from std_srvs.srv import SetBool
 
 from fss_arm_driver.link_node import LinkNode
 from fss_arm_driver.protocol import Command, Mode, Order, Telemetry, decode, encode
-from fss_arm_msgs.msg import SimFaults
+from fss_arm_msgs.msg import SimFaults, SimTruth
 from fss_arm_msgs.srv import ResetTestbed, StepTime
 from fss_arm_ros.convert import PoseError, planar_pose, stamp_ns
 from fss_arm_ros.qos import LATCHED, sensor
@@ -183,11 +183,18 @@ SCRIPT = """
 """
 
 
-def test_the_same_seed_and_script_give_the_same_bytes_in_stepped_time(spin, call, tmp_path):
+MARKERS = {
+    "marker_noise": 0.0003, "vicon_edge_error": 0.001, "vicon_occlusion": 1.0,
+    "vicon_merge_distance": 0.5, "vicon_merge_swap": 0.5, "vicon_jitter": 0.001,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("more", [{}, {"wifi": True, **MARKERS}])
+def test_the_same_seed_and_script_give_the_same_bytes_in_stepped_time(spin, call, tmp_path, more):
     (tmp_path / "faults.yaml").write_text(SCRIPT)
     bed = testbed(
         keep_clock=True, paused=True, preset="paper", telemetry_rate=20.0,
-        faults=str(tmp_path / "faults.yaml"),
+        faults=str(tmp_path / "faults.yaml"), **more,
     )  # fmt: skip
     with closing(Session(bed, call)) as session:
         topics, streams = session.run(seed=7)
@@ -227,6 +234,41 @@ def test_the_driver_reaches_links_on_terminals(spin, tmp_path):
     link = LinkNode(2, f"serial://{paths[1]}?baud=115200")
     spin([bed, link], lambda: link.session.frame)
     assert link.session.scale.position(link.session.frame.position) == pytest.approx(0.3, abs=0.01)
+
+
+def test_drivers_reach_links_by_what_each_is_told(spin, tmp_path):
+    paths = [str(tmp_path / f"link_{i}") for i in (1, 2, 3, 4)]
+    angles = [0.1, 0.2, 0.3, 0.4]
+    bed = testbed(transports=["udp", "tcp", "serial", "tcp"], terminals=paths, q=angles)
+    ports = [getattr(wire, "port", 0) for wire in bed.wires]
+    urls = [f"udp://127.0.0.1:{ports[0]}?bind=0", f"tcp://127.0.0.1:{ports[1]}",
+            f"serial://{paths[2]}", f"tcp://127.0.0.1:{ports[3]}"]  # fmt: skip
+    links = [LinkNode(i, url) for i, url in enumerate(urls, 1)]
+    spin([bed, *links], lambda: all(link.session.frame for link in links))
+    found = [link.session.scale.position(link.session.frame.position) for link in links]
+    assert found == pytest.approx(angles, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("given", "complaint"),
+    [
+        ({"transports": ["tcp", "udp"]}, "transports is .*, expected 1 or 4"),
+        ({"transports": ["serial"]}, "terminals has 0 paths, expected 4"),
+        ({"transports": ["can"]}, "transports is 'can', expected one of udp, tcp, serial"),
+    ],
+)
+def test_what_reaches_no_link_is_refused(ros, given, complaint):
+    with pytest.raises(ValueError, match=complaint):
+        testbed(**given)
+
+
+def test_truth_tells_vicons_frame_and_its_markers(spin, ears):
+    told = []
+    ears.create_subscription(SimTruth, "sim/truth", told.append, sensor())
+    bed = testbed(marker_noise=0.0003)
+    spin([bed, ears], lambda: told)
+    assert told[0].frame % 10 == 0
+    assert told[0].markers.tolist() == [5, 4, 0]
 
 
 def test_it_goes_on_from_its_state_file(spin, ears, tmp_path):

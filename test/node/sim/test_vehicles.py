@@ -123,6 +123,21 @@ def test_vehicles_share_a_table_and_a_target(spin, bed):
     assert {name.split()[0] for name in truths["fss3"].nearest} & {"fss3"}
 
 
+def test_vehicles_share_a_vicon_and_a_radio_channel(spin, bed):
+    node = bed(preset="laboratory", wifi=True, target_mass=5.0, target_pose=[-1.0, 1.5, 0.0])
+    truths, person = {}, Node("person")
+    for name in ("fss1", "fss2", "fss3"):
+        person.create_subscription(
+            SimTruth, f"/{name}/sim/truth", lambda m, name=name: truths.update({name: m}), sensor()
+        )
+    spin([node, person], lambda: len(truths) == 3)
+    beds = [vehicle.testbed for vehicle in node.vehicles]
+    assert len({id(one.vicon) for one in beds}) == len({id(one.air) for one in beds}) == 1
+    marked = {name: message.markers.tolist() for name, message in truths.items()}
+    assert marked == {"fss1": [5, 4, 5], "fss2": [5, 4, 5], "fss3": [5, 0, 5]}
+    assert 0.0 < node.health().values["airtime used"] < 1.0
+
+
 def test_all_go_on_together_from_their_state_files(spin, bed, tmp_path):
     node = bed(state_file=str(tmp_path / "bed.json"))
     spin([node], lambda: node.testbed.frame > 50)
@@ -147,6 +162,8 @@ def test_all_go_on_together_from_their_state_files(spin, bed, tmp_path):
         ("vehicles: {2nd: {}}", "name is '2nd', expected letters, digits and _"),
         ("vehicles: {a: {sped: 1}}", "a is 'sped', expected some of "),
         ("vehicles: {a: {keep_clock: true}}", "a is 'keep_clock', expected some of"),
+        ("vehicles: {a: {preset: ideal}}", "a is 'preset', expected some of"),
+        ("vehicles: {a: {wifi: true}}", "a is 'wifi', expected some of"),
         ("vehicles: {a: {ports: 5001}}", "a: ports is 5001, expected a list"),
         ("vehicles: {a: {base: [0, 0]}}", "a: base has 2 numbers, expected 3"),
         ("vehicles: {a: {}, b: {base: [0.1, 0, 0]}}", "a and b begin in the same place"),

@@ -19,7 +19,7 @@ PERIOD = 0.2  # of telemetry [s]
 
 
 def plan(count, tried):
-    """As rehearse_dynamic.sh has it."""
+    """As the rehearsal `dynamic` has it."""
     return design(
         ARM, count, SETTINGS, Conditions(rest=REST, table=(3.7, 3.7)), seed=1, tried=tried,
         chosen=[f"b_{i}" for i in range(1, 5)], begin=np.array([0.6, -1.0, 1.0, -0.6]),

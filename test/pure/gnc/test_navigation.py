@@ -4,14 +4,19 @@ NEES is the square of the error by its covariance, NIS that of an innovation; of
 degrees of freedom k NEES is chi-square with k d (Bar-Shalom, Li, Kirubarajan, section 5.4).
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import chi2
-from tracking import track
+from tracking import SECOND, nees, track
 
 from fss_arm_model.description import load
 from fss_gnc.navigation import EstimatorSettings, Navigation
 from fss_gnc.navigation.settings import TargetErrors
+from fss_sim.noise import PRESETS, VICON
+from fss_sim.sensors import Sensors
+from fss_sim.vicon import BASE, TARGET, TIP, Room, Vicon
 
 DOF = 6  # of pose and twist
 EVEN = 1.0 - 1e-3  # probability of both sides of the bounds
@@ -112,6 +117,68 @@ def test_200_flights_with_an_arm_known_from_its_drawings():
     assert 3.0 < mean < DOF
     assert 1.5 < in_outage < DOF
     assert beyond < 0.02
+
+
+LABORATORY = replace(PRESETS["default"], **VICON)
+VOLUME = {"volume_error": 0.0005, "volume_heading_error": 0.0008}  # halfway to the edge
+
+
+def test_vicon_as_it_is_leaves_it_consistent_if_told_of_the_volumes_error():
+    flights = [
+        track(seed, 500, preset=LABORATORY, settings=EstimatorSettings(**VOLUME),
+              of_target=TargetErrors(**VOLUME)) for seed in range(4)
+    ]  # fmt: skip
+    base, target = (
+        np.array([getattr(f, of) for f in flights])[:, 100:] for of in ("base", "target")
+    )
+    print(f"NEES of the base {base.mean():.2f}, of the target {target.mean():.2f}")
+    assert 1.0 < base.mean() < DOF
+    assert 0.3 < target.mean() < DOF
+    assert (base > chi2.ppf(0.99, DOF)).mean() < 0.05
+    untold = track(0, 500, preset=LABORATORY)
+    assert untold.target[100:].mean() > 2.0 * DOF  # which nothing but a survey of the volume tells
+
+
+def pass_by(seed, swap):
+    """A target passes the base, and its markers merge with the base's; both filters, NEES."""
+    low = Room(heights=(0.3, 0.3, 0.3))  # all markers in a plane
+    merging = replace(LABORATORY, vicon_merge_distance=0.16, vicon_merge_swap=swap,
+                      vicon_edge_error=0.0)  # fmt: skip
+    sensors, navigation = Sensors(merging, seed), Navigation(load("config/truth.yaml"))
+    vicon, tip = Vicon(merging, low, seed, (BASE, TIP, TARGET)), (1.6, -0.5, 0.0)
+    base, drift, found, taken = np.zeros(3), np.array([0.05, 0.0, 0.05]), [], []
+    still = np.zeros(4)
+    for k in range(2400):
+        t, target = k * SECOND // 100, np.array([-0.6, 0.45, 0.3]) + 0.01 * k * drift
+        looks = dict(enumerate(vicon.look(k, [base, tip, target])))
+        seen = sensors.observe(k, (0.0, 0.0, 0.0), tip, 0.0, still,
+                               target=tuple(target.tolist()), looks=looks)  # fmt: skip
+        at = t - seen.base.before - SECOND // 100
+        navigation.base.rate(t, seen.rate)
+        if not seen.base.occluded:
+            navigation.base.pose(at, *seen.base.pose)
+        if not seen.target.occluded:
+            navigation.target_pose(at, *seen.target.pose)
+        navigation.predict(t)
+        taken.append([look.taken_for for look in looks.values()] != [0, 1, 2])
+        for body, pose, twist in (
+            (navigation.base, base, np.zeros(3)), (navigation.target, target, drift),
+        ):  # fmt: skip
+            if not body.lost(t):
+                found.append(nees(body.state(), pose, twist)[0])
+    return navigation, np.array(found), sum(taken)
+
+
+@pytest.mark.parametrize("swap", [0.0, 1.0])
+def test_base_and_target_whose_markers_merge_are_never_believed_to_be_each_other(swap):
+    for seed in range(3):
+        navigation, found, taken = pass_by(seed, swap)
+        named = navigation.base.rejected["pose of the target"]
+        assert (taken > 50) == (swap > 0.0)  # longer than rejected poses must agree
+        assert (named > 20) == (swap > 0.0), navigation.base.rejected
+        assert len(found) > 4000  # of 4800: else it is said to be lost
+        assert np.max(found[200:]) < chi2.ppf(1.0 - 1e-7, DOF)
+        assert navigation.base.begun == navigation.target.begun == 1
 
 
 def test_without_known_inputs_an_outage_takes_it_away():

@@ -12,6 +12,8 @@ from sim_rehearsal import Rehearsal
 
 from fss_arm_calib.acceptance import NOT_EVALUATED, PASS
 from fss_arm_driver.protocol import Slow
+from fss_sim.noise import VICON
+from fss_sim.vicon import Room
 
 CONFIG = Path(__file__).parents[3] / "config"
 LINKS = [f"link_{i}" for i in range(1, 5)]
@@ -32,6 +34,8 @@ class Case(NamedTuple):
     options: dict = {}  # of the test bed  # noqa: RUF012
 
 
+MARKERS = VICON | {"rest_position_error": 0.001, "rest_heading_error": 0.002}
+BEHIND = (-3.0, 0.0, 3.0, -3.0, 1.0, 3.0, 1.0, 3.0, 3.0)  # cameras
 GAPS = "rejected (joint_1 silent for"
 CASES = {
     "nothing": Case(""),
@@ -80,6 +84,16 @@ CASES = {
     "frozen end effector": Case(on(["end_effector"], "at: 20, fault: frozen, duration: 8")),
     "frozen base": Case(on(["fss"], "at: 20, fault: frozen, duration: 8")),
     "latency": Case(on(["fss", "end_effector"], "at: 3, fault: latency, value: 0.3")),
+    "VICON by its markers": Case("", options={"noise": MARKERS}),
+    "VICON far off at the table's edge": Case(
+        "", options={"noise": {**MARKERS, "vicon_edge_error": 0.01}}
+    ),
+    "a base that hides the end effector": Case(
+        "",
+        unused="end_effector silent for",
+        verdict=NOT_EVALUATED,
+        options={"noise": MARKERS, "room": Room(cameras=BEHIND, heights=(1.2, 0.3, 0.3))},
+    ),
     "gyro silent": Case(on(["fog"], "at: 3, fault: dropout", "at: 3, fault: bias, value: 0.1")),
 }
 

@@ -15,6 +15,7 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <vector>
 
 #include "stream.hpp"
 #include "text.hpp"
@@ -71,35 +72,41 @@ class Udp : public Connection {
   sockaddr_in sender_ = {}, peer_ = {};
 };
 
-// A stream of bytes with frames in it.
-class Stream : public Connection {
+// A frame as a stream carries it.
+struct Streamed {
+  explicit Streamed(const uint8_t* frame) { to_stream(frame, bytes); }
+  uint8_t bytes[kStreamedSize];
+};
+
+// Finds the frames in what `read` gives, which returns how much that is, 0 or less: nothing.
+class Frames {
  public:
-  size_t receive(uint8_t* data, size_t room) override {
-    uint8_t byte;
-    while (read_byte(byte)) {
-      if (const uint8_t* frame = reader_.take(byte)) {
+  // The size of the next frame, cut to `room`; 0: none yet. Reads at most once.
+  template <typename Read>
+  size_t next(uint8_t* data, size_t room, Read read) {
+    if (at_ == size_) {
+      const ssize_t got = read(bytes_, sizeof bytes_);
+      at_ = 0;
+      size_ = got > 0 ? static_cast<size_t>(got) : 0;
+    }
+    while (at_ < size_) {
+      if (const uint8_t* frame = reader_.take(bytes_[at_++])) {
+        found = true;
         memcpy(data, frame, std::min(room, kFrameSize));
         return kFrameSize;
       }
     }
     return 0;
   }
-  void answer() override {}
-  void send(const uint8_t* frame) override {
-    uint8_t bytes[kStreamedSize];
-    to_stream(frame, bytes);
-    write(bytes, sizeof bytes);
-  }
-
- protected:
-  virtual bool read_byte(uint8_t& byte) = 0;
-  virtual void write(const uint8_t* bytes, size_t size) = 0;
+  bool found = false;  // a frame, ever
 
  private:
   StreamReader reader_;
+  uint8_t bytes_[512];
+  size_t at_ = 0, size_ = 0;
 };
 
-class Pty : public Stream {
+class Pty : public Connection {
  public:
   Pty() : line_(posix_openpt(O_RDWR | O_NOCTTY | O_NONBLOCK)) {
     if (line_ < 0 || grantpt(line_) != 0 || unlockpt(line_) != 0) {
@@ -113,48 +120,102 @@ class Pty : public Stream {
     tcsetattr(end, TCSANOW, &settings);
   }
 
- private:
-  bool read_byte(uint8_t& byte) override { return ::read(line_, &byte, 1) == 1; }
-  void write(const uint8_t* bytes, size_t size) override {
-    if (::write(line_, bytes, size) < 0) return;  // nobody reads: lost, as on a wire
+  size_t receive(uint8_t* data, size_t room) override {
+    return frames_.next(data, room, [this](void* to, size_t size) { return read(line_, to, size); });
+  }
+  void answer() override {}
+  void send(const uint8_t* frame) override {
+    const Streamed out(frame);
+    if (write(line_, out.bytes, sizeof out.bytes) < 0) return;  // nobody reads: lost, as on a wire
   }
 
+ private:
   const int line_;
+  Frames frames_;
 };
 
-// One computer at a time: whoever comes later takes the place of the one before, as that one may
-// be gone without having said so.
-class Tcp : public Stream {
+// Several computers may be connected; telemetry goes to whose command was taken last, as with
+// datagrams, so that one that connects and sends nothing, or nonsense, takes it from nobody. While
+// that one is gone it goes to who came last.
+class Tcp : public Connection {
  public:
   explicit Tcp(uint16_t port) : listener_(bound(SOCK_STREAM, port, "TCP", where)) {
-    if (listen(listener_, 1) != 0) fail(std::string("TCP cannot listen: ") + strerror(errno));
+    if (listen(listener_, kMost) != 0) fail(std::string("TCP cannot listen: ") + strerror(errno));
+  }
+
+  size_t receive(uint8_t* data, size_t room) override {
+    accept_next();
+    const size_t begin = turn_++;
+    for (size_t i = 0; i < lines_.size(); ++i) {
+      const size_t k = (begin + i) % lines_.size();
+      bool gone = false;
+      const int socket = lines_[k]->socket;
+      const size_t size = lines_[k]->frames.next(data, room, [&](void* to, size_t most) {
+        const ssize_t got = recv(socket, to, most, 0);
+        gone = got == 0 || (got < 0 && errno != EAGAIN);
+        return got;
+      });
+      if (gone) {
+        hang_up(k);
+        return 0;
+      }
+      if (size > 0) {
+        sender_ = socket;
+        return size;
+      }
+    }
+    return 0;
+  }
+  void answer() override { peer_ = sender_; }
+  // What the computer does not read in time is lost; a frame cut short, with the next one's zero.
+  void send(const uint8_t* frame) override {
+    if (lines_.empty()) return;
+    size_t to = lines_.size() - 1;
+    for (size_t k = 0; k < lines_.size(); ++k) {
+      if (lines_[k]->socket == peer_) to = k;
+    }
+    const Streamed out(frame);
+    const int socket = lines_[to]->socket;
+    if (::send(socket, out.bytes, sizeof out.bytes, MSG_NOSIGNAL) < 0 && errno != EAGAIN) {
+      hang_up(to);
+    }
   }
 
  private:
-  bool read_byte(uint8_t& byte) override {
+  static constexpr size_t kMost = 4;
+  struct Line {
+    int socket;
+    Frames frames;
+  };
+
+  // Takes in one that connects. It has the place of one that never sent a frame, or else of the
+  // oldest, but never of the one that telemetry goes to.
+  void accept_next() {
     const int next = accept4(listener_, nullptr, nullptr, SOCK_NONBLOCK);
-    if (next >= 0) {
-      hang_up();
-      peer_ = next;
-      const int yes = 1;
-      setsockopt(peer_, IPPROTO_TCP, TCP_NODELAY, &yes, sizeof yes);
+    if (next < 0) return;
+    const int yes = 1;
+    setsockopt(next, IPPROTO_TCP, TCP_NODELAY, &yes, sizeof yes);
+    if (lines_.size() == kMost) {
+      size_t out = kMost;
+      for (size_t k = kMost; k-- > 0;) {
+        if (lines_[k]->socket == peer_) continue;
+        if (out == kMost || !lines_[k]->frames.found || lines_[out]->frames.found) out = k;
+      }
+      hang_up(out);
     }
-    if (peer_ < 0) return false;
-    const ssize_t got = recv(peer_, &byte, 1, 0);
-    if (got == 0 || (got < 0 && errno != EAGAIN)) hang_up();
-    return got == 1;
+    lines_.push_back(std::make_unique<Line>());
+    lines_.back()->socket = next;
   }
-  // What the computer does not read in time is lost; a frame cut short, with the next one's zero.
-  void write(const uint8_t* bytes, size_t size) override {
-    if (peer_ >= 0 && ::send(peer_, bytes, size, MSG_NOSIGNAL) < 0 && errno != EAGAIN) hang_up();
-  }
-  void hang_up() {
-    if (peer_ >= 0) close(peer_);
-    peer_ = -1;
+  void hang_up(size_t k) {
+    if (lines_[k]->socket == peer_) peer_ = -1;
+    close(lines_[k]->socket);
+    lines_.erase(lines_.begin() + static_cast<std::ptrdiff_t>(k));
   }
 
   const int listener_;
-  int peer_ = -1;
+  std::vector<std::unique_ptr<Line>> lines_;  // the oldest first
+  int sender_ = -1, peer_ = -1;
+  size_t turn_ = 0;  // with whom to begin, so that none keeps the others waiting
 };
 
 // The key of a board, from a file with a line for each: its number and the key in hexadecimal.

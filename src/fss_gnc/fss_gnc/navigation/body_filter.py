@@ -224,6 +224,8 @@ class BodyFilter:
         }
         self._doubt: tuple[int, int, Pose] | None = None  # since when and until when; the last one
         self._seeing = [e.position_error**2, e.heading_error**2]
+        place = e.volume_error, e.volume_error, e.volume_heading_error, 0.0, 0.0, 0.0
+        self._place = np.diag(np.square(place))
         self._holding = [HELD_POSITION**2, HELD_HEADING**2]
         kicks = [e.kick**2, e.angular_kick**2]
         self._control = np.array([0.0, e.bias_walk**2, 0.0, 0.0, 0.0, e.rate_error**2, 0.0, *kicks])
@@ -270,9 +272,9 @@ class BodyFilter:
             self._apply(_Event(min(self.t + STRIDE, t), NOTHING, NONE, *self.events[-1][3:]))
 
     def state(self) -> BodyState:
-        """The newest estimate."""
+        """The newest estimate; what no number of poses takes away is added to its covariance."""
         t, _, _, x, P = self.events[-1]
-        return BodyState(t, x[:3], x[3:6], P[:6, :6])
+        return BodyState(t, x[:3], x[3:6], P[:6, :6] + self._place)
 
     @property
     def bias(self) -> float:

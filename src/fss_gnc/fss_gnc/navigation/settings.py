@@ -20,6 +20,14 @@ class SensorErrors(Settings):
     heading_error: float = setting(
         0.009, "standard deviation of the base's measured heading", unit="rad", check=POSITIVE
     )
+    volume_error: float = setting(
+        0.0, "what motion capture is off by in a place, along each axis, however often it looks",
+        unit="m", check=NOT_NEGATIVE,
+    )  # fmt: skip
+    volume_heading_error: float = setting(
+        0.0, "what motion capture's headings are off by in a place, however often it looks",
+        unit="rad", check=NOT_NEGATIVE,
+    )  # fmt: skip
     rate_error: float = setting(
         0.001, "standard deviation of a gyro sample", unit="rad/s", check=POSITIVE
     )
@@ -150,6 +158,8 @@ class NavigationSettings(EstimatorSettings):
         return TargetErrors(
             position_error=self.position_error,
             heading_error=self.heading_error,
+            volume_error=self.volume_error,
+            volume_heading_error=self.volume_heading_error,
             acceleration=self.target_acceleration,
             angular_acceleration=self.target_angular_acceleration,
         )

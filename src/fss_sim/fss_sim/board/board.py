@@ -15,6 +15,7 @@ from fss_base_driver.protocol import (
 from fss_sim.faults import NO_FAULTS, LinkFaults
 from fss_sim.link.channel import Channel, Datagram
 from fss_sim.link.power import BROWN_OUT, REVIVAL, Battery, Power
+from fss_sim.link.radio import Station
 from fss_sim.noise import Noise
 from fss_sim.plant.plant import Vehicle
 
@@ -37,6 +38,7 @@ class Board:
         key: that frames are signed under, if any.
         charge: of the batteries, 0 to 1.
         power: what they are like, and what lives on them.
+        station: on the air, through which its datagrams go; None: a wire of its own.
     """
 
     def __init__(
@@ -48,6 +50,7 @@ class Board:
         key: bytes | None = None,
         charge: float = 1.0,
         power: Power | None = None,
+        station: Station | None = None,
     ) -> None:
         self._period, self._key = round(1e6 / rate), key
         self._power = p = power or Power()
@@ -56,7 +59,7 @@ class Board:
         self._drift = Random(f"{seed}, board").gauss(0.0, noise.clock_drift)
         ways = Random(f"{seed}, board, {run}")
         self.uptime = ways.randrange(UPTIME)  # when the test bed begins [us]
-        self._in, self._out = Channel(Random(ways.random())), Channel(Random(ways.random()))
+        self._in, self._out = (Channel(Random(ways.random()), station) for _ in range(2))
         self._peer: Any = None  # whom telemetry goes to
         self._since = self._began = 0  # the clock's time then [us], and the simulation's
         self.state: BoardState | None = None  # while it has power

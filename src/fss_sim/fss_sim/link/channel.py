@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 from fss_arm_model.units import SECOND
 from fss_sim.faults import NO_FAULTS, LinkFaults
+from fss_sim.link.radio import Station
 
 
 class Datagram(NamedTuple):
@@ -20,10 +21,11 @@ class Channel:
 
     Args:
         random: for the chances that faults leave.
+        station: on the air, through which all goes before faults delay it; None: a wire.
     """
 
-    def __init__(self, random: Random) -> None:
-        self._random = random
+    def __init__(self, random: Random, station: Station | None = None) -> None:
+        self._random, self._station = random, station
         self._under_way: list[tuple[int, int, Datagram]] = []  # by time of arrival, then order
         self._held: Datagram | None = None  # until the next one has gone
         self._count = 0
@@ -31,7 +33,7 @@ class Channel:
     def put(self, datagram: Datagram, now: int, faults: LinkFaults = NO_FAULTS) -> None:
         """Send a datagram at a time [ns]."""
         if faults == NO_FAULTS:
-            self._enter(datagram, now)
+            self._enter(datagram, now, 0)
         elif not self._happens(faults.loss):
             if self._happens(faults.corruption):
                 datagram = self._corrupted(datagram)
@@ -40,9 +42,9 @@ class Channel:
                 return
             for _ in range(1 + self._happens(faults.duplication)):
                 jitter = faults.jitter * self._random.uniform(-1.0, 1.0)
-                self._enter(datagram, now + round(SECOND * max(0.0, faults.delay + jitter)))
+                self._enter(datagram, now, round(SECOND * max(0.0, faults.delay + jitter)))
         if self._held:
-            self._enter(self._held, now + round(SECOND * faults.delay))
+            self._enter(self._held, now, round(SECOND * faults.delay))
             self._held = None
 
     def arrived(self, now: int) -> list[Datagram]:
@@ -52,9 +54,11 @@ class Channel:
             got.append(heappop(self._under_way)[2])
         return got
 
-    def _enter(self, datagram: Datagram, arrival: int) -> None:
+    def _enter(self, datagram: Datagram, now: int, delay: int) -> None:
         self._count += 1
-        heappush(self._under_way, (arrival, self._count, datagram))
+        through = self._station.carry(len(datagram.data), now) if self._station else now
+        if through is not None:
+            heappush(self._under_way, (through + delay, self._count, datagram))
 
     def _happens(self, share: float) -> bool:
         return share > 0.0 and self._random.random() < share

@@ -9,6 +9,7 @@ from fss_sim.link import instruments
 from fss_sim.link.channel import Channel, Datagram
 from fss_sim.link.electronics import LinkElectronics
 from fss_sim.link.power import Power, Supply
+from fss_sim.link.radio import Station
 from fss_sim.link.servo import OFF, ServoDrive
 from fss_sim.noise import Noise
 from fss_sim.plant.plant import Demand, Motion
@@ -30,6 +31,7 @@ class Link:
         torque_rate: samples of the torque converter a second.
         charge: of the battery, 0 to 1.
         power: what its battery is like, and what lives on it.
+        station: on the air, through which its datagrams go; None: a wire of its own.
     """
 
     def __init__(
@@ -44,6 +46,7 @@ class Link:
         torque_rate: int = 80,
         charge: float = 1.0,
         power: Power | None = None,
+        station: Station | None = None,
     ) -> None:
         self.number = number
         self._link, self._rate, self._key = link, rate, key
@@ -55,7 +58,7 @@ class Link:
         self.drive = ServoDrive(link, self.instruments.encoder)
         ways = Random(f"{seed}, {number}, {run}")
         self.uptime = ways.randrange(UPTIME)  # when the test bed begins [us]
-        self._in, self._out = Channel(Random(ways.random())), Channel(Random(ways.random()))
+        self._in, self._out = (Channel(Random(ways.random()), station) for _ in range(2))
         self._peer: Any = None  # whom telemetry goes to
         self._since = self._began = 0  # the clock's time then [us], and the simulation's
         self.electronics: LinkElectronics | None = None

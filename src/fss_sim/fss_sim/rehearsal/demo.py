@@ -5,7 +5,6 @@ died, closes the experiment, reads the bag back and compares.
 """
 
 import argparse
-import sys
 import time
 from pathlib import Path
 
@@ -31,7 +30,8 @@ from fss_arm_msgs.msg import KinematicCalibration, KinematicObservations
 from fss_arm_ros.qos import LATCHED
 from fss_sim.rehearsal.domain import CONFIG, Domain
 from fss_sim.rehearsal.person import LINKS, Operator, own_domain
-from fss_sim.rehearsal.processes import Nodes, RehearsalError, rehearse, results
+from fss_sim.rehearsal.processes import Nodes, RehearsalError
+from fss_sim.rehearsal.rehearsed import Check, Rehearsed
 
 LISTENED = (
     "/joint_states",
@@ -136,7 +136,7 @@ def start_all(nodes: Nodes, options: argparse.Namespace, out: Path) -> None:
     )  # fmt: skip
 
 
-def run(
+def observe(
     options: argparse.Namespace, out: Path, console: Console, domain: Domain
 ) -> Outcome[Observation, Solution]:
     """See the experiment through, close the last rest; return the result.
@@ -180,25 +180,23 @@ def progress(console: Console) -> Progress:
     )
 
 
-def from_bag(bag: Path, live: Outcome[Observation, Solution]) -> str:
+def from_bag(bag: Path, live: Outcome[Observation, Solution]) -> Check:
     """Solve again from the bag alone, and say how well that agrees with the live result."""
+    expected = "the bag alone gives the verdict, too"
     settings = KinematicSettings(arm=str(CONFIG / "cad.yaml"), parametrization="equal")
     offline = solve_bag(KINEMATIC, bag, settings)
     if len(offline.used) != len(live.used):
         # One of the two was killed, and did not listen for a time.
-        return (
-            f"solved again from the bag: {offline.verdict}, "
-            f"from {len(offline.used)} rests in it, {len(live.used)} seen live"
-        )
-    worst = float(abs(offline.values - live.values).max())
-    return f"solved again from the bag: {offline.verdict}, parameters differ by at most {worst:.1e}"
+        told = f"from {len(offline.used)} rests in it, {len(live.used)} seen live"
+    else:
+        worst = float(abs(offline.values - live.values).max())
+        told = f"parameters differ by at most {worst:.1e}"
+    happened = f"solved again from the bag: {offline.verdict}, {told}"
+    return Check(expected, happened, offline.verdict == live.verdict)
 
 
-def arguments() -> argparse.ArgumentParser:
-    """The command line."""
-    parser = argparse.ArgumentParser(
-        "demo.sh", description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """What this rehearsal can be told."""
     parser.add_argument(
         "--speed",
         type=float,
@@ -212,42 +210,31 @@ def arguments() -> argparse.ArgumentParser:
         default=len(DEFAULT),
         help="to observe: the first so many",
     )
-    parser.add_argument("--seed", type=int, default=1, help="of the simulated errors")
-    parser.add_argument("--out", type=Path, help="folder for the results; None: out/demo-TIME")
     parser.add_argument(
         "--preset", default="paper", help="of the simulator: ideal, default, paper, laboratory"
     )
     parser.add_argument("--deadline", type=float, default=600.0, help="give up after [s]")
-    return parser
 
 
-def main() -> int:
-    """Run; the exit code is 0 if the calibration passes, 2 if not."""
-    options = arguments().parse_args()
-    out, console = results(options.out, "demo"), report.console()
+def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
+    """Make the experiment, and solve again from its bag."""
     with own_domain() as domain:
         console.print(
             f"starting simulator, {LINKS} drivers over UDP, recorder and calibration, "
             f"in ROS domain {domain.number}",
             soft_wrap=True,
         )
-        result = run(options, out, console, domain)
+        result = observe(options, out, console, domain)
     found = KINEMATIC.report_of(result, description.load(CONFIG / "truth.yaml"))
     console.print(report.printed(found))
-    console.print(from_bag(out / "bag", result))
-    report.write(out / "report", found)
-    for name, what in (
-        ("bag", "recording"),
-        ("arm.yaml", "calibrated description"),
-        ("report/index.html", "report"),
-        ("report/kinematic_observations.png", "residuals"),
-        ("report/kinematic_postures.png", "postures"),
-        ("logs", "of the nodes"),
-    ):
-        if (out / name).exists():
-            console.print(f"{what:>24}  {out / name}", soft_wrap=True)
-    return 0 if result.verdict == PASS else 2
-
-
-if __name__ == "__main__":
-    sys.exit(rehearse("demo", main))
+    again = from_bag(out / "bag", result)
+    console.print(again.happened)
+    passes = Check("the calibration passes", result.reason, result.verdict == PASS)
+    files = {
+        "bag": "recording",
+        "arm.yaml": "calibrated description",
+        "report/kinematic_observations.png": "residuals",
+        "report/kinematic_postures.png": "postures",
+        "logs": "of the nodes",
+    }
+    return Rehearsed([passes, again], reports=[found], files=files)

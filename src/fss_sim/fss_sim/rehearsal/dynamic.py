@@ -6,7 +6,6 @@ base drifts, and the table is tilted, so that after some maneuvers somebody puts
 """
 
 import argparse
-import sys
 import time
 from dataclasses import dataclass, replace
 from math import radians
@@ -19,6 +18,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rich.console import Console
 
 from fss_arm_calib import report
+from fss_arm_calib.acceptance import PASS
 from fss_arm_calib.dynamic.calibrate import calibrate
 from fss_arm_calib.dynamic.kind import DYNAMIC
 from fss_arm_calib.dynamic.parameters import values
@@ -32,13 +32,14 @@ from fss_arm_calib.experiment.design import (
     from_yaml,
     to_yaml,
 )
-from fss_arm_calib.from_bag import EXIT_CODES, solve_bag
+from fss_arm_calib.from_bag import solve_bag
 from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.segments.maneuvers import Maneuver
 from fss_arm_model.description import Arm, paper_arm, save
 from fss_sim.rehearsal.domain import Domain
 from fss_sim.rehearsal.person import LINKS, Operator, own_domain
-from fss_sim.rehearsal.processes import Nodes, RehearsalError, rehearse, results
+from fss_sim.rehearsal.processes import Nodes, RehearsalError
+from fss_sim.rehearsal.rehearsed import Check, Rehearsed
 
 PAUSE = 5.2  # between maneuvers [s]
 SESSION = 4  # maneuvers before somebody puts the base back to the middle of the table
@@ -117,7 +118,7 @@ def start_all(
     )  # fmt: skip
 
 
-def run(
+def make(
     options: argparse.Namespace, out: Path, cameras: Cameras, console: Console, domain: Domain
 ) -> None:
     """Make all maneuvers, session after session.
@@ -205,29 +206,20 @@ def summary(
     return "\n".join(lines)
 
 
-def arguments() -> argparse.ArgumentParser:
-    """The command line."""
-    parser = argparse.ArgumentParser(
-        "rehearse_dynamic.sh", description=__doc__,
-        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
-    )  # fmt: skip
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """What this rehearsal can be told."""
     parser.add_argument("--noise", choices=list(NOISE), default="laboratory", help="of cameras")
     parser.add_argument("--count", type=int, default=16, help="maneuvers")
     parser.add_argument(
         "--tilt", type=float, default=radians(0.001), help="of the table [rad]",
     )  # fmt: skip
-    parser.add_argument("--seed", type=int, default=1, help="of truth, errors and design")
-    parser.add_argument("--out", type=Path, help="folder for the results")
     parser.add_argument("--deadline", type=float, default=1800.0, help="give up after [s]")
-    return parser
 
 
-def main() -> int:
-    """Run; the exit code is that of the verdict."""
-    options = arguments().parse_args()
-    out = results(options.out, "dynamic")
+def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
+    """Design, make and solve; seed of truth, errors and design."""
     out.mkdir(parents=True)
-    console, cameras = report.console(), NOISE[options.noise]
+    cameras = NOISE[options.noise]
     console.print(f"designing {options.count} maneuvers")
     truth, plan = prepare(options, out, cameras)
     settings = DynamicSettings(**known(out, cameras))
@@ -238,15 +230,23 @@ def main() -> int:
             f"in ROS domain {domain.number}",
             soft_wrap=True,
         )
-        run(options, out, cameras, console, domain)
+        make(options, out, cameras, console, domain)
     result = solve_first(out, settings, options.count)
     found = DYNAMIC.report_of(result, truth)
     console.print(report.printed(found))
-    page = report.write(out / "report", found)
     console.print(summary(result, truth, plan, promised))
-    console.print(f"report {page}\nrecording {out / 'bags'}", soft_wrap=True)
-    return EXIT_CODES[result.verdict]
+    checks = [Check("the calibration passes", result.reason, result.verdict == PASS)]
+    checks += [near(result, truth, i) for i in range(LINKS)]
+    files = {"bags": "recordings", "logs": "of the nodes"}
+    return Rehearsed(checks, reports=[found], files=files)
 
 
-if __name__ == "__main__":
-    sys.exit(rehearse("rehearse_dynamic", main))
+def near(result: Outcome[Maneuver, Solution], truth: Arm, i: int) -> Check:
+    """Whether a link's centre of mass is where it is said to be."""
+    k = list(result.names).index(f"b_{i + 1}")
+    off, deviation = float(result.values[k] - truth.links[i].b), float(result.deviations[k])
+    return Check(
+        f"b_{i + 1} is within three deviations of the truth",
+        f"{1e3 * off:+.1f} mm off, one deviation is {1e3 * deviation:.1f} mm",
+        abs(off) < 3.0 * deviation,
+    )

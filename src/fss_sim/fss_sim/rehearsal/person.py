@@ -1,23 +1,27 @@
 """The person at the test bed, in a ROS domain where nobody else drives links."""
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from typing import Any
 
+import numpy as np
 import rclpy
+from rcl_interfaces.srv import SetParameters
 from rclpy.node import Node, NodeNameNonExistentError
+from rclpy.parameter import Parameter
 from rclpy.task import Future
 from std_srvs.srv import SetBool
 
-from fss_arm_msgs.msg import LinkTelemetry
-from fss_arm_ros.qos import SENSOR
+from fss_arm_msgs.msg import LinkCommand, LinkTelemetry, SimTruth
+from fss_arm_ros.qos import COMMAND, SENSOR
 from fss_sim.rehearsal.domain import Domain, reserve
 from fss_sim.rehearsal.processes import RehearsalError
 
 LINKS = 4
 DISCOVERY = 1.0  # of others; who is on this computer answers within a few tenths [s]
 ANSWER_TIMEOUT = 2.0  # [s]
+PATIENCE = 60.0  # for anything to happen [s]
 NUMBERS = range(1, 13)  # that a link may have
 DRIVERS = {"/arm/enable", *(f"/link_{i}/{what}" for i in NUMBERS for what in ("arm", "telemetry"))}
 
@@ -65,6 +69,31 @@ class Operator(Node):
             self.create_subscription(LinkTelemetry, f"link_{i}/telemetry", self.on_link, SENSOR)
         self.arm = self.create_client(SetBool, "arm/enable")
         self.answer, self.due = Future(), 0.0
+        self.set = self.create_client(SetParameters, "testbed/set_parameters")
+
+    def now(self) -> int:
+        """[ns]."""
+        return int(self.get_clock().now().nanoseconds)
+
+    def wait(self, until: Callable[[], bool], complaint: str, patience: float = PATIENCE) -> None:
+        """Spin until something holds.
+
+        Raises:
+            RehearsalError: it does not.
+        """
+        deadline = time.monotonic() + patience
+        while not until():
+            if time.monotonic() > deadline:
+                raise RehearsalError(complaint)
+            rclpy.spin_once(self, timeout_sec=0.02)
+
+    def put(self, faults: Mapping[str, float]) -> int:
+        """Set faults of the test bed, by their parameters; when it was done [ns]."""
+        self.wait(self.set.service_is_ready, "the test bed offers no parameters")
+        given = [Parameter(name, value=value).to_parameter_msg() for name, value in faults.items()]
+        answer = self.set.call_async(SetParameters.Request(parameters=given))
+        self.wait(answer.done, "the test bed does not answer")
+        return self.now()
 
     def on_link(self, message: LinkTelemetry) -> None:
         """Whether the link is armed."""
@@ -104,3 +133,43 @@ class Operator(Node):
             offered += self.get_service_names_and_types_by_node(name, space)
             return any(what in DRIVERS for what, _ in offered)
         return False
+
+
+class Mover(Operator):
+    """Has all joints turn, all the time, as a program does that notices nothing."""
+
+    GOALS = (0.9, -0.9, 0.9, -0.9)  # of the joints [rad]
+    SPEED, MOVING = 0.05, 0.03  # commanded; what counts as motion [rad/s]
+
+    def __init__(self, domain: Domain) -> None:
+        super().__init__(domain)
+        self.rates = np.zeros(LINKS)
+        self.create_subscription(SimTruth, "sim/truth", self.on_truth, 1)
+        self.commands = {
+            i: self.create_publisher(LinkCommand, f"link_{i}/command", COMMAND) for i in self.armed
+        }
+        self.homes: set[int] = set()  # links that look for their reference instead
+        self.create_timer(0.2, self.command)
+        self.arms = False  # what is not armed
+        self.create_timer(0.5, lambda: self.keep_armed() if self.arms else None)
+
+    def on_truth(self, message: SimTruth) -> None:
+        """How fast the joints are."""
+        self.rates = np.abs(message.qd[3:])
+
+    def command(self) -> None:
+        """Have each joint turn to its goal, or home."""
+        for (i, publisher), goal in zip(self.commands.items(), self.GOALS, strict=True):
+            command = LinkCommand(mode=LinkCommand.POSITION, set_point=goal)
+            command.max_velocity, command.time_to_live = self.SPEED, 60.0
+            if i in self.homes:
+                command = LinkCommand(mode=LinkCommand.HOME, time_to_live=2.0)
+            publisher.publish(command)
+
+    def turn(self) -> int:
+        """Arm all links and wait until they turn; when they do [ns]."""
+        self.arms = True
+        self.wait(lambda: all(self.armed.values()), "not all links get armed")
+        self.wait(lambda: bool((self.rates > self.MOVING).all()), "not all joints turn")
+        self.arms = False
+        return self.now()

@@ -5,9 +5,9 @@ asks for mission/capture, and reads the recording.
 """
 
 import argparse
-import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,9 +16,11 @@ import rclpy
 from rclpy.action import ActionClient
 from rclpy.parameter import Parameter
 from rclpy.task import Future
+from rich.console import Console
 from std_srvs.srv import SetBool
 
 from fss_arm_bags.reader import open_bags
+from fss_arm_calib.report import Figure
 from fss_arm_model.description import Arm, load
 from fss_arm_model.held import Target
 from fss_arm_model.kinematics import joint_positions
@@ -28,7 +30,8 @@ from fss_arm_ros.convert import SECOND, stamp_ns
 from fss_arm_ros.qos import LATCHED
 from fss_sim.rehearsal.domain import CONFIG, Domain
 from fss_sim.rehearsal.person import LINKS, Operator, own_domain
-from fss_sim.rehearsal.processes import Nodes, RehearsalError, rehearse, results
+from fss_sim.rehearsal.processes import Nodes, RehearsalError
+from fss_sim.rehearsal.rehearsed import Check, Rehearsed
 
 TARGET = Target(mass=10.0, inertia=0.25)
 POSTURE = [0.95, 1.3, 1.36, -1.23]  # compact: it reaches well from there, and turns in little room
@@ -184,34 +187,39 @@ def read(bag: Path) -> Flight:
     )  # fmt: skip
 
 
-def accept(flight: Flight, say: Callable[[str], None]) -> bool:
-    """Say how it went; return whether all is as it should be."""
+def accept(flight: Flight, say: Callable[[str], None]) -> list[Check]:
+    """Say how it went, and return it."""
+    caught = Check("the target is captured", "it was not", False)
     if not flight.holds.any():
         say("the target was not captured")
-        return False
+        return [caught]
     k = int(np.argmax(flight.holds))
     change = flight.momentum[k] - flight.momentum[k - 1]
     given = flight.impulse[k] - flight.impulse[k - 1]
-    say(f"captured between {flight.time[k - 1]:.2f} and {flight.time[k]:.2f} s")
+    when = f"captured between {flight.time[k - 1]:.2f} and {flight.time[k]:.2f} s"
+    say(when)
     for name, unit, i in (("x", "N s", 0), ("y", "N s", 1), ("about the origin", "N m s", 2)):
         before, after = flight.momentum[k - 1, i], flight.momentum[k, i]
         say(f"  momentum {name:>16}  before {before:+.12f}  after {after:+.12f} {unit}")
     worst, audit = float(np.abs(change - given).max()), float(np.abs(flight.error).max())
-    say(f"  differ by {worst:.1e} at most; the audit of the whole mission by {audit:.1e}")
+    differ = f"differ by {worst:.1e} at most; the audit of the whole mission by {audit:.1e}"
     spin = np.degrees(flight.target_twist[[0, -1], 2])
-    say(f"target's spin {spin[0]:.2f} deg/s at the begin, {spin[1]:.3f} deg/s at the end")
+    turns = f"{spin[0]:.2f} deg/s at the begin, {spin[1]:.3f} deg/s at the end"
+    say(f"  {differ}")
+    say(f"target's spin {turns}")
     say(f"propellant used {1e3 * flight.propellant[-1]:.1f} g")
-    return worst < AGREE and abs(spin[1]) < 0.1 * abs(spin[0])
+    return [
+        caught._replace(happened=when, held=True),
+        Check(f"momentum before and after agree to {AGREE:g}", differ, worst < AGREE),
+        Check("the target's spin is stopped", turns, abs(spin[1]) < 0.1 * abs(spin[0])),
+    ]
 
 
-def plot(arm: Arm, flight: Flight, path: Path) -> None:
+def plot(arm: Arm, flight: Flight) -> Any:
     """Draw the mission from above, and how momentum and motion went."""
-    import matplotlib
+    from matplotlib.figure import Figure as Drawing
 
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    figure = plt.figure(figsize=(12.0, 7.0), layout="constrained")
+    figure = Drawing(figsize=(12.0, 7.0), layout="constrained")
     grid = figure.add_gridspec(3, 2, width_ratios=(1.5, 1.0))
     above = figure.add_subplot(grid[:, 0])
     above.set(xlim=(-2, 2), ylim=(-2, 2), aspect="equal", xlabel="x [m]", ylabel="y [m]")
@@ -254,8 +262,7 @@ def plot(arm: Arm, flight: Flight, path: Path) -> None:
         panel.set_title(title, fontsize=10)
         panel.legend(fontsize=8)
     panel.set_xlabel("time [s]; dashed: phases")
-    figure.savefig(path, dpi=120)
-    plt.close(figure)
+    return figure
 
 
 def draw(axes: Any, arm: Arm, q: np.ndarray, target: np.ndarray, shade: float) -> None:
@@ -271,31 +278,33 @@ def draw(axes: Any, arm: Arm, q: np.ndarray, target: np.ndarray, shade: float) -
     axes.plot([q[0], joints[0, 0]], [q[1], joints[0, 1]], "C0", alpha=shade)
 
 
-def main() -> int:
-    """Run; the exit code is 0 if the target was captured and stopped, and momentum stayed."""
-    parser = argparse.ArgumentParser("mission.sh", description=__doc__)
-    parser.add_argument("--seed", type=int, default=1, help="of the simulated errors")
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """What this rehearsal can be told."""
     parser.add_argument("--speed", type=float, default=1.0, help="in multiples of real time")
     parser.add_argument("--reach", default="", help="its guidance: jacobian or predictive")
-    parser.add_argument("--out", type=Path, help="folder for the results (out/mission-TIME)")
-    options = parser.parse_args()
-    out = results(options.out, "mission")
-    arm = load(CONFIG / "arm.yaml")
-    with own_domain() as domain, Nodes(out / "logs", print, domain) as nodes:
-        print(f"starting simulator, drivers, recorder and guidance, in ROS domain {domain.number}")
+
+
+def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
+    """Fly the mission, and read its bag."""
+    arm, say = load(CONFIG / "arm.yaml"), partial(console.print, soft_wrap=True, highlight=False)
+    with own_domain() as domain, Nodes(out / "logs", say, domain) as nodes:
+        say(f"starting simulator, drivers, recorder and guidance, in ROS domain {domain.number}")
         start_all(nodes, CONFIG / "arm.yaml", out, options.seed, options.speed)
         person = Person(domain)
         person.arm_all()
         result = person.fly(options.reach)
         person.destroy_node()
     flight = read(out / "bag")
-    good = accept(flight, print) and result.stopped
-    for line in budget(result):
-        print(line)
-    plot(arm, flight, out / "mission.png")
-    for name, what in (("bag", "recording"), ("mission.png", "drawing"), ("logs", "of the nodes")):
-        print(f"{what:>16}  {out / name}")
-    return 0 if good else 2
+    end, *spent = budget(result)
+    checks = [
+        *accept(flight, say),
+        Check("the guidance says so", end.removeprefix("by the guidance: "), result.stopped),
+    ]
+    for line in (end, *spent):
+        say(line)
+    figure = Figure("mission", "From above, and how it went", partial(plot, arm, flight))
+    files = {"bag": "recording", "report/mission.png": "drawing", "logs": "of the nodes"}
+    return Rehearsed(checks, [figure], files=files)
 
 
 def budget(result: Capture.Result) -> list[str]:
@@ -308,7 +317,3 @@ def budget(result: Capture.Result) -> list[str]:
         f"  momentum at the grip {x:+.3f}, {y:+.3f} N s, {turning:+.4f} N m s",
         f"  largest joint torque {result.largest_torque:.2f} N m",
     ]
-
-
-if __name__ == "__main__":
-    sys.exit(rehearse("mission", main))

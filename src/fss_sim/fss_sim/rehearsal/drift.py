@@ -1,0 +1,159 @@
+"""Rehearse a drift calibration: the arm rests, the base drifts over a tilted table with a hose.
+
+In simulated time: test bed, drivers, recorder and the node `drift`; then again from the bag alone.
+"""
+
+import argparse
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rclpy.parameter import Parameter
+from rich.console import Console
+from std_srvs.srv import Trigger
+
+from fss_arm_bags.reader import open_bags
+from fss_arm_calib.acceptance import PASS
+from fss_arm_calib.drift.kind import DRIFT
+from fss_arm_calib.drift.settings import DriftSettings
+from fss_arm_calib.from_bag import solve_bag
+from fss_arm_calib.outcome import Outcome
+from fss_arm_calib.report import Figure
+from fss_arm_model.units import GRAVITY
+from fss_arm_msgs.msg import DriftCalibration, SimTruth
+from fss_arm_ros.convert import SECOND, stamp_ns
+from fss_arm_ros.qos import LATCHED
+from fss_sim.rehearsal.domain import CONFIG, Domain
+from fss_sim.rehearsal.person import LINKS, Operator, own_domain
+from fss_sim.rehearsal.processes import Nodes
+from fss_sim.rehearsal.rehearsed import Check, Rehearsed
+
+TILT = 2e-5, -1e-5  # of the table [rad]
+DRAG, TWIST_DAMPING = 0.02, 0.01  # of the hose [N s/m, N m s]
+BASE = -0.6, 0.0, 0.0  # from where the arm stays clear of the table's border
+TWIST = -0.006, 0.003, 0.004  # of the base as it is let go [m/s, m/s, rad/s]
+TRUTH = {
+    "g_x": GRAVITY * TILT[0], "g_y": GRAVITY * TILT[1], "torque": 0.0,
+    "twist_damping": TWIST_DAMPING, "drag": DRAG,
+}  # fmt: skip
+PART = 40.0  # of a drift that counts as one, so that they check each other [s]
+DEVIATIONS = 3.0  # that an estimate may be off by
+
+
+class Person(Operator):
+    """Keeps the hands off, and asks for the solution."""
+
+    def __init__(self, domain: Domain) -> None:
+        super().__init__(domain, parameter_overrides=[Parameter("use_sim_time", value=True)])
+        self.begin = self.time = 0
+        self.result: DriftCalibration | None = None
+        self.create_subscription(SimTruth, "sim/truth", self.on_truth, 1)
+        self.create_subscription(DriftCalibration, "calibration/drift", self.on_result, LATCHED)
+        self.solve = self.create_client(Trigger, "drift/solve")
+
+    def on_truth(self, message: SimTruth) -> None:
+        """How late it is."""
+        self.time = stamp_ns(message.header.stamp)
+        self.begin = self.begin or self.time
+
+    def on_result(self, message: DriftCalibration) -> None:
+        """The newest result."""
+        self.result = message
+
+    def drift(self, seconds: float, speed: float) -> DriftCalibration:
+        """Wait so long, then have it solved."""
+        late = f"{seconds:g} s do not pass"
+        patience = 60.0 + 4.0 * seconds / speed
+        self.wait(lambda: self.time > self.begin + seconds * SECOND > SECOND, late, patience)
+        self.wait(self.solve.service_is_ready, "there is no drift/solve")
+        self.result = None
+        answer = self.solve.call_async(Trigger.Request())
+        self.wait(lambda: answer.done() and self.result is not None, "there is no solution")
+        assert self.result
+        return self.result
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """What this rehearsal can be told."""
+    parser.add_argument("--seconds", type=float, default=90.0, help="of drifting, simulated")
+    parser.add_argument("--speed", type=float, default=3.0, help="multiple of real time")
+    parser.add_argument("--preset", default="laboratory", help="of the simulator")
+
+
+def start_all(nodes: Nodes, options: argparse.Namespace, out: Path) -> None:
+    """Start the graph."""
+    arm, clock = CONFIG / "truth.yaml", {"use_sim_time": True}
+    nodes.start("record", "fss_arm_bags", "record", output=out / "bag", **clock)
+    for i, url in enumerate(nodes.domain.urls(LINKS), 1):
+        timeout = max(1.0, options.speed)
+        nodes.start(
+            f"link_{i}", "fss_arm_driver", "link", link=i, url=url, timeout=timeout, **clock
+        )
+    nodes.start("arm", "fss_arm_driver", "arm", **clock)
+    nodes.start(
+        "drift", "fss_arm_calib", "drift", arm=arm, output=out / "drift.yaml", max_duration=PART,
+        **clock,
+    )  # fmt: skip
+    nodes.start(
+        "testbed", "fss_sim", "testbed", arm=arm, seed=options.seed, preset=options.preset,
+        ports=nodes.domain.ports(LINKS), keep_clock=True, speed=options.speed, tilt=list(TILT),
+        tether_drag=DRAG, tether_twist=TWIST_DAMPING, base=list(BASE), twist=list(TWIST),
+        q=[0.4, -0.8, 0.8, -0.4],
+    )  # fmt: skip
+
+
+def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
+    """Let the base drift, solve, and solve again from the bag."""
+    with own_domain() as domain, Nodes(out / "logs", console.print, domain) as nodes:
+        console.print(f"starting simulator, drivers, recorder and drift, in domain {domain.number}")
+        start_all(nodes, options, out)
+        person = Person(domain)
+        live = person.drift(options.seconds, options.speed)
+        person.destroy_node()
+    settings = DriftSettings(arm=str(CONFIG / "truth.yaml"), max_duration=PART)
+    found = solve_bag(DRIFT, out / "bag", settings)
+    with open_bags(out / "bag") as bags:
+        truths = [message for _, _, _, message in bags.messages({"/sim/truth"})]
+    t = np.array([stamp_ns(message.header.stamp) for message in truths]) / SECOND
+    base = np.array([message.q[:3] for message in truths])
+    figure = Figure("drift", "The base's true drift", partial(plot, t - t[0], base))
+    files = {"bag": "recording", "drift.yaml": "parameters for nodes", "logs": "of the nodes"}
+    return Rehearsed(judge(live, found), [figure], [DRIFT.report_of(found)], files)
+
+
+def judge(live: DriftCalibration, found: Outcome[Any, Any]) -> list[Check]:
+    """What was expected, and what happened.
+
+    Args:
+        live: the node's result.
+        found: from the bag.
+    """
+    its = live.calibration
+    checks = [
+        Check("the calibration passes", its.reason, its.verdict == PASS),
+        Check("the bag alone gives the verdict, too", found.reason, found.verdict == its.verdict),
+    ]
+    for name, value, deviation in zip(its.names, its.values, its.deviations, strict=True):
+        off = (value - TRUTH[name]) / deviation
+        checks.append(
+            Check(
+                f"{name} is within {DEVIATIONS:g} deviations of the truth, {TRUTH[name]:.3g}",
+                f"{value:.3g} +- {deviation:.2g}, off by {abs(off):.1f}",
+                bool(abs(off) < DEVIATIONS),
+            )
+        )
+    return checks
+
+
+def plot(t: np.ndarray, base: np.ndarray) -> Any:
+    """Draw where the base was, and its heading."""
+    from matplotlib.figure import Figure as Drawing
+
+    figure = Drawing(figsize=(10.0, 4.0), layout="constrained")
+    above, turned = figure.subplots(1, 2)
+    above.plot(base[:, 0], base[:, 1])
+    above.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
+    turned.plot(t, base[:, 2])
+    turned.set(xlabel="time [s]", ylabel="heading [rad]")
+    return figure

@@ -1,0 +1,159 @@
+"""Rehearse a Wi-Fi that fails while the arm moves: links stop by themselves, and wait for a person.
+
+In real time, all links on one radio channel. A program goes on commanding throughout, as one that
+has not noticed would; a person arms the links again after the Wi-Fi has come back.
+"""
+
+import argparse
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from rich.console import Console
+
+from fss_arm_bags.reader import open_bags
+from fss_arm_calib.report import Figure
+from fss_arm_msgs.msg import LinkTelemetry
+from fss_arm_ros.convert import SECOND, stamp_ns
+from fss_sim.rehearsal.domain import Domain
+from fss_sim.rehearsal.person import LINKS, Mover, own_domain
+from fss_sim.rehearsal.processes import Nodes
+from fss_sim.rehearsal.rehearsed import Check, Rehearsed
+
+STILL = 1e-3  # what counts as rest [rad/s]
+WATCHDOG, MARGIN = 2.0, 1.5  # of the links; for the way there, stopping, and a busy computer [s]
+BACK = 5.0  # for a link to be heard again [s]
+
+
+class Person(Mover):
+    """Takes the Wi-Fi away and gives it back."""
+
+    def __init__(self, domain: Domain) -> None:
+        super().__init__(domain)
+        self.heard = dict.fromkeys(self.armed, 0)
+
+    def on_link(self, message: LinkTelemetry) -> None:
+        """Whether the link is armed, and when it was heard."""
+        super().on_link(message)
+        self.heard[message.link] = self.now()
+
+    def outage(self, on: bool) -> int:
+        """Cut all links off, or end that; when it was done [ns]."""
+        return self.put({f"link_{i}.loss": float(on) for i in self.armed})
+
+
+class Times(NamedTuple):
+    """When what was done [ns]."""
+
+    turning: int
+    cut: int
+    back: int
+    again: int  # asked for arming
+    end: int
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """What this rehearsal can be told."""
+    parser.add_argument("--outage", type=float, default=6.0, help="how long it lasts [s]")
+
+
+def start_all(nodes: Nodes, options: argparse.Namespace, out: Path) -> None:
+    """Start the graph."""
+    nodes.start("record", "fss_arm_bags", "record", output=out / "bag")
+    nodes.start(
+        "testbed", "fss_sim", "testbed", ports=nodes.domain.ports(LINKS), seed=options.seed,
+        wifi=True, truth_rate=50.0, telemetry_rate=20.0,
+    )  # fmt: skip
+    for i, url in enumerate(nodes.domain.urls(LINKS), 1):
+        nodes.start(
+            f"link_{i}", "fss_arm_driver", "link", link=i, url=url, watchdog=WATCHDOG, rate=20.0
+        )
+    nodes.start("arm", "fss_arm_driver", "arm")
+
+
+def act(person: Person, outage: float) -> Times:
+    """See it through."""
+    turning, cut = person.turn(), person.outage(True)
+    person.wait(lambda: person.now() > cut + outage * SECOND, "")
+    back = person.outage(False)
+    person.wait(lambda: min(person.heard.values()) > back, f"not heard again: {person.heard}")
+    calm = person.now() + 2 * SECOND
+    person.wait(lambda: person.now() > calm, "")
+    return Times(turning, cut, back, calm, person.turn())
+
+
+def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
+    """Cut the Wi-Fi, give it back, and read the bag."""
+    with own_domain() as domain, Nodes(out / "logs", console.print, domain) as nodes:
+        console.print(f"starting simulator, drivers and recorder, in ROS domain {domain.number}")
+        start_all(nodes, options, out)
+        person = Person(domain)
+        times = act(person, options.outage)
+        person.destroy_node()
+    with open_bags(out / "bag") as bags:
+        truths = [message for _, _, _, message in bags.messages({"/sim/truth"})]
+    names = {f"/link_{i}/telemetry" for i in range(1, LINKS + 1)}
+    with open_bags(out / "bag") as bags:
+        telemetry = [message for _, _, _, message in bags.messages(names)]
+    t = np.array([stamp_ns(message.header.stamp) for message in truths])
+    rates = np.array([message.qd[3:] for message in truths])
+    checks = judge(times, t, rates, telemetry)
+    figure = Figure("wifi_outage", "The joints' rates", partial(plot, times, t, rates))
+    return Rehearsed(checks, [figure], files={"bag": "recording", "logs": "of the nodes"})
+
+
+def judge(times: Times, t: np.ndarray, rates: np.ndarray, telemetry: list[Any]) -> list[Check]:
+    """What was expected, and what happened.
+
+    Args:
+        times: when what was done.
+        t: (k,) times of the truth [ns].
+        rates: (k, n) of the joints [rad/s].
+        telemetry: messages of all links.
+    """
+    fastest = np.abs(rates).max(axis=1)
+    moved = t[(fastest > STILL) & (t < times.again)]
+    stopped = (moved.max() - times.cut) / SECOND if len(moved) else np.inf
+    idle = fastest[(t > times.cut + (WATCHDOG + MARGIN) * SECOND) & (t < times.again)]
+    first = {}
+    for message in telemetry:
+        at = stamp_ns(message.header.stamp)
+        if times.back < at < times.again and message.link not in first:
+            first[message.link] = (at - times.back) / SECOND, bool(message.armed)
+    late = max((at for at, _ in first.values()), default=np.inf)
+    heard = f"{len(first)} of {LINKS} after {late:.1f} s"
+    armed = [f"link_{i}" for i, (_, is_armed) in first.items() if is_armed]
+    anew = np.abs(rates[t > times.again])
+    return [
+        Check("the joints turn before it", f"at {fastest[t < times.cut][-1]:.3f} rad/s",
+              bool(fastest[t < times.cut][-1] > Mover.MOVING)),
+        Check(f"all joints rest by their watchdogs, {WATCHDOG:g} s after the last command",
+              f"{stopped:.1f} s after the cut", bool(stopped < WATCHDOG + MARGIN)),
+        Check("nothing moves until the links are armed again, whatever is commanded",
+              f"at most {idle.max(initial=0.0):.1e} rad/s", bool(idle.max(initial=0.0) < STILL)),
+        Check(f"all links are heard within {BACK:g} s of its return", heard,
+              len(first) == LINKS and late < BACK),
+        Check("they come back disarmed", ", ".join(armed) + " armed" if armed else "none is armed",
+              not armed),
+        Check("armed anew, all joints turn",
+              f"the slowest at up to {anew.max(axis=0, initial=0.0).min():.3f} rad/s",
+              bool(anew.max(axis=0, initial=0.0).min() > Mover.MOVING)),
+    ]  # fmt: skip
+
+
+def plot(times: Times, t: np.ndarray, rates: np.ndarray) -> Any:
+    """Draw the joints' rates, the outage shaded."""
+    from matplotlib.figure import Figure as Drawing
+
+    figure = Drawing(figsize=(10.0, 4.0), layout="constrained")
+    axes = figure.add_subplot()
+    since, until, again = ((at - times.cut) / SECOND for at in (times.cut, times.back, times.again))
+    axes.axvspan(since, until, color="0.85", label="no Wi-Fi")
+    axes.axvline(since + WATCHDOG, color="0.5", ls="--", lw=0.8, label="watchdog, at the earliest")
+    axes.axvline(again, color="C2", ls="--", lw=0.8, label="armed again from here")
+    for k, line in enumerate(rates.T, 1):
+        axes.plot((t - times.cut) / SECOND, line, lw=1, label=f"joint {k}")
+    axes.set(xlabel="time after the cut [s]", ylabel="rate [rad/s]")
+    axes.legend(fontsize=8)
+    return figure

@@ -1,0 +1,266 @@
+"""What VICON's cameras make of the subjects' markers: which are there, and what the pose is off by.
+
+A camera sees a marker if no body crosses the line between them; a marker is there if two cameras
+see it, a subject if three of its markers are. A marker is displaced by e_k, white noise and the
+cameras' common distortion; the pose of a rigid subject fitted to markers at r_k from their centroid
+c is then off by, to first order in e / r, at its origin o
+
+    dtheta = sum r_k x e_k / sum |r_k|^2        dx = mean e_k + dtheta i (o - c)
+
+so that white noise of deviation s gives s / sqrt(N) in position at the centroid and
+s / (r sqrt(N)) in heading, r the root mean square of |r_k|. Markers of two subjects that come too
+near each other are one to the cameras: neither subject has them.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from fss_arm_model.clearance import _apart, _to_segment
+from fss_arm_model.extents import Extents
+from fss_arm_model.kernels import Floats, kernel
+from fss_arm_model.kinematics import _cross, joint_positions
+from fss_arm_model.settings import FINITE, NOT_NEGATIVE, POSITIVE, Settings, setting
+from fss_sim.chance import Chance, Stream, drawn
+from fss_sim.noise import Noise
+
+Pose = tuple[float, float, float]  # x [m], y [m], heading [rad]
+
+CAMERAS_AT_LEAST, MARKERS_AT_LEAST = 2, 3
+BASE, TIP, TARGET = range(3)  # the subjects, and their places in Room.heights
+
+_OVERHEAD = (
+    3.0, 3.0, 3.0, 0.0, 3.2, 3.0, -3.0, 3.0, 3.0, -3.2, 0.0, 3.0,
+    -3.0, -3.0, 3.0, 0.0, -3.2, 3.0, 3.0, -3.0, 3.0, 3.2, 0.0, 3.0,
+)  # fmt: skip
+
+
+def _places(default: tuple[float, ...], whose: str) -> tuple[float, ...]:
+    """A field for markers in the frame of a subject."""
+    about = f"markers of the {whose} in its subject's frame, x, y of each"
+    made: tuple[float, ...] = setting(default, about, unit="m", check=FINITE)
+    return made
+
+
+@dataclass(frozen=True)
+class Room(Settings):
+    """Where VICON's cameras are, and the markers; the places are assumed, not the paper's."""
+
+    cameras: tuple[float, ...] = setting(
+        _OVERHEAD, "VICON's cameras in the world, x, y, z of each", unit="m", check=FINITE
+    )
+    base_markers: tuple[float, ...] = _places(
+        (0.15, 0.06, 0.02, 0.16, -0.14, 0.05, -0.10, -0.12, 0.07, -0.15), "base"
+    )
+    tip_markers: tuple[float, ...] = _places(
+        (-0.02, 0.05, -0.03, -0.05, -0.11, 0.04, -0.16, -0.05), "end effector"
+    )
+    target_markers: tuple[float, ...] = _places(
+        (0.14, -0.06, 0.04, 0.15, -0.15, 0.03, -0.07, -0.13, 0.09, -0.13), "target"
+    )
+    heights: tuple[float, ...] = setting(
+        (0.5, 0.3, 0.3), "heights of base, links and target, which stand on the table", unit="m",
+        check=NOT_NEGATIVE, size=3,
+    )  # fmt: skip
+    stalk: float = setting(
+        0.03, "height of the markers above what they are on", unit="m", check=POSITIVE
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name, each, least in (
+            ("cameras", 3, CAMERAS_AT_LEAST),
+            ("base_markers", 2, MARKERS_AT_LEAST),
+            ("tip_markers", 2, MARKERS_AT_LEAST),
+            ("target_markers", 2, MARKERS_AT_LEAST),
+        ):
+            count, rest = divmod(len(getattr(self, name)), each)
+            if rest or count < least:
+                raise RoomError(name, len(getattr(self, name)), each, least)
+
+    def markers(self, kind: int) -> Floats:
+        """(k, 3) of a subject: x, y in its frame, and height above the table [m]."""
+        places = (self.base_markers, self.tip_markers, self.target_markers)[kind]
+        flat = np.reshape(places, (-1, 2))
+        return np.column_stack([flat, np.full(len(flat), self.heights[kind] + self.stalk)])
+
+    def bodies(
+        self,
+        p: npt.ArrayLike,
+        q: npt.ArrayLike,
+        extents: Extents | None = None,
+    ) -> Floats:
+        """A vehicle that stands in the way: (b, 6) line from x, y to x, y, radius about it, height.
+
+        Args:
+            p: (8 + 6 n,) Arm.vector().
+            q: (3 + n,) state of base and arm.
+            extents: radii of base and links [m].
+        """
+        size, q = extents or Extents(), np.asarray(q, dtype=float)
+        base = self.disc(BASE, q, size.base_radius)
+        if len(q) == 3:
+            return base
+        ends = joint_positions(p, q)
+        wide = np.broadcast_to([size.link_radius, self.heights[TIP]], (len(ends) - 1, 2))
+        return np.concatenate([base, np.hstack([ends[:-1], ends[1:], wide])])
+
+    def disc(self, kind: int, pose: Floats, radius: float) -> Floats:
+        """A round subject that stands in the way, as (1, 6) of `bodies`."""
+        return np.array([[*pose[:2], *pose[:2], radius, self.heights[kind]]])
+
+
+class RoomError(ValueError):
+    """The cameras' or markers' places are not whole, or too few."""
+
+    def __init__(self, name: str, given: int, each: int, least: int) -> None:
+        super().__init__(
+            f"{name} has {given} numbers, expected {each} of each, and of {least} at least"
+        )
+
+
+class Look(NamedTuple):
+    """What a picture gives of a subject."""
+
+    error: Pose  # of its pose
+    markers: int  # that are there
+    taken_for: int  # the subject whose pose is taken for its own; itself, if all is well
+    there: bool = True  # whether it has a pose
+
+
+ABSENT = Look((0.0, 0.0, 0.0), 0, -1, there=False)
+
+
+class Vicon:
+    """All cameras of a room, which look at its subjects in one frame after the other.
+
+    Args:
+        noise: markers' errors, and whether bodies hide them.
+        room: where all is.
+        seed: of the errors.
+        kinds: BASE, TIP or TARGET, of each subject.
+        volume: sides of what the cameras are calibrated for, about the origin [m].
+    """
+
+    def __init__(
+        self,
+        noise: Noise,
+        room: Room,
+        seed: int,
+        kinds: Sequence[int],
+        volume: tuple[float, ...] = (4.0, 4.0),
+    ) -> None:
+        self._noise, self._seed, self.room = noise, seed, room
+        self.hides = noise.vicon_occlusion > 0.0  # bodies, what is behind them
+        self._cameras = np.reshape(room.cameras, (-1, 3)).astype(float)
+        markers = [room.markers(kind) for kind in kinds]
+        self._markers = np.concatenate(markers)
+        self._owners = np.repeat(np.arange(float(len(kinds))), [len(m) for m in markers])
+        self._chance = Chance(seed, 2 * len(self._markers), Stream.MARKER)
+        angle = drawn(seed, Stream.DISTORTION, 0).uniform(-np.pi, np.pi)
+        edge = noise.vicon_edge_error * np.cos(angle), noise.vicon_edge_error * np.sin(angle)
+        half = 0.5 * volume[0], 0.5 * volume[1]
+        self._control = np.array([noise.marker_noise, *edge, *half, noise.vicon_merge_distance])
+        self._merges: dict[tuple[int, int], bool] = {}  # that last; whether they swap the subjects
+
+    def look(
+        self, frame: int, poses: npt.ArrayLike, bodies: npt.ArrayLike = (), drawn_at: int = -1
+    ) -> list[Look]:
+        """What a picture gives of each subject.
+
+        Args:
+            frame: its number, which selects what chance decides.
+            poses: (s, 3) true poses in the world.
+            bodies: (b, 6) of Room.bodies; what hides nothing is left out.
+            drawn_at: number that selects the white noise, by default the frame's.
+        """
+        white = self._chance.normal(frame if drawn_at < 0 else drawn_at).reshape(-1, 2)
+        hides = np.reshape(bodies, (-1, 6)) if self.hides else np.empty((0, 6))
+        errors, there, partner = _look(
+            self._cameras, self._markers, self._owners, poses, hides, white, self._control
+        )
+        taken = self._taken_for(frame, partner.astype(int).tolist())
+        true, counts = np.asarray(poses, dtype=float), there.astype(int).tolist()
+        errors = errors[taken] + (true[taken] - true)
+        return [
+            Look((x, y, turn), count, other, counts[other] >= MARKERS_AT_LEAST)
+            for (x, y, turn), count, other in zip(errors.tolist(), counts, taken, strict=True)
+        ]
+
+    def _taken_for(self, frame: int, partners: list[int]) -> list[int]:
+        """Whom each is taken for, by the subject with which it has markers merged (-1: none).
+
+        Each merge has its own lot, which is drawn when it begins.
+        """
+        pairs = {(min(i, k), max(i, k)) for i, k in enumerate(partners) if k >= 0}
+        for pair in pairs - self._merges.keys():
+            lot = drawn(self._seed, Stream.MERGE, frame).random()
+            self._merges[pair] = lot < self._noise.vicon_merge_swap
+        self._merges = {pair: swaps for pair, swaps in self._merges.items() if pair in pairs}
+        taken = list(range(len(partners)))
+        for (i, k), swaps in self._merges.items():
+            if swaps:
+                taken[i], taken[k] = taken[k], taken[i]
+        return taken
+
+
+@kernel("(c,w),(k,w),(k),(s,w),(b,x),(k,y),(z)->(s,w),(s),(s)")
+def _look(cameras, markers, owners, poses, bodies, white, control, errors, there, partner):  # type: ignore[no-untyped-def]
+    count = owners.size
+    at, off = np.empty((2, count), np.complex128)
+    ok = np.empty(count, np.bool_)
+    distortion, half_x, half_y = complex(control[1], control[2]), control[3], control[4]
+    for s in range(there.size):
+        there[s], partner[s] = 0.0, -1.0
+        errors[s, 0] = errors[s, 1] = errors[s, 2] = 0.0
+    for k in range(count):
+        pose = poses[int(owners[k])]
+        turn = complex(np.cos(pose[2]), np.sin(pose[2]))
+        at[k] = complex(pose[0], pose[1]) + turn * complex(markers[k, 0], markers[k, 1])
+        out = complex(at[k].real / half_x, at[k].imag / half_y)
+        off[k] = control[0] * complex(white[k, 0], white[k, 1]) + abs(out) ** 2 * out * distortion
+        seen = 0
+        for c in range(cameras.shape[0]):
+            sight = complex(cameras[c, 0], cameras[c, 1]) - at[k]
+            rise, free = cameras[c, 2] - markers[k, 2], True
+            for b in range(bodies.shape[0]):
+                below = bodies[b, 5] - markers[k, 2]
+                if below <= 0.0:
+                    continue
+                share = min(below / rise, 1.0) if rise > 0.0 else 1.0
+                a = complex(bodies[b, 0], bodies[b, 1])
+                along = complex(bodies[b, 2], bodies[b, 3]) - a
+                if abs(along) > 1e-9:
+                    apart = _apart(at[k], share * sight, a, along)
+                else:
+                    apart = _to_segment(at[k], share * sight, a)
+                free = free and apart > bodies[b, 4]
+            seen += free
+        ok[k] = seen >= CAMERAS_AT_LEAST
+    for k in range(count):
+        for i in range(k):
+            apart = np.hypot(abs(at[k] - at[i]), markers[k, 2] - markers[i, 2])
+            if owners[i] != owners[k] and apart < control[5]:
+                ok[i] = ok[k] = False
+                partner[int(owners[i])], partner[int(owners[k])] = owners[k], owners[i]
+    for s in range(there.size):
+        middle, mean = 0j, 0j
+        for k in range(count):
+            if ok[k] and owners[k] == s:
+                there[s] += 1.0
+                middle += at[k]
+                mean += off[k]
+        if there[s] == 0.0:
+            continue
+        middle, mean = middle / there[s], mean / there[s]
+        moment = square = 0.0
+        for k in range(count):
+            if ok[k] and owners[k] == s:
+                moment += _cross(at[k] - middle, off[k])
+                square += abs(at[k] - middle) ** 2
+        turned = moment / square if square > 0.0 else 0.0
+        error = mean + 1j * turned * (complex(poses[s, 0], poses[s, 1]) - middle)
+        errors[s, 0], errors[s, 1], errors[s, 2] = error.real, error.imag, turned

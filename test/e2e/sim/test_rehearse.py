@@ -1,0 +1,133 @@
+"""Rehearsals by name, as a person runs them; and what a page says of one that went wrong."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from fss_arm_calib import report
+from fss_arm_driver.protocol import State
+from fss_arm_msgs.msg import LinkTelemetry
+from fss_arm_ros.convert import SECOND, to_time
+from fss_sim.rehearsal import first_day, power_failure
+from fss_sim.rehearsal.__main__ import REHEARSALS
+from fss_sim.rehearsal.rehearsed import Check, Rehearsed
+from fss_sim.rehearsal.wifi_outage import Times, judge
+
+TIMES = Times(*(s * SECOND for s in (5, 10, 16, 20, 24)))
+FAILURE = power_failure.Times(*(s * SECOND for s in (10, 16, 20, 21, 24)))
+
+
+def rehearse(*arguments):
+    command = [sys.executable, "-m", "fss_sim.rehearsal", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+
+
+@pytest.mark.slow
+def test_an_outage_of_the_wi_fi_is_rehearsed(tmp_path):
+    """In real time: about half a minute."""
+    out = tmp_path / "outage"
+    done = rehearse("wifi_outage", "--out", out)
+    assert done.returncode == 0, done.stdout + done.stderr
+    page = (out / "report/index.html").read_text()
+    assert page.count("<td") == 18
+    assert "all as expected" in page
+    assert (out / "report/wifi_outage.png").stat().st_size > 10_000
+    assert (out / "bag").is_dir()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["power_failure", "first_day", "drift"])
+def test_the_others_go_as_expected(tmp_path, name):
+    """In half a minute to a minute each."""
+    done = rehearse(name, "--out", tmp_path / "out")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "all as expected" in (tmp_path / "out/report/index.html").read_text()
+    assert (tmp_path / f"out/report/{name}.png").stat().st_size > 10_000
+    assert (tmp_path / "out/bag").is_dir()
+
+
+def test_what_there_is_is_said():
+    helped, unknown = rehearse("--help"), rehearse("lunch")
+    assert (helped.returncode, unknown.returncode) == (0, 2)
+    for told in (helped.stdout, unknown.stderr):
+        assert all(name in told for name in REHEARSALS)
+
+
+def test_a_page_says_what_was_not_as_expected(tmp_path):
+    checks = [Check("it flies", "it did", True), Check("it lands", "it <fell>", False)]
+    found = Rehearsed(checks).report("Rehearsal: x", "of nothing")
+    assert found.verdict == "fail"
+    page = report.write(tmp_path, found).read_text()
+    assert "not as expected: it lands" in page
+    assert "it &lt;fell&gt;" in page
+
+
+def outage(stops=12.0, creeps=0.0, armed=False, heard=17.0, again=0.05):
+    """Checks of a made-up outage: joints' rates and telemetry."""
+    t = np.arange(0, 24 * SECOND, SECOND // 50)
+    rate = np.where(t < stops * SECOND, 0.05, creeps)
+    rate[t > 21 * SECOND] = again
+    telemetry = []
+    for i in (1, 2, 3, 4):
+        for at in (9.0, heard, heard + 1.0):
+            message = LinkTelemetry(link=i, armed=at < 10.0 or armed)
+            message.header.stamp = to_time(round(at * SECOND))
+            telemetry.append(message)
+    return [check.held for check in judge(TIMES, t, np.outer(rate, np.ones(4)), telemetry)]
+
+
+def failure(before=0.05, mute=True, heard=17.0, flags=0, mode=0, homed=True, again=0.05):
+    """Checks of a made-up power failure: the joint's rate and its link's telemetry."""
+    t = np.arange(0, 24 * SECOND, SECOND // 50)
+    rate = np.where(t < 10 * SECOND, before, np.where(t > 21 * SECOND, again, 0.0))
+    telemetry = []
+    for at in (9.0, *(() if mute else (13.0,)), heard, heard + 1.0, 23.0):
+        told = State.REFERENCED if at > 21.0 and homed else flags
+        message = LinkTelemetry(link=2, flags=int(told), mode=mode)
+        message.header.stamp = to_time(round(at * SECOND))
+        telemetry.append(message)
+    return [check.held for check in power_failure.judge(FAILURE, t, rate, telemetry)]
+
+
+@pytest.mark.parametrize(
+    ("how", "missed"),
+    [
+        ({}, set()),
+        ({"before": 0.0}, {0}),
+        ({"mute": False}, {1}),
+        ({"heard": 21.5}, {2, 3, 4, 5}),
+        ({"flags": State.ARMED}, {3}),
+        ({"flags": State.REFERENCED}, {4}),
+        ({"mode": 21}, {5}),
+        ({"homed": False}, {6}),
+        ({"again": 0.0}, {7}),
+    ],
+)
+def test_a_power_failure_is_judged_by_what_the_bag_says(how, missed):
+    assert {k for k, held in enumerate(failure(**how)) if not held} == missed
+
+
+def test_a_first_day_is_as_expected_if_all_was_tried_and_passes():
+    good = [{"name": f"{k}", "verdict": "pass", "found": "it is"} for k in range(9)]
+    assert all(check.held for check in first_day.judge(good, 0))
+    bad = [*good[:8], {"name": "stop", "verdict": "fail", "found": "goes on"}]
+    assert [c.expected for c in first_day.judge(bad, 0) if not c.held] == ["stop: pass"]
+    assert not first_day.judge(good[:5], 0)[-1].held
+    assert not first_day.judge(good, 3)[-1].held
+
+
+@pytest.mark.parametrize(
+    ("how", "missed"),
+    [
+        ({}, set()),
+        ({"stops": 15.0}, {1, 2}),
+        ({"creeps": 0.01}, {1, 2}),
+        ({"heard": 21.5}, {3}),
+        ({"armed": True}, {4}),
+        ({"again": 0.0}, {5}),
+    ],
+)
+def test_an_outage_is_judged_by_what_the_bag_says(how, missed):
+    assert {k for k, held in enumerate(outage(**how)) if not held} == missed
