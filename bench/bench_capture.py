@@ -1,4 +1,4 @@
-"""How often a capture succeeds: `python bench/bench_capture.py [--reach predictive] [--runs 280]`.
+"""How often a capture succeeds: `python bench/bench_capture.py [--runs 280]`.
 
 Flies missions in the pure loop of test/support/capturing.py: the plant with the default errors of
 the sensors, navigation, control and guidance, over a grid of the target's spin and heading, of the
@@ -31,7 +31,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "test/support"))
 
-from capturing import SETTINGS, Case, Flight
+from capturing import Case, Flight
 
 from fss_arm_model.kinematics import joint_positions, tip_pose
 from fss_sim.plant.target import Gripper
@@ -64,19 +64,19 @@ def failures() -> Iterator[Case]:
         yield Case(spin, float(seed), 1.6, seed, fault=fault, phase=phase, lasts=lasts)
 
 
-def fly(case: Case, reach: str) -> dict[str, Any]:
+def fly(case: Case) -> dict[str, Any]:
     """One of them."""
     begin = time.process_time()
-    flown = Flight(case, settings=replace(SETTINGS, reach=reach)).fly()
+    flown = Flight(case).fly()
     flown.wall = time.process_time() - begin
-    return {**asdict(flown), "reach": reach}
+    return asdict(flown)
 
 
-def draw(cases: list[Case], reach: str, path: Path) -> None:
+def draw(cases: list[Case], path: Path) -> None:
     """Fly them again, and show how the last of each looked."""
     figure, panels = plt.subplots(1, len(cases), figsize=(4.2 * len(cases), 4.6), squeeze=False)
     for case, ax in zip(cases, panels[0], strict=True):
-        flight = Flight(case, settings=replace(SETTINGS, reach=reach))
+        flight = Flight(case)
         flown = flight.fly()
         p, film = flight.arm.vector(), flight.film
         first = next((t for t, *_ in film if t >= flight.last_near - 4.0), 0.0)
@@ -128,7 +128,6 @@ def report(rows: list[dict[str, Any]]) -> None:
 def main() -> None:
     """Fly, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--reach", default="jacobian")
     parser.add_argument("--runs", type=int, default=280)
     parser.add_argument("--faults", action="store_true")
     parser.add_argument("--ghosts", action="store_true")
@@ -146,13 +145,13 @@ def main() -> None:
     options.out.parent.mkdir(parents=True, exist_ok=True)
     rows = []
     with ProcessPoolExecutor(options.processes) as pool, options.out.open("w") as file:
-        for row in pool.map(fly, cases, [options.reach] * len(cases)):
+        for row in pool.map(fly, cases):
             rows.append(row)
             print(json.dumps(row), file=file, flush=True)
     report(rows)
     if options.draw:
         failed = [c for c, r in zip(cases, rows, strict=True) if not (r["captured"] and r["well"])]
-        draw(failed[:3], options.reach, options.draw)
+        draw(failed[:3], options.draw)
 
 
 if __name__ == "__main__":

@@ -305,11 +305,6 @@ def test_a_capture_whose_target_is_lost_ends_with_valves_closed_and_joints_at_re
     assert np.abs(bench.rates[-1].velocity).max() == 0.0
 
 
-def test_a_capture_by_an_unknown_reach_is_refused(bench):
-    ended = bench.does(CAPTURE, reach="magic")
-    assert ended.result.message == "reach is 'magic', expected jacobian or predictive"
-
-
 def test_what_rests_is_detumbled(bench):
     bench.holds = True
     ended = bench.does(DETUMBLE)

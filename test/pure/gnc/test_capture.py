@@ -10,13 +10,12 @@ from fss_arm_model import layout
 from fss_arm_model.description import paper_arm
 from fss_arm_model.kinematics import tip_pose
 from fss_gnc.guidance.abort import Abort
-from fss_gnc.guidance.activity import ActivityError, Craft, Seen
+from fss_gnc.guidance.activity import Craft, Seen
 from fss_gnc.guidance.approach import Planner, coasted
-from fss_gnc.guidance.capture import GUIDES, begin
 from fss_gnc.guidance.detumble import Detumble
 from fss_gnc.guidance.drift import Drifting
 from fss_gnc.guidance.leak import Leak
-from fss_gnc.guidance.reach import fixtures
+from fss_gnc.guidance.reach import Reach, fixtures
 from fss_gnc.guidance.rest import braking, slowing
 from fss_gnc.reference import Body
 
@@ -34,9 +33,8 @@ def at(x, y, heading, posture=POSTURE):
     return np.array([x, y, heading, *posture])
 
 
-@pytest.mark.parametrize("reach", GUIDES)
-def test_it_captures_a_tumbling_target_and_stops_it(reach):
-    flight = Flight(Case(spin=0.15, distance=1.4), settings=replace(SETTINGS, reach=reach))
+def test_it_captures_a_tumbling_target_and_stops_it():
+    flight = Flight(Case(spin=0.15, distance=1.4))
     flown = flight.fly()
     assert flown.phases == ["wait", "approach", "reach", "grip", "detumble"]
     assert flown.well
@@ -92,9 +90,8 @@ def test_there_is_no_way_where_there_is_no_room():
     assert Planner(P, SETTINGS).find(at(-1.0, 0.0, 0.0), AT_REST, target, 3.0) is None
 
 
-@pytest.mark.parametrize("reach", GUIDES)
-def test_a_reach_goes_to_the_fixture(reach):
-    guide = GUIDES[reach](ARM, SETTINGS)
+def test_a_reach_goes_to_the_fixture():
+    guide = Reach(ARM, SETTINGS)
     q = at(0.0, 0.0, 0.0)
     x, y, heading = tip_pose(P, q)
     centre = complex(x, y) + 0.25 * np.exp(1j * heading)
@@ -105,11 +102,6 @@ def test_a_reach_goes_to_the_fixture(reach):
     tip = generalized_jacobian(P, q) @ guide.rates(q, target)
     inward = np.array([np.cos(heading), np.sin(heading)])
     assert tip[:2] @ inward > 0.01
-
-
-def test_an_unknown_reach_is_refused():
-    with pytest.raises(ActivityError, match="reach is 'magic', expected jacobian or predictive"):
-        begin(CRAFT, "magic", True)
 
 
 def test_joints_slow_down_within_their_torques():

@@ -9,32 +9,25 @@ done
 abort     from any of them
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from itertools import islice
 
 import numpy as np
 import numpy.typing as npt
 
-from fss_arm_model.description import Arm
 from fss_arm_model.held import Approach, approach, momentum_of_both
 from fss_arm_motion.guard import Guard, GuardError
 from fss_gnc.guidance.abort import Abort
-from fss_gnc.guidance.activity import ActivityError, Craft, Ended, Orders, Seen
+from fss_gnc.guidance.activity import Craft, Ended, Orders, Seen
 from fss_gnc.guidance.approach import Planner, Points, Way
 from fss_gnc.guidance.detumble import Detumble
 from fss_gnc.guidance.drift import Drifting
-from fss_gnc.guidance.mission_settings import MissionSettings
-from fss_gnc.guidance.predictive import Predictive
-from fss_gnc.guidance.reach import Jacobian, Reach, wrapped
+from fss_gnc.guidance.reach import Reach, wrapped
 from fss_gnc.guidance.rest import braking, slowing
 from fss_gnc.guidance.watch import Watch
 from fss_gnc.reference import Body, Path, off
 
 Floats = npt.NDArray[np.float64]
-
-GUIDES: dict[str, Callable[[Arm, MissionSettings], Reach]] = {
-    "jacobian": Jacobian, "predictive": Predictive,
-}  # fmt: skip
 
 AHEAD = np.linspace(0.0, 2.0, 9)  # of the reference that is told [s]
 SETTLED = 3.0  # for which all must be known, joints at rest, before a way is sought [s]
@@ -54,22 +47,16 @@ class Capture:
 
     Args:
         craft: whose base and arm.
-        reach: guidance of the reach.
         detumble: whether to take the motion away after the grip.
     """
 
     blind = True
 
-    def __init__(
-        self,
-        craft: Craft,
-        reach: Reach | None = None,
-        detumble: bool = True,
-    ) -> None:
+    def __init__(self, craft: Craft, detumble: bool = True) -> None:
         self.craft, self.detumbles = craft, detumble
         self.settings = settings = craft.settings
         self.p, self.target = craft.arm.vector(), settings.target
-        self.guide = reach or GUIDES[settings.reach](craft.arm, settings)
+        self.guide = Reach(craft.arm, settings)
         self.planner, self.watch = Planner(self.p, settings), Watch(craft)
         self.guard = Guard(craft.arm, settings)
         self.phase, self.since, self.attempts = "wait", 0.0, 0
@@ -251,18 +238,6 @@ class Capture:
         return self._told(self.after.step(seen))
 
 
-def begin(craft: Craft, reach: str, detumble: bool) -> Capture:
-    """The activity with a guidance of the reach by its name; empty: the settings'.
-
-    Raises:
-        ActivityError: there is none of this name.
-    """
-    name = reach or craft.settings.reach
-    if name not in GUIDES:
-        raise ActivityError(f"reach is {name!r}, expected {' or '.join(GUIDES)}")
-    return Capture(craft, GUIDES[name](craft.arm, craft.settings), detumble)
-
-
 def load(craft: Craft) -> None:
     """Load the kernels of the missions, which takes long, before one is under way."""
     p, s, n = craft.arm.vector(), craft.settings, craft.arm.n
@@ -274,10 +249,9 @@ def load(craft: Craft) -> None:
     braking(p, q, rest, s, 0.0)
     slowing(p, q, rest, np.ones(n))
     approach(p, q, rest, s.target, target)
-    for guide in GUIDES.values():
-        reach = guide(craft.arm, s)
-        reach.begin(q, rest)
-        reach.rates(q, target)
+    reach = Reach(craft.arm, s)
+    reach.begin(q, rest)
+    reach.rates(q, target)
 
 
 def on_target(points: Points, t: float, state: Floats) -> Path:

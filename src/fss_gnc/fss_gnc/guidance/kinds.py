@@ -73,7 +73,7 @@ def _captured(mission: capture.Capture, account: Account, ended: Ended) -> dict[
 MISSIONS = (
     Kind(
         "mission/capture", Capture,
-        lambda craft, seen, goal: capture.begin(craft, goal.reach, goal.detumble),
+        lambda craft, seen, goal: capture.Capture(craft, goal.detumble),
         _captured,
         lambda _, orders: {"phase": orders.phase, "fixture_distance": orders.fixture_distance},
         preempts=("base/",),

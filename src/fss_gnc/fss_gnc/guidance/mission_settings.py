@@ -3,11 +3,9 @@
 from dataclasses import dataclass
 
 from fss_arm_model.held import Target
-from fss_arm_model.settings import FINITE, NOT_NEGATIVE, POSITIVE, above, like, one_of, setting
+from fss_arm_model.settings import FINITE, NOT_NEGATIVE, POSITIVE, above, like, setting
 from fss_arm_motion.guard_settings import GuardSettings
 from fss_gnc.guidance.settings import GuidanceSettings
-
-REACHES = ("jacobian", "predictive")
 
 
 @dataclass(frozen=True)
@@ -47,7 +45,6 @@ class MissionSettings(GuidanceSettings, GuardSettings):
         150.0, "longest approach that is planned", unit="s", check=POSITIVE
     )
     # the reach
-    reach: str = setting("jacobian", "guidance of the reach", check=one_of(*REACHES))
     lead: float = setting(
         3.0, "the reach begins so long before the fixture faces the arm", unit="s",
         check=NOT_NEGATIVE,

@@ -11,7 +11,6 @@ over, N = 1 - J*' (..)^-1 J*, used to keep off the ends of the joints' ranges.
 """
 
 from math import pi
-from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -32,22 +31,7 @@ CENTRING = 10.0  # T [s]
 AHEAD = 0.3  # in which a joint must not come to its end [s]
 
 
-class Reach(Protocol):
-    """A guidance of the reach."""
-
-    def begin(self, q: Floats, qd: Floats) -> None:
-        """Valves are closed: the momentum of the state q at the rate qd, (3 + n,) each, stays."""
-
-    def rates(self, q: Floats, state: Floats) -> Floats:
-        """Rates of the joints now, (n,) [rad/s].
-
-        Args:
-            q: (3 + n,) state of base and arm.
-            state: (2, 3) pose and twist of the target.
-        """
-
-
-class Jacobian:
+class Reach:
     """By the generalized Jacobian, damped."""
 
     def __init__(self, arm: Arm, settings: MissionSettings) -> None:
@@ -57,11 +41,16 @@ class Jacobian:
         self.momentum = np.zeros(3)
 
     def begin(self, q: Floats, qd: Floats) -> None:
-        """See Reach."""
+        """Valves are closed: the momentum of the state q at the rate qd, (3 + n,) each, stays."""
         self.momentum = momentum(self.p, q, qd)
 
     def rates(self, q: Floats, state: Floats) -> Floats:
-        """See Reach."""
+        """Rates of the joints now, (n,) [rad/s].
+
+        Args:
+            q: (3 + n,) state of base and arm.
+            state: (2, 3) pose and twist of the target.
+        """
         wanted = self._wanted(tip_pose(self.p, q), state)
         J = WEIGHT[:, None] * generalized_jacobian(self.p, q)
         twist = WEIGHT * (wanted - self._drift(q))

@@ -105,14 +105,14 @@ class Person(Operator):
                 raise RehearsalError(f"the base is not armed: {answer and answer.message}")
             answer = self.after(self.base.call_async(request), "node `base` does not answer")
 
-    def fly(self, reach: str) -> Capture.Result:
+    def fly(self) -> Capture.Result:
         """See the mission through.
 
         Raises:
             RehearsalError: nobody flies it, or not to its end.
         """
         self.wait(self.capture.server_is_ready, "there is no node `guidance`")
-        sent = self.capture.send_goal_async(Capture.Goal(reach=reach, detumble=True))
+        sent = self.capture.send_goal_async(Capture.Goal(detumble=True))
         handle = self.after(sent, "node `guidance` does not answer")
         answer = handle.get_result_async()
         return self.after(answer, "the mission does not end", MAX_DURATION).result
@@ -281,7 +281,6 @@ def draw(axes: Any, arm: Arm, q: np.ndarray, target: np.ndarray, shade: float) -
 def add_options(parser: argparse.ArgumentParser) -> None:
     """What this rehearsal can be told."""
     parser.add_argument("--speed", type=float, default=1.0, help="in multiples of real time")
-    parser.add_argument("--reach", default="", help="its guidance: jacobian or predictive")
 
 
 def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
@@ -292,7 +291,7 @@ def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
         start_all(nodes, CONFIG / "arm.yaml", out, options.seed, options.speed)
         person = Person(domain)
         person.arm_all()
-        result = person.fly(options.reach)
+        result = person.fly()
         person.destroy_node()
     flight = read(out / "bag")
     end, *spent = budget(result)
