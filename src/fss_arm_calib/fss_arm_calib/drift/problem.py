@@ -40,6 +40,7 @@ OWN = 8  # unknowns of each drift: pose, twist, centre of mass in the base
 _STEPS = np.array([1e-5, 1e-5, 3e-7, 1e-5, 1e-4, *[1e-3] * 3, 1e-4, 1e-4, 1e-5, *[1e-3] * 2])
 MAX_CONDITION = 1e6
 NOTICEABLE = 1e-6  # share of an unknown in undetermined directions from which on it is named
+ALONE = 1e-9  # redundancy below which a drift alone determines something
 TOLERANCE = 1e-4  # of the last update [deviations]; integration errs by less
 
 
@@ -229,10 +230,11 @@ class DriftResult:
         """Of each drift against what the others say: leverage, error and redundancy, (s,) each.
 
         As in a dynamic calibration, its error is r' (1 - H)^-1 r, of which this is the root mean
-        square of a coordinate.
+        square of a coordinate. What a drift alone determines leaves no residual: nothing of it.
         """
         free = [sigma.size - 6 for sigma in self.problem.sigma]
-        squares = [r @ np.linalg.solve(np.eye(len(r)) - H, r) for H, r in self._hat]
+        inverses = [np.linalg.pinv(np.eye(len(r)) - H, ALONE, hermitian=True) for H, r in self._hat]
+        squares = [r @ inverse @ r for inverse, (_, r) in zip(inverses, self._hat, strict=True)]
         errors = np.sqrt(np.array(squares) / free)
         checked = np.array([redundancy(H[None])[0] for H, _ in self._hat])
         return np.array([np.trace(H) for H, _ in self._hat]), errors, checked

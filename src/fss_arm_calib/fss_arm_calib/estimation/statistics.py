@@ -29,4 +29,4 @@ def redundancy(hat: Floats) -> Floats:
     Args:
         hat: (s, k, k).
     """
-    return np.asarray(1.0 - np.linalg.norm(hat, 2, axis=(1, 2)))
+    return np.maximum(1.0 - np.linalg.norm(hat, 2, axis=(1, 2)), 0.0)  # but for rounding
