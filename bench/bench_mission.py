@@ -187,7 +187,7 @@ def main() -> int:
     parser.add_argument("--phases", nargs="+", default=PHASES, choices=PHASES)
     parser.add_argument("--nodes", nargs="+", default=NODES, choices=NODES)
     parser.add_argument("--shut", type=float, default=1.5, help="valves shut after a kill [s]")
-    parser.add_argument("--speed", type=float, default=0.0, help="of the time; 0: as links follow")
+    parser.add_argument("--speed", type=float, default=1.0, help="in multiples of real time")
     given = parser.parse_args()
     rclpy.init()
     logs = Path(mkdtemp(prefix="bench_mission_"))
