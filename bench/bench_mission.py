@@ -29,6 +29,7 @@ from capturing import DEPTH, POSTURE, SETTINGS, Case  # isort: skip
 from fss_arm_model.clearance import gaps, sizes, with_target
 from fss_arm_model.description import paper_arm
 from fss_arm_msgs.action import Capture
+from fss_arm_msgs.msg import SimTruth
 from fss_arm_ros.convert import stamp_ns
 from fss_sim.rehearsal.processes import Nodes
 
@@ -105,7 +106,7 @@ class Run:
             "holds": float(rows[-1].holds),
         }
 
-    def apart(self, truth) -> float:  # type: ignore[no-untyped-def]
+    def apart(self, truth: SimTruth) -> float:
         """Least gap of base and links to the target, of the gripper but for its depth [m]."""
         if truth.holds:
             return np.inf

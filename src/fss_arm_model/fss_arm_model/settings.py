@@ -7,7 +7,7 @@ commands their options, and the documents list it.
 from collections.abc import Callable
 from dataclasses import MISSING, Field, dataclass, field, fields
 from math import inf
-from typing import Any
+from typing import Any, get_args, get_origin
 
 
 class SettingError(ValueError):
@@ -27,6 +27,8 @@ class Check:
 POSITIVE = Check("a positive number", lambda value: 0.0 < value < inf, low=0.0)
 NOT_NEGATIVE = Check("0 or more", lambda value: 0.0 <= value < inf, low=0.0)
 FINITE = Check("a finite number", lambda value: -inf < value < inf)
+
+NAMES = {bool: "true or false", int: "an integer", float: "a number", str: "a string"}
 
 
 def between(low: float, high: float) -> Check:
@@ -115,6 +117,25 @@ def refuse(f: "Field[Any]", value: Any, name: str = "") -> None:
         if check is not None and not check.holds(one):
             given = repr(one) if isinstance(one, str) else f"{one}{unit and ' ' + unit}"
             raise SettingError(f"{name} is {given}, expected {check.expected}")
+
+
+def converted(name: str, value: Any, hint: Any) -> Any:
+    """A value from outside as the type of a field; lists come back as tuples.
+
+    Raises:
+        SettingError: it is of another type; the message names it.
+    """
+    if get_origin(hint) is tuple:
+        kind = get_args(hint)[0]
+        value = () if value is None else value  # how rcl reads `name:=[]`
+        if isinstance(value, str | bytes) or not hasattr(value, "__iter__"):
+            raise SettingError(f"{name} is {value!r}, expected a list, each {NAMES[kind]}")
+        return tuple(converted(name, item, kind) for item in value)
+    if hint is float and type(value) is int:
+        return float(value)
+    if type(value) is not hint:
+        raise SettingError(f"{name} is {value!r}, expected {NAMES[hint]}")
+    return value
 
 
 def meaning(f: "Field[Any]") -> str:

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import Field, fields
 from math import inf
 from sys import float_info
-from typing import Any, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, TypeVar, get_type_hints
 
 from rcl_interfaces.msg import (
     FloatingPointRange,
@@ -16,12 +16,10 @@ from rclpy.exceptions import InvalidParameterValueException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from fss_arm_model.settings import SettingError, default_in, meaning, refuse
+from fss_arm_model.settings import SettingError, converted, default_in, meaning, refuse
 from fss_arm_ros import alone
 
 Settings = TypeVar("Settings")
-
-NAMES = {bool: "true or false", int: "an integer", float: "a number", str: "a string"}
 
 
 def declare(node: Node, kind: type[Settings], live: bool = False) -> Settings:
@@ -124,22 +122,3 @@ def _given(node: Node) -> set[str]:
     """Names of the parameters that the caller gave and that are not rclpy's own."""
     names = node._parameter_overrides  # the only place that tells a misspelt `-p` from none
     return {n for n in names if not node.has_parameter(n) and not n.startswith("qos_overrides.")}
-
-
-def converted(name: str, value: Any, hint: Any) -> Any:
-    """A value from outside as the type of a field; lists come back as tuples.
-
-    Raises:
-        SettingError: it is of another type; the message names it.
-    """
-    if get_origin(hint) is tuple:
-        kind = get_args(hint)[0]
-        value = () if value is None else value  # how rcl reads `name:=[]`
-        if isinstance(value, str | bytes) or not hasattr(value, "__iter__"):
-            raise SettingError(f"{name} is {value!r}, expected a list, each {NAMES[kind]}")
-        return tuple(converted(name, item, kind) for item in value)
-    if hint is float and type(value) is int:
-        return float(value)
-    if type(value) is not hint:
-        raise SettingError(f"{name} is {value!r}, expected {NAMES[hint]}")
-    return value

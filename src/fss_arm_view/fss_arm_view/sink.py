@@ -93,8 +93,9 @@ class Sink:
 class Scoped:
     """A sink for one of several vehicles: what is drawn of it is below its name."""
 
-    def __init__(self, sink: Sink, name: str) -> None:
-        self.sink, self.name, self.counts = sink, name, sink.counts
+    def __init__(self, sink: "Sink | Scoped", name: str) -> None:
+        self.sink, self.name = sink, name
+        self.counts: Counter[str] = sink.counts
 
     @property
     def stream(self) -> rr.RecordingStream:
@@ -112,6 +113,9 @@ class Scoped:
     def put(self, t: int | None, drawings: Iterable[Drawing]) -> bool:
         """As of the sink."""
         return self.sink.put(t, [(self._own(entity), drawn) for entity, drawn in drawings])
+
+    def close(self) -> None:
+        """Nothing: the sink is that of all, who ends it."""
 
     def _own(self, entity: str) -> str:
         kind, _, rest = entity.partition("/")

@@ -72,7 +72,7 @@ class ViewNode(Node):
         if s.mode in (NATIVE, WEB) and not first:
             self.viewer = Viewer(s.mode, s.bind, s.port, s.web_port, s.memory, s.names)
         self.sink: Sink | Scoped = (
-            Scoped(first.sink, self.vehicle)  # type: ignore[arg-type]  # the first one's is a Sink
+            Scoped(first.sink, self.vehicle)
             if first
             else Sink(self._recording(), s.rate, s.queue)
         )
@@ -334,8 +334,7 @@ class ViewNode(Node):
 
     def close(self) -> None:
         """Write what waits and end the viewer."""
-        if isinstance(self.sink, Sink):
-            self.sink.close()
+        self.sink.close()
         if self.viewer:
             self.viewer.close()
         if self.first is self:

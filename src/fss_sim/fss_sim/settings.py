@@ -1,15 +1,12 @@
 """The parameters of the test-bed node, and what they amount to."""
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
-from itertools import combinations
-from math import dist
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import Any
 
 from fss_arm_model.description import Arm, Base, described
-from fss_arm_model.files import ContentError, read_text, read_yaml
+from fss_arm_model.files import read_text
 from fss_arm_model.held import Target
 from fss_arm_model.settings import (
     FINITE,
@@ -20,13 +17,11 @@ from fss_arm_model.settings import (
     above,
     at_least,
     between,
-    default_in,
     like,
     one_of,
     setting,
 )
 from fss_arm_model.vehicle import Vehicle
-from fss_arm_ros.parameters import converted
 from fss_sim.link.power import Power
 from fss_sim.link.pty import LinkTerminal
 from fss_sim.link.radio import Air, Radio
@@ -208,18 +203,6 @@ class PlantSettings(Settings):
         return Radio(*given)
 
 
-NAME = re.compile("[A-Za-z][A-Za-z0-9_]*")  # of a vehicle, which is a namespace
-OF_THE_BED = {
-    *("vehicles", "keep_clock", "speed", "paused", "truth_rate", "state_file", "world_frame"),
-    *("tilt", "table", "tolerance", "contact", "restitution", "contact_friction"),
-    *(f.name for f in fields(PlantSettings) if f.name.startswith(("target_", "wifi"))),
-    *(f.name for f in fields(Noise) if f.name.startswith("vicon_")),
-    *("preset", "marker_noise", "vicon_cameras", "base_markers", "tip_markers"),
-    *("heights", "marker_stalk"),
-    "target_topic",
-}  # so no vehicle's own
-
-
 @dataclass(frozen=True)
 class TestbedSettings(PlantSettings):
     """The parameters of a TestbedNode."""
@@ -324,46 +307,6 @@ class TestbedSettings(PlantSettings):
                 "expected 1 and false without keep_clock"
             )
         _ = self.noise(), self.joints(), self.room()  # which refuse what they must
-
-    def each(self) -> dict[str, "TestbedSettings"]:
-        """The settings of each vehicle by its name; those of the only one if there is no file.
-
-        Raises:
-            OSError: the file of the vehicles cannot be read.
-            ValueError: it says something else.
-        """
-        if not self.vehicles:
-            return {"": self}
-        given = read_yaml(Path(self.vehicles))
-        ones = given.get("vehicles") if isinstance(given, dict) and len(given) == 1 else None
-        if not isinstance(ones, dict) or not ones:
-            raise ContentError(f"{self.vehicles}: vehicles", ones, "the settings of each, by name")
-        made = {str(name): self._named(str(name), k, ones[name]) for k, name in enumerate(ones)}
-        reach = 2.0 * Surroundings().base_radius
-        for (one, a), (other, b) in combinations(made.items(), 2):
-            if dist(a.base[:2], b.base[:2]) < reach:
-                raise SettingError(f"{self.vehicles}: {one} and {other} begin in the same place")
-        return made
-
-    def _named(self, name: str, k: int, given: Any) -> "TestbedSettings":
-        """Those of vehicle k: what the file gives, or its name does, and else the test bed's."""
-        where = f"{self.vehicles}: {name}"
-        if not NAME.fullmatch(name):
-            raise ContentError(f"{self.vehicles}: a vehicle's name", name, "letters, digits and _")
-        own = {f.name: f for f in fields(self) if f.name not in OF_THE_BED}
-        if not isinstance(given, dict) or not set(given) <= set(own):
-            what = ", ".join(map(str, set(given) - set(own))) if isinstance(given, dict) else given
-            raise ContentError(where, what, f"some of {', '.join(own)}")
-        state, hints = Path(self.state_file), get_type_hints(type(self))
-        file = str(state.with_name(f"{state.stem}_{name}{state.suffix}")) if self.state_file else ""
-        changed: dict[str, Any] = {"vehicles": "", "seed": self.seed + k, "state_file": file}
-        changed |= {n: default_in(f, name) for n, f in own.items() if f.metadata.get("within")}
-        changed |= {"target_mass": 0.0} if k else {}
-        try:
-            changed |= {n: converted(n, value, hints[n]) for n, value in given.items()}
-            return replace(self, **changed)
-        except ValueError as error:
-            raise SettingError(f"{where}: {error}") from None
 
     def description(self) -> Arm | Base:
         """The true arm, or the base that has none."""

@@ -31,6 +31,7 @@ from fss_sim.settings import TestbedSettings
 from fss_sim.testbed import FRAME, State, Testbed, step, together
 from fss_sim.ticker import Ticker
 from fss_sim.vehicle_topics import VehicleTopics, at_one_time
+from fss_sim.vehicles import vehicles
 from fss_sim.vicon import TARGET
 
 BURST = RATE  # frames made up for at once, so that the node remains responsive
@@ -48,7 +49,7 @@ class TestbedNode(Node):
         self.lock = RLock()
         self.vehicles = [
             VehicleTopics(self, self.lock, self.stamp, one, name)
-            for name, one in settings.each().items()
+            for name, one in vehicles(settings).items()
         ]
         check_keys(self.vehicles)
         if settings.keep_clock:

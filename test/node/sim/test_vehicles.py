@@ -17,6 +17,7 @@ from fss_arm_ros.convert import planar_pose, stamp_ns
 from fss_arm_ros.qos import COMMAND, LATCHED, sensor
 from fss_sim import testbed_node
 from fss_sim.settings import TestbedSettings
+from fss_sim.vehicles import vehicles
 
 ROOT = Path(__file__).parents[3]
 VEHICLES = """
@@ -191,7 +192,7 @@ def test_vehicles_with_a_key_in_common_are_refused(ros, bed, tmp_path):
 
 def test_the_example_is_a_file_of_vehicles(monkeypatch):
     monkeypatch.chdir(ROOT)
-    each = TestbedSettings(vehicles="config/two_vehicles.yaml").each()
+    each = vehicles(TestbedSettings(vehicles="config/two_vehicles.yaml"))
     assert list(each) == ["fss1", "fss2"]
     ports = [port for one in each.values() for port in (*one.ports, one.board_port)]
     assert len(set(ports)) == len(ports) == 10

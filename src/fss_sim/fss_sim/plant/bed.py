@@ -12,8 +12,7 @@ SHAKE (Ryckaert, Ciccotti & Berendsen 1977). Both chains get an impulse at the s
 momentum stays; its work is booked.
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -23,8 +22,10 @@ from fss_arm_model.held import Approach, Target, approach
 from fss_arm_model.integration import STEP
 from fss_arm_model.kernels import Floats
 from fss_arm_model.kinematics import tip_jacobian, tip_pose
-from fss_sim.plant.contact import FEATURES, GAP, Contact, Scene, impulses
+from fss_sim.plant.contact import FEATURES, GAP, Contact, Scene
+from fss_sim.plant.impact import TOUCH, Impact
 from fss_sim.plant.target import Passive, caught
+from fss_sim.plant.weld import Weld
 
 if TYPE_CHECKING:
     from fss_sim.plant.plant import Vehicle
@@ -33,7 +34,6 @@ REACH = 5e-3  # [m]: so near, or what they move in two steps, are parts that may
 ALREADY = -2e-4  # [m]: parts that overlap by more at first pass through each other until apart
 AMPLE = 10  # times the time to pass: so long until somebody may touch needs no check afterwards
 MOST = 8  # trials of a step
-TOUCH, WELD = 1e-7, 1e-8  # how far off a step may end, of a gap and of a pose [m, rad]
 TIP = Target(fixture=(0.0, 0.0, 0.0))  # a gripper, as what another grips
 FAR = Approach(np.inf, 0.0, 0.0)
 
@@ -59,56 +59,6 @@ class Clearance(NamedTuple):
     one: str
     other: str
     gap: float  # below 0 they overlap [m]
-
-
-@dataclass
-class Weld:
-    """Two arms that hold each other, or the same target: their last links move as one."""
-
-    one: "Vehicle"
-    other: "Vehicle"
-    place: Floats = field(init=False)  # (3,) the other's tip as seen from the one's
-    goal: Floats = field(default_factory=lambda: np.zeros(3))  # its velocity at a step's begin
-    impulse: Floats = field(default_factory=lambda: np.zeros(3))  # of the last step [N s, N m s]
-    answer: Floats = field(default_factory=lambda: STEP * np.eye(3))  # of where it is to the goal
-    last: tuple[Floats, Floats] | None = None  # goal and what came of it, in this step
-
-    def __post_init__(self) -> None:
-        (x, y, turn), (u, v, other) = self._tips()
-        apart = complex(u - x, v - y) * np.exp(-1j * turn)
-        self.place = np.array([apart.real, apart.imag, other - turn])
-
-    def _tips(self) -> tuple[Floats, Floats]:
-        return tip_pose(self.one.p, self.one.q), tip_pose(self.other.p, self.other.q)
-
-    def off(self) -> Floats:
-        """How far the other's tip is from its place, (3,) [m, m, rad]."""
-        (x, y, turn), (u, v, other) = self._tips()
-        apart = complex(*self.place[:2]) * np.exp(1j * turn)
-        return np.array([u - x - apart.real, v - y - apart.imag, other - turn - self.place[2]])
-
-    def improve(self) -> bool:
-        """Correct the goal by how far off a step with it has ended, by Broyden's method.
-
-        A servo that holds its joint lets less come of a velocity than that times the step.
-        """
-        off, last = self.off(), self.last
-        self.last = self.goal, off
-        if last is not None and (tried := self.goal - last[0]).any():
-            missed = off - last[1] - self.answer @ tried
-            self.answer = self.answer + np.outer(missed, tried) / (tried @ tried)
-        if abs(off).max() <= WELD:
-            return False
-        self.goal = self.goal - np.linalg.solve(self.answer, off)
-        return True
-
-    def jacobians(self) -> tuple[Floats, Floats]:
-        """(3, 3 + n) of each: twist of what moves with its last link at the other's tip."""
-        one, tip = self._tips()
-        J = tip_jacobian(self.one.p, self.one.q)
-        J[0] -= (tip - one)[1] * J[2]
-        J[1] += (tip - one)[0] * J[2]
-        return J, tip_jacobian(self.other.p, self.other.q)
 
 
 class Bed:
@@ -241,7 +191,7 @@ class Bed:
 
     def _stop_past_each_other(self) -> None:
         """Have all that arms hold together move as one at once, as they close on it."""
-        impact = Impact(self, self._scene.pairs[:0])
+        impact = self._impact(self._scene.pairs[:0])
         self._kick(impact.change())
         self._pass(0)
         self._lost += impact.gained()
@@ -305,6 +255,16 @@ class Bed:
         q = np.concatenate([chain.q for chain in self._chains])
         return q, np.concatenate([chain.qd for chain in self._chains])
 
+    def _impact(self, pairs: Floats) -> Impact:
+        """What is to make a step end well, in which these pairs may touch."""
+        (q, v), slices = self._moving(), self._scene.slices
+        inverse = np.zeros((v.size, v.size))
+        for chain, part in zip(self._chains, slices, strict=True):
+            inverse[part, part] = np.linalg.inv(chain.inertia())
+        part_of = {id(chain): part for chain, part in zip(self._chains, slices, strict=True)}
+        welds = [(w, part_of[id(w.one)], part_of[id(w.other)]) for w in self._welds]
+        return Impact(self.contact or Contact(), self._scene, pairs, q, v, inverse, welds)
+
     def _pass(self, steps: int) -> None:
         for chain in self._chains:
             chain.go(steps, self.step, self.tolerance)
@@ -363,7 +323,7 @@ class Bed:
             if not new.any():
                 return
             self._restore(kept)
-        impact = Impact(self, pairs)
+        impact = self._impact(pairs)
         for _ in range(MOST):
             impact.begin(new)
             change = impact.change()
@@ -378,102 +338,3 @@ class Bed:
         for k, pushed in impact.pushed():
             names = self._scene.names[int(np.flatnonzero(near)[k])]
             self.touched[names] = self.touched.get(names, 0.0) + pushed
-
-
-class Impact:
-    """The impulses at the begin of a step that make it end well, by trial.
-
-    Args:
-        bed: at the begin of the step.
-        pairs: (g, 2) of parts that may touch.
-    """
-
-    def __init__(self, bed: Bed, pairs: Floats) -> None:
-        self._scene, self._pairs, self._law = bed._scene, pairs, bed.contact or Contact()
-        self._q, self._v = bed._moving()
-        self._here = self._scene.touches(self._q, pairs)
-        self._inverse = np.zeros((self._v.size, self._v.size))
-        for chain, part in zip(bed._chains, self._scene.slices, strict=True):
-            self._inverse[part, part] = np.linalg.inv(chain.inertia())
-        self._welds = bed._welds
-        for weld in self._welds:
-            weld.last = None
-        self._W = np.zeros((3 * len(self._welds), self._v.size))
-        number = {id(chain): c for c, chain in enumerate(bed._chains)}
-        for k, weld in enumerate(self._welds):
-            one, other = (self._scene.slices[number[id(x)]] for x in (weld.one, weld.other))
-            J, its = weld.jacobians()
-            self._W[3 * k : 3 * k + 3, one] = -J
-            self._W[3 * k : 3 * k + 3, other] = its
-        self._stiff = np.linalg.inv(self._W @ self._inverse @ self._W.T)
-        drawn = self._inverse @ self._W.T
-        self._free = self._inverse - drawn @ self._stiff @ drawn.T  # with the grips holding
-        self._drawn = drawn @ self._stiff
-        self.on = np.zeros(self._here.shape[:2], dtype=bool)  # where parts touch
-        self._at, self._goals, self._before = np.zeros((0, 2), dtype=np.intp), *np.zeros((2, 0))
-        self._tried, self._came = np.zeros((2, 0))
-        self._J, self._pushes = np.zeros((0, self._v.size)), np.zeros(0)
-        self._given = np.zeros(self._v.size)
-
-    @property
-    def _bounces(self) -> npt.NDArray[np.bool_]:
-        return self._before < -self._law.threshold
-
-    def begin(self, new: npt.NDArray[np.bool_]) -> None:
-        """Have parts touch at more places (g, 4)."""
-        if not new.any():
-            return
-        self.on |= new
-        more = np.argwhere(new)
-        here = self._here[new]
-        J = self._scene.jacobian(self._q, self._pairs[more[:, 0]], here)
-        before = (J @ self._v)[::2]
-        back = -self._law.restitution * before
-        there = -np.maximum(here[:, GAP], 0.0) / STEP
-        goals = np.where(before < -self._law.threshold, back, there)
-        self._at, self._J = np.concatenate([self._at, more]), np.concatenate([self._J, J])
-        self._goals = np.concatenate([self._goals, goals])
-        self._tried = np.concatenate([self._tried, goals])  # before, and the gaps that came of it
-        self._came = np.concatenate([self._came, np.zeros_like(goals)])
-        self._before = np.concatenate([self._before, before])
-
-    def change(self) -> Floats:
-        """Of the velocity, that the goals ask for."""
-        wanted = np.array([weld.goal for weld in self._welds]).ravel()
-        held = self._v + self._drawn @ (wanted - self._W @ self._v)
-        J = self._J
-        if self._goals.size:
-            self._pushes = impulses(J @ self._free @ J.T, J @ held, self._goals, self._law.friction)
-        self._given = J.T @ self._pushes
-        missing = wanted - self._W @ (self._v + self._inverse @ self._given)
-        held_by = self._stiff @ missing
-        for weld, impulse in zip(self._welds, held_by.reshape(-1, 3), strict=True):
-            weld.impulse = impulse
-        self._given = self._given + self._W.T @ held_by
-        return self._inverse @ self._given
-
-    def improve(self, ended: Floats) -> bool:
-        """Correct the goals by the gaps (g, 4) that the step ends with; False: all is well."""
-        held = [weld.improve() for weld in self._welds]
-        if not self._goals.size:
-            return any(held)
-        off = ended[tuple(self._at.T)]
-        rests = (self._pushes[::2] > 0.0) & ~self._bounces & (off > TOUCH)
-        tried, came = self._goals - self._tried, off - self._came
-        rate = np.where(abs(tried) > 1e-9, came / np.where(tried == 0.0, 1.0, tried), STEP)
-        better = self._goals - off / np.clip(rate, 0.1 * STEP, STEP)
-        better = np.minimum(better, np.maximum(-self._before, 0.0))  # more would make energy
-        wrong = ((off < -TOUCH) | rests) & (better != self._goals)
-        self._tried, self._came = self._goals, off
-        self._goals = np.where(wrong, better, self._goals)
-        return bool(wrong.any()) or any(held)
-
-    def gained(self) -> float:
-        """Work of the impulses [J]."""
-        return float(self._given @ (self._v + 0.5 * self._inverse @ self._given))
-
-    def pushed(self) -> Iterator[tuple[int, float]]:
-        """The number of each pair that touches, and how much it was pushed apart [N s]."""
-        for (pair, _), push in zip(self._at, self._pushes[::2], strict=True):
-            if push > 0.0:
-                yield int(pair), float(push)

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from fss_arm_model.centroidal import _bodies, _from_centroidal, _momenta, _to_centroidal
 from fss_arm_model.integration import STEP, classical, controlled
-from fss_arm_model.kernels import Floats, kernel
+from fss_arm_model.kernels import Floats, helper, kernel
 from fss_sim.plant.drives import _drive
 from fss_sim.plant.gears import (
     DAMPER,
@@ -25,6 +25,29 @@ from fss_sim.plant.surroundings import Forces, _act, _act_called
 
 _classical, _controlled = classical(_act), controlled(_act_called)
 _classical_geared, _controlled_geared = classical(_act_geared), controlled(_act_geared_called)
+
+
+@helper
+def _open(valves, step, held):  # type: ignore[no-untyped-def]
+    """Force of the valves that are open in a step, as a complex number; torque into held[0]."""
+    thrust = 0j
+    for valve in valves:
+        if valve[3] <= step < valve[4]:
+            thrust += complex(valve[0], valve[1])
+            held[0] += valve[2]
+    return thrust
+
+
+@helper
+def _book(  # type: ignore[no-untyped-def]
+    bodies, z, m, start_x, start_y, moment, twice_energy, audit0, audit
+):  # fmt: skip
+    """What the bodies have now, and what they were given, into `audit`."""
+    audit[0, 0], audit[0, 1] = bodies.mass * z[1, 0], bodies.mass * z[1, 1]
+    audit[0, 2], audit[0, 3] = moment, 0.5 * twice_energy
+    audit[1, 0] = audit0[1, 0] + bodies.mass * (z[1, 0] - start_x)
+    audit[1, 1] = audit0[1, 1] + bodies.mass * (z[1, 1] - start_y)
+    audit[1, 2], audit[1, 3] = audit0[1, 2] + z[1, 3 + m], audit0[1, 3] + z[1, 2 + m]
 
 
 @kernel("(p),(r),(n,l),(e),(t,f),(n,d),(c),(s,m),(n,g),(b,a)->(s,m),(n,g),(b,a),(n,s)")
@@ -43,11 +66,8 @@ def _advance(  # type: ignore[no-untyped-def]
     start_x, start_y = z[1, 0], z[1, 1]
     steps, tolerance = int(control[0]), control[1]
     for step in range(steps):
-        thrust, held[:] = 0j, 0.0
-        for valve in valves:
-            if valve[3] <= step < valve[4]:
-                thrust += complex(valve[0], valve[1])
-                held[0] += valve[2]
+        held[:] = 0.0
+        thrust = _open(valves, step, held)
         forces = Forces(around, thrust, held, torque)
         _drive(
             bodies, forces, tight, wants, q, qd, follows, z, begin, work, dz, inertia, asked, laws,
@@ -64,11 +84,7 @@ def _advance(  # type: ignore[no-untyped-def]
         reference[j, 0], reference[j, 1] = follows[j, 0], follows[j, 1]
         torques[j, 0], torques[j, 1] = gives[j, 0], gives[j, 1]
     twice_energy, moment = _momenta(bodies, begin, z)
-    audit[0, 0], audit[0, 1] = bodies.mass * z[1, 0], bodies.mass * z[1, 1]
-    audit[0, 2], audit[0, 3] = moment, 0.5 * twice_energy
-    audit[1, 0] = audit0[1, 0] + bodies.mass * (z[1, 0] - start_x)
-    audit[1, 1] = audit0[1, 1] + bodies.mass * (z[1, 1] - start_y)
-    audit[1, 2], audit[1, 3] = audit0[1, 2] + z[1, 3 + m], audit0[1, 3] + z[1, 2 + m]
+    _book(bodies, z, m, start_x, start_y, moment, twice_energy, audit0, audit)
 
 
 @kernel(
@@ -93,11 +109,8 @@ def _advance_geared(  # type: ignore[no-untyped-def]
     start_x, start_y = z[1, 0], z[1, 1]
     steps, tolerance = int(control[0]), control[1]
     for step in range(steps):
-        thrust, held[:] = 0j, 0.0
-        for valve in valves:
-            if valve[3] <= step < valve[4]:
-                thrust += complex(valve[0], valve[1])
-                held[0] += valve[2]
+        held[:] = 0.0
+        thrust = _open(valves, step, held)
         forces = Forces(around, thrust, held, torque)
         geared = Gears(forces, tight, springs, turning, turns, drive, sprung)
         _drive_geared(bodies, geared, whole, wants, follows, engines, z, begin, work, dz, still)
@@ -121,11 +134,7 @@ def _advance_geared(  # type: ignore[no-untyped-def]
         torques[j, 0], torques[j, 1] = engines[j, 2], wound + springs[j, DAMPER] * xd
         motors[j, 0], motors[j, 1], motors[j, 2] = z[0, 4 + m + j], z[1, 4 + m + j], engines[j, 2]
         reference[j, 0], reference[j, 1] = follows[j, 0], follows[j, 1]
-    audit[0, 0], audit[0, 1] = bodies.mass * z[1, 0], bodies.mass * z[1, 1]
-    audit[0, 2], audit[0, 3] = moment, 0.5 * twice_energy
-    audit[1, 0] = audit0[1, 0] + bodies.mass * (z[1, 0] - start_x)
-    audit[1, 1] = audit0[1, 1] + bodies.mass * (z[1, 1] - start_y)
-    audit[1, 2], audit[1, 3] = audit0[1, 2] + z[1, 3 + m], audit0[1, 3] + z[1, 2 + m]
+    _book(bodies, z, m, start_x, start_y, moment, twice_energy, audit0, audit)
 
 
 def advance(

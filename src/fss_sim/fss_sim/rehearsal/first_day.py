@@ -73,8 +73,7 @@ class Person(Operator):
         self.push(PUSH)
         self.wait(lambda: self.rate > MOVING, "the joint does not turn by hand")
         self.wait(lambda: abs(self.rate) < STILL, "the joint does not come to its stop")
-        until = self.now() + SECOND
-        self.wait(lambda: self.now() > until, "")
+        self.stay(self.now() + SECOND)
         return f"{PUSH}"
 
     def agree(self) -> str:

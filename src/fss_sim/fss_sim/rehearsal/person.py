@@ -87,6 +87,14 @@ class Operator(Node):
                 raise RehearsalError(complaint)
             rclpy.spin_once(self, timeout_sec=0.02)
 
+    def stay(self, until: int) -> None:
+        """Spin until a time [ns].
+
+        Raises:
+            RehearsalError: the test bed's clock stands still.
+        """
+        self.wait(lambda: self.now() > until, "the clock stands still")
+
     def put(self, faults: Mapping[str, float]) -> int:
         """Set faults of the test bed, by their parameters; when it was done [ns]."""
         self.wait(self.set.service_is_ready, "the test bed offers no parameters")

@@ -82,16 +82,16 @@ def act(person: Person, outage: float) -> Times:
     person.turn()
     boot = person.last.boot
     cut = person.put({f"link_{person.link}.dead": 1.0})
-    person.wait(lambda: person.now() > cut + outage * SECOND, "")
+    person.stay(cut + int(outage * SECOND))
     back = person.put({f"link_{person.link}.dead": 0.0})
     person.wait(lambda: person.last.boot != boot, f"link {person.link} is not heard again")
     calm = person.now() + 2 * SECOND
-    person.wait(lambda: person.now() > calm, "")
+    person.stay(calm)
     homed = person.home()
     goal, moving = person.link - 1, Mover.MOVING
     person.wait(lambda: bool(person.rates[goal] > moving), "the joint does not turn again")
     end = person.now() + SECOND
-    person.wait(lambda: person.now() > end, "")
+    person.stay(end)
     return Times(cut, back, calm, homed, end)
 
 

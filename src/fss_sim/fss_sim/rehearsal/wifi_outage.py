@@ -75,11 +75,11 @@ def start_all(nodes: Nodes, options: argparse.Namespace, out: Path) -> None:
 def act(person: Person, outage: float) -> Times:
     """See it through."""
     turning, cut = person.turn(), person.outage(True)
-    person.wait(lambda: person.now() > cut + outage * SECOND, "")
+    person.stay(cut + int(outage * SECOND))
     back = person.outage(False)
     person.wait(lambda: min(person.heard.values()) > back, f"not heard again: {person.heard}")
     calm = person.now() + 2 * SECOND
-    person.wait(lambda: person.now() > calm, "")
+    person.stay(calm)
     return Times(turning, cut, back, calm, person.turn())
 
 

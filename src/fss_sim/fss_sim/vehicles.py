@@ -1,0 +1,68 @@
+"""The file of several vehicles: the settings of each, where they differ from the test bed's."""
+
+import re
+from dataclasses import fields, replace
+from itertools import combinations
+from math import dist
+from pathlib import Path
+from typing import Any, get_type_hints
+
+from fss_arm_model.files import ContentError, read_yaml
+from fss_arm_model.settings import SettingError, converted, default_in
+from fss_sim.noise import Noise
+from fss_sim.plant.surroundings import Surroundings
+from fss_sim.settings import PlantSettings, TestbedSettings
+
+NAME = re.compile("[A-Za-z][A-Za-z0-9_]*")  # of a vehicle, which is a namespace
+OF_THE_BED = {
+    *("vehicles", "keep_clock", "speed", "paused", "truth_rate", "state_file", "world_frame"),
+    *("tilt", "table", "tolerance", "contact", "restitution", "contact_friction"),
+    *(f.name for f in fields(PlantSettings) if f.name.startswith(("target_", "wifi"))),
+    *(f.name for f in fields(Noise) if f.name.startswith("vicon_")),
+    *("preset", "marker_noise", "vicon_cameras", "base_markers", "tip_markers"),
+    *("heights", "marker_stalk"),
+    "target_topic",
+}  # so no vehicle's own
+
+
+def vehicles(bed: TestbedSettings) -> dict[str, TestbedSettings]:
+    """The settings of each vehicle by its name; those of the only one if there is no file.
+
+    Raises:
+        OSError: the file of the vehicles cannot be read.
+        ValueError: it says something else.
+    """
+    file = bed.vehicles
+    if not file:
+        return {"": bed}
+    given = read_yaml(Path(file))
+    ones = given.get("vehicles") if isinstance(given, dict) and len(given) == 1 else None
+    if not isinstance(ones, dict) or not ones:
+        raise ContentError(f"{file}: vehicles", ones, "the settings of each, by name")
+    made = {str(name): _named(bed, str(name), k, ones[name]) for k, name in enumerate(ones)}
+    reach = 2.0 * Surroundings().base_radius
+    for (one, a), (other, b) in combinations(made.items(), 2):
+        if dist(a.base[:2], b.base[:2]) < reach:
+            raise SettingError(f"{file}: {one} and {other} begin in the same place")
+    return made
+
+
+def _named(bed: TestbedSettings, name: str, k: int, given: Any) -> TestbedSettings:
+    """Those of vehicle k: what the file gives, or its name does, and else the test bed's."""
+    where = f"{bed.vehicles}: {name}"
+    if not NAME.fullmatch(name):
+        raise ContentError(f"{bed.vehicles}: a vehicle's name", name, "letters, digits and _")
+    own = {f.name: f for f in fields(bed) if f.name not in OF_THE_BED}
+    if not isinstance(given, dict) or not set(given) <= set(own):
+        what = ", ".join(map(str, set(given) - set(own))) if isinstance(given, dict) else given
+        raise ContentError(where, what, f"some of {', '.join(own)}")
+    state, hints = Path(bed.state_file), get_type_hints(TestbedSettings)
+    file = str(state.with_name(f"{state.stem}_{name}{state.suffix}")) if bed.state_file else ""
+    changed: dict[str, Any] = {"vehicles": "", "seed": bed.seed + k, "state_file": file}
+    changed |= {n: default_in(f, name) for n, f in own.items() if f.metadata.get("within")}
+    changed |= {"target_mass": 0.0} if k else {}
+    try:
+        changed |= {n: converted(n, value, hints[n]) for n, value in given.items()}
+        return replace(bed, **changed)
+    except ValueError as error:
+        raise SettingError(f"{where}: {error}") from None
