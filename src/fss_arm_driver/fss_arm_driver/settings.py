@@ -127,6 +127,7 @@ class ArmSettings(GuardSettings):
     publish_tf: bool = setting(
         True, "whether to publish transforms; not beside robot_state_publisher, which does"
     )
+    full_tank: float = like(Vehicle, "full_tank")
     frame_prefix: str = like(Vehicle, "frame_prefix")
     target_topic: str = like(Vehicle, "target_topic")
 

@@ -6,7 +6,7 @@ in a namespace /fss2 its subjects and its frames are named after that.
 
 from dataclasses import dataclass
 
-from .settings import Settings, setting
+from .settings import NOT_NEGATIVE, Settings, setting
 
 
 @dataclass(frozen=True)
@@ -30,3 +30,6 @@ class Vehicle(Settings):
         "", "what the frame ids of the vehicle begin with, as in robot_state_publisher",
         within="{namespace}/",
     )  # fmt: skip
+    full_tank: float = setting(
+        0.1, "propellant that is in the mass of the described base", unit="kg", check=NOT_NEGATIVE
+    )

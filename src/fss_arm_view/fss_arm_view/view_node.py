@@ -72,9 +72,7 @@ class ViewNode(Node):
         if s.mode in (NATIVE, WEB) and not first:
             self.viewer = Viewer(s.mode, s.bind, s.port, s.web_port, s.memory, s.names)
         self.sink: Sink | Scoped = (
-            Scoped(first.sink, self.vehicle)
-            if first
-            else Sink(self._recording(), s.rate, s.queue)
+            Scoped(first.sink, self.vehicle) if first else Sink(self._recording(), s.rate, s.queue)
         )
         self.q = [0.0] * self.known.arm.n
         self.t = 0  # stamp of the newest measurement [ns]; 0: none yet

@@ -17,7 +17,7 @@ from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
 from standard_client import JOINTS, StandardClient
-from std_msgs.msg import Empty, String
+from std_msgs.msg import Empty, Float64, String
 from tf2_msgs.msg import TFMessage
 from trajectory_msgs.msg import JointTrajectory
 
@@ -28,7 +28,7 @@ from fss_arm_model.urdf import urdf
 from fss_arm_msgs.action import MoveArm
 from fss_arm_msgs.msg import KinematicCalibration, LinkCommand
 from fss_arm_ros.convert import SECOND, stamp_ns
-from fss_arm_ros.qos import LATCHED
+from fss_arm_ros.qos import LATCHED, SENSOR
 
 ENDED = FollowJointTrajectory.Result
 THERE = (0.3, -0.2, 0.25, -0.15)
@@ -176,6 +176,22 @@ def test_without_publish_tf_robot_state_publisher_has_the_transforms(spin):
     bench = Bench(spin, publish_tf=False)
     assert bench.arm.count_publishers("/tf") == bench.arm.count_publishers("/tf_static") == 0
     bench.client.action.destroy()
+
+
+def test_the_described_base_is_lighter_by_the_propellant_used(bench):
+    heard = []
+    bench.client.create_subscription(String, "robot_description", heard.append, LATCHED)
+    left = bench.client.create_publisher(Float64, "base/propellant", SENSOR)
+    bench.until(lambda: heard and left.get_subscription_count())
+    full, masses = bench.arm.settings.full_tank, [ARM.base.mass]
+    for grams in ((2.0, 4.0, 30.0), (32.0, 1e6, 60.0)):  # 1 t was never in it
+        for used in grams:
+            left.publish(Float64(data=full - 1e-3 * used))
+        masses.append(ARM.base.mass - (full - (full - 1e-3 * grams[-1])))
+        bench.until(lambda: len(heard) == len(masses))
+    assert [message.data for message in heard] == [
+        urdf(replace(ARM, base=replace(ARM.base, mass=mass))) for mass in masses
+    ]
 
 
 def test_the_description_follows_a_calibration_that_passes(bench):

@@ -1,5 +1,6 @@
 """What the arm's node says of the arm: all joints in one message, transforms, the description."""
 
+from dataclasses import replace
 from functools import partial
 from math import cos, sin
 from typing import Any
@@ -7,7 +8,7 @@ from typing import Any
 from geometry_msgs.msg import TransformStamped
 from rclpy.duration import Duration
 from sensor_msgs.msg import JointState
-from std_msgs.msg import String
+from std_msgs.msg import Float64, String
 from tf2_msgs.msg import TFMessage
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -18,7 +19,7 @@ from fss_arm_msgs.msg import DynamicCalibration, KinematicCalibration
 from fss_arm_ros.calibrated import Calibrated
 from fss_arm_ros.convert import to_time
 from fss_arm_ros.door import subscribe
-from fss_arm_ros.qos import LATCHED, SENSOR
+from fss_arm_ros.qos import LATCHED, SENSOR, subscribe_sensor
 
 CALIBRATIONS = (
     ("calibration/kinematic", KinematicCalibration),
@@ -28,12 +29,16 @@ CALIBRATIONS = (
 STEP, PLANNED = 100_000_000, 6  # between points of arm/planned [ns], and how many there are
 
 
+PORTION = 0.005  # of propellant; the base is described anew for each that is used [kg]
+
+
 class StateTopics:
     """Publishes `arm/joint_states`, `arm/planned`, /tf, /tf_static and `robot_description`."""
 
     def __init__(self, links: LinkTopics) -> None:
         self.links, node, s = links, links.node, links.settings
         self.calibrated = Calibrated(links.arm)
+        self.used = 0.0  # propellant that the base has no more [kg]
         self.withheld = ""  # why there are no joint states, in words
         self.joint_states = node.create_publisher(JointState, "arm/joint_states", SENSOR)
         self.planned = node.create_publisher(JointTrajectory, "arm/planned", SENSOR)
@@ -44,6 +49,7 @@ class StateTopics:
             self.tf_static = node.create_publisher(TFMessage, "/tf_static", LATCHED)
         for topic, kind in CALIBRATIONS:
             subscribe(node, kind, topic, partial(self.on_calibration, topic), LATCHED)
+        subscribe_sensor(node, Float64, "base/propellant", self.on_propellant)
         node.create_timer(1.0 / s.state_rate, self.publish, clock=links.clock)
         self.describe()
 
@@ -60,9 +66,17 @@ class StateTopics:
             self.calibrated = found
             self.describe()
 
+    def on_propellant(self, message: Float64) -> None:
+        """Describe the base as heavy as it is with what is left of it."""
+        used = self.links.settings.full_tank - message.data
+        if abs(used - self.used) >= PORTION and used < self.calibrated.arm.base.mass:
+            self.used = used
+            self.describe()
+
     def describe(self) -> None:
         """Publish the description, and what does not move in it."""
-        arm = self.calibrated.arm
+        base = self.calibrated.arm.base
+        arm = replace(self.calibrated.arm, base=replace(base, mass=base.mass - self.used))
         self.description.publish(String(data=urdf(arm)))
         self.frames = frames(arm)
         if self.tf_static:

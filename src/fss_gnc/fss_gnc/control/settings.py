@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from fss_arm_model.held import Target
-from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, between, like, setting
+from fss_arm_model.settings import POSITIVE, between, like, setting
 from fss_arm_model.vehicle import Vehicle
 from fss_gnc.control.pose import PoseGains
 
@@ -25,9 +25,7 @@ class ControlSettings(PoseGains):
     feed_forward: bool = setting(
         True, "whether to balance the arm's planned reaction before it is felt"
     )
-    full_tank: float = setting(
-        0.1, "propellant that is in the mass of the described base", unit="kg", check=NOT_NEGATIVE
-    )
+    full_tank: float = like(Vehicle, "full_tank")
     target_mass: float = like(Target, "mass")
     target_inertia: float = like(Target, "inertia")
     base_frame: str = like(Vehicle, "base_frame")
