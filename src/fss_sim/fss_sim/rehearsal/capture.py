@@ -220,7 +220,7 @@ def plot(arm: Arm, flight: Flight) -> Any:
     from matplotlib.figure import Figure as Drawing
 
     figure = Drawing(figsize=(12.0, 7.0), layout="constrained")
-    grid = figure.add_gridspec(3, 2, width_ratios=(1.5, 1.0))
+    grid = figure.add_gridspec(4, 2, width_ratios=(1.5, 1.0))
     above = figure.add_subplot(grid[:, 0])
     above.set(xlim=(-2, 2), ylim=(-2, 2), aspect="equal", xlabel="x [m]", ylabel="y [m]")
     above.set_title("the table from above: begin, capture, end")
@@ -252,16 +252,18 @@ def plot(arm: Arm, flight: Flight) -> Any:
         panel = figure.add_subplot(grid[row, 1])
         for name, values in lines:
             panel.plot(flight.time, values, lw=1, label=name)
-        for since, phase in flight.phases:
-            panel.axvline(since, color="0.5", lw=0.8, ls="--")
-            if row == 0:
-                at = since, 1.0
-                panel.annotate(
-                    phase, at, xycoords=("data", "axes fraction"), fontsize=6, rotation=90
-                )
         panel.set_title(title, fontsize=10)
         panel.legend(fontsize=8)
-    panel.set_xlabel("time [s]; dashed: phases")
+        panel.set_xlim(*flight.time[[0, -1]])
+    begins = [since for since, _ in flight.phases]
+    ends = [*begins[1:], flight.time[-1]]
+    panel = figure.add_subplot(grid[3, 1])
+    for (since, phase), end in zip(flight.phases, ends, strict=True):
+        panel.barh(phase, end - since, left=since, color="C2")
+    panel.invert_yaxis()
+    panel.tick_params(axis="y", labelsize=8)
+    panel.set(xlim=flight.time[[0, -1]], xlabel="time [s]")
+    panel.set_title("phases", fontsize=10)
     return figure
 
 
