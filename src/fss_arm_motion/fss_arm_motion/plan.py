@@ -13,9 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from fss_arm_model import layout
+from fss_arm_model import clearance, layout
 from fss_arm_model.base_motion import base_pose_sensitivities, path, sampled
+from fss_arm_model.clearance import body_name, links_and_base, sizes
 from fss_arm_model.description import Arm
+from fss_arm_model.extents import Extents
 from fss_arm_model.kernels import Floats
 from fss_arm_motion.limits import KINDS, Limits
 from fss_arm_motion.transcription import gaps
@@ -81,6 +83,13 @@ class Start:
     def gap(self, q: Floats) -> Floats:
         """The least gap between bodies that are not neighbours at readings (..., n), (...) [m]."""
         return gaps(self.arm.vector(), q, self.limits.radii)
+
+    def nearest(self, q: Floats) -> str:
+        """The two such bodies that are nearest to each other at readings (n,), by name."""
+        base, link = self.limits.radii
+        pairs, around = list(links_and_base(q.size)), Extents(base_radius=base, link_radius=link)
+        found = clearance.gaps(self.arm.vector(), [0.0, 0.0, 0.0, *q], pairs, sizes(around))
+        return " and ".join(body_name(body, q.size) for body in pairs[int(np.argmin(found))])
 
     @property
     def L(self) -> float:
@@ -228,10 +237,11 @@ def finished(
     angles = probed(times, q, qd)[0]
     gaps = start.gap(angles)
     if gaps.min() < min(start.limits.margin, gaps[0]):
-        posture = np.degrees(angles[np.argmin(gaps)]).round(1).tolist()
+        posture = angles[np.argmin(gaps)]
         raise PlanError(
-            f"bodies come within {gaps.min():.3f} m of each other with the joints at {posture} "
-            f"deg, expected {start.limits.margin:.3f} m or more"
+            f"{start.nearest(posture)} come within {gaps.min():.3f} m of each other, joints at "
+            f"{np.degrees(posture).round(1).tolist()} deg, expected {start.limits.margin:.3f} m "
+            "or more"
         )
     prediction = predicted(start, times, q, qd)
     return Plan(kind, arguments, times, q, qd, prediction, used, notes or {}, ended)

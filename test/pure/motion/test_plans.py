@@ -14,7 +14,7 @@ from fss_arm_model.description import paper_arm
 from fss_arm_model.kinematics import tip_pose
 from fss_arm_motion.kinds import KINDS
 from fss_arm_motion.limits import Limits, LimitSettings
-from fss_arm_motion.plan import PlanError, Start, predicted
+from fss_arm_motion.plan import PlanError, Start, finished, predicted
 from fss_arm_motion.point_to_point import PointToPoint, point_to_point
 from fss_arm_motion.reorientation import Reorientation
 from fss_arm_motion.tip_path import TipPath, tip_path, tips
@@ -155,6 +155,15 @@ def test_in_the_bases_frame_the_base_may_do_what_it_will():
 def test_what_cannot_be_had_is_said_with_joint_value_and_limit(asked, words):
     with pytest.raises(PlanError, match=words):
         point_to_point(rigid_start(), asked)
+
+
+def test_bodies_that_come_too_near_are_named():
+    start = rigid_start()
+    folded = np.radians([-85.0, -85.0, -85.0, -85.0])
+    knots = np.array([BENT, folded])
+    words = r"(base|link \d) and link 4 come within -?0\.\d+ m of each other, joints at \["
+    with pytest.raises(PlanError, match=words):
+        finished(start, "point_to_point", {}, np.array([0.0, 30.0]), knots, 0.0 * knots)
 
 
 def test_a_start_beyond_a_limit_is_refused():
