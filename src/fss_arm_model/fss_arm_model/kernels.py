@@ -4,6 +4,8 @@ numba stamps a cached kernel with the one file it stands in, and misses an edit 
 it calls from another. Here the folder of the cache carries a hash of every source of this package
 and of the kernel's own, so that any edit begins an empty one. It lies in $NUMBA_CACHE_DIR, else in
 $XDG_CACHE_HOME/fss_arm.
+
+A process that calls no kernel never imports numba: what kernels are made of waits, too.
 """
 
 import fcntl
@@ -17,7 +19,6 @@ from pathlib import Path
 from threading import Lock
 from typing import Any
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
@@ -55,6 +56,8 @@ def alone(folder: Path) -> Iterator[bool]:
     except OSError:
         yield False
         return
+    import numba
+
     with lock, _one_thread:
         fcntl.flock(lock, fcntl.LOCK_EX)
         numba.config.CACHE_DIR = str(folder)
@@ -81,6 +84,8 @@ class Kernel:
     @cached_property
     def compiled(self) -> Callable[..., Any]:
         """The generalized ufunc; where it cannot be kept, each process compiles its own."""
+        import numba  # takes longer to import than most nodes do to start
+
         cores = self.layout.replace("->", ",").split("),")
         types = [numba.float64[(slice(None),) * (core.count(",") + 1)] for core in cores]
         with alone(self.folder) as kept:
@@ -97,9 +102,46 @@ def kernel(layout: str) -> Callable[[Callable[..., None]], Kernel]:
     return lambda function: Kernel(function, layout)
 
 
-# Functions that kernels are made of, in any package; their names begin with an underscore, as only
-# kernels call them. Division by zero gives inf, as in numpy, and never raises.
-helper = numba.njit(error_model="numpy")
+class Helper:
+    """A function that kernels are made of, in any package; its name begins with an underscore.
 
-# Those of innermost loops: a call that numba does not dissolve itself costs tens of nanoseconds.
-inlined = numba.njit(error_model="numpy", inline="always")
+    Only kernels call it. Division by zero gives inf, as in numpy, and never raises. To numba it
+    is the dispatcher that numba itself would have made of the function.
+    """
+
+    def __init__(self, function: Callable[..., Any], **options: str) -> None:
+        self.py_func, self.options = function, options
+        self.__name__, self.__doc__ = function.__name__, function.__doc__
+
+    @cached_property
+    def dispatcher(self) -> Any:
+        """What numba compiles."""
+        import numba
+
+        return numba.njit(error_model="numpy", **self.options)(self.py_func)
+
+    @property
+    def targetoptions(self) -> Any:
+        """Where numba looks whether it is to be inlined."""
+        return self.dispatcher.targetoptions
+
+    @property
+    def _numba_type_(self) -> Any:
+        """Where numba looks for the type of what it does not know."""
+        import numba
+
+        return numba.types.Dispatcher(self.dispatcher)
+
+    def __call__(self, *inputs: Any) -> Any:
+        """From Python, as tests do."""
+        return self.dispatcher(*inputs)
+
+
+def helper(function: Callable[..., Any]) -> Helper:
+    """Decorate a function that kernels call."""
+    return Helper(function)
+
+
+def inlined(function: Callable[..., Any]) -> Helper:
+    """One of an innermost loop: a call that numba does not dissolve costs tens of nanoseconds."""
+    return Helper(function, inline="always")
