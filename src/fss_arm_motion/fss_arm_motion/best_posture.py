@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import minimize
 
 from fss_arm_model.description import Arm
 from fss_arm_model.kernels import Floats
@@ -125,6 +124,8 @@ def _brought(start: Start, q: Floats, place: Floats) -> Floats:
 
 def _climbed(start: Start, q: Floats, place: Floats | None, asked: BestPosture) -> Floats:
     """A local maximum of the ratio; the posture itself if none is found within limits."""
+    from scipy.optimize import minimize
+
     arm, p, steps = start.arm, start.arm.vector(), STEP * np.eye(start.arm.n)
 
     def loss(q: Floats) -> Floats:

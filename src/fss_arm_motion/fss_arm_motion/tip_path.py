@@ -17,10 +17,10 @@ v_m is 0.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from fss_arm_model.dynamics import _join
 from fss_arm_model.kernels import Floats, helper, kernel
@@ -232,7 +232,7 @@ def _followed(p_, bounds_, start, momentum_, options_, way_, _m, states, rates, 
 class Way:
     """Where the tip is to be, over a share s of the way."""
 
-    curve: CubicSpline  # of x, y [m] and heading [rad]
+    curve: Callable[..., Floats]  # of x, y [m] and heading [rad], or a derivative
     length: float  # [m]
     rows: int  # 2: heading as it comes; 3: given
     frame: str
@@ -257,6 +257,8 @@ def way_of(start: Start, asked: TipPath) -> Way:
     Raises:
         PlanError: it has no length.
     """
+    from scipy.interpolate import CubicSpline
+
     p, state = start.arm.vector(), np.concatenate([start.pose, start.q])
     here = tip_pose(p, state) if asked.frame == WORLD else tip_in_base(p, start.q)
     places = np.reshape(asked.through or here[:2] + np.array(asked.by), (-1, 2))
@@ -322,6 +324,8 @@ def tip_path(start: Start, asked: TipPath) -> Plan:
         raise PlanError(
             f"duration is {lasts:g} s, expected more: {what} of {100 * used.max():.0f} %"
         )
+    from scipy.interpolate import CubicHermiteSpline
+
     spline = CubicHermiteSpline(times, q, qd)
     at = knots(lambda t: (spline(t), spline(t, 1)), lasts)
     arguments = {

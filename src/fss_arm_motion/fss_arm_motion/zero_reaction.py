@@ -20,7 +20,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import CubicHermiteSpline
 
 from fss_arm_model.description import Arm
 from fss_arm_model.kernels import Floats, helper, kernel
@@ -187,6 +186,8 @@ def zero_reaction(start: Start, asked: ZeroReaction) -> Plan:
 
 
 def _along(start: Start, asked: ZeroReaction) -> Plan:
+    from scipy.interpolate import CubicHermiteSpline
+
     length = asked.length or 2.0 * float(np.ptp(start.limits.bounds, axis=1).sum())
     lengths, q, slope, why = null_path(start, asked.direction, length)
     if not len(lengths) or lengths[-1] < STRAIGHTER:

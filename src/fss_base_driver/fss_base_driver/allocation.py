@@ -14,7 +14,6 @@ from collections.abc import Collection
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import lsq_linear
 
 Floats = npt.NDArray[np.float64]
 
@@ -43,6 +42,9 @@ class Allocation:
         stuck_open: Collection[int] = (),
         stuck_closed: Collection[int] = (),
     ) -> None:
+        from scipy.optimize import lsq_linear  # here: the first pulse is not to wait for it
+
+        self._fit = lsq_linear
         self.valves = np.asarray(valves, dtype=float)
         count = len(self.valves)
         stuck = {*stuck_open, *stuck_closed}
@@ -72,7 +74,7 @@ class Allocation:
         """
         wanted = np.asarray(wrench, dtype=float) + self._owed / self.period
         aim = np.append(self._scale * (wanted - self._leaks), 0.0)
-        shares = lsq_linear(self._matrix, aim, (0.0, 1.0), method="bvls").x
+        shares = self._fit(self._matrix, aim, (0.0, 1.0), method="bvls").x
         times = np.zeros(len(self.valves))
         times[self._works] = self._pulses(self.period * shares)
         given = times @ self.valves + self.period * self._leaks

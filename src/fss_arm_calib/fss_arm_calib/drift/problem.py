@@ -16,7 +16,6 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from scipy.integrate import solve_ivp
 
 from fss_arm_calib.estimation.least_squares import (
     Decomposition,
@@ -93,6 +92,8 @@ class DriftProblem:
         body, times = self.bodies[k], np.array(self.drifts[k].times)
         g, (tau, kappa, d) = shared[0] + 1j * shared[1], shared[2:]
         lever = own[6] + 1j * own[7]
+        from scipy.integrate import solve_ivp
+
         turn = np.exp(1j * own[2])
         v = own[3] + 1j * own[4]
         z = own[0] + 1j * own[1] + turn * lever

@@ -3,7 +3,6 @@
 from math import nan
 
 import numpy as np
-from scipy.special import gammaincc
 
 from fss_arm_calib.estimation.least_squares import Floats
 
@@ -16,6 +15,8 @@ def root_mean_square(values: Floats) -> float:
 
 def probability(chi_square: float, freedom: int) -> float:
     """Of a sum of squares of normal errors as large as found, or larger; 1 without any freedom."""
+    from scipy.special import gammaincc
+
     return float(gammaincc(freedom / 2, chi_square / 2)) if freedom else 1.0
 
 

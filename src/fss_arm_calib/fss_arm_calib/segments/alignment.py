@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from math import inf, isfinite, nan, sqrt
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
 
 from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.segments.joints import Joint
@@ -55,6 +54,8 @@ def offset_of_move(
         The offset; NaN if the move hardly turns the end effector, an end of the search, of infinite
         deviation, if the offset lies outside.
     """
+    from scipy.interpolate import PchipInterpolator
+
     u = np.arange(t[0], t[1], FRAME)
     paths = [(PchipInterpolator(*joint), np.clip(u, joint[0][0], joint[0][-1])) for joint in q]
     Q = sum(path(at) for path, at in paths)

@@ -2,11 +2,10 @@
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
 
 from fss_arm_model.description import Arm
 from fss_arm_model.kernels import Complexes, Floats
@@ -56,6 +55,8 @@ class Search:
         Raises:
             ValueError: limits have the wrong shape or order, or the arm has a single link.
         """
+        from scipy.spatial import cKDTree
+
         if arm.n < 2:
             raise ValueError(f"the arm has {arm.n} link, expected 2 or more: its w is 0 everywhere")
         self.arm, self.p, self.kind = arm, arm.vector(), np.asarray(kind, dtype=float)
@@ -88,6 +89,8 @@ class Search:
 
     def _first(self, points: Floats, edge: Floats, rng: np.random.Generator) -> Best:
         """Each point from its nearest random postures; those of the edge from their own, too."""
+        from scipy.spatial import cKDTree
+
         count = 40 * len(points)
         q = rng.uniform(self.limits[:, 0], self.limits[:, 1], (count, len(self.limits)))
         w, tip = measure(self.arm, q, self.kind), tip_in_base(self.p, q)[:, :2]
@@ -136,7 +139,7 @@ class Search:
         return Best(w, q)
 
 
-def _nearest(tree: cKDTree, points: Floats, count: int) -> npt.NDArray[np.intp]:
+def _nearest(tree: Any, points: Floats, count: int) -> npt.NDArray[np.intp]:
     """Indices of the points of a tree next to each of some, (m, count), or all if it has fewer."""
     return np.asarray(tree.query(points, k=np.arange(1, min(count, tree.n) + 1))[1])
 

@@ -16,7 +16,6 @@ from math import inf
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import brentq
 
 from fss_arm_model.description import Arm
 from fss_arm_model.layout import (
@@ -119,6 +118,8 @@ def base_mass_for(arm: Arm, radius: float) -> float:
     Raises:
         ValueError: no mass does; the message says between which radii R can be.
     """
+
+    from scipy.optimize import brentq
 
     def excess(log_mass: float) -> float:
         base = replace(arm.base, mass=float(np.exp(log_mass)))

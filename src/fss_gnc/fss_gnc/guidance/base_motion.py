@@ -5,7 +5,6 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import CubicSpline
 
 from fss_gnc.guidance.activity import ActivityError, Craft, Ended, Floats, Orders, Seen
 from fss_gnc.guidance.room import Room
@@ -161,6 +160,8 @@ def follow(
     Raises:
         ActivityError: it makes no sense, the limits do not allow it, or the way is not free.
     """
+    from scipy.interpolate import CubicSpline
+
     t, x = np.asarray(times, dtype=float), np.asarray(poses, dtype=float)
     v = np.asarray(twists, dtype=float)
     if not 2 <= len(t) <= MOST_KNOTS:
