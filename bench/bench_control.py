@@ -144,7 +144,7 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=30.0)
     parser.add_argument("--bare", action="store_true", help=argparse.SUPPRESS)
     given = parser.parse_args()
-    return run(BareNode, None, sys.argv[:1]) if given.bare else compare(given.seconds)
+    return run(BareNode, sys.argv[:1]) if given.bare else compare(given.seconds)
 
 
 if __name__ == "__main__":

@@ -5,12 +5,11 @@ import sys
 from collections.abc import Iterator
 from dataclasses import fields
 from importlib.metadata import distribution
-from inspect import getdoc
 from pathlib import Path
 from typing import Any, get_type_hints
 
 from fss_arm_model.settings import meaning
-from fss_arm_ros import alone
+from fss_arm_ros.program import ABOUT, ALLOW, Command, Program, named
 
 ROOT = Path(__file__).resolve().parents[1]
 MESSAGES = ROOT / "src/fss_arm_msgs"
@@ -83,25 +82,20 @@ def parameters() -> str:
     """All nodes' parameters, a table each."""
     parts = ["# Parameters", NOTE]
     parts += ["Each is given as `--ros-args -p NAME:=VALUE`; the node's `--help` shows them, too."]
-    parts += [f"All nodes have `{alone.ALLOW}` (false): {alone.ABOUT}."]
+    parts += [f"All nodes have `{ALLOW}` (false): {ABOUT}."]
     commands = []
     for package in sorted(path.parent.name for path in ROOT.glob("src/*/setup.py")):
         for entry in sorted(distribution(package).entry_points):
-            module = sys.modules[entry.load().__module__]
-            camel = entry.name.title().replace("_", "")
-            if hasattr(module, "node_settings"):  # of a record
-                kind = module.KINDS[entry.name]
-                table = _parameters(module.node_settings(kind))
-                parts += [f"## `{package} {entry.name}`", kind.about, table]
-                continue
-            settings = getattr(module, f"{camel}Settings", None)
-            if settings is None:
-                words = " ".join((module.__doc__ or "").split("\n\n")[0].split())
+            found = entry.load()
+            if isinstance(found, Program):
+                words = found.about.split("\n\n")[0].replace("\n", " ")
+                table = _parameters(named(found.settings))
+                parts += [f"## `{package} {entry.name}`", words, table]
+            else:
+                command = found if isinstance(found, Command) else sys.modules[found.__module__]
+                words = (getattr(command, "about", command.__doc__) or "").split("\n\n")[0]
+                words = " ".join(words.split())
                 commands.append(f"- `ros2 run {package} {entry.name} --help`: {words}")
-                continue
-            node = getattr(module, f"{camel}Node", module)
-            words = (getdoc(node) or "").split("\n\n")[0].replace("\n", " ")
-            parts += [f"## `{package} {entry.name}`", words, _parameters(settings)]
     parts += ["## Commands", "These take arguments, and say which:", "\n".join(commands)]
     return "\n\n".join(parts) + "\n"
 

@@ -17,9 +17,9 @@ setup(
     extras_require={"test": ["pytest"]},
     entry_points={
         "console_scripts": [
-            "record = fss_arm_bags.record_node:main",
-            "replay = fss_arm_bags.replay_node:main",
-            "doctor = fss_arm_bags.doctor.command:main",
+            "record = fss_arm_bags.programs:record",
+            "replay = fss_arm_bags.programs:replay",
+            "doctor = fss_arm_bags.programs:doctor",
         ],
     },
 )

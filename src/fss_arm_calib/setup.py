@@ -17,13 +17,13 @@ setup(
     extras_require={"test": ["pytest"]},
     entry_points={
         "console_scripts": [
-            "kinematic = fss_arm_calib.calibration_node:kinematic",
+            "kinematic = fss_arm_calib.programs:kinematic",
             "design = fss_arm_calib.experiment.design_command:main",
-            "drift = fss_arm_calib.calibration_node:drift",
-            "dynamic = fss_arm_calib.calibration_node:dynamic",
-            "experiment = fss_arm_calib.experiment.experiment_node:main",
+            "drift = fss_arm_calib.programs:drift",
+            "dynamic = fss_arm_calib.programs:dynamic",
+            "experiment = fss_arm_calib.programs:experiment",
             "from_bag = fss_arm_calib.from_bag:main",
-            "recompute = fss_arm_calib.recompute:main",
+            "recompute = fss_arm_calib.programs:recompute",
         ],
     },
 )

@@ -17,9 +17,9 @@ setup(
     extras_require={"test": ["pytest"]},
     entry_points={
         "console_scripts": [
-            "link = fss_arm_driver.link_node:main",
-            "arm = fss_arm_driver.arm_node:main",
-            "driver = fss_arm_driver.driver_node:main",
+            "link = fss_arm_driver.programs:link",
+            "arm = fss_arm_driver.programs:arm",
+            "driver = fss_arm_driver.programs:driver",
             "check = fss_arm_driver.check:main",
             "urdf = fss_arm_driver.urdf_command:main",
         ],

@@ -17,7 +17,7 @@ setup(
     extras_require={"test": ["pytest"]},
     entry_points={
         "console_scripts": [
-            "motion = fss_arm_motion.motion_node:main",
+            "motion = fss_arm_motion.programs:motion",
             "plan = fss_arm_motion.plan_command:main",
         ],
     },

@@ -17,8 +17,8 @@ setup(
     extras_require={"test": ["pytest"]},
     entry_points={
         "console_scripts": [
-            "base_reaction = fss_arm_view.base_reaction_node:main",
-            "view = fss_arm_view.view_node:main",
+            "base_reaction = fss_arm_view.programs:base_reaction",
+            "view = fss_arm_view.programs:view",
         ],
     },
 )

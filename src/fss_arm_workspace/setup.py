@@ -17,8 +17,8 @@ setup(
     extras_require={"test": ["pytest"]},
     entry_points={
         "console_scripts": [
-            "workspace = fss_arm_workspace.workspace_node:main",
-            "map = fss_arm_workspace.map:main",
+            "workspace = fss_arm_workspace.programs:workspace",
+            "map = fss_arm_workspace.programs:workspace_map",
         ],
     },
 )

@@ -17,11 +17,11 @@ setup(
     extras_require={"test": ["pytest"]},
     entry_points={
         "console_scripts": [
-            "base = fss_base_driver.base_node:main",
-            "check = fss_base_driver.check_node:main",
-            "fog = fss_base_driver.fog_node:main",
-            "mocap = fss_base_driver.mocap_node:main",
-            "subjects = fss_base_driver.subjects_node:main",
+            "base = fss_base_driver.programs:base",
+            "check = fss_base_driver.programs:check",
+            "fog = fss_base_driver.programs:fog",
+            "mocap = fss_base_driver.programs:mocap",
+            "subjects = fss_base_driver.programs:subjects",
         ],
     },
 )

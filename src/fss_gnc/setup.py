@@ -17,9 +17,9 @@ setup(
     extras_require={"test": ["pytest"]},
     entry_points={
         "console_scripts": [
-            "control = fss_gnc.control_node:main",
-            "guidance = fss_gnc.guidance_node:main",
-            "navigation = fss_gnc.navigation_node:main",
+            "control = fss_gnc.programs:control",
+            "guidance = fss_gnc.programs:guidance",
+            "navigation = fss_gnc.programs:navigation",
         ],
     },
 )

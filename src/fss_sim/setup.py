@@ -17,7 +17,7 @@ setup(
     extras_require={"test": ["pytest"]},
     entry_points={
         "console_scripts": [
-            "testbed = fss_sim.testbed_node:main",
+            "testbed = fss_sim.programs:testbed",
         ],
     },
 )

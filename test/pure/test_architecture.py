@@ -111,7 +111,7 @@ ROOMS = {
 # Where the mathematics of a package meets ROS: its nodes, their actions and topics, and these.
 EDGES = {
     *("settings", "messages", "kind", "kinds", "from_bag", "design_command", "plan_command"),
-    "recompute",
+    *("recompute", "programs"),
 }
 AT_THE_EDGE = ("_node", "_action", "_topic", "_topics")
 MATHEMATICS = ALLOWED.keys() - {"fss_arm_ros", "fss_arm_bags", "fss_sim.rehearsal"}

@@ -1,7 +1,7 @@
 """Records every topic into a rosbag2 (MCAP) bag."""
 
+import sys
 from collections import Counter, deque
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from shutil import disk_usage
@@ -13,53 +13,15 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.subscription import Subscription
 
 from fss_arm_bags.definitions import NotInstalledError, message_class
+from fss_arm_bags.programs import record as main
 from fss_arm_bags.recorder import Limits, Recording
-from fss_arm_model.settings import NOT_NEGATIVE, SettingError, Settings, setting
+from fss_arm_bags.settings import RecordSettings
 from fss_arm_ros.convert import SECOND
 from fss_arm_ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
 from fss_arm_ros.parameters import declare
-from fss_arm_ros.run import run
 
 MEGABYTE = 1_000_000
-SHARED = (
-    *("/clock", "/tf", "/tf_static", "/diagnostics", "/rosout", "/parameter_events"),
-    *("/vicon", "/sim"),
-)  # by all vehicles of a laboratory
 EARLY = 1000  # latched messages kept until there is a time of receipt
-
-
-@dataclass(frozen=True)
-class RecordSettings(Settings):
-    """The parameters of a RecordNode."""
-
-    output: str = setting("", "folder of the bags; the next of bag_0, bag_1, ... is written")
-    topics: tuple[str, ...] = setting(
-        (), "names of the topics to record, wherever they are; none: all of the namespace"
-    )
-    namespace: str = setting(
-        "/", "namespace whose topics are recorded; /: all there are", within="/{namespace}"
-    )
-    shared: tuple[str, ...] = setting(
-        SHARED, "topics, with those below them, that are recorded beside those of the namespace"
-    )
-    split_size: float = setting(
-        2000.0, "size at which the next bag is begun; 0: never", unit="MB", check=NOT_NEGATIVE
-    )
-    split_time: float = setting(
-        3600.0, "duration after which the next bag is begun; 0: never", unit="s", check=NOT_NEGATIVE
-    )
-    reserve: float = setting(
-        1000.0, "free space on the disk below which it warns", unit="MB", check=NOT_NEGATIVE
-    )
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not self.output:
-            raise SettingError("output is empty, expected the folder of the bags: -p output:=DIR")
-
-    def limits(self) -> Limits:
-        """When the next bag is begun."""
-        return Limits(round(self.split_size * MEGABYTE), round(self.split_time * SECOND))
 
 
 class RecordNode(Node):
@@ -79,7 +41,8 @@ class RecordNode(Node):
         self.topics = {self.resolve_topic_name(topic) for topic in settings.topics}
         names = settings.namespace, *filter(None, settings.shared)
         self.places = [f"/{name.strip('/')}".rstrip("/") for name in names]
-        self.recording = Recording(Path(settings.output), settings.limits())
+        limits = Limits(round(settings.split_size * MEGABYTE), round(settings.split_time * SECOND))
+        self.recording = Recording(Path(settings.output), limits)
         self.heard: dict[str, Subscription] = {}
         self.unknown: set[str] = set()
         self.counts: Counter[str] = Counter()
@@ -196,6 +159,5 @@ def match(offered: list[QoSProfile]) -> QoSProfile:
     )
 
 
-def main() -> int:
-    """Entry point."""
-    return run(RecordNode, RecordSettings)
+if __name__ == "__main__":
+    sys.exit(main())

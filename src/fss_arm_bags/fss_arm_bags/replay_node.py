@@ -2,7 +2,6 @@
 
 import sys
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from math import inf
 from time import monotonic
 from typing import Any
@@ -15,13 +14,13 @@ from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
 
 from fss_arm_bags.definitions import NotInstalledError, definition, extends, message_class, upgrade
+from fss_arm_bags.programs import replay as main
 from fss_arm_bags.reader import BagError, open_bags, two_versions
 from fss_arm_bags.replay import choose, is_latched, profile
-from fss_arm_model.settings import NOT_NEGATIVE, Settings, setting
+from fss_arm_bags.settings import ReplaySettings
 from fss_arm_ros.convert import SECOND, seconds, to_time
 from fss_arm_ros.diagnostics import OK, Diagnostics, Health
 from fss_arm_ros.parameters import declare
-from fss_arm_ros.run import run
 
 # rclpy keeps it in its extension and offers no public name for it.
 from rclpy._rclpy_pybind11 import RCLError  # isort: skip
@@ -34,31 +33,6 @@ BURST = 50  # messages between two acknowledgements
 ACK_TIMEOUT = 0.05  # an acknowledgement comes with a heartbeat, which may be slow [s]
 CLOCK_STEP = SECOND // 100  # [ns]
 RIVALS = 0.25  # from one check for other publishers to the next [s]
-
-
-@dataclass(frozen=True)
-class ReplaySettings(Settings):
-    """The parameters of a ReplayNode."""
-
-    rate: float = setting(
-        1.0, "multiple of the recorded pace; 0: as fast as subscribers take it", check=NOT_NEGATIVE
-    )
-    start: float = setting(
-        0.0, "where to begin, after the first message", unit="s", check=NOT_NEGATIVE
-    )
-    loop: bool = setting(False, "begin again at the end")
-    topics: tuple[str, ...] = setting(
-        (), "play these alone, in place; none: measurements in place, results under recorded/"
-    )
-    clock: bool = setting(False, "publish /clock from the times of receipt")
-    hold: bool = setting(False, "stay up after the end, so that latched topics stay, too")
-    wait_for: tuple[str, ...] = setting((), "topics that must have a subscriber before the start")
-    deadline: float = setting(
-        20.0, "how long to wait for those topics' subscribers", unit="s", check=NOT_NEGATIVE
-    )
-    discovery: float = setting(
-        3.0, "time for subscribers to show up if wait_for is empty", unit="s", check=NOT_NEGATIVE
-    )
 
 
 class ReplayNode(Node):
@@ -249,9 +223,5 @@ class ReplayNode(Node):
         self.bags.close()
 
 
-def main() -> int:
-    """Entry point; `--hold` is short for the parameter."""
-    args = [arg for arg in sys.argv if arg != "--hold"]
-    if len(args) < len(sys.argv):
-        args += ["--ros-args", "-p", "hold:=true"]
-    return run(ReplayNode, ReplaySettings, args, takes="BAG... [--hold]")
+if __name__ == "__main__":
+    sys.exit(main())

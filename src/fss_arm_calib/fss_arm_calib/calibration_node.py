@@ -2,9 +2,7 @@
 
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import partial
-from inspect import getdoc
 from typing import Any
 
 from rclpy.node import Node
@@ -12,37 +10,21 @@ from std_srvs.srv import Trigger
 
 from fss_arm_calib.acceptance import PASS, clocks_kept, count
 from fss_arm_calib.calibration import Calibration
-from fss_arm_calib.kinds import KINDS
+from fss_arm_calib.node_settings import node_settings
 from fss_arm_calib.outcome import LIVE, Outcome
+from fss_arm_calib.programs import drift, dynamic, kinematic
 from fss_arm_calib.report import write
 from fss_arm_calib.segments.streams import Streams, newest
 from fss_arm_calib.state import Flags, StateError, Writes, restore, save
 from fss_arm_model.description import described
-from fss_arm_model.settings import Settings, default_in, setting
+from fss_arm_model.settings import default_in
 from fss_arm_model.vehicle import Vehicle
 from fss_arm_ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
 from fss_arm_ros.memory import give_back
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED, subscribe_sensor
-from fss_arm_ros.run import run
 
 BASE = Vehicle.__dataclass_fields__["base_frame"]
-
-
-@dataclass(frozen=True)
-class NodeSettings(Settings):
-    """What the node of a calibration needs beside the settings of its kind."""
-
-    frame_id: str = setting("", "frame id of the results; empty: that of the kind")
-    state_file: str = setting("", "data are kept here across restarts; empty: nowhere")
-    output: str = setting("", "file to write whenever a calibration passes; empty: none")
-    report: str = setting("", "folder to write a report to when asked to solve; empty: none")
-
-
-def node_settings(kind: Calibration[Any, Any]) -> type[Any]:
-    """The parameters of the node of a kind of calibration."""
-    made = type(f"{kind.name.title()}NodeSettings", (NodeSettings, kind.settings), {})
-    return dataclass(frozen=True)(made)
 
 
 class CalibrationNode(Node):
@@ -55,7 +37,7 @@ class CalibrationNode(Node):
     def __init__(self, kind: Calibration[Any, Any], **options: Any) -> None:
         super().__init__(kind.name, **options)
         self.kind = kind
-        s = self.settings = declare(self, node_settings(kind))
+        s = self.settings = declare(self, node_settings(kind.name, kind.settings))
         base = default_in(BASE, self.get_namespace())
         self.frame = s.frame_id or (base if kind.frame == BASE.default else kind.frame)
         self.arm = described(s.arm)
@@ -183,30 +165,5 @@ class CalibrationNode(Node):
         return Health(OK, count(len(self.data), kind.data.noun), values)
 
 
-def main(kind: Calibration[Any, Any], args: Sequence[str] | None = None) -> int:
-    """Run the node of a kind of calibration."""
-
-    def make_node() -> CalibrationNode:
-        return CalibrationNode(kind)
-
-    make_node.__doc__ = f"{kind.about}\n\n{getdoc(CalibrationNode)}"
-    return run(make_node, node_settings(kind), args)
-
-
-def kinematic() -> int:
-    """Run as `ros2 run fss_arm_calib kinematic`."""
-    return main(KINDS["kinematic"])
-
-
-def dynamic() -> int:
-    """Run as `ros2 run fss_arm_calib dynamic`."""
-    return main(KINDS["dynamic"])
-
-
-def drift() -> int:
-    """Run as `ros2 run fss_arm_calib drift`."""
-    return main(KINDS["drift"])
-
-
 if __name__ == "__main__":
-    sys.exit(main(KINDS[sys.argv.pop(1)]))
+    sys.exit({"kinematic": kinematic, "dynamic": dynamic, "drift": drift}[sys.argv.pop(1)]())

@@ -1,6 +1,5 @@
-"""Computes recorded results again from what was published with them: the command `recompute`."""
+"""What the command `recompute` does."""
 
-import argparse
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,9 +13,10 @@ from fss_arm_calib.calibration import Calibration
 from fss_arm_calib.kinds import KINDS
 from fss_arm_calib.messages import NUMBERS, common
 from fss_arm_calib.outcome import LIVE, Outcome, settings_of
+from fss_arm_calib.recompute_options import parser
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_model.description import from_yaml
-from fss_arm_ros.command_line import USER_ERROR, Parser
+from fss_arm_ros.command_line import USER_ERROR
 from fss_arm_ros.convert import stamp_ns
 
 LARGEST = 1e-9  # difference of any number, in its unit
@@ -105,14 +105,6 @@ def comparisons(bags: Bags, namespace: str = "") -> list[Comparison]:
         topics = " or ".join(f"{space}{kind.topic}" for kind in KINDS.values())
         raise BagError(f"no result on {topics} in {', '.join(map(str, bags.paths))}")
     return found
-
-
-def parser() -> argparse.ArgumentParser:
-    """The command line."""
-    p = Parser("recompute", description=__doc__)
-    p.add_argument("bags", nargs="+", metavar="BAG", help="bag, or folder of bags")
-    p.add_argument("--namespace", default="", help="of the vehicle, if the bag has several: fss2")
-    return p
 
 
 def main(args: Sequence[str] | None = None) -> int:

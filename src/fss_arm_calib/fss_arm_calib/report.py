@@ -9,13 +9,13 @@ from dataclasses import dataclass, field
 from html import escape
 from io import BytesIO
 from pathlib import Path
-from typing import Any
-
-from rich.console import Console, Group
-from rich.table import Table as PrintedTable
-from rich.text import Text
+from typing import TYPE_CHECKING, Any
 
 from fss_arm_model.files import write_text
+
+if TYPE_CHECKING:  # nodes, that print nothing, do without it
+    from rich.console import Console, Group
+    from rich.table import Table as PrintedTable
 
 STYLE = {"pass": "bold green", "fail": "bold red", "not_evaluated": "bold yellow"}
 
@@ -60,21 +60,28 @@ class Report:
     texts: Mapping[str, str] = field(default_factory=dict)  # by title, as they are
 
 
-def console() -> Console:
+def console() -> "Console":
     """Where to print a report: wide enough for it if it is not a terminal."""
+    from rich.console import Console
+
     terminal = Console()
     return terminal if terminal.is_terminal else Console(width=110)
 
 
-def printed(report: Report) -> Group:
+def printed(report: Report) -> "Group":
     """What matters most, as something that rich prints."""
+    from rich.console import Group
+    from rich.text import Text
+
     verdict = Text.assemble((_words(report.verdict), STYLE[report.verdict]), f": {report.reason}")
     title = Text(report.title, style="bold")
     return Group(title, *map(shown, report.tables), verdict, Text(report.origin, style="dim"))
 
 
-def shown(table: Table) -> PrintedTable:
+def shown(table: Table) -> "PrintedTable":
     """A table as something that rich prints."""
+    from rich.table import Table as PrintedTable
+
     printed = PrintedTable(title=table.title, title_justify="left")
     for k, name in enumerate(table.head):
         style = "bold" if name == "estimate" else ""

@@ -17,10 +17,10 @@ from fss_arm_driver.arm.move_action import MoveAction
 from fss_arm_driver.arm.state_topics import StateTopics
 from fss_arm_driver.arm.stream_topic import StreamTopic
 from fss_arm_driver.arm.trajectory_action import TrajectoryAction
+from fss_arm_driver.programs import arm as main
 from fss_arm_driver.settings import ArmSettings
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.parameters import declare
-from fss_arm_ros.run import run
 
 ANSWER = 6.0  # a link's driver has answered by then [s]
 
@@ -106,11 +106,6 @@ class ArmNode(Node):
         if why := self.states.withheld:
             return Health(WARN, f"no arm/joint_states: {why}", values)
         return Health(OK, links.turn.holder(links.now()) or "ready", values)
-
-
-def main() -> int:
-    """Run as `ros2 run fss_arm_driver arm`."""
-    return run(ArmNode, ArmSettings)
 
 
 if __name__ == "__main__":

@@ -27,6 +27,7 @@ from fss_arm_driver.messages import (
     state_words,
 )
 from fss_arm_driver.pacer import Pacer
+from fss_arm_driver.programs import link as main
 from fss_arm_driver.protocol import Slow
 from fss_arm_driver.receiver import Receiver
 from fss_arm_driver.scale import CommandError
@@ -41,7 +42,7 @@ from fss_arm_ros.ear import Ear
 from fss_arm_ros.pace import pace
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import COMMAND, SENSOR
-from fss_arm_ros.run import RCLError, run
+from fss_arm_ros.run import RCLError
 
 PATH_RATE = 10.0  # of commands, below which they are doubled while a path is followed [1/s]
 SIMULATED_STEP = 0.01  # of /clock [s]
@@ -336,7 +337,10 @@ class LinkNode(Node):
 
 
 def make_nodes(kind: type[LinkSettings] = LinkSettings) -> list[LinkNode]:
-    """The nodes that the parameters ask for: one link, or all of `urls`."""
+    """Publishes what each link measures, as it comes, and sends it commands at a steady rate.
+
+    One node for the link of `url`, or one for each of `urls`.
+    """
     probe = Node("link", enable_rosout=False, start_parameter_services=False)
     try:
         settings = declare(probe, kind)
@@ -345,11 +349,6 @@ def make_nodes(kind: type[LinkSettings] = LinkSettings) -> list[LinkNode]:
     if not settings.urls:
         return [LinkNode(settings.link, settings.url, kind=kind)]
     return [LinkNode(number, url, kind=kind) for number, url in enumerate(settings.urls, 1)]
-
-
-def main() -> int:
-    """Run as `ros2 run fss_arm_driver link`."""
-    return run(make_nodes, LinkSettings)
 
 
 if __name__ == "__main__":

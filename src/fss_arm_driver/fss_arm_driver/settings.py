@@ -134,3 +134,8 @@ class ArmSettings(GuardSettings):
     def description(self) -> Arm:
         """The arm to move."""
         return described(self.arm)
+
+
+@dataclass(frozen=True)
+class DriverSettings(ArmSettings, LinkSettings):
+    """The parameters of an ArmNode and its LinkNodes; what both have is one."""

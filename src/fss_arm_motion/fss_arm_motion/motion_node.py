@@ -31,6 +31,7 @@ from fss_arm_motion import plan_command
 from fss_arm_motion.base_track import BaseTrack
 from fss_arm_motion.plan import Plan, PlanError, Start, predicted
 from fss_arm_motion.plan_file import parsed
+from fss_arm_motion.programs import motion as main
 from fss_arm_motion.settings import MotionSettings
 from fss_arm_msgs.action import ExecuteMotion
 from fss_arm_msgs.msg import DynamicCalibration, KinematicCalibration, MotionReport
@@ -41,7 +42,6 @@ from fss_arm_ros.door import subscribe
 from fss_arm_ros.pace import pace
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED, subscribe_sensor
-from fss_arm_ros.run import run
 
 CONTROLLER = "arm_controller/follow_joint_trajectory"
 CALIBRATIONS = {
@@ -311,11 +311,6 @@ def trajectory(plan: Plan, begin: int) -> FollowJointTrajectory.Goal:
         for t, q, qd in zip(plan.times, plan.q, plan.qd, strict=True)
     ]
     return goal
-
-
-def main() -> int:
-    """Run as `ros2 run fss_arm_motion motion`."""
-    return run(MotionNode, MotionSettings)
 
 
 if __name__ == "__main__":

@@ -13,11 +13,12 @@ from contextlib import contextmanager
 from rclpy.node import Node, NodeNameNonExistentError
 from rclpy.parameter import Parameter
 
+from fss_arm_ros.program import ABOUT as ABOUT
+from fss_arm_ros.program import ALLOW as ALLOW
+
 WINDOW = 0.4  # by then a process that has joined the graph knows it [s]
 AGAIN = 0.1  # to the second check before giving way, as a claim comes after its node [s]
 CLAIM = "_claim_"
-ALLOW = "allow_duplicate"
-ABOUT = "start beside a node that has the same name, or offers the same services, in the ROS domain"
 
 
 class DuplicateError(ValueError):

@@ -1,12 +1,8 @@
-"""What every node's `main` does: --help, start, spin, and an end that says what went wrong."""
+"""What every node's program does: start, spin, and an end that says what went wrong."""
 
 import signal
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import fields
-from inspect import getdoc
-from textwrap import indent
-from typing import Any
 
 import rclpy
 from rclpy.exceptions import NotInitializedException, ParameterException
@@ -14,7 +10,6 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
 
-from fss_arm_model.settings import meaning
 from fss_arm_ros import alone, memory
 from fss_arm_ros.executor import BatchExecutor
 
@@ -24,7 +19,6 @@ from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError  # isort: skip
 
 def run(
     make_node: Callable[..., Node | Sequence[Node]],
-    settings: type | None = None,
     args: Sequence[str] | None = None,
     takes: str = "",
 ) -> int:
@@ -38,7 +32,6 @@ def run(
     Args:
         make_node: the node's class, or a function that makes one or several; called with the
             plain arguments.
-        settings: the dataclass that the node declares itself from, for --help.
         args: the command line; sys.argv by default.
         takes: what the plain arguments are, as `BAG...`; without it there may be none.
 
@@ -55,9 +48,6 @@ def run(
         return _failed(name, f"{error} is not understood after --ros-args", 2)
     except RCLError as error:
         return _failed(name, str(error).split(", at /")[0], 2)  # the rest: places in rcl's source
-    if {"-h", "--help"} & set(plain):
-        print(usage(name, make_node, settings, takes))
-        return 0
     if plain and not takes:
         return _failed(name, f"{plain[0]!r} is not understood; try --help", 2)
     memory.bound()
@@ -108,24 +98,6 @@ def _interrupt_next(*_: object) -> None:
     TypeError of it.
     """
     signal.signal(signal.SIGINT, signal.default_int_handler)
-
-
-def usage(name: str, make_node: Callable[..., Any], settings: type | None, takes: str) -> str:
-    """One screen of help: what the node does, its parameters with their defaults."""
-    lines = [f"{name} {takes}".strip() + " [--ros-args -p PARAMETER:=VALUE ...]", ""]
-    lines += [getdoc(make_node) or "", ""]
-    for f in fields(settings) if settings else ():
-        lines.append(f"  {f.name} (default {_shown(f.default)})")
-        lines.append(indent(meaning(f), "      "))
-    if settings:
-        lines += [f"  {alone.ALLOW} (default false)", indent(alone.ABOUT, "      ")]
-    return "\n".join(lines).rstrip()
-
-
-def _shown(default: Any) -> str:
-    if isinstance(default, tuple):
-        return f"[{', '.join(map(_shown, default))}]"
-    return str(default).lower() if isinstance(default, bool) else str(default) or "''"
 
 
 def _failed(name: str, reason: object, code: int) -> int:

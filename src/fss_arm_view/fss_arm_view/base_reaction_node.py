@@ -29,12 +29,12 @@ from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.door import subscribe
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED, SENSOR, subscribe_sensor
-from fss_arm_ros.run import run
 from fss_arm_ros.stamps import Stamps
 from fss_gnc.navigation import BodyFilter
 from fss_gnc.navigation.messages import StateImage, TransformImage
 
 from .base_reaction import BaseReaction, Reaction
+from .programs import base_reaction as main
 from .settings import BaseReactionSettings
 
 #: Topics of results; a kinematic one's time_offset is the joints', a dynamic one's the gyro's, too.
@@ -189,11 +189,6 @@ def to_message(reaction: Reaction, arm: str, world_frame: str) -> BaseReactionMe
     )
     message.header.stamp, message.header.frame_id = to_time(reaction.t), world_frame
     return message
-
-
-def main() -> int:
-    """Run as `ros2 run fss_arm_view base_reaction`."""
-    return run(BaseReactionNode, BaseReactionSettings)
 
 
 if __name__ == "__main__":

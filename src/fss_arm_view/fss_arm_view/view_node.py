@@ -38,10 +38,10 @@ from fss_arm_ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
 from fss_arm_ros.door import subscribe
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED, sensor
-from fss_arm_ros.run import run
 from fss_arm_ros.stamps import Stamps
 
 from . import scene
+from .programs import view as main
 from .settings import ViewSettings
 from .sink import FILE, NATIVE, WEB, Scoped, Sink, Viewer, host, keep_quiet, new_file, open_stream
 
@@ -54,11 +54,7 @@ LEVELS = {OK: "INFO", WARN: "WARN", ERROR: "ERROR"}
 
 
 class ViewNode(Node):
-    """Shows joints, base, end effector, base reaction, verdicts and faults.
-
-    It subscribes best effort and never waits for the viewer, so that it holds nobody up. In mode
-    web, open http://127.0.0.1:9090/?url=rerun%2Bhttp://127.0.0.1:9876/proxy in a browser.
-    """
+    """Shows one vehicle; `first`, whose viewer it is, shows what all share, too."""
 
     def __init__(self, first: "ViewNode | None" = None, **options: Any) -> None:
         super().__init__("view", **options)
@@ -347,21 +343,22 @@ def _pose(message: PoseStamped) -> tuple[float, float, float] | None:
         return None
 
 
+def make_nodes() -> list[ViewNode]:
+    """Shows joints, base, end effector, base reaction, verdicts and faults.
+
+    It subscribes best effort and never waits for the viewer, so that it holds nobody up. In mode
+    web, open http://127.0.0.1:9090/?url=rerun%2Bhttp://127.0.0.1:9876/proxy in a browser.
+    """
+    # With its viewer it has only the time that nothing else wants: drivers never wait for it.
+    with suppress(OSError):  # a container may forbid it
+        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+    return views()
+
+
 def views() -> list[ViewNode]:
     """The node, and one within it for each vehicle that it shows."""
     first = ViewNode()
     return [first, *(ViewNode(first, namespace=name) for name in first.settings.vehicles)]
-
-
-views.__doc__ = ViewNode.__doc__  # for --help
-
-
-def main() -> int:
-    """Run as `ros2 run fss_arm_view view`."""
-    # With its viewer it has only the time that nothing else wants: drivers never wait for it.
-    with suppress(OSError):  # a container may forbid it
-        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
-    return run(views, ViewSettings)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Workspace and manipulability of an arm as the paper's Figures 6, 7 and 8, without ROS running."""
+"""What the command `map` does."""
 
 import argparse
 import sys
@@ -12,48 +12,13 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from fss_arm_bags.reader import BagError, open_bags
 from fss_arm_model.description import load, paper_arm
 from fss_arm_ros.calibrated import TOPICS, Calibrated
-from fss_arm_ros.command_line import Parser
 from fss_arm_workspace.analysis import Analysis, AnalysisSettings, analyse, straight_workspaces
 from fss_arm_workspace.figures import draw, save
+from fss_arm_workspace.map_options import parser
 from fss_arm_workspace.regions.virtual import base_mass_for
 from fss_arm_workspace.straight_path.paths import Paths, arch
-from fss_arm_workspace.straight_path.redundancy import RULES
 
-EPILOG = "Exit codes: 0 done, 1 the command cannot be carried out."
 PAPER_RADIUS = 1.3  # [m]
-
-
-def parser() -> argparse.ArgumentParser:
-    """The command line."""
-    p = Parser("map", description=__doc__, epilog=EPILOG)
-    p.add_argument(
-        "source", nargs="*", metavar="SOURCE",
-        help="description YAML, or bags with a calibration (default: the paper's arm)",
-    )  # fmt: skip
-    p.add_argument("--output", metavar="FOLDER", default="workspace", help="default: %(default)s")
-    default = AnalysisSettings()
-    p.add_argument(
-        "--cell", type=float, default=default.cell, metavar="M", help="size of a map's cell [m] "
-        "(default: %(default)s)",
-    )  # fmt: skip
-    p.add_argument(
-        "--rule", choices=RULES[:3], default=default.redundancy, help="how straight paths use the "
-        "redundancy (default: %(default)s)",
-    )  # fmt: skip
-    p.add_argument(
-        "--start", type=float, nargs="+", metavar="DEG", help="joint readings from which straight "
-        "paths begin [deg] (default: an arch)",
-    )  # fmt: skip
-    p.add_argument(
-        "--table", type=float, nargs=4, default=default.table, metavar="M", help="on which "
-        "straight paths run: low x, low y, high x, high y (default: %(default)s)",
-    )  # fmt: skip
-    p.add_argument(
-        "--true-angle", action="store_true", help="joint limits hold for q + theta_0, not for the "
-        "encoder's reading q",
-    )  # fmt: skip
-    p.add_argument("--workers", type=int, default=1, metavar="N", help="threads to use")
-    return p
 
 
 def calibrated(sources: Sequence[str]) -> Calibrated:

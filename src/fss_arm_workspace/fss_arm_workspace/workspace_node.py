@@ -29,9 +29,9 @@ from fss_arm_ros.door import subscribe
 from fss_arm_ros.pace import pace
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED, subscribe_sensor
-from fss_arm_ros.run import run
 from fss_arm_workspace import messages
 from fss_arm_workspace.analysis import analyse, load_kernels, straight_workspaces
+from fss_arm_workspace.programs import workspace as main
 from fss_arm_workspace.regions.arcs import Floats
 from fss_arm_workspace.regions.fixed import joint_limits
 from fss_arm_workspace.regions.virtual import VirtualManipulator
@@ -44,10 +44,7 @@ from rclpy._rclpy_pybind11 import RCLError  # isort: skip
 
 
 class WorkspaceNode(Node):
-    """Publishes workspace, maps, straight paths from the present posture, and ellipsoids there.
-
-    A calibration that passed begins them anew; straight paths follow arm and base.
-    """
+    """Publishes what it computes of the arm, and computes it anew when that changes."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__("workspace", **options)
@@ -215,10 +212,13 @@ def _topic(base: str) -> str:
     return base.replace(" ", "_")
 
 
-def main() -> int:
-    """Run as `ros2 run fss_arm_workspace workspace`."""
+def make_node() -> WorkspaceNode:
+    """Publishes workspace, maps, straight paths from the present posture, and ellipsoids there.
+
+    A calibration that passed begins them anew; straight paths follow arm and base.
+    """
     sys.setswitchinterval(5e-4)  # workers give way to the ellipsoids sooner than Python's 5 ms
-    return run(WorkspaceNode, WorkspaceSettings)
+    return WorkspaceNode()
 
 
 if __name__ == "__main__":

@@ -32,10 +32,11 @@ from fss_arm_ros.door import subscribe
 from fss_arm_ros.pace import pace
 from fss_arm_ros.parameters import declare, declare_live
 from fss_arm_ros.qos import SENSOR, command
-from fss_arm_ros.run import RCLError, run
+from fss_arm_ros.run import RCLError
 from fss_base_driver import messages
 from fss_base_driver.allocation import Allocation
 from fss_base_driver.gyro import BiasError, BiasSearch, Sums
+from fss_base_driver.programs import base as main
 from fss_base_driver.protocol import BOARD, TIME_UNIT, VALVES, BaseSlow
 from fss_base_driver.session import NO_PULSE, BoardSession, Heard
 from fss_base_driver.settings import BaseSettings, live_kinds
@@ -378,11 +379,6 @@ class BaseNode(Node):
             self.transport.send(self.session.command(self.now()))
         self.receiver.close()
         self.transport.close()
-
-
-def main() -> int:
-    """Run as `ros2 run fss_base_driver base`."""
-    return run(BaseNode, BaseSettings)
 
 
 if __name__ == "__main__":

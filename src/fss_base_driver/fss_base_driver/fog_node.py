@@ -17,9 +17,10 @@ from fss_arm_ros.convert import SECOND
 from fss_arm_ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
 from fss_arm_ros.parameters import declare, declare_live
 from fss_arm_ros.qos import SENSOR
-from fss_arm_ros.run import RCLError, run
+from fss_arm_ros.run import RCLError
 from fss_base_driver import messages
 from fss_base_driver.dsp3000 import Lines
+from fss_base_driver.programs import fog as main
 from fss_base_driver.settings import FogCorrection, FogSettings
 
 AGAIN = 0.5  # from one try to open the port to the next [s]
@@ -106,11 +107,6 @@ class FogNode(Node):
         self.closing.set()
         self.thread.join()
         self.drop()
-
-
-def main() -> int:
-    """Run as `ros2 run fss_base_driver fog`."""
-    return run(FogNode, FogSettings)
 
 
 if __name__ == "__main__":

@@ -16,9 +16,9 @@ from fss_arm_ros.convert import SECOND, stamp_ns, to_time
 from fss_arm_ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import SENSOR, subscribe_sensor
-from fss_arm_ros.run import run
 from fss_base_driver.mocap import Pose, Receiver, RelayError, Subjects, message_type, named_poses
 from fss_base_driver.mocap.subjects import Bounds
+from fss_base_driver.programs import mocap as main
 from fss_base_driver.settings import MocapSettings
 
 STAMPS = {True: "stamped by the relayed header", False: "stamped by arrival"}
@@ -127,11 +127,6 @@ class MocapNode(Node):
         """End the receiving process."""
         if self.receiver:
             self.receiver.close()
-
-
-def main() -> int:
-    """Run as `ros2 run fss_base_driver mocap`."""
-    return run(MocapNode, MocapSettings)
 
 
 if __name__ == "__main__":

@@ -1,8 +1,9 @@
-"""The command `subjects`: which subjects are seen, how often, how late and how steadily."""
+"""What the command `subjects` does."""
 
 import argparse
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from math import degrees, pi
 from typing import Any
@@ -15,9 +16,9 @@ from rich.console import Console
 from rich.table import Table
 
 from fss_arm_model.settings import POSITIVE
-from fss_arm_ros.command_line import Parser
 from fss_arm_ros.convert import SECOND, PoseError, planar_pose, stamp_ns
 from fss_arm_ros.qos import subscribe_sensor
+from fss_base_driver.subjects_options import parser
 
 COLUMNS = ("rate", "jitter", "latency", "longest gap", "x", "y", "heading", "unusable")
 UNITS = ("[1/s]", "[ms]", "p50, p99 [ms]", "[ms]", "[m]", "[m]", "[deg]", "")
@@ -87,25 +88,10 @@ def table(heard: dict[str, Heard]) -> Table:
     return shown
 
 
-def parser() -> argparse.ArgumentParser:
-    """The command line."""
-    command = Parser(
-        prog="subjects",
-        description="Which subjects motion capture sees: rate, jitter of the stamps, latency from "
-        "stamp to arrival here (right if both computers' clocks agree), longest gap, mean pose.",
-        epilog="Exit codes: 0 poses were heard, 1 none.",
-    )
-    command.add_argument(
-        "--seconds", type=float, default=5.0, help="how long to listen (default 5)"
-    )
-    command.add_argument("--prefix", default="vicon", help="of the topics (default vicon)")
-    return command
-
-
-def main() -> int:
+def main(args: Sequence[str] | None = None) -> int:
     """Run as `ros2 run fss_base_driver subjects`."""
     command = parser()
-    given = command.parse_args()
+    given = command.parse_args(args)
     if not POSITIVE.holds(given.seconds):
         command.error(f"--seconds is {given.seconds}, expected {POSITIVE.expected}")
     return listen(given)

@@ -25,13 +25,13 @@ from fss_arm_ros.inbox import Inbox
 from fss_arm_ros.pace import pace
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import command
-from fss_arm_ros.run import run
 from fss_gnc import messages
 from fss_gnc.control.mass import present
 from fss_gnc.control.planned import PlannedRates
 from fss_gnc.control.pose import PoseControl
 from fss_gnc.control.settings import ControlSettings
 from fss_gnc.latest import Latest
+from fss_gnc.programs import control as main
 from fss_gnc.reference import Body, Floats, Path, Reference
 
 
@@ -164,11 +164,6 @@ class ControlNode(Node):
             return Health(WARN, f"{does}: {self.trouble}", values)
         why = self.trajectory.trouble(self.now()) or "base/trajectory has no points"
         return Health(OK, "follows base/trajectory" if self.acting else f"coasts: {why}", values)
-
-
-def main() -> int:
-    """Run as `ros2 run fss_gnc control`."""
-    return run(ControlNode, ControlSettings)
 
 
 if __name__ == "__main__":

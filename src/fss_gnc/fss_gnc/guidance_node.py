@@ -28,7 +28,6 @@ from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.pace import pace
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import COMMAND, LATCHED, command, subscribe_sensor
-from fss_arm_ros.run import run
 from fss_gnc import messages
 from fss_gnc.guidance import capture
 from fss_gnc.guidance.account import Account
@@ -44,6 +43,7 @@ from fss_gnc.guidance.activity import (
 from fss_gnc.guidance.kinds import KINDS, Kind
 from fss_gnc.guidance.mission_settings import MissionSettings
 from fss_gnc.latest import Latest
+from fss_gnc.programs import guidance as main
 from fss_gnc.reference import Body
 
 STEP = 0.25  # between points of base/trajectory [s]
@@ -296,11 +296,6 @@ def at_rest(n: int) -> Seen:
     """Base, target and n joints, all at zero."""
     body, zero = Body(np.zeros(3), np.zeros(3)), np.zeros(n)
     return Seen(0.0, body, body, zero, zero)
-
-
-def main() -> int:
-    """Run as `ros2 run fss_gnc guidance`."""
-    return run(GuidanceNode, MissionSettings)
 
 
 if __name__ == "__main__":

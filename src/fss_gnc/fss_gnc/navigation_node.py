@@ -26,12 +26,12 @@ from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.door import subscribe
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED, SENSOR, subscribe_sensor
-from fss_arm_ros.run import run
 from fss_arm_ros.stamps import SAMPLES, Stamps
 from fss_gnc.navigation import Navigation
 from fss_gnc.navigation.body_filter import POSE, RATE, BodyFilter
 from fss_gnc.navigation.messages import StateImage, TransformImage
 from fss_gnc.navigation.settings import NavigationSettings
+from fss_gnc.programs import navigation as main
 
 AHEAD = SECOND  # of what is expected: a stamp that is farther is believed if SAMPLES in a row are
 SILENT = SECOND // 2  # a gyro that is silent for longer is lost
@@ -249,11 +249,6 @@ class NavigationNode(Node):
 def mean(values: Any) -> float:
     """Of numbers; NaN: of none."""
     return sum(values) / len(values) if values else float("nan")
-
-
-def main() -> int:
-    """Run as `ros2 run fss_gnc navigation`."""
-    return run(NavigationNode, NavigationSettings)
 
 
 if __name__ == "__main__":

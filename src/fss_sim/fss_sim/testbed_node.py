@@ -23,9 +23,9 @@ from fss_arm_ros.convert import SECOND, to_time
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.parameters import declare, declare_live
 from fss_arm_ros.qos import SENSOR
-from fss_arm_ros.run import run
 from fss_sim.messages import ClockImage
 from fss_sim.pace import Clocked, FlatOut, Pace
+from fss_sim.programs import testbed as main
 from fss_sim.sensors import RATE
 from fss_sim.settings import TestbedSettings
 from fss_sim.testbed import FRAME, State, Testbed, step, together
@@ -265,11 +265,6 @@ def check_keys(vehicles: Sequence[VehicleTopics]) -> None:
     for one, other in combinations(vehicles, 2):
         if set(one.keys.values()) & set(other.keys.values()):
             raise SettingError(f"{one.name} and {other.name} have a key in common")
-
-
-def main() -> int:
-    """Entry point of `ros2 run fss_sim testbed`."""
-    return run(TestbedNode, TestbedSettings)
 
 
 if __name__ == "__main__":

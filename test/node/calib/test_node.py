@@ -10,11 +10,11 @@ from calib_toy import TOY
 from rclpy.parameter import Parameter
 
 from fss_arm_bags.recorder import Recording
-from fss_arm_calib.calibration_node import node_settings
 from fss_arm_calib.from_bag import main as from_bag
 from fss_arm_calib.from_bag import parser, solve_bag
 from fss_arm_calib.kinds import KINDS
 from fss_arm_calib.messages import common
+from fss_arm_calib.node_settings import node_settings
 from fss_arm_calib.recompute import again, recompute
 from fss_arm_calib.recompute import main as recompute_command
 from fss_arm_calib.state import StateError
@@ -293,7 +293,7 @@ def test_node_and_command_have_the_same_settings(kept, made):
         assert getattr(options, f.name) == f.default
         want = made.case.settings.get(f.name, f.default)
         assert node.get_parameter(f.name).value == want
-    assert {f.name for f in fields(node_settings(made.kind))} >= {
+    assert {f.name for f in fields(node_settings(made.kind.name, made.kind.settings))} >= {
         "frame_id", "state_file", "output", "report"
     }  # fmt: skip
 

@@ -8,12 +8,12 @@ from calib_kinds import serialized
 from calib_rig import ARM
 
 from fss_arm_bags.recorder import Recording
-from fss_arm_calib.calibration_node import node_settings
 from fss_arm_calib.dynamic.kind import DYNAMIC as DYNAMIC_KIND
 from fss_arm_calib.experiment.postures import DEFAULT
 from fss_arm_calib.kinematic.calibrate import calibrate
 from fss_arm_calib.kinematic.kind import observations_message, observations_of, to_message
 from fss_arm_calib.kinematic.settings import KinematicSettings
+from fss_arm_calib.node_settings import node_settings
 from fss_arm_calib.recompute import main
 from fss_arm_calib.segments.maneuvers import ManeuverFinder
 from fss_arm_calib.segments.rests import Observation
@@ -84,7 +84,9 @@ def test_dynamic_results_follow_from_their_maneuvers(tmp_path, capsys):
     """Given by a node's settings, of which it tells those that matter."""
     noise, settings = (
         (5e-4, 2e-3),
-        node_settings(DYNAMIC_KIND)(output="arm.yaml", heading_deviation=2e-3),
+        node_settings(DYNAMIC_KIND.name, DYNAMIC_KIND.settings)(
+            output="arm.yaml", heading_deviation=2e-3
+        ),
     )
     found = feed(ManeuverFinder(4), Float(postures(7, seed=5), noise=noise).samples())
     results = [DYNAMIC_KIND.calibrate(found[:k], ARM, settings) for k in (2, 6, 7)]

@@ -86,7 +86,7 @@ class Named(Node):
         return "after 2 of 3"
 
 def main():
-    return run(Named, Nothing)
+    return run(Named)
 """
 
 

@@ -15,6 +15,8 @@ from typing import get_type_hints
 import pytest
 import yaml
 
+from fss_arm_ros.program import Command, Program, named
+
 ROOT = Path(__file__).resolve().parents[3]
 PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))]
 #: Commands of the system and of ROS that the documentation may use.
@@ -108,20 +110,19 @@ def test_each_command_can_be_given(words):
 def check_node(package, executable, *arguments):
     """That the program exists and takes these arguments, parameters with their types and limits."""
     entry = distribution(package).entry_points[executable]
-    module = sys.modules[entry.load().__module__]
+    found = entry.load()
     if "--help" in arguments:
         return
     plain = arguments
     if "--ros-args" in arguments:
         plain = arguments[: arguments.index("--ros-args")]
-    if hasattr(module, "parser"):
+    if not isinstance(found, Program):
+        place = found.parser.partition(":")[0] if isinstance(found, Command) else found.__module__
+        module = import_module(place)
         kind = [module.asked(plain)] if hasattr(module, "asked") else []
         module.parser(*kind).parse_args(plain)
         return
-    if hasattr(module, "node_settings"):  # of a record
-        settings = module.node_settings(module.KINDS[executable])
-    else:
-        settings = getattr(module, f"{executable.title().replace('_', '')}Settings")
+    settings = named(found.settings)
     hints, given = get_type_hints(settings), {}
     for flag, word in pairwise(arguments):
         if flag == "-p":

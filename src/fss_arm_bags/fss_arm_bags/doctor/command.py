@@ -1,6 +1,5 @@
-"""Shows what bags hold and how healthy they are; repairs damage on request."""
+"""What the command `doctor` does."""
 
-import argparse
 import sys
 from collections.abc import Sequence
 from math import isnan
@@ -12,31 +11,12 @@ from rich.markup import escape
 from rich.table import Table
 
 from fss_arm_bags.doctor.health import Stream, findings, remark, streams
+from fss_arm_bags.doctor.options import parser
 from fss_arm_bags.doctor.repair import repair
 from fss_arm_bags.reader import BagError, Bags, find, open_bags
-from fss_arm_ros.command_line import Parser
 from fss_arm_ros.convert import seconds
 
 HEALTHY, UNREADABLE, ILL = 0, 1, 2
-
-
-def parser() -> argparse.ArgumentParser:
-    """The command line."""
-    p = Parser(
-        prog="doctor",
-        description=f"{__doc__} Exit code 0: healthy, or repaired to be so; 1: not readable; "
-        "2: damaged, or with findings.",
-    )
-    p.add_argument(
-        "bags", metavar="BAG", nargs="+", type=Path, help="a bag, or a folder of bags, taken as one"
-    )
-    p.add_argument(
-        "--repair",
-        action="store_true",
-        help="replace damaged bags by what can be recovered (not while they are recorded); "
-        "the damaged files are kept as *.damaged",
-    )
-    return p
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -20,8 +20,9 @@ from fss_arm_calib import state
 from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.experiment.design import Planned, from_yaml
 from fss_arm_calib.experiment.postures import default
+from fss_arm_calib.experiment.settings import ExperimentSettings
+from fss_arm_calib.programs import experiment as main
 from fss_arm_model.description import Arm, described
-from fss_arm_model.settings import FINITE, POSITIVE, Settings, like, setting
 from fss_arm_motion.guard import Guard, GuardError
 from fss_arm_motion.guard_settings import GuardSettings
 from fss_arm_msgs.action import MoveArm
@@ -31,51 +32,9 @@ from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.door import subscribe
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED
-from fss_arm_ros.run import run
 
 ROUNDS = 3  # of repeating the rejected rests, or a maneuver, at most
 STALL = 2.0  # of this process, after which only a person has the arm move on [s]
-
-
-@dataclass(frozen=True)
-class ExperimentSettings(Settings):
-    """The parameters of an ExperimentNode."""
-
-    arm: str = setting("", "description YAML of the arm; empty: the paper's arm")
-    postures: tuple[float, ...] = setting(
-        (), "joint readings of each posture, row after row; empty: chosen for the arm",
-        unit="rad", check=FINITE,
-    )  # fmt: skip
-    maneuvers: str = setting(
-        "", "file of maneuvers to make instead, as `design` writes it; empty: postures"
-    )
-    pause: float = setting(5.2, "rest before and after a maneuver", unit="s", check=POSITIVE)
-    tolerance: float = setting(
-        0.0175, "a posture observed this close is the one wanted", unit="rad", check=POSITIVE
-    )
-    rest: float = setting(3.0, "rest at each posture if nobody observes", unit="s", check=POSITIVE)
-    observation_timeout: float = setting(
-        20.0, "longest wait for an observation", unit="s", check=POSITIVE
-    )
-    retry: float = setting(
-        1.0, "wait before a move that failed is asked for again", unit="s", check=POSITIVE
-    )
-    silence: float = setting(
-        3.0, "a move without feedback for this long is lost", unit="s", check=POSITIVE
-    )
-    keep_alive: float = setting(
-        0.5, "silence of this node, in real time, that ends its move", unit="s", check=POSITIVE
-    )
-    base_radius: float = like(GuardSettings, "base_radius")
-    link_radius: float = like(GuardSettings, "link_radius")
-    margin: float = like(GuardSettings, "margin")
-    state_file: str = setting("", "progress is kept here across restarts; empty: nowhere")
-
-    def guarded(self) -> GuardSettings:
-        """What keeps the arm clear of itself; where the base is, the experiment does not know."""
-        return GuardSettings(
-            base_radius=self.base_radius, link_radius=self.link_radius, margin=self.margin
-        )
 
 
 @dataclass
@@ -392,11 +351,6 @@ def check(q: Floats, arm: Arm, guarded: GuardSettings) -> None:
             guard.check_path((0.0, 1.0), q[[max(k - 1, 0), k]], np.zeros((2, arm.n)))
         except GuardError as error:
             raise ValueError(f"postures: on the way to posture {k + 1}, {error}") from None
-
-
-def main() -> int:
-    """Run as `ros2 run fss_arm_calib experiment`."""
-    return run(ExperimentNode, ExperimentSettings)
 
 
 if __name__ == "__main__":

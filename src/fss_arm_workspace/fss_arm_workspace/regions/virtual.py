@@ -118,7 +118,6 @@ def base_mass_for(arm: Arm, radius: float) -> float:
     Raises:
         ValueError: no mass does; the message says between which radii R can be.
     """
-
     from scipy.optimize import brentq
 
     def excess(log_mass: float) -> float:

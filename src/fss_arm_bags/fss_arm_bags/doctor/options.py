@@ -1,0 +1,25 @@
+"""Shows what bags hold and how healthy they are; repairs damage on request."""
+
+import argparse
+from pathlib import Path
+
+from fss_arm_ros.command_line import Parser
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    p = Parser(
+        prog="doctor",
+        description=f"{__doc__} Exit code 0: healthy, or repaired to be so; 1: not readable; "
+        "2: damaged, or with findings.",
+    )
+    p.add_argument(
+        "bags", metavar="BAG", nargs="+", type=Path, help="a bag, or a folder of bags, taken as one"
+    )
+    p.add_argument(
+        "--repair",
+        action="store_true",
+        help="replace damaged bags by what can be recovered (not while they are recorded); "
+        "the damaged files are kept as *.damaged",
+    )
+    return p

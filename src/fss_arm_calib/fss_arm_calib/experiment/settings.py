@@ -1,0 +1,47 @@
+"""The parameters of the experiment."""
+
+from dataclasses import dataclass
+
+from fss_arm_model.settings import FINITE, POSITIVE, Settings, like, setting
+from fss_arm_motion.guard_settings import GuardSettings
+
+
+@dataclass(frozen=True)
+class ExperimentSettings(Settings):
+    """The parameters of an ExperimentNode."""
+
+    arm: str = setting("", "description YAML of the arm; empty: the paper's arm")
+    postures: tuple[float, ...] = setting(
+        (), "joint readings of each posture, row after row; empty: chosen for the arm",
+        unit="rad", check=FINITE,
+    )  # fmt: skip
+    maneuvers: str = setting(
+        "", "file of maneuvers to make instead, as `design` writes it; empty: postures"
+    )
+    pause: float = setting(5.2, "rest before and after a maneuver", unit="s", check=POSITIVE)
+    tolerance: float = setting(
+        0.0175, "a posture observed this close is the one wanted", unit="rad", check=POSITIVE
+    )
+    rest: float = setting(3.0, "rest at each posture if nobody observes", unit="s", check=POSITIVE)
+    observation_timeout: float = setting(
+        20.0, "longest wait for an observation", unit="s", check=POSITIVE
+    )
+    retry: float = setting(
+        1.0, "wait before a move that failed is asked for again", unit="s", check=POSITIVE
+    )
+    silence: float = setting(
+        3.0, "a move without feedback for this long is lost", unit="s", check=POSITIVE
+    )
+    keep_alive: float = setting(
+        0.5, "silence of this node, in real time, that ends its move", unit="s", check=POSITIVE
+    )
+    base_radius: float = like(GuardSettings, "base_radius")
+    link_radius: float = like(GuardSettings, "link_radius")
+    margin: float = like(GuardSettings, "margin")
+    state_file: str = setting("", "progress is kept here across restarts; empty: nowhere")
+
+    def guarded(self) -> GuardSettings:
+        """What keeps the arm clear of itself; where the base is, the experiment does not know."""
+        return GuardSettings(
+            base_radius=self.base_radius, link_radius=self.link_radius, margin=self.margin
+        )

@@ -1,0 +1,30 @@
+"""The parameters of the nodes of calibrations."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from fss_arm_calib.drift.settings import DriftSettings
+from fss_arm_calib.dynamic.settings import DynamicSettings
+from fss_arm_calib.kinematic.settings import KinematicSettings
+from fss_arm_model.settings import Settings, setting
+
+
+@dataclass(frozen=True)
+class NodeSettings(Settings):
+    """What the node of a calibration needs beside the settings of its kind."""
+
+    frame_id: str = setting("", "frame id of the results; empty: that of the kind")
+    state_file: str = setting("", "data are kept here across restarts; empty: nowhere")
+    output: str = setting("", "file to write whenever a calibration passes; empty: none")
+    report: str = setting("", "folder to write a report to when asked to solve; empty: none")
+
+
+def node_settings(name: str, kind: type[Settings]) -> type[Any]:
+    """The parameters of the node of a kind of calibration, by its name and settings."""
+    made = type(f"{name.title()}NodeSettings", (NodeSettings, kind), {})
+    return dataclass(frozen=True)(made)
+
+
+KinematicNodeSettings = node_settings("kinematic", KinematicSettings)
+DynamicNodeSettings = node_settings("dynamic", DynamicSettings)
+DriftNodeSettings = node_settings("drift", DriftSettings)

@@ -1,0 +1,24 @@
+"""The executables."""
+
+from fss_arm_ros.program import Command, Program
+
+kinematic = Program(
+    "fss_arm_calib.calibration_node:CalibrationNode",
+    "fss_arm_calib.node_settings:KinematicNodeSettings",
+    of="fss_arm_calib.kinds:KINEMATIC",
+)
+dynamic = Program(
+    "fss_arm_calib.calibration_node:CalibrationNode",
+    "fss_arm_calib.node_settings:DynamicNodeSettings",
+    of="fss_arm_calib.kinds:DYNAMIC",
+)
+drift = Program(
+    "fss_arm_calib.calibration_node:CalibrationNode",
+    "fss_arm_calib.node_settings:DriftNodeSettings",
+    of="fss_arm_calib.kinds:DRIFT",
+)
+experiment = Program(
+    "fss_arm_calib.experiment.experiment_node:ExperimentNode",
+    "fss_arm_calib.experiment.settings:ExperimentSettings",
+)
+recompute = Command("fss_arm_calib.recompute:main", "fss_arm_calib.recompute_options:parser")

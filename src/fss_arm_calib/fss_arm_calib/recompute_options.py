@@ -1,0 +1,13 @@
+"""Computes recorded results again from what was published with them: the command `recompute`."""
+
+import argparse
+
+from fss_arm_ros.command_line import Parser
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    p = Parser("recompute", description=__doc__)
+    p.add_argument("bags", nargs="+", metavar="BAG", help="bag, or folder of bags")
+    p.add_argument("--namespace", default="", help="of the vehicle, if the bag has several: fss2")
+    return p

@@ -1,0 +1,116 @@
+"""The executables: each tells what it is for without importing what it runs.
+
+A package lists its own in `programs.py`, by name: what runs is imported to run, and `--help` takes
+nothing but settings, or options, neither ROS nor what computes.
+"""
+
+import ast
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from importlib import import_module
+from importlib.util import find_spec
+from inspect import cleandoc
+from pathlib import Path
+from textwrap import indent
+from typing import Any
+
+from fss_arm_model.settings import meaning
+
+ALLOW = "allow_duplicate"
+ABOUT = "start beside a node that has the same name, or offers the same services, in the ROS domain"
+
+
+def named(place: str) -> Any:
+    """What stands at MODULE:NAME."""
+    module, _, name = place.partition(":")
+    return getattr(import_module(module), name)
+
+
+def docstring(place: str) -> str:
+    """That of the class or function at MODULE:NAME, read without importing the module."""
+    module, _, name = place.partition(":")
+    spec = find_spec(module)
+    source = Path(spec.origin if spec and spec.origin else "").read_text(encoding="utf-8")
+    kinds = (ast.ClassDef, ast.FunctionDef)
+    found = [one for one in ast.parse(source).body if isinstance(one, kinds) and one.name == name]
+    return cleandoc(ast.get_docstring(found[0]) or "")
+
+
+@dataclass(frozen=True)
+class Command:
+    """An executable that is no node; places are MODULE:NAME."""
+
+    main: str  # place of what runs it
+    parser: str  # place of what makes its argparse.ArgumentParser, in a module that imports little
+
+    @property
+    def about(self) -> str:
+        """What it is for."""
+        return import_module(self.parser.partition(":")[0]).__doc__ or ""
+
+    def __call__(self, args: Sequence[str] | None = None) -> int:
+        """Run it by a command line, sys.argv by default; returns the exit code."""
+        given = sys.argv[1:] if args is None else list(args)
+        if {"-h", "--help"} & set(given):
+            named(self.parser)().parse_args(given)
+        code: int = named(self.main)(given)
+        return code
+
+
+@dataclass(frozen=True)
+class Program:
+    """An executable that runs nodes; places are MODULE:NAME."""
+
+    make: str  # place of the node's class, or of a function that makes nodes; its words are shown
+    settings: str  # place of the dataclass that the node declares itself from
+    of: str = ""  # place of what the node is made of, if anything, with its own words in `about`
+    takes: str = ""  # what the plain arguments are, as `BAG...`; empty: there may be none
+    short: Mapping[str, str] = field(default_factory=dict)  # flags, each with its parameter
+
+    @property
+    def about(self) -> str:
+        """What it is for, in paragraphs."""
+        return "\n\n".join([*([named(self.of).about] if self.of else []), docstring(self.make)])
+
+    def usage(self, name: str) -> str:
+        """One screen of help: what the node does, its parameters with their defaults."""
+        plain = " ".join([name, self.takes, *(f"[{flag}]" for flag in self.short)])
+        lines = [" ".join(plain.split()) + " [--ros-args -p PARAMETER:=VALUE ...]", ""]
+        lines += [self.about, ""]
+        for f in fields(named(self.settings)):
+            lines += [f"  {f.name} (default {_shown(f.default)})", indent(meaning(f), "      ")]
+        lines += [f"  {ALLOW} (default false)", indent(ABOUT, "      ")]
+        return "\n".join(lines)
+
+    def __call__(self, args: Sequence[str] | None = None) -> int:
+        """Run it by a command line, sys.argv by default; returns the exit code."""
+        argv = list(sys.argv if args is None else args)
+        if {"-h", "--help"} & set(_plain(argv)):
+            print(self.usage(argv[0].rsplit("/", 1)[-1]))
+            return 0
+        for flag, parameter in self.short.items():
+            if flag in argv:
+                argv.remove(flag)
+                argv += ["--ros-args", "-p", parameter]
+        from fss_arm_ros.run import run
+
+        make, of = named(self.make), [named(self.of)] if self.of else []
+        return run(lambda *plain: make(*of, *plain), argv, self.takes)
+
+
+def _plain(argv: Sequence[str]) -> list[str]:
+    """The arguments that are not for ROS, which stand between `--ros-args` and `--`."""
+    plain, for_ros = [], False
+    for word in argv[1:]:
+        if word == "--ros-args" or (for_ros and word == "--"):
+            for_ros = not for_ros
+        elif not for_ros:
+            plain.append(word)
+    return plain
+
+
+def _shown(default: Any) -> str:
+    if isinstance(default, tuple):
+        return f"[{', '.join(map(_shown, default))}]"
+    return str(default).lower() if isinstance(default, bool) else str(default) or "''"

@@ -1,0 +1,42 @@
+"""Workspace and manipulability of an arm as the paper's Figures 6, 7 and 8, without ROS running."""
+
+import argparse
+
+from fss_arm_ros.command_line import Parser
+from fss_arm_workspace.analysis import AnalysisSettings
+from fss_arm_workspace.straight_path.redundancy import RULES
+
+EPILOG = "Exit codes: 0 done, 1 the command cannot be carried out."
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    p = Parser("map", description=__doc__, epilog=EPILOG)
+    p.add_argument(
+        "source", nargs="*", metavar="SOURCE",
+        help="description YAML, or bags with a calibration (default: the paper's arm)",
+    )  # fmt: skip
+    p.add_argument("--output", metavar="FOLDER", default="workspace", help="default: %(default)s")
+    default = AnalysisSettings()
+    p.add_argument(
+        "--cell", type=float, default=default.cell, metavar="M", help="size of a map's cell [m] "
+        "(default: %(default)s)",
+    )  # fmt: skip
+    p.add_argument(
+        "--rule", choices=RULES[:3], default=default.redundancy, help="how straight paths use the "
+        "redundancy (default: %(default)s)",
+    )  # fmt: skip
+    p.add_argument(
+        "--start", type=float, nargs="+", metavar="DEG", help="joint readings from which straight "
+        "paths begin [deg] (default: an arch)",
+    )  # fmt: skip
+    p.add_argument(
+        "--table", type=float, nargs=4, default=default.table, metavar="M", help="on which "
+        "straight paths run: low x, low y, high x, high y (default: %(default)s)",
+    )  # fmt: skip
+    p.add_argument(
+        "--true-angle", action="store_true", help="joint limits hold for q + theta_0, not for the "
+        "encoder's reading q",
+    )  # fmt: skip
+    p.add_argument("--workers", type=int, default=1, metavar="N", help="threads to use")
+    return p

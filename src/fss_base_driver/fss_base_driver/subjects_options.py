@@ -1,0 +1,20 @@
+"""The command `subjects`: which subjects are seen, how often, how late and how steadily."""
+
+import argparse
+
+from fss_arm_ros.command_line import Parser
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    command = Parser(
+        prog="subjects",
+        description="Which subjects motion capture sees: rate, jitter of the stamps, latency from "
+        "stamp to arrival here (right if both computers' clocks agree), longest gap, mean pose.",
+        epilog="Exit codes: 0 poses were heard, 1 none.",
+    )
+    command.add_argument(
+        "--seconds", type=float, default=5.0, help="how long to listen (default 5)"
+    )
+    command.add_argument("--prefix", default="vicon", help="of the topics (default vicon)")
+    return command

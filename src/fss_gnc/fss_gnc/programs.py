@@ -1,0 +1,13 @@
+"""The executables that run nodes."""
+
+from fss_arm_ros.program import Program
+
+control = Program("fss_gnc.control_node:ControlNode", "fss_gnc.control.settings:ControlSettings")
+guidance = Program(
+    "fss_gnc.guidance_node:GuidanceNode",
+    "fss_gnc.guidance.mission_settings:MissionSettings",
+)
+navigation = Program(
+    "fss_gnc.navigation_node:NavigationNode",
+    "fss_gnc.navigation.settings:NavigationSettings",
+)

@@ -1,0 +1,5 @@
+"""The executables that run nodes."""
+
+from fss_arm_ros.program import Program
+
+testbed = Program("fss_sim.testbed_node:TestbedNode", "fss_sim.settings:TestbedSettings")

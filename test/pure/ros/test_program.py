@@ -1,0 +1,87 @@
+"""What executables import: little to tell what they are for, nothing that computes to begin."""
+
+import subprocess
+import sys
+from importlib.metadata import distribution
+from inspect import getdoc
+from pathlib import Path
+
+import pytest
+
+from fss_arm_ros.program import Command, Program, docstring, named
+
+PACKAGES = sorted(path.parent.name for path in Path(__file__).parents[3].glob("src/*/setup.py"))
+EXECUTABLES = [entry for package in PACKAGES for entry in distribution(package).entry_points]
+PROGRAMS = [entry for entry in EXECUTABLES if isinstance(entry.load(), Program)]
+COMPUTING = {"numba", "scipy", "matplotlib", "rerun"}
+
+HELP = """
+import contextlib, io, sys
+from importlib.metadata import distribution
+for entry in distribution(sys.argv[1]).entry_points:
+    sys.argv = [entry.name, "--help"]
+    with contextlib.redirect_stdout(io.StringIO()) as told, contextlib.suppress(SystemExit):
+        entry.load()()
+    assert entry.name in told.getvalue()
+print(*sys.modules)
+"""
+
+
+def loaded(code, *arguments):
+    command = [sys.executable, "-c", code, *arguments]
+    run = subprocess.run(command, capture_output=True, text=True, check=True)
+    return set(run.stdout.split())
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_help_imports_neither_ros_nor_what_computes(package):
+    assert not loaded(HELP, package) & {*COMPUTING, "rclpy"}
+
+
+def test_nodes_import_nothing_that_computes_before_they_are_made():
+    """But the view, which draws."""
+    made = {one.load().make.partition(":")[0] for one in PROGRAMS if one.name != "view"}
+    modules = loaded(f"import sys, {', '.join(sorted(made))}; print(*sys.modules)")
+    assert not modules & COMPUTING
+
+
+@pytest.mark.parametrize("entry", PROGRAMS, ids=lambda entry: entry.name)
+def test_help_has_the_words_of_what_it_runs(entry):
+    program = entry.load()
+    assert docstring(program.make) == getdoc(named(program.make))
+    assert docstring(program.make)
+    assert named(program.settings)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["--help"], True),
+        (["bag", "-h"], True),
+        (["--ros-args", "-p", "a:=1", "--", "--help"], True),
+        (["--ros-args", "-r", "--help"], False),
+        ([], False),
+    ],
+)
+def test_help_is_for_plain_arguments(monkeypatch, capsys, arguments, told):
+    ran = []
+    monkeypatch.setattr("fss_arm_ros.run.run", lambda make, argv, takes: ran.append(argv) or 0)
+    program = Program(
+        "fss_arm_bags.replay_node:ReplayNode", "fss_arm_bags.settings:ReplaySettings",
+        takes="BAG...", short={"--hold": "hold:=true"},
+    )  # fmt: skip
+    assert program(["lib/replay", *arguments]) == 0
+    assert bool(ran) != told
+    assert ("replay BAG... [--hold] [--ros-args" in capsys.readouterr().out) == told
+
+
+def test_a_flag_is_short_for_its_parameter(monkeypatch):
+    ran = []
+    monkeypatch.setattr("fss_arm_ros.run.run", lambda make, argv, takes: ran.append(argv) or 3)
+    program = Program("collections:Counter", "collections:Counter", short={"--hold": "hold:=true"})
+    assert program(["replay", "--hold", "bag"]) == 3
+    assert ran == [["replay", "bag", "--ros-args", "-p", "hold:=true"]]
+
+
+def test_a_command_runs_with_its_arguments():
+    assert Command("builtins:len", "argparse:ArgumentParser")(["a", "b"]) == 2
