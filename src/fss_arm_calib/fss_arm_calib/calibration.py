@@ -79,6 +79,7 @@ class Calibration(Generic[D, C]):
     stale: Callable[[Outcome[D, Any], Streams], str] = lambda *_: ""  # why a result holds no more
     health: Callable[[Any], Mapping[str, object]] = field(default=lambda _: {})  # of the finder
     lacks: Mapping[str, str] = field(default_factory=dict)  # what it cannot have, and why
+    after: tuple[str, ...] = ()  # topics of results that it begins from
 
     def report_of(self, outcome: Outcome[D, Any], truth: Arm | None = None) -> Report:
         """The report of an outcome, with what such a calibration cannot have.

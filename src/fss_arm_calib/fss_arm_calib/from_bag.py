@@ -6,21 +6,23 @@ from argparse import BooleanOptionalAction
 from collections.abc import Iterable, Sequence
 from dataclasses import fields
 from os import PathLike
+from pathlib import Path
 from typing import Any, TypeVar
 
 from rich.console import Console
 
 from fss_arm_bags.bulk import pieces
 from fss_arm_bags.reader import BagError, Bags, digest, open_bags
-from fss_arm_calib import report
+from fss_arm_calib import report, result
 from fss_arm_calib.acceptance import FAIL, NOT_EVALUATED, PASS
 from fss_arm_calib.calibration import Calibration, Finder, Input
 from fss_arm_calib.kinds import KINDS
 from fss_arm_calib.outcome import Datum, Outcome
 from fss_arm_calib.segments.streams import newest
 from fss_arm_calib.settings import CalibrationSettings
-from fss_arm_model.description import described, load
+from fss_arm_model.description import Arm, described, from_yaml, load
 from fss_arm_model.settings import default_in, meaning
+from fss_arm_ros.calibrated import with_kinematics_of
 from fss_arm_ros.command_line import USER_ERROR, Parser
 from fss_arm_ros.convert import SECOND
 
@@ -41,6 +43,7 @@ def solve_bag(
     paths: str | PathLike[str] | Iterable[str | PathLike[str]],
     settings: C | None = None,
     namespace: str = "",
+    arm: Arm | None = None,
 ) -> Outcome[D, Any]:
     """Find the data in one or several bags, and calibrate, as the node does on live topics.
 
@@ -49,6 +52,7 @@ def solve_bag(
         paths: the bags'.
         settings: those of the kind by default.
         namespace: of the vehicle whose data they are, as `fss2`.
+        arm: to begin from; that of the settings by default.
 
     Raises:
         BagError: a bag cannot be read or lacks a topic.
@@ -56,11 +60,36 @@ def solve_bag(
         OSError: a file cannot be read.
     """
     s = settings or kind.settings(**defaults(kind.settings, namespace))
-    arm = described(s.arm)
+    arm = arm or described(s.arm)
     finder = kind.finder(arm.n, s, [])
     with open_bags(paths) as bags:
         found = newest(fed(bags, finder, kind.inputs(s, arm.n), s.horizon, namespace), kind.most(s))
         return kind.calibrate(found, arm, s, finder.streams(), source(bags))
+
+
+def begun_from(kinematic: str, arm: str, options: argparse.Namespace, namespace: str = "") -> Arm:
+    """The arm that a kinematic calibration leaves: of its result, or made here from a bag.
+
+    Args:
+        kinematic: a result as JSON, or a bag.
+        arm: description of what such a calibration does not estimate.
+        options: settings that it has in common with what follows.
+        namespace: of the vehicle.
+
+    Raises:
+        ValueError: there is no such result, or it has not passed.
+        OSError: a file cannot be read.
+    """
+    own = described(arm)
+    if Path(kinematic).suffix == ".json":
+        return with_kinematics_of(result.arm_of(kinematic, DEFAULT), own)
+    kind = KINDS[DEFAULT]
+    given = defaults(kind.settings, namespace)
+    given |= {name: getattr(options, name) for name in ("arm", "joints_topic", "base_topic")}
+    found = solve_bag(kind, kinematic, kind.settings(**given), namespace)
+    if found.verdict != PASS:
+        raise ValueError(f"kinematics by {kinematic}: {found.verdict}: {found.reason}")
+    return with_kinematics_of(from_yaml(found.description), own)
 
 
 def source(bags: Bags) -> str:
@@ -134,6 +163,14 @@ def parser(kind: Calibration[Any, Any], namespace: str = "") -> argparse.Argumen
             about = f"{other.about} See --{other.name} --help"
             p.add_argument(f"--{other.name}", action="store_true", help=about)
     p.add_argument("--output", metavar="FILE", help=f"write the {kind.written}, if it passes")
+    p.add_argument(
+        "--result", metavar="JSON", help="write the result, whatever its verdict; a CSV beside it"
+    )
+    if kind.after:
+        p.add_argument(
+            "--kinematic", metavar="FROM", help="begin from a kinematic calibration, with its "
+            "covariance: its result as JSON, or a bag to make it from",
+        )  # fmt: skip
     p.add_argument("--report", metavar="DIR", help="write a page to read, and its drawings as PNG")
     p.add_argument(
         "--truth", metavar="YAML", help="description to compare with, in the report only"
@@ -168,7 +205,7 @@ def add_settings(
 
 def asked(args: Sequence[str]) -> Calibration[Any, Any]:
     """The kind of calibration that a command line asks for."""
-    found = [kind for kind in KINDS.values() if f"--{kind.name}" in args]
+    found = [k for k in KINDS.values() if k.name != DEFAULT and f"--{k.name}" in args]
     return found[0] if found else KINDS[DEFAULT]
 
 
@@ -178,7 +215,12 @@ def calibrated(
     """Solve, show and write what was asked for."""
     truth = load(options.truth) if options.truth else None
     settings = kind.settings(**{f.name: getattr(options, f.name) for f in fields(kind.settings)})
-    outcome = solve_bag(kind, options.bags, settings, options.namespace)
+    arm = None
+    if kind.after and options.kinematic:
+        arm = begun_from(options.kinematic, settings.arm, options, options.namespace)
+    outcome = solve_bag(kind, options.bags, settings, options.namespace, arm)
+    if options.result:
+        result.write(options.result, kind.name, outcome)
     found = kind.report_of(outcome, truth)
     console.print(report.printed(found))
     if options.report:

@@ -108,4 +108,5 @@ DRIFT = Calibration(
     lacks={
         "time offset": "within a drift the arm rests: an offset of the clocks moves nothing",
     },
+    after=("calibration/kinematic", "calibration/dynamic"),
 )  # fmt: skip

@@ -132,4 +132,5 @@ DYNAMIC = Calibration(
     to_message=to_message,
     numbers=("combination_values", "momenta"),
     report=dynamic_report,
+    after=("calibration/kinematic",),
 )  # fmt: skip
