@@ -7,9 +7,11 @@ Of an arm of n links they are, in this order,
     m_i, b_i, I_i                 the links: mass, centre of mass to the next joint, inertia
 """
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
+import numpy.typing as npt
 
 from .description import Arm
 from .layout import BASE_SIZE, LINK_SIZE, Floats, kinematic_index, kinematic_names
@@ -46,3 +48,19 @@ def values(arm: Arm) -> Floats:
     vector, links = arm.vector(), arm.links
     own = [[k.mass for k in links], [k.b for k in links], [k.inertia for k in links]]
     return np.concatenate([vector[:4], vector[kinematic_index(arm.n)], *own])
+
+
+def with_values(arm: Arm, v: npt.ArrayLike) -> Arm:
+    """The arm with other values of the parameters, (5 n + 6,).
+
+    Raises:
+        DescriptionError: a value cannot be right.
+    """
+    n, given = arm.n, np.asarray(v, dtype=float).tolist()
+    arm = arm.with_kinematics(given[4 : 2 * n + 6])
+    m, b, inertia = (given[2 * n + 6 + k * n : 3 * n + 6 + k * n] for k in range(3))
+    links = tuple(
+        replace(link, mass=m[i], b=b[i], inertia=inertia[i]) for i, link in enumerate(arm.links)
+    )
+    base = replace(arm.base, mass=given[0], inertia=given[1], com=(given[2], given[3]))
+    return replace(arm, base=base, links=links)

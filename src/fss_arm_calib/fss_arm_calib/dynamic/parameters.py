@@ -1,8 +1,8 @@
 """What a dynamic calibration may estimate or assume, by name, and how well it was known before.
 
-A choice of the parameters, those of fss_arm_model.parameters, is written as words: a name; `b_i` for
-that of each link; `I` for one value that all links share; `com_0` and `mount` for the base's centre
-of mass and for the first joint's place.
+A choice of the parameters, those of fss_arm_model.parameters, is written as words: a name; `b_i`
+for that of each link; `I` for one value that all links share; `com_0` and `mount` for the base's
+centre of mass and for the first joint's place.
 """
 
 from dataclasses import dataclass

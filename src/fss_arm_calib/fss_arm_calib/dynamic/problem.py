@@ -35,7 +35,8 @@ from fss_arm_calib.estimation.least_squares import (
 )
 from fss_arm_calib.estimation.statistics import redundancy
 from fss_arm_model.base_motion import Path, base_pose_sensitivities, base_poses
-from fss_arm_model.description import Arm, Base, Known
+from fss_arm_model.description import Arm, Known
+from fss_arm_model.parameters import with_values
 
 TILT = ("g_x", "g_y")  # acceleration of a free body down the table, world axes
 
@@ -212,13 +213,16 @@ class DynamicProblem:
             unknowns: all of them.
             columns: (8 + 6 n + 8, c) what the regressor is by, as to_model.
         """
-        states = self.states(unknowns)
-        poses, J = base_pose_sensitivities(self.vector(unknowns), self.path, states)
+        return self.observed(self.vector(unknowns), self.states(unknowns), columns)
+
+    def observed(self, vector: Floats, states: Floats, columns: Floats) -> Linear:
+        """The same near an arm, Arm.vector(), and states (M, 8)."""
+        poses, J = base_pose_sensitivities(vector, self.path, states)
         count = len(poses)
         rows = J.reshape(count, -1, J.shape[-1])[:, self.looked_at] * self.weight[..., None]
         away = (self.poses - poses).reshape(count, -1)[:, self.looked_at]
         r = np.where(self.weight > 0.0, away, 0.0) * self.weight
-        A, B = rows @ columns, rows[..., len(self.origin) : -2][..., self.own]
+        A, B = rows @ columns, rows[..., len(vector) : -2][..., self.own]
         if self.moving.size:
             sigma = self.momentum[self.moving]
             r = np.concatenate([r, -states[:, 3 + self.moving] / sigma], axis=1)
@@ -434,15 +438,8 @@ class DynamicResult:
         """
         arm, basis = self.problem.arm, self.problem.choice.basis
         x = basis @ self.values[: basis.shape[1]]
-        v = np.where(basis.any(axis=1), x, values(arm)).tolist()
-        n = arm.n
-        arm = arm.with_kinematics(v[4 : 2 * n + 6])
-        m, b, inertia = (v[2 * n + 6 + k * n : 3 * n + 6 + k * n] for k in range(3))
-        links = tuple(
-            replace(link, mass=m[i], b=b[i], inertia=inertia[i]) for i, link in enumerate(arm.links)
-        )
-        base: Base = replace(arm.base, mass=v[0], inertia=v[1], com=(v[2], v[3]))
-        return replace(arm, base=base, links=links, known=self.known)
+        found = with_values(arm, np.where(basis.any(axis=1), x, values(arm)))
+        return replace(found, known=self.known)
 
 
 def underway(problem: DynamicProblem) -> Floats:
