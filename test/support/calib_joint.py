@@ -1,5 +1,6 @@
 """Sessions of rests, maneuvers and drifts of one simulated arm, and what is true of them."""
 
+from math import radians
 from typing import NamedTuple
 
 import numpy as np
@@ -23,14 +24,15 @@ BIN, FRAMES = 0.5, 50
 PERIOD = 0.2  # of telemetry [s]
 REST = 2.0  # before and after a maneuver [s]
 
-# What the data are drawn by, and judged by. A laboratory that sees its arm to a millimetre.
+# What the data are drawn by, and judged by: a laboratory that sees its arm well.
+CAMERAS = {"position_deviation": 0.0005, "heading_deviation": radians(0.1), "fresh_rate": 100.0}
 KINEMATIC = KinematicSettings(
-    parametrization="full", position_deviation=0.001, heading_deviation=np.radians(0.1)
+    parametrization="full", position_deviation=0.001, heading_deviation=radians(0.1)
 )
 DYNAMIC = DynamicSettings(
-    momentum_deviation=0.1, spin_deviation=0.02, tilt_deviation=np.radians(0.005)
+    momentum_deviation=0.1, spin_deviation=0.02, tilt_deviation=radians(0.005), **CAMERAS
 )
-DRIFT = DriftSettings(torque_deviation=0.002, twist_deviation=0.003, drag_deviation=0.02)
+DRIFT = DriftSettings(torque_deviation=0.002, twist_deviation=0.003, drag_deviation=0.02, **CAMERAS)
 SETTINGS = {"kinematic": KINEMATIC, "dynamic": DYNAMIC, "drift": DRIFT}
 SURROUNDINGS = np.array([
     *[GRAVITY * DYNAMIC.tilt_deviation] * 2,

@@ -103,11 +103,19 @@ class Calibration(Generic[D, C]):
         Raises:
             OSError: it cannot be written.
         """
-        write_text(path, self.output(outcome))
-        if self.has_urdf:
-            write_text(Path(path).with_suffix(".urdf"), urdf(from_yaml(outcome.description)))
+        write_described(path, outcome) if self.has_urdf else write_text(path, self.output(outcome))
 
     @property
     def topic(self) -> str:
         """Where its results are published."""
         return f"calibration/{self.name}"
+
+
+def write_described(path: str, outcome: Outcome[Any, Any]) -> None:
+    """Write the description of what has passed, and its URDF beside it.
+
+    Raises:
+        OSError: they cannot be written.
+    """
+    write_text(path, outcome.description)
+    write_text(Path(path).with_suffix(".urdf"), urdf(from_yaml(outcome.description)))

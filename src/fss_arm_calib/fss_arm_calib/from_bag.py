@@ -3,7 +3,7 @@
 import argparse
 import sys
 from argparse import BooleanOptionalAction
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import fields
 from os import PathLike
 from pathlib import Path
@@ -15,7 +15,7 @@ from fss_arm_bags.bulk import pieces
 from fss_arm_bags.reader import BagError, Bags, digest, open_bags
 from fss_arm_calib import report, result
 from fss_arm_calib.acceptance import FAIL, NOT_EVALUATED, PASS
-from fss_arm_calib.calibration import Calibration, Finder, Input
+from fss_arm_calib.calibration import Calibration, Finder, Input, write_described
 from fss_arm_calib.kinds import KINDS
 from fss_arm_calib.outcome import Datum, Outcome
 from fss_arm_calib.segments.streams import newest
@@ -126,11 +126,11 @@ def fed(
     return found + finder.close()
 
 
-def name(bags: Bags, one: Input, namespace: str = "") -> str:
+def name(bags: Bags, one: Input, namespace: str = "", needed: bool = True) -> str:
     """The name of an input's topic, as in the bags: in the namespace, unless it begins with `/`.
 
     Raises:
-        BagError: it is missing or of another type.
+        BagError: it is of another type, or missing and needed.
     """
     within = namespace.strip("/")
     topic = (
@@ -138,7 +138,7 @@ def name(bags: Bags, one: Input, namespace: str = "") -> str:
     )
     if topic in bags.topics and bags.topics[topic].msgtype != one.type:
         raise BagError(f"{topic} is of type {bags.topics[topic].msgtype}, expected {one.type}")
-    if topic not in bags.topics and one.needed:
+    if topic not in bags.topics and one.needed and needed:
         there = ", ".join(bags.topics) or "no topics"
         where = ", ".join(map(str, bags.paths))
         raise BagError(f"no {topic} in {where}, which has {there}{hint(bags, one.topic)}")
@@ -162,23 +162,28 @@ def parser(kind: Calibration[Any, Any], namespace: str = "") -> argparse.Argumen
         if other.name != DEFAULT:
             about = f"{other.about} See --{other.name} --help"
             p.add_argument(f"--{other.name}", action="store_true", help=about)
-    p.add_argument("--output", metavar="FILE", help=f"write the {kind.written}, if it passes")
-    p.add_argument(
-        "--result", metavar="JSON", help="write the result, whatever its verdict; a CSV beside it"
-    )
+    outputs(p, kind.written)
     if kind.after:
         p.add_argument(
             "--kinematic", metavar="FROM", help="begin from a kinematic calibration, with its "
             "covariance: its result as JSON, or a bag to make it from",
         )  # fmt: skip
+    add_settings(p, kind.settings)
+    p.set_defaults(**defaults(kind.settings, namespace))
+    return p
+
+
+def outputs(p: argparse.ArgumentParser, written: str) -> None:
+    """Options that every estimate from bags has: what to write, and of whom."""
+    p.add_argument("--output", metavar="FILE", help=f"write the {written}, if it passes")
+    p.add_argument(
+        "--result", metavar="JSON", help="write the result, whatever its verdict; a CSV beside it"
+    )
     p.add_argument("--report", metavar="DIR", help="write a page to read, and its drawings as PNG")
     p.add_argument(
         "--truth", metavar="YAML", help="description to compare with, in the report only"
     )
     p.add_argument("--namespace", default="", help="of the vehicle, if the bag has several: fss2")
-    add_settings(p, kind.settings)
-    p.set_defaults(**defaults(kind.settings, namespace))
-    return p
 
 
 def add_settings(
@@ -219,20 +224,44 @@ def calibrated(
     if kind.after and options.kinematic:
         arm = begun_from(options.kinematic, settings.arm, options, options.namespace)
     outcome = solve_bag(kind, options.bags, settings, options.namespace, arm)
-    if options.result:
-        result.write(options.result, kind.name, outcome)
-    found = kind.report_of(outcome, truth)
+    told(
+        outcome,
+        kind.report_of(outcome, truth),
+        kind.name,
+        options,
+        console,
+        kind.write,
+        kind.written,
+    )
+    return outcome
+
+
+def told(
+    outcome: Outcome[Any, Any],
+    found: report.Report,
+    kind: str,
+    options: argparse.Namespace,
+    console: Console,
+    write: Callable[[str, Outcome[Any, Any]], None] = write_described,
+    written: str = "calibrated description",
+) -> None:
+    """Show a result, and write what was asked for.
+
+    Raises:
+        OSError: it cannot be written.
+    """
     console.print(report.printed(found))
+    if options.result:
+        result.write(options.result, kind, outcome)
     if options.report:
         page = report.write(options.report, found)
         console.print(f"report written to {page}", soft_wrap=True)
     if options.output and outcome.verdict == PASS:
-        kind.write(options.output, outcome)
-        console.print(f"{kind.written} written to {options.output}", soft_wrap=True)
+        write(options.output, outcome)
+        console.print(f"{written} written to {options.output}", soft_wrap=True)
     elif options.output:
         reason = f"as the verdict is {outcome.verdict}"
         console.print(f"{options.output} not written, {reason}", soft_wrap=True)
-    return outcome
 
 
 def main(args: Sequence[str] | None = None) -> int:

@@ -140,13 +140,14 @@ class JointProblem:
         """Where a session's own parameters stand among all unknowns."""
         return self._places[session][0]
 
-    def start(self, moved: Sequence[Floats] = ()) -> Floats:
-        """All unknowns to begin with: the guess, and what the data's own then must have been.
+    def start(self, moved: Sequence[Floats] = (), arm: Floats | None = None) -> Floats:
+        """All unknowns to begin with, and what the data's own then must have been.
 
         Args:
             moved: each session's own parameters; 0 by default.
+            arm: (p,) parameters of the arm; the guess by default.
         """
-        parts = [self.guess]
+        parts = [self.guess if arm is None else arm]
         for k, session in enumerate(self.sessions):
             parts.append(moved[k] if moved else np.zeros(len(self.own_names(k))))
             parts += [evidence.begin() for evidence in session.values()]
