@@ -42,7 +42,7 @@ def problem_of(
         pose[: len(one.marks)] = one.poses
         fresh = np.minimum(one.frames, np.maximum(1.0, s.fresh_rate * np.array(one.seconds)))
         spread[: len(one.marks)] = deviations / np.sqrt(fresh)[:, None]
-    return known_beforehand(arm, s, stack([one.path() for one in maneuvers]), poses, sigma)
+    return known_beforehand(arm, s, stack([one.path for one in maneuvers]), poses, sigma)
 
 
 def known_beforehand(

@@ -12,7 +12,6 @@ from fss_arm_calib.acceptance import (
     FAIL,
     NOT_EVALUATED,
     PASS,
-    TOLERANCE,
     Check,
     at_most,
     by_chance,
@@ -24,7 +23,13 @@ from fss_arm_calib.acceptance import (
 from fss_arm_calib.calibration import Calibration
 from fss_arm_calib.dynamic.parameters import Choice
 from fss_arm_calib.estimation.least_squares import Floats
-from fss_arm_calib.joint.problem import MAX_CONDITION, JointProblem, JointResult, solve
+from fss_arm_calib.joint.problem import (
+    MAX_CONDITION,
+    TOLERANCE,
+    JointProblem,
+    JointResult,
+    solve,
+)
 from fss_arm_calib.joint.settings import JointSettings
 from fss_arm_calib.outcome import LIVE, Datum, Estimate, Outcome, concluded
 from fss_arm_calib.segments.rests import homed
@@ -184,7 +189,7 @@ def calibrate(
     estimate = Estimate(names, problem.units, problem.guess)
     if found:
         start = begin(problem, [stage.arm for _, stage in found])
-        result = solve(problem, start, tolerance=TOLERANCE)
+        result = solve(problem, start)
         numbers = tuple({kind: len(some) for kind, some in data.items()} for data in used)
         solution = Solution(result, tuple(one.name for one, _ in found), numbers)
         found_checks += evaluate(result, s)
@@ -232,7 +237,7 @@ def evaluate(r: JointResult, s: JointSettings) -> list[Check]:
     ]  # fmt: skip
     return [
         quiet(determined(r.undetermined, missing, m.basis.condition, MAX_CONDITION)),
-        converged(m.converged, m.iterations, m.last_update),
+        converged(m.converged, m.iterations, m.last_update, TOLERANCE),
         Check("bounds", FAIL if held else PASS, len(held), 0, words),
         by_chance(
             "fit", m.linear.cost, problem.degrees_of_freedom, s.min_probability,

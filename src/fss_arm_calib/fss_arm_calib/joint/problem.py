@@ -37,6 +37,7 @@ from fss_arm_model.parameters import parameter_names, to_vector, unit, values, w
 
 #: Beyond this condition number of the column-scaled regressor rounding has the say.
 MAX_CONDITION = 1e6
+TOLERANCE = 1e-5  # of the last update [deviations]; differences as derivatives err by less
 NOTICEABLE = 1e-6  # share of a parameter in undetermined directions from which on it is named
 FIRST = 2  # iterations of the data's own unknowns alone
 
@@ -316,7 +317,6 @@ def solve(
     problem: JointProblem,
     start: Floats | None = None,
     bounded: bool = True,
-    tolerance: float = 1e-7,
 ) -> JointResult:
     """The most probable values of all unknowns.
 
@@ -324,13 +324,12 @@ def solve(
         problem: the data and what is known.
         start: all unknowns; problem.start() by default.
         bounded: keep to problem.bounds; deviations are true where none is active.
-        tolerance: the update below which it has converged, in the parameter's deviations.
     """
     begin = problem.start() if start is None else start
     bounds = problem.bounds if bounded else None
     return JointResult(
         problem,
         minimize(
-            problem.linearize, begin, bounds, tolerance=tolerance, max_condition=MAX_CONDITION
+            problem.linearize, begin, bounds, tolerance=TOLERANCE, max_condition=MAX_CONDITION
         ),
     )
