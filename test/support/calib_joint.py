@@ -1,21 +1,27 @@
 """Sessions of rests, maneuvers and drifts of one simulated arm, and what is true of them."""
 
+from dataclasses import replace
 from math import radians
 from typing import NamedTuple
 
 import numpy as np
 
 from fss_arm_calib.drift.settings import DriftSettings
+from fss_arm_calib.dynamic.problem import solve as solve_dynamics
 from fss_arm_calib.dynamic.settings import DynamicSettings
+from fss_arm_calib.dynamic.solution import problem_of as dynamic_problem
+from fss_arm_calib.kinematic.problem import solve as fit_kinematics
 from fss_arm_calib.kinematic.settings import KinematicSettings
+from fss_arm_calib.kinematic.solution import problem_of as kinematic_problem
 from fss_arm_calib.segments.drifts import Drift
 from fss_arm_calib.segments.maneuvers import Maneuver
 from fss_arm_calib.segments.rests import Observation
 from fss_arm_model import base_motion
-from fss_arm_model.description import Arm, kinematic_index, paper_arm
+from fss_arm_model.description import Arm, Known, kinematic_index, paper_arm
 from fss_arm_model.drifting import drift, whole
 from fss_arm_model.kinematics import tip_in_base
-from fss_arm_model.parameters import values, with_values
+from fss_arm_model.parameters import parameter_names, values, with_values
+from fss_arm_model.planar import wrap
 from fss_arm_model.units import GRAVITY
 
 ARM = paper_arm()
@@ -150,3 +156,37 @@ def day(arm, rng, counts=(13, 12, 3), zeros=0.0, number=0) -> Day:
         "drift": drifts(arm, counts[2], rng, acting, start),
     }
     return Day({kind: some for kind, some in data.items() if some}, moved, acting)
+
+
+ROUGH = replace(KINEMATIC, **{
+    name: getattr(KinematicSettings(), name) for name in ("position_deviation", "heading_deviation")
+})  # fmt: skip  # as the paper's rests
+
+
+def errors(names, found, truth):
+    """Of some of an arm's parameters, angles wrapped."""
+    true = dict(zip(parameter_names(truth.n), values(truth), strict=True))
+    error = np.array([x - true[name] for name, x in zip(names, found, strict=True)])
+    angles = np.array([name.startswith("theta") for name in names])
+    return np.where(angles, wrap(error), error)
+
+
+def nees(names, found, covariance, truth):
+    """Normalized squared error a parameter."""
+    error = errors(names, found, truth)
+    return error @ np.linalg.solve(covariance[: len(error), : len(error)], error) / len(error)
+
+
+def kinematics(rests, guess=ARM, s=KINEMATIC):
+    """The arm that a kinematic calibration leaves, with its covariance."""
+    return fit_kinematics(kinematic_problem(rests, guess, s)).calibrated()
+
+
+def dynamics(maneuvers, arm, s=DYNAMIC):
+    """What a dynamic calibration finds that begins from an arm; no bound is in force."""
+    return solve_dynamics(dynamic_problem(maneuvers, arm, s), bounded=False)
+
+
+def forgotten(arm):
+    """An arm of which nobody has told how well its kinematics are known."""
+    return replace(arm, known=Known())
