@@ -56,7 +56,7 @@ def of_kinds(path: str | None, namespace: str) -> dict[str, Any]:
         OSError: it cannot be read.
     """
     given: Any = read_yaml(Path(path)) if path else {}
-    if not isinstance(given, Mapping):
+    if not isinstance(given, dict) or not all(isinstance(one, dict) for one in given.values()):
         raise ContentError(f"{path}: it", given, f"settings of {', '.join(KINDS)}")
     found = {}
     for kind in KINDS.values():
