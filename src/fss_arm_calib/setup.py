@@ -23,6 +23,7 @@ setup(
             "dynamic = fss_arm_calib.programs:dynamic",
             "experiment = fss_arm_calib.programs:experiment",
             "from_bag = fss_arm_calib.from_bag:main",
+            "joint = fss_arm_calib.joint.joint_command:main",
             "recompute = fss_arm_calib.programs:recompute",
         ],
     },

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 
+from fss_arm_calib.estimation.evidence import Evidence
 from fss_arm_calib.outcome import Datum, Outcome
 from fss_arm_calib.report import Report, Table
 from fss_arm_calib.report_tables import table_report
@@ -79,6 +80,8 @@ class Calibration(Generic[D, C]):
     stale: Callable[[Outcome[D, Any], Streams], str] = lambda *_: ""  # why a result holds no more
     health: Callable[[Any], Mapping[str, object]] = field(default=lambda _: {})  # of the finder
     lacks: Mapping[str, str] = field(default_factory=dict)  # what it cannot have, and why
+    evidence: Callable[[Sequence[D], Arm, C], Evidence] | None = None  # for a joint estimate
+    after: tuple[str, ...] = ()  # topics of results that it begins from
 
     def report_of(self, outcome: Outcome[D, Any], truth: Arm | None = None) -> Report:
         """The report of an outcome, with what such a calibration cannot have.
@@ -100,11 +103,19 @@ class Calibration(Generic[D, C]):
         Raises:
             OSError: it cannot be written.
         """
-        write_text(path, self.output(outcome))
-        if self.has_urdf:
-            write_text(Path(path).with_suffix(".urdf"), urdf(from_yaml(outcome.description)))
+        write_described(path, outcome) if self.has_urdf else write_text(path, self.output(outcome))
 
     @property
     def topic(self) -> str:
         """Where its results are published."""
         return f"calibration/{self.name}"
+
+
+def write_described(path: str, outcome: Outcome[Any, Any]) -> None:
+    """Write the description of what has passed, and its URDF beside it.
+
+    Raises:
+        OSError: they cannot be written.
+    """
+    write_text(path, outcome.description)
+    write_text(Path(path).with_suffix(".urdf"), urdf(from_yaml(outcome.description)))

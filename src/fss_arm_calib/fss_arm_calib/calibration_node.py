@@ -5,11 +5,14 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
+import numpy as np
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from fss_arm_calib.acceptance import PASS, clocks_kept, count
 from fss_arm_calib.calibration import Calibration
+from fss_arm_calib.kinds import KINDS
+from fss_arm_calib.messages import common
 from fss_arm_calib.node_settings import node_settings
 from fss_arm_calib.outcome import LIVE, Outcome
 from fss_arm_calib.programs import drift, dynamic, kinematic
@@ -19,6 +22,7 @@ from fss_arm_calib.state import Flags, StateError, Writes, restore, save
 from fss_arm_model.description import described
 from fss_arm_model.settings import default_in
 from fss_arm_model.vehicle import Vehicle
+from fss_arm_ros.calibrated import Calibrated
 from fss_arm_ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
 from fss_arm_ros.memory import give_back
 from fss_arm_ros.parameters import declare
@@ -40,11 +44,13 @@ class CalibrationNode(Node):
         s = self.settings = declare(self, node_settings(kind.name, kind.settings))
         base = default_in(BASE, self.get_namespace())
         self.frame = s.frame_id or (base if kind.frame == BASE.default else kind.frame)
-        self.arm = described(s.arm)
+        arm = described(s.arm)
+        # Its masses count, whatever a kinematic calibration assumed.
+        self.begun = Calibrated(arm, dynamic=np.zeros(2 * arm.vector().shape))
         self.writes = Writes(self.get_logger())
         kept, self.flags = self.restored()
         self.data: list[Any] = newest(kept, kind.most(s))
-        self.finder = kind.finder(self.arm.n, s, kept)
+        self.finder = kind.finder(self.begun.arm.n, s, kept)
         try:
             self.outcome, self.saved = self.solved(), self.flags
             data = kind.data.to_message(self.data, self.frame)
@@ -54,10 +60,13 @@ class CalibrationNode(Node):
             raise StateError(f"{s.state_file}: nothing can be solved from it: {error}") from error
         self.found = self.create_publisher(type(data), kind.data.topic, LATCHED)
         self.result = self.create_publisher(kind.message, kind.topic, LATCHED)
-        for one in kind.inputs(s, self.arm.n):
+        for one in kind.inputs(s, self.begun.arm.n):
             subscribe_sensor(
                 self, one.message, one.topic, partial(self.on_sample, one.feed), keep_all=True
             )
+        for other in (KINDS[topic.rpartition("/")[2]] for topic in kind.after):
+            heard = partial(self.on_result, other.topic)
+            self.create_subscription(other.message, other.topic, heard, LATCHED)
         self.create_service(Trigger, "~/solve", self.on_solve)
         self.create_service(Trigger, "~/forget", self.on_forget)
         if kept:
@@ -69,11 +78,26 @@ class CalibrationNode(Node):
     def restored(self) -> tuple[list[Any], Flags]:
         """What a run before this one saved."""
         path, kind = self.settings.state_file, self.kind
-        return restore(path, kind.name, self.arm.n, kind.data.type) if path else ([], Flags())
+        return restore(path, kind.name, self.begun.arm.n, kind.data.type) if path else ([], Flags())
 
     def on_sample(self, feed: Callable[[Any, Any], Sequence[Any]], message: Any) -> None:
         """A message of a sensor."""
         self.take(feed(self.finder, message))
+
+    def on_result(self, topic: str, message: Any) -> None:
+        """Begin from what another calibration has found, and from how well it knows that."""
+        try:
+            begun = self.begun.with_message(topic, message)
+            if begun.arm.n != self.begun.arm.n:
+                raise ValueError(f"it is of {begun.arm.n} links, expected {self.begun.arm.n}")
+        except ValueError as error:
+            self.get_logger().warning(f"{topic} not taken: {error}")
+            return
+        if begun.arm != self.begun.arm:
+            self.begun = begun
+            self.get_logger().info(f"begins from {topic}, {common(message).reason}")
+            self.outcome = self.solved()
+            self.publish()
 
     def on_solve(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Close what lasts and solve; succeeds if the calibration passes."""
@@ -92,7 +116,7 @@ class CalibrationNode(Node):
         response.message = f"{count(len(self.data), self.kind.data.noun)} forgotten"
         self.get_logger().info(response.message)
         self.data, self.flags = [], Flags()
-        self.finder = self.kind.finder(self.arm.n, self.settings, [])
+        self.finder = self.kind.finder(self.begun.arm.n, self.settings, [])
         self.outcome = self.solved()
         self.publish()
         return response
@@ -118,7 +142,7 @@ class CalibrationNode(Node):
     def solved(self) -> Outcome[Any, Any]:
         """The calibration from all data."""
         found: Outcome[Any, Any] = self.kind.calibrate(
-            self.data, self.arm, self.settings, self.streams(), LIVE
+            self.data, self.begun.arm, self.settings, self.streams(), LIVE
         )
         give_back()
         return found
@@ -136,7 +160,7 @@ class CalibrationNode(Node):
         """Keep data and flags for a run after this one."""
         self.saved = Flags.of(self.streams())
         if path := self.settings.state_file:
-            state = self.kind.name, self.arm.n, self.data, self.saved
+            state = self.kind.name, self.begun.arm.n, self.data, self.saved
             self.writes(lambda: save(path, *state))
 
     def health(self) -> Health:

@@ -3,24 +3,26 @@
 import argparse
 import sys
 from argparse import BooleanOptionalAction
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import fields
 from os import PathLike
+from pathlib import Path
 from typing import Any, TypeVar
 
 from rich.console import Console
 
 from fss_arm_bags.bulk import pieces
 from fss_arm_bags.reader import BagError, Bags, digest, open_bags
-from fss_arm_calib import report
+from fss_arm_calib import report, result
 from fss_arm_calib.acceptance import FAIL, NOT_EVALUATED, PASS
-from fss_arm_calib.calibration import Calibration, Finder, Input
+from fss_arm_calib.calibration import Calibration, Finder, Input, write_described
 from fss_arm_calib.kinds import KINDS
 from fss_arm_calib.outcome import Datum, Outcome
 from fss_arm_calib.segments.streams import newest
 from fss_arm_calib.settings import CalibrationSettings
-from fss_arm_model.description import described, load
+from fss_arm_model.description import Arm, described, from_yaml, load
 from fss_arm_model.settings import default_in, meaning
+from fss_arm_ros.calibrated import with_kinematics_of
 from fss_arm_ros.command_line import USER_ERROR, Parser
 from fss_arm_ros.convert import SECOND
 
@@ -41,6 +43,7 @@ def solve_bag(
     paths: str | PathLike[str] | Iterable[str | PathLike[str]],
     settings: C | None = None,
     namespace: str = "",
+    arm: Arm | None = None,
 ) -> Outcome[D, Any]:
     """Find the data in one or several bags, and calibrate, as the node does on live topics.
 
@@ -49,6 +52,7 @@ def solve_bag(
         paths: the bags'.
         settings: those of the kind by default.
         namespace: of the vehicle whose data they are, as `fss2`.
+        arm: to begin from; that of the settings by default.
 
     Raises:
         BagError: a bag cannot be read or lacks a topic.
@@ -56,11 +60,36 @@ def solve_bag(
         OSError: a file cannot be read.
     """
     s = settings or kind.settings(**defaults(kind.settings, namespace))
-    arm = described(s.arm)
+    arm = arm or described(s.arm)
     finder = kind.finder(arm.n, s, [])
     with open_bags(paths) as bags:
         found = newest(fed(bags, finder, kind.inputs(s, arm.n), s.horizon, namespace), kind.most(s))
         return kind.calibrate(found, arm, s, finder.streams(), source(bags))
+
+
+def begun_from(kinematic: str, arm: str, options: argparse.Namespace, namespace: str = "") -> Arm:
+    """The arm that a kinematic calibration leaves: of its result, or made here from a bag.
+
+    Args:
+        kinematic: a result as JSON, or a bag.
+        arm: description of what such a calibration does not estimate.
+        options: settings that it has in common with what follows.
+        namespace: of the vehicle.
+
+    Raises:
+        ValueError: there is no such result, or it has not passed.
+        OSError: a file cannot be read.
+    """
+    own = described(arm)
+    if Path(kinematic).suffix == ".json":
+        return with_kinematics_of(result.arm_of(kinematic, DEFAULT), own)
+    kind = KINDS[DEFAULT]
+    given = defaults(kind.settings, namespace)
+    given |= {name: getattr(options, name) for name in ("arm", "joints_topic", "base_topic")}
+    found = solve_bag(kind, kinematic, kind.settings(**given), namespace)
+    if found.verdict != PASS:
+        raise ValueError(f"kinematics by {kinematic}: {found.verdict}: {found.reason}")
+    return with_kinematics_of(from_yaml(found.description), own)
 
 
 def source(bags: Bags) -> str:
@@ -97,11 +126,11 @@ def fed(
     return found + finder.close()
 
 
-def name(bags: Bags, one: Input, namespace: str = "") -> str:
+def name(bags: Bags, one: Input, namespace: str = "", needed: bool = True) -> str:
     """The name of an input's topic, as in the bags: in the namespace, unless it begins with `/`.
 
     Raises:
-        BagError: it is missing or of another type.
+        BagError: it is of another type, or missing and needed.
     """
     within = namespace.strip("/")
     topic = (
@@ -109,7 +138,7 @@ def name(bags: Bags, one: Input, namespace: str = "") -> str:
     )
     if topic in bags.topics and bags.topics[topic].msgtype != one.type:
         raise BagError(f"{topic} is of type {bags.topics[topic].msgtype}, expected {one.type}")
-    if topic not in bags.topics and one.needed:
+    if topic not in bags.topics and one.needed and needed:
         there = ", ".join(bags.topics) or "no topics"
         where = ", ".join(map(str, bags.paths))
         raise BagError(f"no {topic} in {where}, which has {there}{hint(bags, one.topic)}")
@@ -133,15 +162,28 @@ def parser(kind: Calibration[Any, Any], namespace: str = "") -> argparse.Argumen
         if other.name != DEFAULT:
             about = f"{other.about} See --{other.name} --help"
             p.add_argument(f"--{other.name}", action="store_true", help=about)
-    p.add_argument("--output", metavar="FILE", help=f"write the {kind.written}, if it passes")
+    outputs(p, kind.written)
+    if kind.after:
+        p.add_argument(
+            "--kinematic", metavar="FROM", help="begin from a kinematic calibration, with its "
+            "covariance: its result as JSON, or a bag to make it from",
+        )  # fmt: skip
+    add_settings(p, kind.settings)
+    p.set_defaults(**defaults(kind.settings, namespace))
+    return p
+
+
+def outputs(p: argparse.ArgumentParser, written: str) -> None:
+    """Options that every estimate from bags has: what to write, and of whom."""
+    p.add_argument("--output", metavar="FILE", help=f"write the {written}, if it passes")
+    p.add_argument(
+        "--result", metavar="JSON", help="write the result, whatever its verdict; a CSV beside it"
+    )
     p.add_argument("--report", metavar="DIR", help="write a page to read, and its drawings as PNG")
     p.add_argument(
         "--truth", metavar="YAML", help="description to compare with, in the report only"
     )
     p.add_argument("--namespace", default="", help="of the vehicle, if the bag has several: fss2")
-    add_settings(p, kind.settings)
-    p.set_defaults(**defaults(kind.settings, namespace))
-    return p
 
 
 def add_settings(
@@ -168,7 +210,7 @@ def add_settings(
 
 def asked(args: Sequence[str]) -> Calibration[Any, Any]:
     """The kind of calibration that a command line asks for."""
-    found = [kind for kind in KINDS.values() if f"--{kind.name}" in args]
+    found = [k for k in KINDS.values() if k.name != DEFAULT and f"--{k.name}" in args]
     return found[0] if found else KINDS[DEFAULT]
 
 
@@ -178,19 +220,48 @@ def calibrated(
     """Solve, show and write what was asked for."""
     truth = load(options.truth) if options.truth else None
     settings = kind.settings(**{f.name: getattr(options, f.name) for f in fields(kind.settings)})
-    outcome = solve_bag(kind, options.bags, settings, options.namespace)
-    found = kind.report_of(outcome, truth)
+    arm = None
+    if kind.after and options.kinematic:
+        arm = begun_from(options.kinematic, settings.arm, options, options.namespace)
+    outcome = solve_bag(kind, options.bags, settings, options.namespace, arm)
+    told(
+        outcome,
+        kind.report_of(outcome, truth),
+        kind.name,
+        options,
+        console,
+        kind.write,
+        kind.written,
+    )
+    return outcome
+
+
+def told(
+    outcome: Outcome[Any, Any],
+    found: report.Report,
+    kind: str,
+    options: argparse.Namespace,
+    console: Console,
+    write: Callable[[str, Outcome[Any, Any]], None] = write_described,
+    written: str = "calibrated description",
+) -> None:
+    """Show a result, and write what was asked for.
+
+    Raises:
+        OSError: it cannot be written.
+    """
     console.print(report.printed(found))
+    if options.result:
+        result.write(options.result, kind, outcome)
     if options.report:
         page = report.write(options.report, found)
         console.print(f"report written to {page}", soft_wrap=True)
     if options.output and outcome.verdict == PASS:
-        kind.write(options.output, outcome)
-        console.print(f"{kind.written} written to {options.output}", soft_wrap=True)
+        write(options.output, outcome)
+        console.print(f"{written} written to {options.output}", soft_wrap=True)
     elif options.output:
         reason = f"as the verdict is {outcome.verdict}"
         console.print(f"{options.output} not written, {reason}", soft_wrap=True)
-    return outcome
 
 
 def main(args: Sequence[str] | None = None) -> int:

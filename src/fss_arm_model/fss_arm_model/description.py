@@ -89,6 +89,18 @@ def _numbers(count: int) -> Callable[[Any], tuple[float, ...]]:
     return convert
 
 
+def _texts(value: Any) -> tuple[str, ...]:
+    if isinstance(value, str | dict) or len(set(value)) != len(value):
+        raise ValueError
+    return tuple(map(_name, value))
+
+
+def _rows(value: Any) -> tuple[tuple[float, ...], ...]:
+    if isinstance(value, str | dict):
+        raise ValueError
+    return tuple(_numbers(len(value))(row) for row in value)
+
+
 def _check_count(links: Sequence[Any]) -> None:
     if not 1 <= len(links) <= MAX_LINKS:
         raise DescriptionError("links", len(links), f"1 to {MAX_LINKS} links")
@@ -117,6 +129,8 @@ _EXPECTED: dict[Callable[[Any], Any], str] = {
     _count: "a positive integer",
     _sign: "1 or -1",
     _name: "a printable text that is not empty",
+    _texts: "a list of names, each once",
+    _rows: "as many rows of numbers as each has",
 }
 
 
@@ -231,6 +245,53 @@ class Base:
 
 
 @dataclass(frozen=True)
+class Known:
+    """How well a calibration left values of a description known: the covariance of some, by name.
+
+    Names are those of fss_arm_model.parameters, and theta_E.
+    """
+
+    names: tuple[str, ...] = field(default=(), metadata=_is(_texts))
+    covariance: tuple[tuple[float, ...], ...] = field(
+        default=(), metadata=_is(_rows, about="row by row, in the units of the values")
+    )
+
+    def __post_init__(self) -> None:
+        _check(self)
+        C, size = np.array(self.covariance), len(self.names)
+        if len(C) != size:
+            raise DescriptionError("covariance", f"of {len(C)} values", f"of {size}, as names has")
+        if size and not ((C == C.T).all() and (np.diag(C) >= 0.0).all()):
+            expected = "a symmetric one, its diagonal 0 or more"
+            raise DescriptionError("covariance", self.covariance, expected)
+
+    @classmethod
+    def of(cls, names: Sequence[str], covariance: npt.NDArray[np.float64]) -> "Known":
+        """What a covariance (p, p) says."""
+        return cls(tuple(names), (0.5 * (covariance + covariance.T)).tolist())
+
+    def over(
+        self, names: Sequence[str], deviations: npt.NDArray[np.float64]
+    ) -> npt.NDArray[np.float64]:
+        """Covariance (p, p) of some parameters; of those not told, by their deviations (p,)."""
+        C = np.diag(np.square(deviations))
+        told = [k for k, name in enumerate(names) if name in self.names]
+        mine = [self.names.index(names[k]) for k in told]
+        if told:
+            C[told] = C[:, told] = 0.0
+            C[np.ix_(told, told)] = np.array(self.covariance)[np.ix_(mine, mine)]
+        return C
+
+    def told(self, names: Sequence[str], covariance: npt.NDArray[np.float64]) -> "Known":
+        """The same with some (p, p) told anew, independent of what else is known."""
+        others = [name for name in self.names if name not in names]
+        kept = self.over(others, np.zeros(len(others)))
+        C = np.zeros((len(others) + len(names),) * 2)
+        C[: len(others), : len(others)], C[len(others) :, len(others) :] = kept, covariance
+        return Known.of([*others, *names], C)
+
+
+@dataclass(frozen=True)
 class Arm:
     """A base and the n links it carries, in order from the base."""
 
@@ -239,6 +300,9 @@ class Arm:
     links: tuple[Link, ...] = field(metadata=_is(_chain, expected="a list of links"))
     theta_E: float = field(  # noqa: N815 (the paper's symbol)
         default=0.0, metadata=_is(_number, "rad", "end-effector subject against the last link")
+    )
+    known: Known = field(
+        default=Known(), metadata=_is(_instance(Known), expected="names and their covariance")
     )
 
     def __post_init__(self) -> None:
@@ -313,11 +377,14 @@ def _build(kind: type[Any], given: Any) -> Any:
     return kind(**{key: _read(key, value) for key, value in given.items()})
 
 
+_PARTS = {"base": Base, "drive": Drive, "torque_sensor": TorqueSensor, "known": Known}
+
+
 def _read(key: str, value: Any, kind: type[Any] | None = None) -> Any:
     if key == "links" and isinstance(value, list):
         _check_count(value)
         return [_read(f"link {i}", link, Link) for i, link in enumerate(value, 1)]
-    kind = kind or {"base": Base, "drive": Drive, "torque_sensor": TorqueSensor}.get(key)
+    kind = kind or _PARTS.get(key)
     if kind is None or not isinstance(value, dict):
         return value
     with _within(key):
@@ -390,6 +457,8 @@ def _lines(part: Any, indent: str) -> Iterator[str]:
     """The entries of a description's part, each with its unit and meaning as a comment."""
     for f in fields(part):
         value = getattr(part, f.name)
+        if value == Known():
+            continue
         if is_dataclass(value):
             yield f"{indent}{f.name}:"
             yield from _lines(value, indent + "  ")
@@ -400,6 +469,9 @@ def _lines(part: Any, indent: str) -> Iterator[str]:
                 first, *others = _lines(link, indent + "    ")
                 yield f"{indent}  - {first.strip()}"
                 yield from others
+        elif f.name == "covariance":
+            yield f"{indent}covariance:{_comment(f, value)}"
+            yield from (f"{indent}  - {_scalar(row)}" for row in value)
         else:
             yield f"{indent}{f.name}: {_scalar(value)}{_comment(f, value)}"
 

@@ -31,14 +31,16 @@ class Calibrated:
     """An arm, and how well it is known: kinematics by one calibration, dynamics by another."""
 
     arm: Arm
-    kinematic: Floats | None = None  # covariance of Arm.vector(); None: taken as exact
+    kinematic: Floats | None = None  # covariance of Arm.vector(); None: there was none
     dynamic: Floats | None = None
 
     @property
     def covariance(self) -> Floats:
-        """Of Arm.vector(), (8 + 6 n, 8 + 6 n)."""
-        size = len(self.arm.vector())
+        """Of Arm.vector(), (8 + 6 n, 8 + 6 n); before any calibration, as the description tells."""
+        size, told = len(self.arm.vector()), self.arm.known
         known = [C for C in (self.kinematic, self.dynamic) if C is not None]
+        if not known:
+            return vector_covariance(self.arm, told.names, told.covariance)
         return np.sum([np.zeros((size, size)), *known], axis=0)
 
     def with_message(self, topic: str, message: Any) -> "Calibrated":
@@ -61,16 +63,22 @@ class Calibrated:
             has_kinematics = C is not None and _has_kinematics(arm.n, C)
             if of_another or self.kinematic is None or has_kinematics:
                 return Calibrated(arm, None, C)
-            return Calibrated(_with_kinematics_of(self.arm, arm), self.kinematic, C)
+            return Calibrated(with_kinematics_of(self.arm, arm), self.kinematic, C)
         if of_another or self.dynamic is None:
             return Calibrated(arm, C)
-        return Calibrated(_with_kinematics_of(arm, self.arm), C, self.dynamic)
+        return Calibrated(with_kinematics_of(arm, self.arm), C, self.dynamic)
 
 
-def _with_kinematics_of(known: Arm, arm: Arm) -> Arm:
-    """An arm with what a kinematic calibration found of another."""
+def with_kinematics_of(known: Arm, arm: Arm) -> Arm:
+    """An arm with what a kinematic calibration found of another, and how well.
+
+    Raises:
+        DescriptionError: they are of different numbers of links.
+    """
     kinematics = known.vector()[kinematic_index(arm.n)]
-    return replace(arm.with_kinematics(kinematics), theta_E=known.theta_E)
+    names = [k for k in (*kinematic_names(arm.n), "theta_E") if k in known.known.names]
+    told = arm.known.told(names, known.known.over(names, np.zeros(len(names))))
+    return replace(arm.with_kinematics(kinematics), theta_E=known.theta_E, known=told)
 
 
 def _has_kinematics(n: int, covariance: Floats) -> bool:
@@ -90,7 +98,8 @@ def vector_covariance(arm: Arm, names: Sequence[str], covariance: npt.ArrayLike)
     Raises:
         ValueError: a name is no parameter of the arm.
     """
-    T = np.array([_column(arm, name) for name in names]).reshape(len(names), -1).T
+    columns = [_column(arm, name) for name in names]
+    T = np.array(columns).reshape(len(names), len(arm.vector())).T
     return T @ np.reshape(covariance, (len(names), len(names))) @ T.T
 
 

@@ -25,9 +25,9 @@ def test_the_motion_is_the_simulated_one():
     found, _ = drifts(1)
     one = problem(found, com=0.0)
     result = solve(one)
-    own = result.minimum.x[5:13, None]
-    poses, _ = one.motion(0, SHARED[:, None], own)
-    away = np.array(found[0].poses) - poses[..., 0]
+    own = result.minimum.x[None, 5:13]
+    poses, _ = one.motion(0, SHARED[None], own)
+    away = np.array(found[0].poses) - poses[0]
     assert np.abs(away.mean(axis=0)).max() < 1e-3  # noise of 0.4 mm and 0.004 rad, averaged
 
 

@@ -5,6 +5,7 @@ from math import nan
 
 from fss_arm_calib.calibration import Calibration, Data, Input
 from fss_arm_calib.drift.calibrate import calibrate, parameters
+from fss_arm_calib.drift.evidence import evidence
 from fss_arm_calib.drift.report import drift_report
 from fss_arm_calib.drift.settings import DriftSettings
 from fss_arm_calib.drift.solution import Solution
@@ -96,6 +97,7 @@ DRIFT = Calibration(
     inputs=inputs,
     finder=lambda n, s, _: DriftFinder(n, s),
     calibrate=calibrate,
+    evidence=evidence,
     message=msg.DriftCalibration,
     to_message=to_message,
     numbers=("hose_torque", "hose_torque_deviation", "momenta", "momentum_deviations"),
@@ -108,4 +110,5 @@ DRIFT = Calibration(
     lacks={
         "time offset": "within a drift the arm rests: an offset of the clocks moves nothing",
     },
+    after=("calibration/kinematic", "calibration/dynamic"),
 )  # fmt: skip

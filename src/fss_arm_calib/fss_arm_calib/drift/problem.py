@@ -1,13 +1,8 @@
 """What acts on the base from outside: the table's tilt and the hose, while base and arm drift.
 
-With the arm at rest they are one rigid body of mass M and inertia K about its centre of mass, which
-lies at c in the base's frame. With the base's origin at x, its heading theta, z = x + R(theta) c,
-
-    M z'' = M g - d x',        K theta'' = tau - kappa theta' + (x - z) x (-d x')
-
-g is the acceleration of a free body down the table (its tilt), tau the hose's torque when it is at
-rest, kappa and d what it resists turning and moving with. Those are shared by all drifts; pose and
-twist at its start, and c, each drift has for its own. The masses' errors scale torque and momentum.
+With the arm at rest they are one rigid body, as fss_arm_model.drifting has it. What acts on it is
+shared by all drifts; pose and twist at its start, and the centre of mass, each has for its own. The
+masses' errors scale torque and momentum.
 """
 
 from collections.abc import Sequence
@@ -27,16 +22,16 @@ from fss_arm_calib.estimation.least_squares import (
 )
 from fss_arm_calib.estimation.statistics import redundancy
 from fss_arm_calib.segments.drifts import Drift
+from fss_arm_model import drifting
 from fss_arm_model.description import Arm
-from fss_arm_model.dynamics import inertia_matrix
-from fss_arm_model.momentum import system_com
+from fss_arm_model.drifting import SURROUNDINGS
 
-NAMES = ("g_x", "g_y", "torque", "twist_damping", "drag")
+NAMES = SURROUNDINGS
 UNITS = ("m/s^2", "m/s^2", "N m", "N m s", "N s/m")
 OWN = 8  # unknowns of each drift: pose, twist, centre of mass in the base
 
 #: Half the differences that derivatives are taken over: far above rounding, far below curvature.
-_STEPS = np.array([1e-5, 1e-5, 3e-7, 1e-5, 1e-4, *[1e-3] * 3, 1e-4, 1e-4, 1e-5, *[1e-3] * 2])
+STEPS = np.array([1e-5, 1e-5, 3e-7, 1e-5, 1e-4, *[1e-3] * 3, 1e-4, 1e-4, 1e-5, *[1e-3] * 2])
 MAX_CONDITION = 1e6
 NOTICEABLE = 1e-6  # share of an unknown in undetermined directions from which on it is named
 ALONE = 1e-9  # redundancy below which a drift alone determines something
@@ -53,9 +48,8 @@ class Body(NamedTuple):
 
 def rigid_body(arm: Arm, q: Sequence[float]) -> Body:
     """The floating body that an arm is at joint readings q."""
-    p, state = arm.vector(), np.concatenate([np.zeros(3), q])
-    H, com = inertia_matrix(p, state), complex(*system_com(p, state))
-    return Body(H[0, 0], H[2, 2] - H[0, 0] * abs(com) ** 2, com)
+    mass, inertia, *com = drifting.whole(arm.vector(), q)
+    return Body(mass, inertia, complex(*com))
 
 
 @dataclass(frozen=True)
@@ -82,52 +76,29 @@ class DriftProblem:
         return np.concatenate(parts)
 
     def motion(self, k: int, shared: Floats, own: Floats) -> tuple[Floats, Floats]:
-        """Poses (m, 3, c) of drift k, and its gain of spin K (omega_end - omega_start) (c,).
+        """Poses (c, m, 3) of drift k, and its gain of spin K (omega_end - omega_start) (c,).
 
         Args:
             k: the drift.
-            shared: (5, c), a column for each set of unknowns.
-            own: (8, c).
+            shared: (c, 5), a row for each set of unknowns.
+            own: (c, 8).
         """
-        body, times = self.bodies[k], np.array(self.drifts[k].times)
-        g, (tau, kappa, d) = shared[0] + 1j * shared[1], shared[2:]
-        lever = own[6] + 1j * own[7]
-        from scipy.integrate import solve_ivp
-
-        turn = np.exp(1j * own[2])
-        v = own[3] + 1j * own[4]
-        z = own[0] + 1j * own[1] + turn * lever
-        u = v + 1j * own[5] * turn * lever
-        columns = len(tau)
-
-        def rate(_: float, y: Floats) -> Floats:
-            ux, uy, theta, omega = y.reshape(6, columns)[2:]
-            arm = np.exp(1j * theta) * lever
-            velocity = ux + 1j * uy - 1j * omega * arm  # of the base's origin
-            acceleration = g - d / body.mass * velocity
-            torque = tau - kappa * omega + d * (arm.conj() * velocity).imag
-            parts = ux, uy, acceleration.real, acceleration.imag, omega, torque / body.inertia
-            return np.concatenate(parts)
-
-        begin = np.concatenate([z.real, z.imag, u.real, u.imag, own[2], own[5]])
-        path = solve_ivp(
-            rate, (0.0, times[-1]), begin, "DOP853", times, rtol=1e-10, atol=1e-12
-        ).y.reshape(6, columns, -1)
-        x = path[0] + 1j * path[1] - np.exp(1j * path[4]) * lever[:, None]
-        poses = np.stack([x.real, x.imag, path[4]])
-        return poses.transpose(2, 0, 1), body.inertia * (path[5, :, -1] - own[5])
+        body = np.empty((len(own), 4))
+        body[:, :2], body[:, 2:] = self.bodies[k][:2], own[:, 6:]
+        found = drifting.drift(body, shared, own[:, :6], np.array(self.drifts[k].times))
+        return found[..., :3], self.bodies[k].inertia * (found[:, -1, 3] - own[:, 5])
 
     def derivatives(self, unknowns: Floats) -> list[tuple[Floats, Floats, float, Floats]]:
         """Of each drift: poses (m, 3), gain of spin, and their derivatives by 13 unknowns."""
         found = []
-        steps = _STEPS[:, None] * np.hstack([np.zeros((13, 1)), np.eye(13), -np.eye(13)])
+        steps = STEPS * np.vstack([np.zeros((1, 13)), np.eye(13), -np.eye(13)])
         for k in range(len(self.drifts)):
             own = unknowns[5 + OWN * k : 5 + OWN * (k + 1)]
-            moved = np.concatenate([unknowns[:5], own])[:, None] + steps
-            poses, gains = self.motion(k, moved[:5], moved[5:])
-            by = (poses[..., 1:14] - poses[..., 14:]) / (2.0 * _STEPS)
-            gains_by = (gains[1:14] - gains[14:]) / (2.0 * _STEPS)
-            found.append((poses[..., 0], by, float(gains[0]), gains_by))
+            moved = np.concatenate([unknowns[:5], own]) + steps
+            poses, gains = self.motion(k, moved[:, :5], moved[:, 5:])
+            by = np.moveaxis(poses[1:14] - poses[14:], 0, -1) / (2.0 * STEPS)
+            gains_by = (gains[1:14] - gains[14:]) / (2.0 * STEPS)
+            found.append((poses[0], by, float(gains[0]), gains_by))
         return found
 
     def linearize(self, unknowns: Floats) -> Linear:

@@ -43,11 +43,15 @@ class DriftSettings(DriftFinderSettings, CalibrationSettings):
         unit="N s/m", check=NOT_NEGATIVE,
     )  # fmt: skip
     com_deviation: float = setting(
-        0.01, "1 sigma of the centre of mass of base and arm, each axis", unit="m",
+        0.01,
+        "1 sigma of the centre of mass of base and arm, each axis, unless the description tells",
+        unit="m",
         check=NOT_NEGATIVE,
     )  # fmt: skip
     mass_deviation: float = setting(
-        0.05, "1 sigma of mass and inertia of base and arm, relative", check=NOT_NEGATIVE
+        0.05,
+        "1 sigma of mass and inertia of base and arm, relative, unless the description tells",
+        check=NOT_NEGATIVE,
     )
     outlier: float = setting(
         3.0, "error of a drift predicted from the others above which it is an outlier",

@@ -21,6 +21,8 @@ from fss_arm_calib.estimation.statistics import root_mean_square
 from fss_arm_calib.outcome import Estimate
 from fss_arm_calib.segments.drifts import Drift
 from fss_arm_model.description import Arm
+from fss_arm_model.drifting import whole, whole_sensitivities
+from fss_arm_model.parameters import parameter_names, to_vector
 
 
 @dataclass(frozen=True)
@@ -40,18 +42,39 @@ class Solution:
         return every
 
 
+def uncertainty(drifts: Sequence[Drift], arm: Arm, s: DriftSettings) -> tuple[float, float]:
+    """Of the whole, deviations of its centre of mass, each axis [m], and of mass and inertia.
+
+    The largest at any drift, if the description tells how well all parameters are known.
+    """
+    names, told = parameter_names(arm.n), set(arm.known.names)
+    if not drifts or not told.issuperset(names):
+        return s.com_deviation, s.mass_deviation
+    C = arm.known.over(names, np.zeros(len(names)))
+    p, q = arm.vector(), np.array([one.q for one in drifts])
+    J = whole_sensitivities(p, q) @ to_vector(arm.n)
+    sigma = np.sqrt(np.einsum("kij,jl,kil->ki", J, C, J))
+    relative = sigma[:, :2] / whole(p, q)[:, :2]
+    return float(sigma[:, 2:].max()), float(relative.max())
+
+
+def deviations(drifts: Sequence[Drift], s: DriftSettings, weights: Floats) -> list[Floats]:
+    """(m, 3) of each drift's poses, each weighed."""
+    of_one = np.array([s.position_deviation, s.position_deviation, s.heading_deviation])
+    sigma = []
+    for drift, weight in zip(drifts, weights, strict=True):
+        fresh = np.minimum(drift.frames, np.maximum(1.0, s.fresh_rate * np.array(drift.seconds)))
+        sigma.append(of_one / np.sqrt(fresh * weight)[:, None])
+    return sigma
+
+
 def problem_of(
     drifts: Sequence[Drift], arm: Arm, s: DriftSettings, weights: Floats
 ) -> DriftProblem:
     """The problem that drifts make, each weighed."""
-    deviations = np.array([s.position_deviation, s.position_deviation, s.heading_deviation])
-    sigma = []
-    for drift, weight in zip(drifts, weights, strict=True):
-        fresh = np.minimum(drift.frames, np.maximum(1.0, s.fresh_rate * np.array(drift.seconds)))
-        sigma.append(deviations / np.sqrt(fresh * weight)[:, None])
     return DriftProblem(
-        drifts, [rigid_body(arm, drift.q) for drift in drifts], sigma,
-        s.torque_deviation, s.twist_deviation, s.drag_deviation, s.com_deviation, s.mass_deviation,
+        drifts, [rigid_body(arm, drift.q) for drift in drifts], deviations(drifts, s, weights),
+        s.torque_deviation, s.twist_deviation, s.drag_deviation, *uncertainty(drifts, arm, s),
     )  # fmt: skip
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from fss_arm_calib.calibration import Calibration, Data, Input
 from fss_arm_calib.dynamic.calibrate import calibrate
+from fss_arm_calib.dynamic.evidence import evidence
 from fss_arm_calib.dynamic.report import dynamic_report
 from fss_arm_calib.dynamic.settings import DynamicSettings
 from fss_arm_calib.dynamic.solution import Solution
@@ -128,8 +129,10 @@ DYNAMIC = Calibration(
     inputs=inputs,
     finder=lambda n, s, _: ManeuverFinder(n, s),
     calibrate=calibrate,
+    evidence=evidence,
     message=msg.DynamicCalibration,
     to_message=to_message,
     numbers=("combination_values", "momenta"),
     report=dynamic_report,
+    after=("calibration/kinematic",),
 )  # fmt: skip

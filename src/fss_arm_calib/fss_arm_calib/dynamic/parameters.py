@@ -1,30 +1,22 @@
 """What a dynamic calibration may estimate or assume, by name, and how well it was known before.
 
-The parameters of an arm of n links are, in this order,
-
-    m_0, I_0, x_com, y_com        the base: mass, inertia, centre of mass in its frame
-    kinematic_names(n)            a_i, theta_0_i, x_BJ1, y_BJ1, theta_BJ1
-    m_i, b_i, I_i                 the links: mass, centre of mass to the next joint, inertia
-
-A choice of them is written as words: a name; `b_i` for that of each link; `I` for one value that
-all links share; `com_0` and `mount` for the base's centre of mass and for the first joint's place.
+A choice of the parameters, those of fss_arm_model.parameters, is written as words: a name; `b_i`
+for that of each link; `I` for one value that all links share; `com_0` and `mount` for the base's
+centre of mass and for the first joint's place.
 """
 
 from dataclasses import dataclass
-from functools import cache
 from math import radians
 
 import numpy as np
 import numpy.typing as npt
 
 from fss_arm_calib.estimation.least_squares import Floats
-from fss_arm_model.description import (
-    BASE_SIZE,
-    LINK_SIZE,
-    Arm,
-    kinematic_index,
-    kinematic_names,
-)
+from fss_arm_model.description import Arm
+from fss_arm_model.parameters import parameter_names
+from fss_arm_model.parameters import to_vector as to_vector
+from fss_arm_model.parameters import unit as unit
+from fss_arm_model.parameters import values as values
 from fss_arm_model.settings import NOT_NEGATIVE, Settings, setting
 
 GROUPS = {
@@ -36,6 +28,8 @@ GROUPS = {
 @dataclass(frozen=True)
 class Knowledge(Settings):
     """How well each kind of value of a description is known, 1 sigma.
+
+    Of lengths, angles and the mount, what the description itself tells counts instead.
 
     Raises:
         SettingError: a deviation is negative or not finite.
@@ -60,16 +54,28 @@ class Knowledge(Settings):
         0.01, "1 sigma of the base's centre of mass, each axis", unit="m", check=NOT_NEGATIVE
     )
     length_deviation: float = setting(
-        0.0005, "1 sigma of a link's length", unit="m", check=NOT_NEGATIVE
+        0.0005,
+        "1 sigma of a link's length, unless the description tells",
+        unit="m",
+        check=NOT_NEGATIVE,
     )
     offset_deviation: float = setting(
-        radians(0.1), "1 sigma of an encoder's offset", unit="rad", check=NOT_NEGATIVE
+        radians(0.1),
+        "1 sigma of an encoder's offset, unless the description tells",
+        unit="rad",
+        check=NOT_NEGATIVE,
     )
     mount_deviation: float = setting(
-        0.0005, "1 sigma of the first joint's place, each axis", unit="m", check=NOT_NEGATIVE
+        0.0005,
+        "1 sigma of the first joint's place, each axis, unless the description tells",
+        unit="m",
+        check=NOT_NEGATIVE,
     )
     mount_angle_deviation: float = setting(
-        radians(0.1), "1 sigma of the first joint's heading", unit="rad", check=NOT_NEGATIVE
+        radians(0.1),
+        "1 sigma of the first joint's heading, unless the description tells",
+        unit="rad",
+        check=NOT_NEGATIVE,
     )
 
     def deviations(self, n: int) -> Floats:
@@ -81,38 +87,16 @@ class Knowledge(Settings):
         links = [self.mass_deviation] * n + [self.b_deviation] * n + [self.inertia_deviation] * n
         return np.array([*base, *[self.length_deviation] * n, *angles, *mount, *links])
 
+    def covariance(self, arm: Arm) -> Floats:
+        """(5 n + 6, 5 n + 6) of all parameters of an arm, as its kinematic calibration left them.
 
-def parameter_names(n: int) -> tuple[str, ...]:
-    """The names of all 5 n + 6 parameters."""
-    links = (f"{kind}_{i}" for kind in "mbI" for i in range(1, n + 1))
-    return ("m_0", "I_0", "x_com", "y_com", *kinematic_names(n), *links)
-
-
-def unit(name: str) -> str:
-    """Unit of a parameter."""
-    kinds = {"m": "kg", "I": "kg m^2", "g": "m/s^2", "theta": "rad"}
-    return kinds.get(name.split("_")[0], "m")
-
-
-@cache
-def to_vector(n: int) -> Floats:
-    """(8 + 6 n, 5 n + 6): how a change of the parameters changes Arm.vector(); g = a - b."""
-    T = np.zeros((BASE_SIZE + LINK_SIZE * n, 5 * n + 6))
-    T[range(4), range(4)] = 1.0
-    T[kinematic_index(n), range(4, 2 * n + 6)] = 1.0
-    links, first = BASE_SIZE + LINK_SIZE * np.arange(n), 2 * n + 6 + np.arange(n)
-    T[links + 2, first] = 1.0  # m_i
-    T[links + 4, first + n] = -1.0  # g_i by b_i
-    T[links + 4, 4 + np.arange(n)] = 1.0  # g_i by a_i
-    T[links + 3, first + 2 * n] = 1.0  # I_i
-    return T
-
-
-def values(arm: Arm) -> Floats:
-    """(5 n + 6,) the parameters of an arm."""
-    vector, links = arm.vector(), arm.links
-    own = [[k.mass for k in links], [k.b for k in links], [k.inertia for k in links]]
-    return np.concatenate([vector[:4], vector[kinematic_index(arm.n)], *own])
+        What a description tells of masses is no knowledge: it may be from the very same maneuvers.
+        """
+        sigma, kinematic = self.deviations(arm.n), slice(4, 2 * arm.n + 6)
+        C = np.diag(sigma**2)
+        names = parameter_names(arm.n)[kinematic]
+        C[kinematic, kinematic] = arm.known.over(names, sigma[kinematic])
+        return C
 
 
 @dataclass(frozen=True)

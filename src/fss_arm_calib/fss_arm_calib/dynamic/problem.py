@@ -35,7 +35,8 @@ from fss_arm_calib.estimation.least_squares import (
 )
 from fss_arm_calib.estimation.statistics import redundancy
 from fss_arm_model.base_motion import Path, base_pose_sensitivities, base_poses
-from fss_arm_model.description import Arm, Base
+from fss_arm_model.description import Arm, Known
+from fss_arm_model.parameters import with_values
 
 TILT = ("g_x", "g_y")  # acceleration of a free body down the table, world axes
 
@@ -59,8 +60,8 @@ class DynamicProblem:
     arm: Arm  # the initial guess, and the values of what is assumed
     choice: Choice  # what is estimated
     prior: Floats  # (c,) deviations of the guess of what is estimated; inf: nothing known
-    assumed: Floats  # (5 n + 6, 5 n + 6) covariance of all parameters, of which those estimated
-    #                  do not matter
+    assumed: Floats  # (5 n + 6, 5 n + 6) covariance of all parameters; of those estimated only
+    #                  how their priors go with each other and with what is assumed
     momentum: Floats  # (3,) of the momentum at the start, about 0 [N s, N s, N m s]; 0: at rest
     tilt: float = 0.0  # of the table's tilt, about 0 [m/s^2]; 0: level
 
@@ -100,6 +101,31 @@ class DynamicProblem:
     def known(self) -> Floats:
         """(p,) deviations of the initial values; inf: nothing known."""
         return np.concatenate([self.prior, np.full(len(self.names) - len(self.prior), self.tilt)])
+
+    @cached_property
+    def believed(self) -> npt.NDArray[np.intp]:
+        """(k,) which parameters have a prior."""
+        return np.flatnonzero(np.isfinite(self.known))
+
+    @cached_property
+    def _pooled(self) -> Floats:
+        """(k, 5 n + 6): parameters with a prior as means of those that they stand for."""
+        weights = (self.choice.basis / self.choice.basis.sum(axis=0)).T
+        return np.pad(weights, ((0, len(self.names) - len(weights)), (0, 0)))[self.believed]
+
+    @cached_property
+    def prior_rows(self) -> Floats:
+        """(k, p) the priors as rows of a regressor: the inverse root of their covariance."""
+        C, sigma = self._pooled @ self.assumed @ self._pooled.T, self.known[self.believed]
+        C[np.diag_indices(len(C))] = sigma**2
+        rows = np.zeros((len(C), len(self.names)))
+        rows[:, self.believed] = np.linalg.inv(np.linalg.cholesky(C))
+        return rows
+
+    def prior_with(self, assumed: npt.NDArray[np.intp]) -> Floats:
+        """(k, c) covariance of the priors' errors with those of assumed parameters, as rows are."""
+        between = self._pooled @ self.assumed[:, assumed]
+        return np.asarray(self.prior_rows[:, self.believed] @ between)
 
     @cached_property
     def guess(self) -> Floats:
@@ -175,7 +201,7 @@ class DynamicProblem:
         return 1.0 / self.sigma.reshape(len(self.sigma), -1)[:, self.looked_at]
 
     @cached_property
-    def believed(self) -> npt.NDArray[np.intp]:
+    def moving(self) -> npt.NDArray[np.intp]:
         """Which components of the momentum are unknowns about which something is known."""
         momenta = self.own[self.own >= 3] - 3
         return momenta[np.isfinite(self.momentum[momenta])]
@@ -187,29 +213,31 @@ class DynamicProblem:
             unknowns: all of them.
             columns: (8 + 6 n + 8, c) what the regressor is by, as to_model.
         """
-        states = self.states(unknowns)
-        poses, J = base_pose_sensitivities(self.vector(unknowns), self.path, states)
+        return self.observed(self.vector(unknowns), self.states(unknowns), columns)
+
+    def observed(self, vector: Floats, states: Floats, columns: Floats) -> Linear:
+        """The same near an arm, Arm.vector(), and states (M, 8)."""
+        poses, J = base_pose_sensitivities(vector, self.path, states)
         count = len(poses)
         rows = J.reshape(count, -1, J.shape[-1])[:, self.looked_at] * self.weight[..., None]
         away = (self.poses - poses).reshape(count, -1)[:, self.looked_at]
         r = np.where(self.weight > 0.0, away, 0.0) * self.weight
-        A, B = rows @ columns, rows[..., len(self.origin) : -2][..., self.own]
-        if self.believed.size:
-            sigma = self.momentum[self.believed]
-            r = np.concatenate([r, -states[:, 3 + self.believed] / sigma], axis=1)
+        A, B = rows @ columns, rows[..., len(vector) : -2][..., self.own]
+        if self.moving.size:
+            sigma = self.momentum[self.moving]
+            r = np.concatenate([r, -states[:, 3 + self.moving] / sigma], axis=1)
             A = np.pad(A, ((0, 0), (0, sigma.size), (0, 0)))
-            prior = np.eye(6)[3 + self.believed][:, self.own] / sigma[:, None]
+            prior = np.eye(6)[3 + self.moving][:, self.own] / sigma[:, None]
             B = np.concatenate([B, np.broadcast_to(prior, (count, *prior.shape))], axis=1)
         return eliminate(A, B, r)
 
     def linearize(self, unknowns: Floats) -> Linear:
         """The problem of the p parameters near some values, priors included."""
         linear = self.reduced(unknowns, self.to_model)
-        believed = np.flatnonzero(np.isfinite(self.known))
-        if not believed.size:
+        if not self.believed.size:
             return linear
-        off = (self.guess - unknowns[: len(self.guess)])[believed] / self.known[believed]
-        rows = np.eye(len(self.guess))[believed] / self.known[believed, None]
+        rows = self.prior_rows
+        off = rows @ (self.guess - unknowns[: len(self.guess)])
         return linear._replace(
             residuals=np.concatenate([linear.residuals, off]),
             regressor=np.concatenate([linear.regressor, rows]),
@@ -220,13 +248,12 @@ class DynamicProblem:
     def free(self) -> npt.NDArray[np.intp]:
         """(M,) observations of each maneuver, less its own unknowns."""
         seen = np.isfinite(self.sigma).sum(axis=(1, 2))
-        return np.asarray(seen + self.believed.size - self.own.size)
+        return np.asarray(seen + self.moving.size - self.own.size)
 
     @property
     def degrees_of_freedom(self) -> int:
         """Observations and priors less the unknowns."""
-        known = np.count_nonzero(np.isfinite(self.known))
-        return int(self.free.sum() + known - len(self.names))
+        return int(self.free.sum() + self.believed.size - len(self.names))
 
 
 @dataclass(frozen=True)
@@ -284,7 +311,29 @@ class DynamicResult:
     def covariance(self) -> Floats:
         """(p, p) with the uncertainty of what is assumed."""
         assumed = self.problem.assumed[np.ix_(self.assumed, self.assumed)]
-        return np.asarray(self.random + self.influence @ assumed @ self.influence.T)
+        shared = self._with_assumed @ self.influence.T
+        return np.asarray(
+            self.random + self.influence @ assumed @ self.influence.T - shared - shared.T
+        )
+
+    @cached_property
+    def _with_assumed(self) -> Floats:
+        """(p, c) covariance that priors alone give the estimate's errors with the assumed ones."""
+        return np.asarray(
+            self.random @ self.problem.prior_rows.T @ self.problem.prior_with(self.assumed)
+        )
+
+    @property
+    def known(self) -> Known:
+        """What is known of all parameters now, those assumed included."""
+        basis, every = self.problem.choice.basis, parameter_names(self.problem.arm.n)
+        size, assumed = basis.shape[1], self.problem.assumed[np.ix_(self.assumed, self.assumed)]
+        cross = (self._with_assumed - self.influence @ assumed)[:size]
+        C = np.block([[self.covariance[:size, :size], cross], [cross.T, assumed]])
+        J = np.concatenate([basis, np.eye(len(every))[:, self.assumed]], axis=1)
+        uncertain = np.flatnonzero(J.any(axis=1))
+        C = (J @ C @ J.T)[np.ix_(uncertain, uncertain)]
+        return self.problem.arm.known.told([every[k] for k in uncertain], C)
 
     @cached_property
     def undetermined(self) -> Mask:
@@ -314,7 +363,8 @@ class DynamicResult:
 
         The diagonal of P Lambda_prior, 1 less the resolution of the data.
         """
-        return np.diag(self.random) / self.problem.known**2
+        rows = self.problem.prior_rows
+        return np.diag(self.random @ rows.T @ rows)
 
     @property
     def at_bound(self) -> tuple[str, ...]:
@@ -388,15 +438,8 @@ class DynamicResult:
         """
         arm, basis = self.problem.arm, self.problem.choice.basis
         x = basis @ self.values[: basis.shape[1]]
-        v = np.where(basis.any(axis=1), x, values(arm)).tolist()
-        n = arm.n
-        arm = arm.with_kinematics(v[4 : 2 * n + 6])
-        m, b, inertia = (v[2 * n + 6 + k * n : 3 * n + 6 + k * n] for k in range(3))
-        links = tuple(
-            replace(link, mass=m[i], b=b[i], inertia=inertia[i]) for i, link in enumerate(arm.links)
-        )
-        base: Base = replace(arm.base, mass=v[0], inertia=v[1], com=(v[2], v[3]))
-        return replace(arm, base=base, links=links)
+        found = with_values(arm, np.where(basis.any(axis=1), x, values(arm)))
+        return replace(found, known=self.known)
 
 
 def underway(problem: DynamicProblem) -> Floats:

@@ -42,7 +42,7 @@ def problem_of(
         pose[: len(one.marks)] = one.poses
         fresh = np.minimum(one.frames, np.maximum(1.0, s.fresh_rate * np.array(one.seconds)))
         spread[: len(one.marks)] = deviations / np.sqrt(fresh)[:, None]
-    return known_beforehand(arm, s, stack([one.path() for one in maneuvers]), poses, sigma)
+    return known_beforehand(arm, s, stack([one.path for one in maneuvers]), poses, sigma)
 
 
 def known_beforehand(
@@ -50,7 +50,8 @@ def known_beforehand(
 ) -> DynamicProblem:
     """The problem of maneuvers, with what settings say is known."""
     s, n = settings, arm.n
-    choice, deviations = Choice.of(s.estimate, n), s.deviations(n)
+    choice, C = Choice.of(s.estimate, n), s.covariance(arm)
+    deviations = np.sqrt(np.diag(C))
     prior = choice.basis.T @ deviations / choice.basis.sum(axis=0)
     words = s.priors.strip()
     held = Choice.of(words, n).indices if words else np.arange(0)
@@ -58,7 +59,7 @@ def known_beforehand(
     return DynamicProblem(
         path, poses, sigma, arm, choice,
         prior=np.where(closed, prior, inf),
-        assumed=np.diag(deviations**2),
+        assumed=C,
         momentum=np.array([s.momentum_deviation] * 2 + [s.spin_deviation]),
         tilt=GRAVITY * s.tilt_deviation,
     )  # fmt: skip

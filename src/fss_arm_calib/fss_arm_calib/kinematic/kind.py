@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 from fss_arm_calib.calibration import Calibration, Data, Input
 from fss_arm_calib.kinematic.calibrate import calibrate
+from fss_arm_calib.kinematic.evidence import evidence
 from fss_arm_calib.kinematic.report import kinematic_report
 from fss_arm_calib.kinematic.settings import KinematicSettings
 from fss_arm_calib.kinematic.solution import Solution
@@ -120,6 +121,7 @@ KINEMATIC = Calibration(
     inputs=inputs,
     finder=finder,
     calibrate=calibrate,
+    evidence=evidence,
     message=KinematicCalibration,
     to_message=to_message,
     numbers=("held_out_residuals", "held_out_normalized"),

@@ -210,10 +210,23 @@ class KinematicProblem:
 
     def regressor(self, xi: Floats) -> Floats:
         """Phi_k (Eq. 5), rows weighted by the root of W: (3s, p)."""
+        return self._whitened(xi, self.basis)
+
+    def _whitened(self, xi: Floats, basis: Floats) -> Floats:
+        """The regressor by any combinations, (2n+3, c), of the parameters and theta_E: (3s, c)."""
         Phi = tip_regressor(self.vector(xi), self.q)
         by_theta_E = np.broadcast_to(np.array([[0.0], [0.0], [1.0]]), (len(self.q), 3, 1))
-        Phi = np.concatenate([Phi, by_theta_E], axis=-1) @ self.basis
-        return self.in_deviations(Phi).reshape(-1, self.basis.shape[1])
+        Phi = np.concatenate([Phi, by_theta_E], axis=-1) @ basis
+        return self.in_deviations(Phi).reshape(3 * len(self.q), basis.shape[1])
+
+    @cached_property
+    def assumed(self) -> Floats:
+        """(2n+3, 2n+3) covariance of what is not estimated, as the description tells; else 0."""
+        names = (*kinematic_names(self.arm.n), "theta_E")
+        C = self.arm.known.over(names, np.zeros(len(names)))
+        estimated = self.basis.any(axis=1)
+        C[estimated] = C[:, estimated] = 0.0
+        return C
 
     def normalized(self, residuals: Floats) -> Floats:
         """Residuals (s, 3) in deviations."""
@@ -235,6 +248,11 @@ class KinematicProblem:
     def distances(self, xi: Floats) -> Floats:
         """d_k^2, the squared length of each difference in deviations, (s,)."""
         return np.asarray(np.sum(self.normalized(self.residuals(xi)) ** 2, axis=1))
+
+    def influence(self, xi: Floats, P: Floats) -> Floats:
+        """(p, 2n+3) shift of the estimate by an error of each parameter, true less assumed."""
+        weights = np.repeat(self.weights(xi), 3)[:, None]
+        return P @ (weights * self.regressor(xi)).T @ self._whitened(xi, np.eye(len(self.basis)))
 
     def cost(self, xi: Floats) -> float:
         """What the iteration minimizes, sum_k rho(d_k^2)."""
@@ -363,8 +381,14 @@ class KinematicResult:
         Raises:
             DescriptionError: a length is not positive.
         """
-        *values, theta_E = self.problem.all_parameters(self.values).tolist()
-        return replace(self.problem.arm.with_kinematics(values), theta_E=theta_E)
+        problem, arm = self.problem, self.problem.arm
+        *values, theta_E = problem.all_parameters(self.values).tolist()
+        names = (*kinematic_names(arm.n), "theta_E")
+        cross = problem.basis @ problem.influence(self.values, self.weighted) @ problem.assumed
+        C = problem.basis @ self.covariance @ problem.basis.T + problem.assumed - cross - cross.T
+        uncertain = np.flatnonzero(np.diag(C) > 0.0)
+        known = arm.known.told([names[k] for k in uncertain], C[np.ix_(uncertain, uncertain)])
+        return replace(arm.with_kinematics(values), theta_E=theta_E, known=known)
 
 
 def _lengths(z: Floats, covariance: Floats) -> Floats:
@@ -439,10 +463,11 @@ def fit(
     missing = len(best.x) - len(best.basis.s)
     angles = np.array(problem.units) == "rad"
     weights, P = problem.weights(best.x), best.basis.covariance()
+    G = problem.influence(best.x, P)
     return KinematicResult(
         problem=problem,
         values=np.where(angles, wrap(best.x), best.x),
-        covariance=P + problem.repeated(best.x, P),
+        covariance=P + problem.repeated(best.x, P) + G @ problem.assumed @ G.T,
         weighted=P,
         residuals=problem.residuals(best.x),
         weights=weights,

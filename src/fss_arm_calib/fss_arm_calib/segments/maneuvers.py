@@ -13,6 +13,7 @@ gyro's stamps are of the joints' clock. What was learned by then shifts the wind
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from math import inf, pi
 from typing import NamedTuple
 
@@ -46,6 +47,7 @@ class Maneuver:
     used: bool = True
     reason: str = ""  # why it is not used
 
+    @cached_property
     def path(self) -> Path:
         """The joints' path, with the base's poses as its marks."""
         law, edges = sampled(self.times, self.q, self.qd)

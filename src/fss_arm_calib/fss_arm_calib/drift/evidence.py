@@ -1,0 +1,68 @@
+"""What drifts say of an arm and of what acts on it: how it moves as one body."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fss_arm_calib.drift.problem import STEPS
+from fss_arm_calib.drift.settings import DriftSettings
+from fss_arm_calib.drift.solution import deviations
+from fss_arm_calib.estimation.least_squares import Floats, Linear, eliminate
+from fss_arm_calib.segments.drifts import Drift
+from fss_arm_model import layout
+from fss_arm_model.description import Arm
+from fss_arm_model.drifting import drift, whole, whole_sensitivities
+
+OWN = 6  # unknowns of each drift: pose and twist at its start
+
+#: As for a drift alone, then mass and inertia of the whole.
+_STEPS = np.array([*STEPS, 1e-3, 1e-4])
+
+
+@dataclass(frozen=True)
+class DriftEvidence:
+    """Drifts, each with its own pose and twist at the start; the whole's body is the arm's."""
+
+    drifts: Sequence[Drift]
+    sigma: Sequence[Floats]  # (m, 3) of each drift's poses
+    n: int  # links
+
+    @property
+    def free(self) -> int:
+        """Coordinates of the poses, less the drifts' own unknowns."""
+        return sum(sigma.size - OWN for sigma in self.sigma)
+
+    def begin(self) -> Floats:
+        """Each with its mean twist."""
+        parts = []
+        for one in self.drifts:
+            first, last = np.array(one.poses[0]), np.array(one.poses[-1])
+            parts += [first, (last - first) / (one.times[-1] - one.times[0])]
+        return np.concatenate(parts)
+
+    def near(self, z: Floats, own: Floats) -> Linear:
+        """Poses of the base, divided by their deviations; as many rows of each as hold the same."""
+        size = layout.size(self.n)
+        p, acting, q = z[:size], z[size:], np.array([one.q for one in self.drifts])
+        bodies, by_arm = whole(p, q), whole_sensitivities(p, q)
+        count = len(_STEPS)
+        few = np.empty((len(q), count + 1, count + 1))
+        steps = _STEPS * np.vstack([np.zeros((1, count)), np.eye(count), -np.eye(count)])
+        for k, one in enumerate(self.drifts):
+            mass, inertia, *com = bodies[k]
+            u = np.array([*acting, *own[OWN * k : OWN * (k + 1)], *com, mass, inertia]) + steps
+            poses = drift(u[:, [13, 14, 11, 12]], u[:, :5], u[:, 5:11], one.times)[..., :3]
+            by = (poses[1 : count + 1] - poses[count + 1 :]) / (2.0 * _STEPS[:, None, None])
+            off = np.array(one.poses) - poses[0]
+            rows = np.concatenate([by, off[None]]) / self.sigma[k]
+            few[k] = np.linalg.qr(rows.reshape(count + 1, -1).T, mode="r")
+        A = np.zeros((*few.shape[:2], len(z)))
+        A[..., size:] = few[..., :5]
+        A[..., :size] = few[..., [13, 14, 11, 12]] @ by_arm
+        return eliminate(A, few[..., 5:11], few[..., -1])
+
+
+def evidence(drifts: Sequence[Drift], arm: Arm, settings: DriftSettings) -> DriftEvidence:
+    """What drifts say."""
+    return DriftEvidence(drifts, deviations(drifts, settings, np.ones(len(drifts))), arm.n)

@@ -1,0 +1,56 @@
+"""What maneuvers say of an arm and its table: where they leave the base."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fss_arm_calib.dynamic.problem import DynamicProblem
+from fss_arm_calib.dynamic.settings import DynamicSettings
+from fss_arm_calib.dynamic.solution import problem_of
+from fss_arm_calib.estimation.least_squares import Floats, Linear
+from fss_arm_calib.segments.maneuvers import Maneuver
+from fss_arm_model import layout
+from fss_arm_model.description import Arm
+
+
+@dataclass(frozen=True)
+class ManeuverEvidence:
+    """Maneuvers, each with its own pose and momentum at the start."""
+
+    problem: DynamicProblem
+
+    @property
+    def free(self) -> int:
+        """Coordinates of the poses, less the unknowns of which nothing is believed."""
+        return int(self.problem.free.sum())
+
+    def begin(self) -> Floats:
+        """At rest where the base is seen first."""
+        first = np.concatenate(
+            [self.problem.poses[:, 0], np.zeros((len(self.problem.poses), 3))], 1
+        )
+        return first[:, self.problem.own].ravel()
+
+    def near(self, z: Floats, own: Floats) -> Linear:
+        """Poses of the base, divided by their deviations."""
+        problem, size = self.problem, layout.size(self.problem.arm.n)
+        states = np.zeros((len(problem.poses), 8))
+        states[:, :3] = problem.poses[:, 0]
+        states[:, problem.own] = own.reshape(len(states), -1)
+        states[:, 6:] = z[size : size + 2]
+        columns = np.zeros((size + 8, len(z)))
+        columns[:size, :size] = np.eye(size)
+        columns[-2:, size : size + 2] = np.eye(2)
+        return problem.observed(z[:size], states, columns)
+
+
+def evidence(
+    maneuvers: Sequence[Maneuver], arm: Arm, settings: DynamicSettings
+) -> ManeuverEvidence:
+    """What maneuvers say.
+
+    Raises:
+        ValueError: maneuvers and arm do not fit.
+    """
+    return ManeuverEvidence(problem_of(maneuvers, arm, settings))

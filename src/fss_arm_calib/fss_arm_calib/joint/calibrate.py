@@ -1,0 +1,275 @@
+"""What a joint estimate concludes from the data of several sessions."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import yaml
+
+from fss_arm_calib.acceptance import (
+    FAIL,
+    NOT_EVALUATED,
+    PASS,
+    Check,
+    at_most,
+    by_chance,
+    converged,
+    count,
+    determined,
+    quiet,
+)
+from fss_arm_calib.calibration import Calibration
+from fss_arm_calib.dynamic.parameters import Choice
+from fss_arm_calib.estimation.least_squares import Floats
+from fss_arm_calib.joint.problem import (
+    MAX_CONDITION,
+    TOLERANCE,
+    JointProblem,
+    JointResult,
+    solve,
+)
+from fss_arm_calib.joint.settings import JointSettings
+from fss_arm_calib.outcome import LIVE, Datum, Estimate, Outcome, concluded
+from fss_arm_calib.segments.rests import homed
+from fss_arm_calib.segments.streams import Streams
+from fss_arm_model.description import Arm, from_yaml
+from fss_arm_model.parameters import parameter_names, values
+from fss_arm_model.planar import wrap
+from fss_arm_model.units import GRAVITY
+
+Kinds = Mapping[str, Calibration[Any, Any]]
+
+
+@dataclass(frozen=True)
+class Session:
+    """Data between which neither tilt, hose nor a joint's zero changed, by kind."""
+
+    name: str
+    data: Mapping[str, Sequence[Any]]
+    streams: Mapping[str, Streams] = field(default_factory=dict)
+
+    def of(self, kind: str) -> Streams:
+        """What happened to the streams that data of a kind are from."""
+        return self.streams.get(kind, Streams())
+
+
+def split(session: Session) -> Iterator[Session]:
+    """Sessions in each of which no joint was homed, by what rests tell of that."""
+    rests = [one for one in session.data.get("kinematic", ()) if one.used]
+    cuts = [b.start for a, b in pairwise(rests) if homed(a, b)]
+    for k, (begin, end) in enumerate(zip([0, *cuts], [*cuts, 2**63], strict=True), 1):
+        data = {
+            kind: [one for one in some if begin <= one.start < end]
+            for kind, some in session.data.items()
+        }
+        name = f"{session.name}, homed {count(k - 1, 'time')}" if cuts else session.name
+        yield replace(session, name=name, data=data)
+
+
+@dataclass(frozen=True)
+class Stage:
+    """What the calibrations of single kinds made of a session, one after the other."""
+
+    arm: Arm  # that those which passed leave
+    used: dict[str, list[Any]]  # data that they did not reject
+    outcomes: dict[str, Outcome[Any, Any]]
+
+
+def stages(session: Session, arm: Arm, kinds: Kinds, settings: Mapping[str, Any]) -> Stage:
+    """Each kind of calibration of a session's data, where it can beginning from the one before."""
+    used, outcomes = {}, {}
+    for name, kind in kinds.items():
+        data = session.data.get(name, ())
+        if not any(one.used for one in data) or not kind.evidence:
+            continue
+        outcome = kind.calibrate(data, arm, settings[name], session.of(name), LIVE)
+        weights = outcome.estimate.weights
+        kept = weights > 0.0 if len(weights) else np.ones(len(outcome.used), dtype=bool)
+        used[name] = [one for one, well in zip(outcome.used, kept, strict=True) if well]
+        outcomes[name] = outcome
+        arm = from_yaml(outcome.description) if outcome.description else arm
+    return Stage(arm, used, outcomes)
+
+
+@dataclass(frozen=True)
+class Solution:
+    """A result, and the sessions that it is from."""
+
+    result: JointResult
+    sessions: tuple[str, ...]
+    number: tuple[dict[str, int], ...]  # of data by kind that each contributes
+
+
+def problem_of(
+    used: Sequence[Mapping[str, Sequence[Any]]],
+    arm: Arm,
+    s: JointSettings,
+    kinds: Kinds,
+    settings: Mapping[str, Any],
+) -> JointProblem:
+    """The problem that the data of sessions make.
+
+    Raises:
+        ValueError: data and arm do not fit.
+    """
+    sessions = []
+    for data in used:
+        every = ((name, kinds[name].evidence) for name in data)
+        sessions.append(
+            {name: make(data[name], arm, settings[name]) for name, make in every if make}
+        )
+    n, words = arm.n, s.priors.strip()
+    size = 5 * n + 6 + s.theta_e
+    prior = np.zeros((size, size))
+    prior[: 5 * n + 6, : 5 * n + 6] = s.covariance(arm)
+    tilt, drifting = settings["dynamic"].tilt_deviation, settings["drift"]
+    return JointProblem(
+        arm, sessions, prior, Choice.of(words, n).indices if words else np.arange(0),
+        surroundings=np.array([
+            GRAVITY * tilt, GRAVITY * tilt, drifting.torque_deviation, drifting.twist_deviation,
+            drifting.drag_deviation,
+        ]),
+        zeros=s.zero_deviation,
+        theta_e=s.theta_e,
+    )  # fmt: skip
+
+
+def begin(problem: JointProblem, arms: Sequence[Arm]) -> Floats:
+    """All unknowns to begin with, from the arms that stages found in the sessions."""
+    n, last = problem.arm.n, arms[-1]
+    zeros = [*range(4 + n, 3 + 2 * n), 2 * n + 5]
+    moved = []
+    for k, arm in enumerate(arms):
+        own = np.zeros(len(problem.own_names(k)))
+        if "theta_BJ1" in problem.own_names(k):
+            own[:n] = wrap((values(arm) - values(last))[zeros])
+        moved.append(own)
+    guess = np.array([*values(last), *([last.theta_E] if problem.theta_e else [])])
+    return problem.start(moved, guess)
+
+
+def calibrate(
+    sessions: Sequence[Session],
+    arm: Arm,
+    settings: JointSettings,
+    kinds: Kinds,
+    of_kinds: Mapping[str, Any],
+    source: str = LIVE,
+) -> Outcome[Datum, Solution]:
+    """Solve for one arm from all data and check the result.
+
+    Args:
+        sessions: in order of time.
+        arm: the initial guess, and what is known of it.
+        settings: what is known, and criteria.
+        kinds: of calibration, the table.
+        of_kinds: their settings.
+        source: of the data.
+
+    Raises:
+        ValueError: data and arm do not fit, or a setting is impossible.
+    """
+    s = settings
+    kinematic = replace(of_kinds["kinematic"], theta_e=s.theta_e)
+    of_kinds = {**of_kinds, "kinematic": kinematic}
+    parts = [one for session in sessions for one in split(session)]
+    found = [(one, stages(one, arm, kinds, of_kinds)) for one in parts]
+    found = [(one, stage) for one, stage in found if stage.used]
+    used = [stage.used for _, stage in found]
+    names = (*parameter_names(arm.n), *(["theta_E"] if s.theta_e else []))
+    kinds_seen = sorted({kind for data in used for kind in data})
+    enough = Check(
+        "data", PASS if found else NOT_EVALUATED, len(kinds_seen), 1,
+        _numbers(used, kinds) if found else "no rest, maneuver or drift can be used",
+    )  # fmt: skip
+    found_checks, solution = [enough], None
+    problem = problem_of(used, arm, s, kinds, of_kinds)
+    estimate = Estimate(names, problem.units, problem.guess)
+    if found:
+        start = begin(problem, [stage.arm for _, stage in found])
+        result = solve(problem, start)
+        numbers = tuple({kind: len(some) for kind, some in data.items()} for data in used)
+        solution = Solution(result, tuple(one.name for one, _ in found), numbers)
+        found_checks += evaluate(result, s)
+        estimate = estimate_of(result)
+    hashes = [o.provenance.data_hash for _, stage in found for o in stage.outcomes.values()]
+    outcome = concluded(
+        [one for part in parts for some in part.data.values() for one in some],
+        [one for data in used for some in data.values() for one in some],
+        [np.frombuffer("".join(hashes).encode(), dtype=np.uint8)],
+        arm, s, JointSettings, Streams(), source, found_checks, estimate, solution,
+        solution.result.calibrated if solution else None,
+    )  # fmt: skip
+    return replace(outcome, provenance=replace(outcome.provenance, parameters=_told(s, of_kinds)))
+
+
+def _numbers(used: Sequence[Mapping[str, Sequence[Any]]], kinds: Kinds) -> str:
+    total = {kind: sum(len(data.get(kind, ())) for data in used) for kind in kinds}
+    parts = [count(k, kinds[kind].data.noun) for kind, k in total.items() if k]
+    return f"{', '.join(parts)} of {count(len(used), 'session')}"
+
+
+def _told(s: JointSettings, of_kinds: Mapping[str, Any]) -> str:
+    """All settings, as YAML."""
+    every = {"joint": s, **of_kinds}
+    told = {
+        name: {f.name: getattr(one, f.name) for f in fields(one)} for name, one in every.items()
+    }
+    return yaml.safe_dump(told, sort_keys=False)
+
+
+def evaluate(r: JointResult, s: JointSettings) -> list[Check]:
+    """The checks of a result."""
+    m, problem = r.minimum, r.problem
+    held = r.at_bound
+    words = f"at the bound of what is possible: {', '.join(held)}" if held else ""
+    missing = len(r.values) - len(m.basis.s) - len(held)
+    each = [
+        quiet(
+            by_chance(
+                f"fit_{kind}", cost, free, s.min_probability,
+                f"residuals of {kind} data are larger than the deviations allow",
+            )
+        )
+        for kind, (cost, free) in r.fits.items()
+    ]  # fmt: skip
+    return [
+        quiet(determined(r.undetermined, missing, m.basis.condition, MAX_CONDITION)),
+        converged(m.converged, m.iterations, m.last_update, TOLERANCE),
+        Check("bounds", FAIL if held else PASS, len(held), 0, words),
+        by_chance(
+            "fit", m.linear.cost, problem.degrees_of_freedom, s.min_probability,
+            "residuals are larger than the deviations allow",
+        ),
+        *each,
+        _precise(r, s),
+    ]  # fmt: skip
+
+
+def _precise(r: JointResult, s: JointSettings) -> Check:
+    """The parameter known worst against what is asked."""
+    sigma, units = np.sqrt(np.diag(r.covariance)), np.array(r.problem.units)
+    limits = np.select(
+        [np.isin(units, ["kg", "kg m^2"]), units == "m"],
+        [s.max_relative * np.abs(r.problem.guess), s.max_place], np.inf,
+    )  # fmt: skip
+    k = int(np.argmax(sigma / limits))
+    words = f"{r.problem.names[k]} has a deviation of {sigma[k]:.2g} {units[k]} "
+    words += f"(at most {limits[k]:.2g})"
+    return at_most("precision", float(sigma[k] / limits[k]), 1.0, words, "too uncertain")
+
+
+def estimate_of(r: JointResult) -> Estimate:
+    """What is estimated, as every kind of calibration has it."""
+    m = r.minimum
+    return Estimate(
+        r.problem.names, r.problem.units, r.problem.guess, r.values, r.covariance,
+        undetermined=r.undetermined,
+        chi_square=m.linear.cost,
+        degrees_of_freedom=r.problem.degrees_of_freedom,
+        condition_number=m.basis.condition,
+        iterations=m.iterations,
+        last_update=m.last_update,
+    )  # fmt: skip

@@ -1,0 +1,121 @@
+"""One arm from all rests, maneuvers and drifts of one bag or many: the command `joint`."""
+
+import argparse
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from fss_arm_bags.reader import open_bags
+from fss_arm_calib import report
+from fss_arm_calib.from_bag import (
+    EPILOG,
+    EXIT_CODES,
+    add_settings,
+    defaults,
+    fed,
+    name,
+    outputs,
+    source,
+    told,
+)
+from fss_arm_calib.joint.calibrate import Session, Solution, calibrate
+from fss_arm_calib.joint.report import joint_report
+from fss_arm_calib.joint.settings import JointSettings
+from fss_arm_calib.kinds import KINDS
+from fss_arm_calib.outcome import Outcome
+from fss_arm_model.description import described, load
+from fss_arm_model.files import ContentError, read_yaml
+from fss_arm_ros.command_line import USER_ERROR, Parser
+
+DESCRIPTION = f"""{__doc__} Each bag is a session of its own: tilt, hose and the joints' zeros may
+be others in each, and so they may after a homing within it."""
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    p = Parser("joint", description=DESCRIPTION, epilog=EPILOG)
+    p.add_argument("bags", nargs="+", metavar="BAG", help="bag, or folder of bags: a session")
+    outputs(p, "calibrated description")
+    p.add_argument(
+        "--params", metavar="YAML", help="settings of kinematic, dynamic and drift, as their nodes "
+        "are given them",
+    )  # fmt: skip
+    add_settings(p, JointSettings)
+    return p
+
+
+def of_kinds(path: str | None, namespace: str) -> dict[str, Any]:
+    """The settings of each kind of calibration, some of them by a ROS parameter file.
+
+    Raises:
+        ValueError: the file holds something else, or a setting is impossible.
+        OSError: it cannot be read.
+    """
+    given: Any = read_yaml(Path(path)) if path else {}
+    if not isinstance(given, dict) or not all(isinstance(one, dict) for one in given.values()):
+        raise ContentError(f"{path}: it", given, f"settings of {', '.join(KINDS)}")
+    found = {}
+    for kind in KINDS.values():
+        known = defaults(kind.settings, namespace)
+        section = given.get(kind.name, {})
+        for key, value in section.get("ros__parameters", section).items():
+            if key not in known:
+                raise ContentError(f"{path}: {kind.name}", key, "a setting of it")
+            known[key] = tuple(value) if isinstance(value, list) else value
+        found[kind.name] = kind.settings(**known)
+    return found
+
+
+def session_of(
+    path: str, n: int, settings: Mapping[str, Any], namespace: str
+) -> tuple[Session, str]:
+    """The data of all kinds in a bag, and its source in words; of what topics it lacks, none.
+
+    Raises:
+        BagError: it cannot be read, or a topic is of another type.
+    """
+    data, streams = {}, {}
+    with open_bags(path) as bags:
+        for kind in KINDS.values():
+            s = settings[kind.name]
+            inputs = kind.inputs(s, n)
+            there = [one for one in inputs if name(bags, one, namespace, False) in bags.topics]
+            if any(one.needed and one not in there for one in inputs):
+                continue
+            finder = kind.finder(n, s, [])
+            data[kind.name] = fed(bags, finder, there, s.horizon, namespace)
+            streams[kind.name] = finder.streams()
+        return Session(Path(path).name, data, streams), source(bags)
+
+
+def estimated(options: argparse.Namespace, console: Console) -> Outcome[Any, Solution]:
+    """Solve, show and write what was asked for."""
+    s = JointSettings(**{f.name: getattr(options, f.name) for f in fields(JointSettings)})
+    truth = load(options.truth) if options.truth else None
+    arm, settings = described(s.arm), of_kinds(options.params, options.namespace)
+    read = [session_of(bag, arm.n, settings, options.namespace) for bag in options.bags]
+    read.sort(
+        key=lambda one: min((d.start for some in one[0].data.values() for d in some), default=0)
+    )
+    sources = ", ".join(source for _, source in read)
+    outcome = calibrate([one for one, _ in read], arm, s, KINDS, settings, sources)
+    told(outcome, joint_report(outcome, truth), "joint", options, console)
+    return outcome
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run as `ros2 run fss_arm_calib joint`."""
+    options = parser().parse_args(args)
+    try:
+        return EXIT_CODES[estimated(options, report.console()).verdict]
+    except (ValueError, OSError) as error:
+        print(f"joint: {' '.join(str(error).split())}", file=sys.stderr)
+        return USER_ERROR
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,72 @@
+"""The report of a joint estimate: one arm, what told it, and what each session had for its own."""
+
+from typing import Any
+
+import numpy as np
+
+from fss_arm_calib.estimation.statistics import probability
+from fss_arm_calib.joint.calibrate import Solution
+from fss_arm_calib.outcome import Outcome
+from fss_arm_calib.report import Report, Table
+from fss_arm_calib.report_tables import number, parameters, reported, shown_unit, text
+from fss_arm_model.description import Arm
+from fss_arm_model.parameters import unit, values
+
+
+def joint_report(outcome: Outcome[Any, Solution], truth: Arm | None = None) -> Report:
+    """The report; `truth` is the simulated arm, to compare with."""
+    found = outcome.solution
+    title = f"Joint estimate of {outcome.arm.name}"
+    if found is None:
+        return reported(title, outcome, [parameters(outcome)])
+    tables = [_parameters(outcome, found, truth), _fits(found)]
+    return reported(title, outcome, tables, [_sessions(found)])
+
+
+def _parameters(outcome: Outcome[Any, Solution], found: Solution, truth: Arm | None) -> Table:
+    """Guess, estimate, and how much larger its deviation were without the data of a kind."""
+    r, e = found.result, outcome.estimate
+    without = r.without
+    rows = []
+    for k, name in enumerate(e.names):
+        row = [name, shown_unit(e.units[k])]
+        row += [number(x[k], e.units[k]) for x in (e.initial, e.values, e.deviations)]
+        row += [text(sigma[k] / e.deviations[k], ".2f") for sigma in without.values()]
+        if truth:
+            true = np.array([*values(truth), truth.theta_E])[k]
+            row.append(text((e.values[k] - true) / e.deviations[k], "+.1f"))
+        rows.append(row)
+    head = ["parameter", "unit", "guess", "estimate", "± 1 sigma"]
+    head += [f"x without {kind}" for kind in without]
+    note = "x: by how much the deviation grows without data of a kind; -: they alone determine it"
+    return Table("Parameters", head + (["off [sigma]"] if truth else []), rows, words=2, note=note)
+
+
+def _fits(found: Solution) -> Table:
+    """How well the data of each kind fit."""
+    rows = [
+        [kind, str(sum(one.get(kind, 0) for one in found.number)), f"{cost:.1f}", str(free),
+         f"{probability(cost, free):.2g}"]
+        for kind, (cost, free) in found.result.fits.items()
+    ]  # fmt: skip
+    head = ["kind", "data", "chi-square", "observations less own unknowns", "probability"]
+    return Table("Residuals by kind of data", head, rows)
+
+
+def _sessions(found: Solution) -> Table:
+    """What each session had for its own."""
+    rows = []
+    for k, session in enumerate(found.sessions):
+        own = zip(found.result.problem.own_names(k), *found.result.session(k), strict=True)
+        for name, value, sigma in own:
+            kind = {"torque": "N m", "twist_damping": "N m s", "drag": "N s/m"}.get(
+                name, unit(name)
+            )
+            rows.append([session, name, shown_unit(kind), _small(value, kind), _small(sigma, kind)])
+    head = ["session", "parameter", "unit", "estimate", "± 1 sigma"]
+    note = "zeros of joints against those of the last session"
+    return Table("What each session had for its own", head, rows, words=3, note=note)
+
+
+def _small(value: float, kind: str) -> str:
+    return f"{np.degrees(value) if kind == 'rad' else value:.3g}"

@@ -1,0 +1,44 @@
+"""The settings of a joint estimate; those of its data are those of their kinds."""
+
+from dataclasses import dataclass
+from math import radians
+
+from fss_arm_calib.dynamic.parameters import Choice, Knowledge
+from fss_arm_calib.settings import SHARE
+from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, setting
+
+
+@dataclass(frozen=True)
+class JointSettings(Knowledge):
+    """What is known beforehand, and what a result must meet to pass.
+
+    Raises:
+        SettingError: a setting is impossible.
+    """
+
+    arm: str = setting("", "description YAML to begin from; empty: the paper's arm")
+    priors: str = setting(
+        "m_i m_0 I_0 com_0",
+        "words, as b_i I_0, for parameters whose described value counts as an observation",
+    )
+    theta_e: bool = setting(False, "estimate the end effector subject's heading offset, too")
+    zero_deviation: float = setting(
+        radians(5.0),
+        "1 sigma of how far a joint's zero moves from one session to the next; 0: it does not",
+        unit="rad", check=NOT_NEGATIVE,
+    )  # fmt: skip
+    min_probability: float = setting(
+        1e-3, "least chi-square probability of residuals as large as found", check=SHARE
+    )
+    max_relative: float = setting(
+        1.0, "largest deviation of a mass or an inertia, of its value in the description",
+        check=POSITIVE,
+    )  # fmt: skip
+    max_place: float = setting(
+        0.02, "largest deviation of a length or a centre of mass", unit="m", check=POSITIVE
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.priors.strip():
+            Choice.of(self.priors, 12)

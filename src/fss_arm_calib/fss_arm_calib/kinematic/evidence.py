@@ -1,0 +1,54 @@
+"""What rests say of an arm: where its end effector is seen from the base."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fss_arm_calib.estimation.least_squares import Floats, Linear
+from fss_arm_calib.kinematic.problem import KinematicProblem
+from fss_arm_calib.kinematic.settings import KinematicSettings
+from fss_arm_calib.kinematic.solution import problem_of
+from fss_arm_calib.segments.rests import Observation
+from fss_arm_model import layout
+from fss_arm_model.description import Arm
+from fss_arm_model.kinematics import tip_in_base, tip_regressor
+from fss_arm_model.planar import wrap
+
+
+@dataclass(frozen=True)
+class RestEvidence:
+    """Rests, which have no unknowns of their own."""
+
+    problem: KinematicProblem
+
+    @property
+    def free(self) -> int:
+        """Coordinates of the poses."""
+        return self.problem.tip.size
+
+    def begin(self) -> Floats:
+        """Nothing."""
+        return np.empty(0)
+
+    def near(self, z: Floats, own: Floats) -> Linear:
+        """Poses of the end effector, divided by their deviations."""
+        problem, n = self.problem, self.problem.arm.n
+        p = z[: layout.size(n)]
+        off = problem.tip - tip_in_base(p, problem.q)
+        off[:, 2] = wrap(off[:, 2])
+        J = np.zeros((*off.shape, len(z)))
+        J[..., layout.kinematic_index(n)] = tip_regressor(p, problem.q)
+        J[:, 2, layout.TIP_ANGLE] = 1.0
+        r = problem.normalized(off).ravel()
+        rows = problem.in_deviations(J).reshape(len(r), len(z))
+        return Linear(r, rows, float(r @ r), lambda dz: dz)
+
+
+def evidence(rests: Sequence[Observation], arm: Arm, settings: KinematicSettings) -> RestEvidence:
+    """What rests say.
+
+    Raises:
+        ValueError: rests and arm do not fit.
+    """
+    return RestEvidence(problem_of(rests, arm, settings))

@@ -1,0 +1,91 @@
+"""A result as files: JSON, for the next calibration and for programs, and CSV, for people.
+
+docs/reference/result.md says what stands in them.
+"""
+
+import csv
+from dataclasses import asdict
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+from fss_arm_calib import state
+from fss_arm_calib.acceptance import PASS
+from fss_arm_calib.outcome import Outcome
+from fss_arm_model.description import Arm, from_yaml
+from fss_arm_model.files import ContentError, write_text
+
+SCHEMA = "fss_arm_calib/result/1"
+
+#: Fields of an Estimate that stand under `fit`.
+FIT = (
+    "position_residual", "heading_residual", "chi_square", "degrees_of_freedom",
+    "condition_number", "iterations", "last_update",
+)  # fmt: skip
+
+
+def contents(kind: str, outcome: Outcome[Any, Any]) -> dict[str, Any]:
+    """What stands in the JSON file; numbers that are not finite become null there."""
+    e, streams = outcome.estimate, outcome.streams
+    return {
+        "schema": SCHEMA,
+        "kind": kind,
+        "arm": outcome.arm.name,
+        "verdict": outcome.verdict,
+        "reason": outcome.reason,
+        "checks": [asdict(check) for check in outcome.checks],
+        "names": list(e.names),
+        "units": list(e.units),
+        "initial": e.initial.tolist(),
+        "values": e.values.tolist(),
+        "deviations": e.deviations.tolist(),
+        "covariance": e.covariance.tolist(),
+        "undetermined": list(e.undetermined),
+        "fit": {name: getattr(e, name) for name in FIT},
+        "used": outcome.accepted,
+        "left_out": outcome.left_out,
+        "time_offset": streams.offset.value,
+        "time_offset_deviation": streams.offset.deviation,
+        "provenance": asdict(outcome.provenance),
+        "description": outcome.description,
+    }
+
+
+def table(outcome: Outcome[Any, Any]) -> str:
+    """The CSV file: a row for each parameter, its covariance with all of them at the end."""
+    e, text = outcome.estimate, StringIO()
+    rows = csv.writer(text, lineterminator="\n")
+    rows.writerow(["name", "unit", "initial", "value", "deviation", *e.names])
+    columns = e.names, e.units, e.initial, e.values, e.deviations, e.covariance.tolist()
+    for name, unit, initial, value, deviation, row in zip(*columns, strict=True):
+        numbers = [float(initial), float(value), float(deviation), *row]
+        rows.writerow([name, unit, *map(repr, numbers)])
+    return text.getvalue()
+
+
+def write(path: str | Path, kind: str, outcome: Outcome[Any, Any]) -> None:
+    """Write a result as JSON, and the CSV beside it.
+
+    Raises:
+        OSError: they cannot be written.
+    """
+    state.write(path, contents(kind, outcome))
+    write_text(Path(path).with_suffix(".csv"), table(outcome))
+
+
+def arm_of(path: str | Path, kind: str) -> Arm:
+    """The arm that a result of a kind of calibration leaves, and how well it knows it.
+
+    Raises:
+        ContentError: it is no such result, or has not passed.
+        OSError: it cannot be read.
+    """
+    found = state.read(path, None)
+    if found is None:
+        raise FileNotFoundError(f"no such file: {path}")
+    if not isinstance(found, dict) or found.get("schema") != SCHEMA:
+        raise ContentError(f"{path}: schema", found and dict(found).get("schema"), SCHEMA)
+    for name, expected in (("kind", kind), ("verdict", PASS)):
+        if found.get(name) != expected:
+            raise ContentError(f"{path}: {name}", found.get(name), expected)
+    return from_yaml(str(found.get("description")))

@@ -1,0 +1,95 @@
+"""How base and arm drift as one rigid body while the arm rests: on a tilted table, at a hose.
+
+Of mass M and inertia K about its centre of mass, which lies at c in the base's frame; the base's
+origin, where the hose is, at x, its heading theta, and z = x + exp(i theta) c,
+
+    M z'' = M g - d x'        K theta'' = tau - kappa theta' + (x - z) x (-d x')
+
+g is the acceleration of a free body down the table, tau the hose's torque at rest, kappa and d what
+it resists turning and moving with. Planar vectors are complex numbers.
+"""
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from .dynamics import inertia_matrix
+from .kernels import Floats, helper, kernel
+from .momentum import system_com
+
+SURROUNDINGS = ("g_x", "g_y", "torque", "twist_damping", "drag")
+BODY = ("mass", "inertia", "x", "y")  # of the whole; the latter two its centre of mass
+
+_FOUR = np.empty(4)
+_TURN = 0.1  # most of a step of the integration [rad]
+
+
+@helper
+def _rates(M, K, c, shared, u, theta, omega):  # type: ignore[no-untyped-def]
+    """Acceleration of the centre of mass, and of the heading."""
+    arm = complex(math.cos(theta), math.sin(theta)) * c
+    v = u - 1j * omega * arm  # of the base's origin
+    by_drag = shared[4] * (arm.real * v.imag - arm.imag * v.real)
+    g = complex(shared[0], shared[1])
+    return g - shared[4] / M * v, (shared[2] - shared[3] * omega + by_drag) / K
+
+
+@kernel("(b),(s),(o),(m),(f)->(m,f)")
+def _drift(body, shared, own, times, _f, out):  # type: ignore[no-untyped-def]
+    M, K, c = body[0], body[1], complex(body[2], body[3])
+    theta, omega = own[2], own[5]
+    lever = complex(math.cos(theta), math.sin(theta)) * c
+    z = complex(own[0], own[1]) + lever
+    u = complex(own[3], own[4]) + 1j * omega * lever
+    for i in range(times.size):
+        span = times[i] - times[i - 1] if i > 0 else 0.0
+        count = max(1, math.ceil(abs(omega) * span / _TURN)) if span > 0.0 else 0
+        for _ in range(count):  # Runge and Kutta's fourth order
+            h = span / count
+            a1, b1 = _rates(M, K, c, shared, u, theta, omega)
+            u2, w2 = u + 0.5 * h * a1, omega + 0.5 * h * b1
+            a2, b2 = _rates(M, K, c, shared, u2, theta + 0.5 * h * omega, w2)
+            u3, w3 = u + 0.5 * h * a2, omega + 0.5 * h * b2
+            a3, b3 = _rates(M, K, c, shared, u3, theta + 0.5 * h * w2, w3)
+            u4, w4 = u + h * a3, omega + h * b3
+            a4, b4 = _rates(M, K, c, shared, u4, theta + h * w3, w4)
+            z += h / 6.0 * (u + 2.0 * u2 + 2.0 * u3 + u4)
+            theta += h / 6.0 * (omega + 2.0 * w2 + 2.0 * w3 + w4)
+            u += h / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
+            omega += h / 6.0 * (b1 + 2.0 * b2 + 2.0 * b3 + b4)
+        x = z - complex(math.cos(theta), math.sin(theta)) * c
+        out[i, 0], out[i, 1], out[i, 2], out[i, 3] = x.real, x.imag, theta, omega
+
+
+def drift(
+    body: npt.ArrayLike, shared: npt.ArrayLike, own: npt.ArrayLike, times: npt.ArrayLike
+) -> Floats:
+    """Pose and turn rate of the base, (..., m, 4): x, y [m], heading [rad], its rate [rad/s].
+
+    Args:
+        body: (..., 4) as BODY [kg, kg m^2, m, m].
+        shared: (..., 5) as SURROUNDINGS [m/s^2, m/s^2, N m, N m s, N s/m].
+        own: (..., 6) pose and twist at the first moment.
+        times: (..., m) moments, ascending [s].
+    """
+    return _drift(body, shared, own, times, _FOUR)
+
+
+def whole(p: npt.ArrayLike, q: npt.ArrayLike) -> Floats:
+    """The one body, (..., 4) as BODY, that base and arm, Arm.vector(), are at readings (..., n)."""
+    p, q = np.asarray(p, dtype=float), np.asarray(q, dtype=float)
+    state = np.concatenate([np.zeros((*q.shape[:-1], 3)), q], axis=-1)
+    H, com = inertia_matrix(p, state), system_com(p, state)
+    mass = H[..., 0, 0]
+    inertia = H[..., 2, 2] - mass * np.sum(com**2, axis=-1)
+    return np.concatenate([np.stack([mass, inertia], axis=-1), com], axis=-1)
+
+
+def whole_sensitivities(p: Floats, q: npt.ArrayLike) -> Floats:
+    """Derivatives of the one body by Arm.vector(), (..., 4, 8 + 6 n), at readings q (..., n)."""
+    step = 1e-6
+    moved = p + step * np.concatenate([np.eye(p.size), -np.eye(p.size)])
+    bodies = whole(moved, np.asarray(q, dtype=float)[..., None, :])
+    by = (bodies[..., : p.size, :] - bodies[..., p.size :, :]) / (2.0 * step)
+    return np.swapaxes(by, -1, -2)

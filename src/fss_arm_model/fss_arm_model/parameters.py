@@ -1,0 +1,66 @@
+"""The parameters of an arm by name, and what stands for them in Arm.vector().
+
+Of an arm of n links they are, in this order,
+
+    m_0, I_0, x_com, y_com        the base: mass, inertia, centre of mass in its frame
+    kinematic_names(n)            a_i, theta_0_i, x_BJ1, y_BJ1, theta_BJ1
+    m_i, b_i, I_i                 the links: mass, centre of mass to the next joint, inertia
+"""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import numpy.typing as npt
+
+from .description import Arm
+from .layout import BASE_SIZE, LINK_SIZE, Floats, kinematic_index, kinematic_names
+
+
+def parameter_names(n: int) -> tuple[str, ...]:
+    """The names of all 5 n + 6 parameters."""
+    links = (f"{kind}_{i}" for kind in "mbI" for i in range(1, n + 1))
+    return ("m_0", "I_0", "x_com", "y_com", *kinematic_names(n), *links)
+
+
+def unit(name: str) -> str:
+    """Unit of a parameter."""
+    kinds = {"m": "kg", "I": "kg m^2", "g": "m/s^2", "theta": "rad"}
+    return kinds.get(name.split("_")[0], "m")
+
+
+@cache
+def to_vector(n: int) -> Floats:
+    """(8 + 6 n, 5 n + 6): how a change of the parameters changes Arm.vector(); g = a - b."""
+    T = np.zeros((BASE_SIZE + LINK_SIZE * n, 5 * n + 6))
+    T[range(4), range(4)] = 1.0
+    T[kinematic_index(n), range(4, 2 * n + 6)] = 1.0
+    links, first = BASE_SIZE + LINK_SIZE * np.arange(n), 2 * n + 6 + np.arange(n)
+    T[links + 2, first] = 1.0  # m_i
+    T[links + 4, first + n] = -1.0  # g_i by b_i
+    T[links + 4, 4 + np.arange(n)] = 1.0  # g_i by a_i
+    T[links + 3, first + 2 * n] = 1.0  # I_i
+    return T
+
+
+def values(arm: Arm) -> Floats:
+    """(5 n + 6,) the parameters of an arm."""
+    vector, links = arm.vector(), arm.links
+    own = [[k.mass for k in links], [k.b for k in links], [k.inertia for k in links]]
+    return np.concatenate([vector[:4], vector[kinematic_index(arm.n)], *own])
+
+
+def with_values(arm: Arm, v: npt.ArrayLike) -> Arm:
+    """The arm with other values of the parameters, (5 n + 6,).
+
+    Raises:
+        DescriptionError: a value cannot be right.
+    """
+    n, given = arm.n, np.asarray(v, dtype=float).tolist()
+    arm = arm.with_kinematics(given[4 : 2 * n + 6])
+    m, b, inertia = (given[2 * n + 6 + k * n : 3 * n + 6 + k * n] for k in range(3))
+    links = tuple(
+        replace(link, mass=m[i], b=b[i], inertia=inertia[i]) for i, link in enumerate(arm.links)
+    )
+    base = replace(arm.base, mass=given[0], inertia=given[1], com=(given[2], given[3]))
+    return replace(arm, base=base, links=links)

@@ -1,0 +1,124 @@
+"""A calibration that begins from another: live from its topic, and from its result or its bag."""
+
+import json
+
+import calib_float
+import numpy as np
+import pytest
+from calib_joint import ARM, kinematics, rests
+from calib_kinds import PRECISE, STATE, TRUTH, Bed, make_node
+
+from fss_arm_calib.dynamic.kind import DYNAMIC
+from fss_arm_calib.from_bag import main as from_bag
+from fss_arm_calib.from_bag import solve_bag
+from fss_arm_calib.joint.joint_command import main as joint
+from fss_arm_calib.kinds import KINDS
+from fss_arm_calib.messages import common
+from fss_arm_calib.recompute import again
+from fss_arm_model.description import from_yaml, load, to_yaml
+from fss_arm_ros.qos import LATCHED
+
+FOUND = kinematics(rests(ARM, 13, np.random.default_rng(0)))
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory):
+    """Ten maneuvers between rests, the end effector in sight."""
+    flight = calib_float.Float(
+        calib_float.postures(10, seed=3), TRUTH.vector(), STATE, noise=(0.0005, 0.002)
+    )
+    return str(calib_float.record(tmp_path_factory.mktemp("bag"), flight.samples(20, tip=True)))
+
+
+@pytest.mark.parametrize("kind", ["dynamic", "drift"])
+def test_a_node_begins_from_a_kinematic_result_that_passed(spin, kind):
+    kind, kinematic = KINDS[kind], KINDS["kinematic"]
+    bed, node = Bed(kind), make_node(kind)
+    publisher = bed.create_publisher(kinematic.message, kinematic.topic, LATCHED)
+    message = kinematic.message()
+    message.calibration.verdict, message.calibration.description = "fail", "none"
+    publisher.publish(message)
+    message.calibration.verdict, message.calibration.description = "pass", to_yaml(FOUND)
+    publisher.publish(message)
+    spin([bed, node], lambda: node.begun.arm.known.names)
+    assert node.begun.arm.known == FOUND.known
+    spin([bed, node], lambda: bed.results and "covariance" in common(bed.results[-1]).guess)
+    assert from_yaml(common(bed.results[-1]).guess) == node.begun.arm
+
+
+def test_a_result_of_another_arm_is_not_taken(spin):
+    bed, node = Bed(DYNAMIC), make_node(DYNAMIC)
+    publisher = bed.create_publisher(KINDS["kinematic"].message, "calibration/kinematic", LATCHED)
+    message, begun = KINDS["kinematic"].message(), node.begun
+    warned = []
+    node.get_logger().warning = warned.append
+    message.calibration.verdict = "pass"
+    message.calibration.description = to_yaml(ARM).replace("links:", "links: [", 1)
+    publisher.publish(message)
+    spin([bed, node], lambda: warned)
+    assert "calibration/kinematic not taken" in warned[0]
+    assert node.begun is begun
+
+
+def test_the_command_begins_from_a_result_or_from_a_bag(bag, tmp_path, capsys):
+    given = [f"--{k.replace('_', '-')}={v}" for k, v in PRECISE.items()]
+    kinematic, alone, files = (tmp_path / name for name in ("k.json", "d.json", "from.json"))
+    output = tmp_path / "kinematics.yaml"
+    assert from_bag([bag, "--result", str(kinematic), "--output", str(output)]) == 0
+    from_bag(["--dynamic", bag, *given, "--result", str(alone)])
+    from_bag(["--dynamic", bag, *given, "--kinematic", str(kinematic), "--result", str(files)])
+    found = [json.loads(path.read_text())["deviations"][:4] for path in (alone, files)]
+    # Rests as uncertain as the paper's, which nobody had to copy.
+    assert (np.array(found[1]) > 1.5 * np.array(found[0])).all()
+    from_bag(["--dynamic", bag, *given, "--kinematic", bag, "--result", str(files)])
+    assert json.loads(files.read_text())["deviations"][:4] == pytest.approx(found[1], rel=1e-9)
+    begun = ["--dynamic", bag, *given, "--arm", str(output), "--result", str(files)]
+    from_bag(begun)
+    assert json.loads(files.read_text())["deviations"][:4] == pytest.approx(found[1], rel=1e-9)
+    capsys.readouterr()
+    assert from_bag(["--dynamic", bag, "--kinematic", str(alone)]) == 1
+    assert "kind is 'dynamic', expected kinematic" in capsys.readouterr().err
+    assert from_bag(["--dynamic", bag, "--kinematic", str(tmp_path / "none.json")]) == 1
+    assert "no such file" in capsys.readouterr().err
+
+
+def test_what_was_begun_from_is_in_the_result_and_gives_it_again(bag):
+    settings = DYNAMIC.settings(**PRECISE)
+    outcome = solve_bag(DYNAMIC, bag, settings, arm=FOUND)
+    message = DYNAMIC.to_message(outcome, "fss")
+    data = DYNAMIC.data.to_message(outcome.data, "fss")
+    computed = again(DYNAMIC, message, data)
+    np.testing.assert_allclose(computed.covariance, outcome.covariance, rtol=1e-12)
+
+
+def test_a_joint_estimate_of_bags(bag, tmp_path, capsys):
+    params, output, page = (tmp_path / name for name in ("p.yaml", "arm.yaml", "report"))
+    precise = "{position_deviation: 0.0005, heading_deviation: 0.002}"
+    params.write_text(f"dynamic: {{ros__parameters: {precise}}}\nkinematic: {precise}\n")
+    written = ["--output", str(output), "--report", str(page), "--result", str(tmp_path / "j.json")]
+    asked = ["--params", str(params), "--max-relative", "3", *written]
+    assert joint([bag, *asked]) == 0
+    text = capsys.readouterr().out
+    for words in ("x without dynamic", "10 maneuvers of 1 session", "b_1", "theta_BJ1"):
+        assert words in text
+    arm, found = load(output), json.loads((tmp_path / "j.json").read_text())
+    assert arm.known.names == tuple(found["names"])
+    assert found["kind"] == "joint"
+    assert abs(arm.links[0].b - 0.185) < 4.0 * found["deviations"][found["names"].index("b_1")]
+    assert "What each session had for its own" in (page / "index.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("dynamic: {position_error: 1}", "dynamic is 'position_error', expected a setting of it"),
+        ("[1, 2]", "expected settings of kinematic, dynamic, drift"),
+        ("dynamic: 3", "expected settings"),
+        ("drift: {bin: -1.0}", "bin is -1.0 s"),
+    ],
+)
+def test_settings_that_cannot_be_are_refused(bag, tmp_path, capsys, text, message):
+    params = tmp_path / "params.yaml"
+    params.write_text(text)
+    assert joint([bag, "--params", str(params)]) == 1
+    assert message in capsys.readouterr().err

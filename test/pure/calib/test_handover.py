@@ -1,0 +1,207 @@
+"""From one calibration to the next with all that is known, and what it costs to forget it."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from calib_joint import (
+    ARM,
+    DRIFT,
+    DYNAMIC,
+    KINEMATIC,
+    ROUGH,
+    SURROUNDINGS,
+    draw_arm,
+    drifts,
+    dynamics,
+    forgotten,
+    kinematics,
+    maneuvers,
+    nees,
+    rests,
+)
+from numpy.testing import assert_allclose
+
+from fss_arm_calib import result
+from fss_arm_calib.drift.solution import uncertainty
+from fss_arm_calib.dynamic.calibrate import calibrate as calibrate_dynamics
+from fss_arm_calib.kinematic.calibrate import calibrate
+from fss_arm_model.description import (
+    DescriptionError,
+    Known,
+    from_yaml,
+    kinematic_names,
+    to_yaml,
+)
+from fss_arm_model.files import ContentError
+from fss_arm_model.parameters import parameter_names, values
+from fss_arm_ros.calibrated import Calibrated, with_kinematics_of
+
+ALONG = "b_i I_i I_0 com_0 a_i theta_0_i mount"
+MASSES = [f"{kind}_{i}" for kind in "bI" for i in range(1, 5)] + ["I_0", "x_com", "y_com"]
+
+
+def chain(seed, rough=False, words=DYNAMIC.estimate, forget=False):
+    """NEES a parameter, and deviations, of b, I and the base by a chain from rests to maneuvers."""
+    rng, settings = np.random.default_rng(seed), replace(DYNAMIC, estimate=words)
+    truth, seen = draw_arm(rng), ROUGH if rough else KINEMATIC
+    acting = SURROUNDINGS * rng.standard_normal(5)
+    arm = kinematics(rests(truth, 13, rng, s=seen), s=seen)
+    found = dynamics(maneuvers(truth, 16, rng, acting), forgotten(arm) if forget else arm, settings)
+    at = [found.problem.names.index(name) for name in MASSES]
+    return (
+        nees(MASSES, found.values[at], found.covariance[np.ix_(at, at)], truth),
+        found.deviations[at],
+    )
+
+
+def test_masses_are_as_uncertain_as_claimed_by_a_chain_and_not_if_it_forgets():
+    """Rests that see the end effector as the paper's do, and cameras that see the base well."""
+    known = np.mean([chain(seed, True, ALONG)[0] for seed in range(12)])
+    forgot = np.mean([chain(seed, True, forget=True)[0] for seed in range(4)])
+    assert known == pytest.approx(1.0, abs=0.35)
+    assert forgot > 10.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rough", [False, True])
+def test_masses_are_as_uncertain_as_claimed_over_500_chains(rough):
+    found = [chain(seed, rough, ALONG)[0] for seed in range(2000, 2500)]
+    print(f"NEES {np.mean(found):.3f} a parameter")
+    assert np.mean(found) == pytest.approx(1.0, abs=0.1)
+
+
+def test_what_is_estimated_along_makes_rough_kinematics_better():
+    """Of kinematics known badly, assumed ones blur what maneuvers tell."""
+    assumed, along = (chain(3, True, words)[1] for words in (DYNAMIC.estimate, ALONG))
+    assert (along[:3] < 0.5 * assumed[:3]).all()
+
+
+@pytest.fixture(scope="module")
+def told():
+    """A truth, its rests, maneuvers, and the outcome of both calibrations in a chain."""
+    rng = np.random.default_rng(1)
+    truth, acting = draw_arm(rng), SURROUNDINGS * rng.standard_normal(5)
+    found = calibrate(rests(truth, 13, rng), ARM, KINEMATIC)
+    some = maneuvers(truth, 16, rng, acting)
+    arm = from_yaml(found.description)
+    return truth, found, calibrate_dynamics(some, arm, replace(DYNAMIC, estimate=ALONG))
+
+
+def test_a_description_tells_the_covariance_of_what_was_found(told):
+    _, found, dynamic = told
+    arm = from_yaml(found.description)
+    assert arm.known.names == found.names == kinematic_names(4)
+    assert_allclose(arm.known.covariance, found.covariance, rtol=1e-12, atol=0)
+    assert from_yaml(to_yaml(arm)) == arm
+    after = from_yaml(dynamic.description)
+    assert set(after.known.names) == set(parameter_names(4))
+    C = after.known.over(dynamic.names[:-2], np.zeros(len(dynamic.names) - 2))
+    assert_allclose(C, dynamic.covariance[:-2, :-2], rtol=1e-9, atol=1e-18)
+
+
+def test_all_parameters_together_are_as_uncertain_as_a_dynamic_result_says():
+    """Those assumed too: with what errors of theirs have moved."""
+    found = []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        truth, acting = draw_arm(rng), SURROUNDINGS * rng.standard_normal(5)
+        arm = kinematics(rests(truth, 13, rng))
+        r = dynamics(maneuvers(truth, 16, rng, acting), arm)
+        every = dict(zip(parameter_names(4), values(arm), strict=True))
+        every |= dict(zip(r.problem.names, r.values, strict=True))
+        known = r.known
+        C = np.array(known.covariance)
+        found.append(nees(known.names, [every[name] for name in known.names], C, truth))
+    assert np.mean(found) == pytest.approx(1.0, abs=0.2)
+
+
+def test_offsets_alone_are_as_uncertain_as_the_lengths_that_are_kept():
+    """After a homing: lengths come from a rough calibration of before."""
+    found, blind = [], []
+    offsets = replace(KINEMATIC, parametrization="offsets")
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        truth = draw_arm(rng)
+        arm, later = kinematics(rests(truth, 13, rng, s=ROUGH), s=ROUGH), rests(truth, 6, rng)
+        for before, into in ((arm, found), (forgotten(arm), blind)):
+            after = calibrate(later, before, offsets)
+            into.append(nees(after.names, after.values, after.covariance, truth))
+    assert np.mean(found) == pytest.approx(1.0, abs=0.4)
+    assert np.mean(blind) > 3.0
+
+
+def test_drifts_know_the_whole_as_well_as_the_description_tells(told):
+    truth, _, dynamic = told
+    some = drifts(truth, 2, np.random.default_rng(0), SURROUNDINGS)
+    com, mass = uncertainty(some, from_yaml(dynamic.description), DRIFT)
+    assert 1e-4 < com < 0.5 * DRIFT.com_deviation
+    assert 1e-3 < mass < DRIFT.mass_deviation
+    assert uncertainty(some, ARM, DRIFT) == (DRIFT.com_deviation, DRIFT.mass_deviation)
+
+
+def test_views_are_told_by_a_description_too(told):
+    _, found, _ = told
+    arm = from_yaml(found.description)
+    C = Calibrated(arm).covariance
+    assert C[8, 8] == pytest.approx(found.covariance[0, 0])
+    assert not Calibrated(ARM).covariance.any()
+    heavier = replace(ARM, base=replace(ARM.base, mass=12.0))
+    both = with_kinematics_of(arm, heavier)
+    assert both.base.mass == 12.0
+    assert both.known == arm.known
+    assert both.links[1].a == arm.links[1].a
+
+
+def test_a_result_as_files(told, tmp_path):
+    _, found, dynamic = told
+    path = tmp_path / "out" / "kinematic.json"
+    result.write(path, "kinematic", found)
+    read = json.loads(path.read_text())
+    assert read["schema"] == result.SCHEMA
+    assert read["verdict"] == "pass"
+    assert read["names"] == list(found.names)
+    assert_allclose(read["covariance"], found.covariance, rtol=0, atol=0)
+    assert read["fit"]["chi_square"] == found.estimate.chi_square
+    assert read["provenance"]["data_hash"] == found.provenance.data_hash
+    assert result.arm_of(path, "kinematic") == from_yaml(found.description)
+    head, first, *_ = path.with_suffix(".csv").read_text().splitlines()
+    assert head.split(",")[:6] == ["name", "unit", "initial", "value", "deviation", "a_1"]
+    assert float(first.split(",")[3]) == found.values[0]
+    with pytest.raises(ContentError, match="kind is 'kinematic', expected dynamic"):
+        result.arm_of(path, "dynamic")
+    result.write(path, "dynamic", dynamic)
+    assert json.loads(path.read_text())["time_offset"] is None  # not known
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"schema": "other/1"}, "schema is 'other/1', expected fss_arm_calib/result/1"),
+        ({"verdict": "fail"}, "verdict is 'fail', expected pass"),
+        ({"description": "name: [1"}, "expected"),
+    ],
+)
+def test_a_result_that_cannot_be_begun_from_is_refused(told, tmp_path, change, message):
+    path = tmp_path / "result.json"
+    result.write(path, "kinematic", told[1])
+    path.write_text(json.dumps({**json.loads(path.read_text()), **change}))
+    with pytest.raises(ContentError, match=message):
+        result.arm_of(path, "kinematic")
+
+
+@pytest.mark.parametrize(
+    ("names", "rows", "message"),
+    [
+        (["a_1", "a_1"], [[1.0, 0.0], [0.0, 1.0]], "names is .* expected a list of names"),
+        (["a_1", "a_2"], [[1.0]], "covariance is 'of 1 values', expected of 2"),
+        (["a_1", "a_2"], [[1.0, 0.5], [0.4, 1.0]], "expected a symmetric one"),
+        (["a_1"], [[-1.0]], "expected a symmetric one, its diagonal 0 or more"),
+        (["a_1"], [["x"]], "expected as many rows"),
+        (["a_1"], [[float("nan")]], "expected as many rows"),
+    ],
+)
+def test_an_impossible_covariance_is_refused(names, rows, message):
+    with pytest.raises(DescriptionError, match=message):
+        Known(tuple(names), rows)

@@ -1,0 +1,192 @@
+"""Sessions of rests, maneuvers and drifts of one simulated arm, and what is true of them."""
+
+from dataclasses import replace
+from math import radians
+from typing import NamedTuple
+
+import numpy as np
+
+from fss_arm_calib.drift.settings import DriftSettings
+from fss_arm_calib.dynamic.problem import solve as solve_dynamics
+from fss_arm_calib.dynamic.settings import DynamicSettings
+from fss_arm_calib.dynamic.solution import problem_of as dynamic_problem
+from fss_arm_calib.kinematic.problem import solve as fit_kinematics
+from fss_arm_calib.kinematic.settings import KinematicSettings
+from fss_arm_calib.kinematic.solution import problem_of as kinematic_problem
+from fss_arm_calib.segments.drifts import Drift
+from fss_arm_calib.segments.maneuvers import Maneuver
+from fss_arm_calib.segments.rests import Observation
+from fss_arm_model import base_motion
+from fss_arm_model.description import Arm, Known, kinematic_index, paper_arm
+from fss_arm_model.drifting import drift, whole
+from fss_arm_model.kinematics import tip_in_base
+from fss_arm_model.parameters import parameter_names, values, with_values
+from fss_arm_model.planar import wrap
+from fss_arm_model.units import GRAVITY
+
+ARM = paper_arm()
+SECOND = 10**9
+BIN, FRAMES = 0.5, 50
+PERIOD = 0.2  # of telemetry [s]
+REST = 2.0  # before and after a maneuver [s]
+
+# What the data are drawn by, and judged by: a laboratory that sees its arm well.
+CAMERAS = {"position_deviation": 0.0005, "heading_deviation": radians(0.1), "fresh_rate": 100.0}
+KINEMATIC = KinematicSettings(
+    parametrization="full", position_deviation=0.001, heading_deviation=radians(0.1)
+)
+DYNAMIC = DynamicSettings(
+    momentum_deviation=0.1, spin_deviation=0.02, tilt_deviation=radians(0.005), **CAMERAS
+)
+DRIFT = DriftSettings(torque_deviation=0.002, twist_deviation=0.003, drag_deviation=0.02, **CAMERAS)
+SETTINGS = {"kinematic": KINEMATIC, "dynamic": DYNAMIC, "drift": DRIFT}
+SURROUNDINGS = np.array([
+    *[GRAVITY * DYNAMIC.tilt_deviation] * 2,
+    DRIFT.torque_deviation, DRIFT.twist_deviation, DRIFT.drag_deviation,
+])  # fmt: skip
+
+
+class Day(NamedTuple):
+    """Of one session the data by kind, and what no sensor tells."""
+
+    data: dict[str, list]
+    moved: np.ndarray  # (n) of the joints' zeros against those of the arm [rad]
+    acting: np.ndarray  # (5) SURROUNDINGS
+
+
+def draw_arm(rng, guess=ARM, knowledge=DYNAMIC, kinematics=(0.005, 0.02)) -> Arm:
+    """An arm that the guess is a poor description of: of lengths, angles, b and I least."""
+    n = guess.n
+    sigma = knowledge.deviations(n)
+    sigma[4 : 2 * n + 6] = kinematics[0]
+    sigma[[*range(4 + n, 3 + 2 * n), 2 * n + 5]] = kinematics[1]
+    v = values(guess) + sigma * rng.standard_normal(5 * n + 6)
+    v[3 * n + 6 : 4 * n + 6] = [k.b for k in guess.links] + rng.uniform(-0.015, 0.015, n)
+    v[4 * n + 6 :] = [k.inertia for k in guess.links] * rng.uniform(0.75, 1.25, n)
+    return with_values(guess, v)
+
+
+def turned(arm: Arm, moved) -> Arm:
+    """The arm with other zeros of its joints."""
+    n, v = arm.n, arm.vector()[kinematic_index(arm.n)]
+    v[n : 2 * n - 1] += moved[1:]
+    v[-1] += moved[0]
+    return arm.with_kinematics(v)
+
+
+def rests(arm, count, rng, start=0, s=KINEMATIC):
+    q = rng.uniform(-1.3, 1.3, (count, arm.n))
+    sigma = [s.position_deviation, s.position_deviation, s.heading_deviation]
+    tip = tip_in_base(arm.vector(), q) + sigma * rng.standard_normal((count, 3))
+    return [
+        Observation(
+            start + k * SECOND, start + k * SECOND + 1, tuple(a), tuple(b), (0.0,) * 3, 10, 200
+        )
+        for k, (a, b) in enumerate(zip(q.tolist(), tip.tolist(), strict=True))
+    ]
+
+
+def maneuvers(arm, count, rng, acting, start=0, s=DYNAMIC):
+    found, marks = [], np.arange(BIN / 2, REST, BIN)
+    fresh = min(FRAMES, s.fresh_rate * BIN)
+    sigma = np.array([s.position_deviation] * 2 + [s.heading_deviation]) / np.sqrt(fresh)
+    ends = rng.choice([-1.0, 1.0], (count, 3, arm.n)) * rng.uniform(0.6, 1.4, (count, 3, arm.n))
+    for k, way in enumerate(ends):
+        spans = 1.5 * np.abs(np.diff(way, axis=0)).max(axis=1) + 0.5
+        edges = np.concatenate([[0.0], np.cumsum(spans)])
+
+        def law(t, way=way, edges=edges):
+            i = np.clip(np.searchsorted(edges, t, "right") - 1, 0, 1)
+            span = np.diff(edges)[i]
+            x = np.clip((t - edges[i]) / span, 0.0, 1.0)[:, None]
+            step = way[i + 1] - way[i]
+            return way[i] + step * x**2 * (3 - 2 * x), step * 6 * x * (1 - x) / span[:, None]
+
+        times = [np.arange(-PERIOD * rng.random(), edges[-1] + PERIOD, PERIOD) for _ in way[0]]
+        read = [[part[:, i] for part in law(t)] for i, t in enumerate(times)]
+        seen = np.array([*(marks - REST), *(edges[-1] + marks)])
+        state = np.concatenate([
+            rng.uniform(-0.5, 0.5, 2), rng.uniform(-3.0, 3.0, 1),
+            rng.normal(0.0, s.momentum_deviation, 2), rng.normal(0.0, s.spin_deviation, 1),
+            acting[:2],
+        ])  # fmt: skip
+        # The solver's path is the one through the samples: what they miss is another matter.
+        path = base_motion.path(*base_motion.sampled(times, *zip(*read, strict=True)), seen)
+        poses = base_motion.base_poses(arm.vector(), path, state)
+        poses = poses + sigma * rng.standard_normal(poses.shape)
+        at = start + k * 20 * SECOND
+        found.append(
+            Maneuver(
+                at, at + 10 * SECOND, tuple(tuple(t + REST) for t in times),
+                tuple(tuple(q) for q, _ in read), tuple(tuple(qd) for _, qd in read),
+                tuple(seen + REST), tuple(map(tuple, poses.tolist())), (FRAMES,) * len(seen),
+                (BIN,) * len(seen),
+            )
+        )  # fmt: skip
+    return found
+
+
+def drifts(arm, count, rng, acting, start=0, s=DRIFT, length=40.0):
+    found, times = [], np.arange(0.0, length, BIN)
+    fresh = min(FRAMES, s.fresh_rate * BIN)
+    sigma = np.array([s.position_deviation] * 2 + [s.heading_deviation]) / np.sqrt(fresh)
+    for k in range(count):
+        q = rng.uniform(-1.2, 1.2, arm.n)
+        own = [*rng.uniform(-0.3, 0.3, 2), rng.uniform(-3.0, 3.0), *rng.normal(0.0, 0.003, 2),
+               rng.normal(0.0, 0.02)]  # fmt: skip
+        poses = drift(whole(arm.vector(), q), acting, own, times)[:, :3]
+        poses = poses + sigma * rng.standard_normal(poses.shape)
+        at = start + k * 100 * SECOND
+        found.append(
+            Drift(
+                at, at + round(length) * SECOND, tuple(q), tuple(times),
+                tuple(map(tuple, poses.tolist())), (FRAMES,) * len(times), (BIN,) * len(times),
+            )
+        )  # fmt: skip
+    return found
+
+
+def day(arm, rng, counts=(13, 12, 3), zeros=0.0, number=0) -> Day:
+    """So many rests, maneuvers and drifts, with surroundings of their own."""
+    moved, acting = rng.normal(0.0, zeros, arm.n), SURROUNDINGS * rng.standard_normal(5)
+    arm, start = turned(arm, moved), number * 86_400 * SECOND
+    data = {
+        "kinematic": rests(arm, counts[0], rng, start),
+        "dynamic": maneuvers(arm, counts[1], rng, acting, start),
+        "drift": drifts(arm, counts[2], rng, acting, start),
+    }
+    return Day({kind: some for kind, some in data.items() if some}, moved, acting)
+
+
+ROUGH = replace(KINEMATIC, **{
+    name: getattr(KinematicSettings(), name) for name in ("position_deviation", "heading_deviation")
+})  # fmt: skip  # as the paper's rests
+
+
+def errors(names, found, truth):
+    """Of some of an arm's parameters, angles wrapped."""
+    true = dict(zip(parameter_names(truth.n), values(truth), strict=True))
+    error = np.array([x - true[name] for name, x in zip(names, found, strict=True)])
+    angles = np.array([name.startswith("theta") for name in names])
+    return np.where(angles, wrap(error), error)
+
+
+def nees(names, found, covariance, truth):
+    """Normalized squared error a parameter."""
+    error = errors(names, found, truth)
+    return error @ np.linalg.solve(covariance[: len(error), : len(error)], error) / len(error)
+
+
+def kinematics(rests, guess=ARM, s=KINEMATIC):
+    """The arm that a kinematic calibration leaves, with its covariance."""
+    return fit_kinematics(kinematic_problem(rests, guess, s)).calibrated()
+
+
+def dynamics(maneuvers, arm, s=DYNAMIC):
+    """What a dynamic calibration finds that begins from an arm; no bound is in force."""
+    return solve_dynamics(dynamic_problem(maneuvers, arm, s), bounded=False)
+
+
+def forgotten(arm):
+    """An arm of which nobody has told how well its kinematics are known."""
+    return replace(arm, known=Known())
