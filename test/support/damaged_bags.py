@@ -5,7 +5,6 @@ Run by itself it prints tables, also when it is interrupted: damaged_bags.py --c
 
 import argparse
 import signal
-from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
 from io import StringIO
