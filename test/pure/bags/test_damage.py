@@ -3,7 +3,7 @@
 from itertools import islice
 
 import pytest
-from damaged_bags import BAGS, Trial, cases, wrong
+from damaged_bags import BAGS, Case, Trial, cases, wrong
 
 
 @pytest.fixture(scope="module")
@@ -21,6 +21,15 @@ def gone_wrong(trial, count, first):
 def test_damage_is_seen_or_can_not_be(trial, first):
     """Bytes of messages without checksums cannot; all else is told, in a line."""
     assert gone_wrong(trial, 20, first) == []
+
+
+#: That went wrong once.
+FOUND = [Case("standard", "bits flipped", 11059)]  # the length of a message index
+
+
+@pytest.mark.parametrize("case", FOUND, ids=str)
+def test_damage_once_found_stays_found(trial, case):
+    assert not wrong(outcome := trial.run(case)), outcome
 
 
 @pytest.mark.slow
