@@ -59,9 +59,9 @@ class RelayNode(Node):
         self.publisher = self.create_publisher(Float64, "relayed", SENSOR)
         self.receiver = Receiver(self.transport, self.poll, self.create_guard_condition(exit))
 
-    def poll(self) -> None:
+    def poll(self, datagrams: list[bytes]) -> None:
         """Copy what has come."""
-        for data in self.transport.receive():
+        for data in datagrams:
             self.publisher.publish(Float64(data=struct.unpack("<d", data[:8])[0]))
 
 
@@ -119,8 +119,9 @@ class FakeLink(Peer):
         """Take a command; return its set point [counts]."""
         command = decode(data)
         assert isinstance(command, Command)
-        arms = State.ARMED if command.flags & Order.ARM else 0
-        self.frame = replace(self.frame, echo=command.clock & 0xFFFFFFFF, flags=FRAME.flags | arms)
+        state = {int(Order.ARM): State.ARMED, int(Order.STOP): State.STOPPED}
+        is_in = state.get(command.flags & (Order.ARM | Order.STOP), 0)
+        self.frame = replace(self.frame, echo=command.clock & 0xFFFFFFFF, flags=FRAME.flags | is_in)
         self.arrival = time.monotonic()
         return command.set_point
 

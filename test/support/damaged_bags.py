@@ -5,7 +5,6 @@ Run by itself it prints tables, also when it is interrupted: damaged_bags.py --c
 
 import argparse
 import signal
-from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
 from io import StringIO
@@ -356,8 +355,9 @@ def attempt(step: Callable[[], str]) -> str:
         return f"{TRACEBACK} {type(error).__name__}"
 
 
-def of_reading(bag: Path, whole: Any) -> str:
+def of_reading(bag: Path, whole: Any, kept: list[float]) -> str:
     messages, topics, said = contents(bag)
+    kept.append(min(1.0, len(messages) / len(whole[0])))
     if (messages, topics) == whole[:2]:
         return SAID if len(said) > len(whole[2]) else SAME
     if not said:
@@ -404,6 +404,12 @@ class Outcome(NamedTuple):
     read: str
     seen: str
     mended: str
+    kept: float = 1.0  # messages that are read of those there were; 0: it is refused
+
+
+def wrong(outcome: tuple[Any, ...]) -> bool:
+    """Whether a step of it ended as none should."""
+    return any(str(result).startswith(WRONG) for result in outcome)
 
 
 class Trial:
@@ -429,11 +435,13 @@ class Trial:
         damage(case, bag)
         if unharmed(bag, source):
             return Outcome(SAME, SEEN, SAME)
-        read = attempt(lambda: of_reading(bag, whole))
+        kept: list[float] = []
+        read = attempt(lambda: of_reading(bag, whole, kept))
         seen = attempt(lambda: of_doctor(bag, self.said[case.bag], source))
         if seen == UNSEEN and (case.bag in UNCHECKED or case.damage.startswith("metadata")):
             seen = {SAME: HARMLESS, UNKNOWABLE: UNKNOWABLE}.get(read, seen)
-        return Outcome(read, seen, attempt(lambda: of_repair(bag, whole)))
+        mended = attempt(lambda: of_repair(bag, whole))
+        return Outcome(read, seen, mended, sum(kept))
 
 
 def unharmed(bag: Path, source: Path) -> bool:
@@ -448,32 +456,42 @@ def unharmed(bag: Path, source: Path) -> bool:
     )
 
 
-def main() -> None:
+def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=1000)
     parser.add_argument("--first", type=int, default=0, help="the first seed")
     parser.add_argument("--bags", nargs="+", default=list(BAGS))
-    parser.add_argument("--show", action="store_true", help="name the cases that went wrong")
     options = parser.parse_args()
-    steps: list[Counter[tuple[str, str, str]]] = [Counter() for _ in Outcome._fields]
+    found: dict[tuple[str, str], list[Outcome]] = {}
+    bad = 0
     with TemporaryDirectory() as folder, suppress(KeyboardInterrupt):
         trial = Trial(Path(folder))
         for case in islice(cases(options.bags, options.first), options.count):
             outcome = trial.run(case)
-            for counts, result in zip(steps, outcome, strict=True):
-                counts[case.bag, case.damage, result] += 1
-            if options.show and any(r.startswith(WRONG) for r in outcome):
+            found.setdefault((case.bag, case.damage), []).append(outcome)
+            if wrong(outcome):
+                bad += 1
                 print(case, outcome, flush=True)
-    for name, counts in zip(Outcome._fields, steps, strict=True):
-        results = sorted({result.split()[0] if result[0].isupper() else result
-                          for *_, result in counts})  # fmt: skip
+    for k, name in enumerate(Outcome._fields[:3]):
+        results = sorted({str(o[k]).split(" ")[0] if wrong(o[k : k + 1]) else o[k]
+                          for outcomes in found.values() for o in outcomes})  # fmt: skip
         print(f"\n{name:30s}" + "".join(f"{r:>17s}" for r in results))
-        for bag, kind in dict.fromkeys((b, d) for b, d, _ in sorted(counts)):
-            row = [sum(n for (b, d, r), n in counts.items()
-                       if (b, d) == (bag, kind) and r.startswith(result) and
-                       (result[0].isupper() or r == result)) for result in results]  # fmt: skip
+        for (bag, kind), outcomes in sorted(found.items()):
+            row = [sum(str(o[k]).startswith(r) if r in WRONG else o[k] == r for o in outcomes)
+                   for r in results]  # fmt: skip
             print(f"{bag:10s}{kind:20s}" + "".join(f"{n or '':>17}" for n in row))
+    print(f"\n{'messages read of a bag [%]':30s}{'bags':>8s}{'refused':>9s}"
+          f"{'mean':>9s}{'p50':>9s}{'p5':>9s}")  # fmt: skip
+    rows = {f"{bag:10s}{kind}": outcomes for (bag, kind), outcomes in sorted(found.items())}
+    rows["all"] = [outcome for outcomes in found.values() for outcome in outcomes]
+    for name, outcomes in rows.items():
+        kept = 100.0 * np.array([o.kept for o in outcomes])
+        figures = kept.mean(), *np.quantile(kept, [0.5, 0.05])
+        print(f"{name:30s}{len(kept):8d}{sum(o.read == REFUSED for o in outcomes):9d}"
+              + "".join(f"{f:9.1f}" for f in figures))  # fmt: skip
+    print(f"\n{bad} of {len(rows['all'])} bags ended as none should")
+    return 1 if bad else 0
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(main())

@@ -256,7 +256,8 @@ class _Walk:
         elif kind == MESSAGE_INDEX:
             channel, size = struct.unpack_from("<HI", data)
             entries = sorted(struct.iter_unpack("<QQ", data[6 : 6 + size]))
-            if self.index is not None and entries != self.index.pop(channel, None):
+            fits = size <= len(data) - 6
+            if self.index is not None and (not fits or entries != self.index.pop(channel, None)):
                 raise DamageError(f"the message index at byte {at} does not fit its chunk")
         elif kind == MESSAGE:
             self.met.checked = False

@@ -1,10 +1,9 @@
 """The node of one link: its telemetry to topics, commands to its electronics.
 
-A thread takes the link's datagrams and publishes what they say, another takes commands and sends
-them; all else happens in the executor. What they share is the session, under a lock.
+A thread takes the link's datagrams and publishes what they say, others take commands and stops and
+send them; all else happens in the executor. What they share is the session, under a lock.
 """
 
-import os
 import sys
 from collections import deque
 from threading import RLock
@@ -13,6 +12,7 @@ from typing import Any
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile
 from rclpy.task import Future
 from sensor_msgs.msg import BatteryState, JointState
 from std_msgs.msg import Empty
@@ -107,7 +107,6 @@ class LinkNode(Node):
         self.battery = self.create_publisher(BatteryState, f"{self.name}/battery", SENSOR)
         self.status = self.create_publisher(CommandStatus, f"{self.name}/command_status", SENSOR)
         subscribe(self, LinkPath, f"{self.name}/path", self.on_path, 10)
-        self.create_subscription(Empty, "arm/stop", self.on_stop, 10)
         group = ReentrantCallbackGroup()  # the answer waits for the link's; all else goes on
         self.create_service(SetBool, f"{self.name}/arm", self.on_arm, callback_group=group)
         self.create_service(Trigger, f"{self.name}/clear_faults", self.on_clear_faults)
@@ -120,16 +119,19 @@ class LinkNode(Node):
         self.diagnostics = Diagnostics(self, self.health, settings.url)
         self.news = self.create_guard_condition(self.answer)
         self.receiver = Receiver(self.transport, self.poll, self.news)
-        self.ear = Ear(self, LinkCommand, f"{self.name}/command", COMMAND, self.on_command)
+        self.ears = (
+            Ear(self, Empty, "arm/stop", QoSProfile(depth=10), self.on_stop),
+            Ear(self, LinkCommand, f"{self.name}/command", COMMAND, self.on_command),
+        )
 
     def simulated_now(self) -> int:
         """The time of /clock [ns]; 0 before its first message."""
         return int(self.get_clock().now().nanoseconds)
 
-    def poll(self) -> None:
+    def poll(self, datagrams: list[bytes]) -> None:
         """Take what has come. Without a clock yet nothing can be stamped: it is dropped."""
-        with self.lock:  # the time as well: read before, it would run back in the session
-            datagrams, now = self.transport.receive(), self.now()
+        with self.lock:
+            now = self.now()  # not before: it would run back in the session
             try:
                 for data in datagrams if now else ():
                     self.publish(data, now)
@@ -148,7 +150,6 @@ class LinkNode(Node):
         sample = sample._replace(stamp=sample.stamp + self.clock.ahead)
         if sample.referenced:  # else the position says nothing
             self.joint_states.publish(self.messages.joint_state(sample))
-            os.sched_yield()  # on a busy processor, to who waits for it: the rest is not urgent
         self.session.follow(sample)
         self.telemetry.publish(self.messages.telemetry(sample, now))
         if sample.frame.slow_id == Slow.BATTERY:
@@ -252,10 +253,11 @@ class LinkNode(Node):
         self.warn("refused", f"{what} refused: {error}")
 
     def on_stop(self, _: Empty) -> None:
-        """Stop at once."""
+        """Stop at once, in a thread of its own as well: however busy the executor is."""
         with self.lock:
             self.session.stop()
-        self.send()
+        self.transmit()
+        self.news.trigger()
 
     async def on_arm(self, request: SetBool.Request, response: SetBool.Response) -> Any:
         """Arm or disarm; answer when the link has."""
@@ -331,7 +333,8 @@ class LinkNode(Node):
 
     def close(self) -> None:
         """Give the port back."""
-        self.ear.close()
+        for ear in self.ears:
+            ear.close()
         self.receiver.close()
         self.transport.close()
 

@@ -118,10 +118,10 @@ class BaseNode(Node):
         """The time of /clock [ns]; 0 before its first message."""
         return int(self.get_clock().now().nanoseconds)
 
-    def poll(self) -> None:
+    def poll(self, datagrams: list[bytes]) -> None:
         """Take what has come. Without a clock yet nothing can be stamped: it is dropped."""
         with self.lock:
-            datagrams, now = self.transport.receive(), self.now()
+            now = self.now()
             try:
                 for data in datagrams if now else ():
                     if heard := self.session.feed(data, now):

@@ -643,3 +643,12 @@ def test_the_battery_is_what_ros_knows_of_one(bench):
 
 def low(transport):
     return transport.link.telemetry(time.time_ns(), slow_id=Slow.BATTERY, slow_value=237)
+
+
+def test_a_stop_passes_an_executor_that_is_busy(bench):
+    """Nobody spins the node meanwhile."""
+    node, user, transport, until = bench
+    arm(user, until)
+    user.stop.publish(Empty())
+    wait_until(lambda: transport.link.flags & State.STOPPED, 5.0, lambda: time.sleep(0.01))
+    assert not node.session.armed

@@ -9,6 +9,7 @@ import pytest
 from driver_wire import ENDS, TIMEOUT, go_in_mid_open
 
 from fss_arm_driver.transport import BATCH, FORMS, TransportError, UdpTransport, open_transport
+from fss_arm_driver.transport.udp import HELD, SKB
 
 DOWN, UP = bytes(range(72)), bytes(range(72, 144))
 
@@ -103,6 +104,31 @@ def test_a_flood_is_read_in_batches(joined):
     assert got == [UP] * 2 * BATCH
 
 
+@pytest.mark.slow
+def test_a_thousand_restarts_leak_nothing(joined):
+    """Of a link's electronics, and of its driver."""
+    transport, end = joined
+    before = descriptors()
+    for _ in range(1000):
+        end.unplug()
+        transport.send(DOWN)
+        transport.wait(0.0)
+        end.replug()
+        meet(transport, end)
+    assert descriptors() == before
+    for _ in range(1000):
+        transport.close()
+        transport = open_transport(end.url)
+        transport.wait(0.0)
+        end.accept()
+    transport.close()
+    assert descriptors() <= before
+
+
+def descriptors():
+    return len(os.listdir("/proc/self/fd"))
+
+
 def test_a_closed_transport_does_nothing(joined):
     transport, _ = joined
     transport.close()
@@ -155,6 +181,20 @@ def udp(opened):
     end = ENDS["udp"](None)
     yield opened(end.url), end
     end.close()
+
+
+def test_two_seconds_of_frames_wait_while_nobody_reads(udp):
+    """Or as many as the system has room for, whose own default is a quarter of that."""
+    transport, end = udp
+    meet(transport, end)
+    with open("/proc/sys/net/core/rmem_max") as file:
+        room = 2 * int(file.read()) // SKB
+    for _ in range(HELD):
+        end.send(UP)
+    got = []
+    while transport.wait(0.1):
+        got += transport.receive()
+    assert len(got) >= 0.9 * min(HELD, room)
 
 
 def test_strangers_are_counted_and_not_heard(udp):

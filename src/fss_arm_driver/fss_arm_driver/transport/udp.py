@@ -7,12 +7,16 @@ from select import select
 from fss_arm_driver.protocol import FRAME_SIZE
 from fss_arm_driver.transport.base import BATCH
 
+HELD = 1024  # frames that the system holds while nobody reads: 2 s of a link's at 500 Hz
+SKB = 768  # that Linux counts for a frame [bytes]; it grants twice what it is asked for
+
 
 class UdpTransport:
     """One UDP socket towards one peer; datagrams from anybody else are counted and dropped.
 
     The socket is not connected: a peer that refuses, a route that is gone and an interface that
-    went down show as failures of single calls, and pass when the cause does.
+    went down show as failures of single calls, and pass when the cause does. It holds as many
+    frames as HELD, or as the system's net.core.rmem_max allows.
 
     Raises:
         OSError: the host is not known, or the local port is taken.
@@ -27,6 +31,7 @@ class UdpTransport:
         self._socket = socket.socket(family, kind)
         try:
             self._socket.setblocking(False)
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, HELD * SKB // 2)
             self._socket.bind(("", bind))
         except OSError:
             self._socket.close()

@@ -1,0 +1,230 @@
+"""Too much telemetry: what of it is published, and whether commands and stops still come in time.
+
+Links that measure at ever higher rates talk to their drivers, in one process or in one each; a
+listener takes all they publish. Meanwhile they are armed and stopped again and again. Of what the
+links get, this reports the longest gap between commands, and the time from the publication of a
+stop to each link's frame with it.
+"""
+
+import argparse
+import multiprocessing
+import os
+import select
+import signal
+import sys
+import time
+from dataclasses import replace
+from multiprocessing.connection import Connection
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from threading import Thread
+from typing import NamedTuple
+
+import numpy as np
+import rclpy
+from bench_driver import FakeLink, processor_time, start_driver
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Empty
+from std_srvs.srv import SetBool
+
+from fss_arm_driver.protocol import Command, Order, decode
+from fss_arm_model.description import paper_arm, save
+from fss_arm_msgs.msg import LinkTelemetry
+from fss_arm_ros.qos import sensor
+
+LIMIT = 0.25  # [s] from a stop to each link
+ENOUGH = 60.0  # to start and to be armed [s]
+
+
+class Arrival(NamedTuple):
+    """A command at a link."""
+
+    at: float  # [s]
+    link: int
+    flags: int
+
+
+class Report(NamedTuple):
+    """What the links did and got."""
+
+    sent: list[int]  # frames of each
+    late: float  # the worst that the links themselves were late by [s]
+    arrivals: list[Arrival]
+
+
+def links(pipe: Connection, count: int, rate: float) -> None:
+    """Be so many links until told to end; a process of its own, as it is not what is measured."""
+    ends = [FakeLink(i) for i in range(1, count + 1)]
+    pipe.send([end.url for end in ends])
+    sockets = {end.socket: end for end in ends}
+    arrivals: list[Arrival] = []
+    sent, late, due = [0] * count, 0.0, time.monotonic()
+    while not pipe.poll():
+        wait = max(0.0, due - time.monotonic())
+        for ready in select.select(list(sockets), [], [], wait)[0]:
+            end = sockets[ready]
+            data = end.socket.recv(100)
+            command = decode(data)
+            if isinstance(command, Command):
+                end.answer(data)
+                arrivals.append(Arrival(time.monotonic(), end.frame.link, command.flags))
+        if (now := time.monotonic()) >= due:
+            late = max(late, now - due)
+            for k, end in enumerate(ends):
+                end.report()
+                sent[k] += 1
+            due = max(due + 1.0 / rate, now - 1.0)
+    pipe.recv()
+    pipe.send(Report(sent, late, arrivals))
+
+
+class Watch(Node):
+    """Listens to all that the drivers publish, arms and stops their links."""
+
+    def __init__(self, count: int) -> None:
+        super().__init__("bench_overload")
+        self.counts: dict[str, dict[str, int]] = {}  # of each link, by its diagnostics
+        self.published = [0] * count
+        self.create_subscription(JointState, "joint_states", lambda _: None, sensor(), raw=True)
+        self.create_subscription(DiagnosticArray, "/diagnostics", self.hear, 100)
+        for k in range(count):
+            self.create_subscription(
+                LinkTelemetry, f"link_{k + 1}/telemetry", lambda _, k=k: self.count(k), sensor(),
+                raw=True,
+            )  # fmt: skip
+        self.stop = self.create_publisher(Empty, "arm/stop", 10)
+        self.arms = [self.create_client(SetBool, f"link_{k + 1}/arm") for k in range(count)]
+        executor = SingleThreadedExecutor()
+        executor.add_node(self)
+        self.executor_thread = Thread(target=executor.spin)
+        self.spinner = executor
+        self.executor_thread.start()
+
+    def close(self) -> None:
+        """End."""
+        self.spinner.shutdown()
+        self.executor_thread.join()
+        self.destroy_node()
+
+    def count(self, k: int) -> None:
+        """Count a link's telemetry."""
+        self.published[k] += 1
+
+    def hear(self, message: DiagnosticArray) -> None:
+        """Take what the drivers count."""
+        for status in message.status:
+            values = {pair.key: pair.value for pair in status.values}
+            if "believed" in values:
+                known = {name: int(n) for name, n in values.items() if n.isdigit()}
+                self.counts[status.name] = known
+
+    def arm(self) -> None:
+        """Arm all links, however often that takes.
+
+        Raises:
+            RuntimeError: they cannot be armed.
+        """
+        end, left = time.monotonic() + ENOUGH, dict(enumerate(self.arms))
+        answers = {}
+        while left:
+            if time.monotonic() > end:
+                raise RuntimeError(f"links {[k + 1 for k in left]} cannot be armed")
+            for k, client in list(left.items()):
+                answer = answers.get(k)
+                if answer and answer.done() and answer.result().success:
+                    del left[k]
+                elif client.service_is_ready() and (answer is None or answer.done()):
+                    answers[k] = client.call_async(SetBool.Request(data=True))
+            time.sleep(0.02)
+
+
+def run(folder: str, count: int, rate: float, seconds: float, together: bool) -> bool:
+    """Print a line of figures; whether all stops came in time and no link was lost."""
+    ours, theirs = multiprocessing.Pipe()
+    far = multiprocessing.Process(target=links, args=(theirs, count, rate))
+    far.start()
+    urls = ours.recv()
+    paper, arm = paper_arm(), f"arm:={folder}/arm.yaml"
+    save(replace(paper, links=(paper.links * count)[:count]), Path(folder, "arm.yaml"))
+    drivers = (
+        [start_driver(arm, f"urls:=[{', '.join(repr(url) for url in urls)}]")]
+        if together
+        else [start_driver(arm, f"link:={i}", f"url:={url}") for i, url in enumerate(urls, 1)]
+    )
+    watch = Watch(count)
+    stops, armed = [], 0
+    try:
+        watch.arm()
+        begun, before = time.monotonic(), list(watch.published)
+        used = -sum(processor_time(driver.pid) for driver in drivers)
+        while time.monotonic() < begun + seconds:
+            try:
+                watch.arm()
+                armed += 1
+            except RuntimeError:
+                pass
+            time.sleep(1.0)
+            stops.append(time.monotonic())
+            watch.stop.publish(Empty())
+            time.sleep(1.5)
+        ended = time.monotonic()
+        used += sum(processor_time(driver.pid) for driver in drivers)
+        published = sum(watch.published) - sum(before)
+        time.sleep(2.0)  # for the last diagnostics
+    finally:
+        ending = time.monotonic()
+        for driver in drivers:
+            driver.send_signal(signal.SIGTERM)
+        for driver in drivers:
+            driver.wait()
+        ending = time.monotonic() - ending
+        ours.send(None)
+        report: Report = ours.recv()
+        far.join()
+        watch.close()
+    took = [
+        min((a.at for a in report.arrivals if a.link == k and a.at > at and a.flags & Order.STOP),
+            default=np.inf) - at
+        for at in stops for k in range(1, count + 1)
+    ]  # fmt: skip
+    gaps = [
+        np.diff([a.at for a in report.arrivals if a.link == k and begun < a.at < ended])
+        for k in range(1, count + 1)
+    ]
+    gap = max((g.max(initial=0.0) for g in gaps), default=0.0)
+    total = {name: sum(c.get(name, 0) for c in watch.counts.values())
+             for name in ("believed", "lost", "dropped")}  # fmt: skip
+    sent = count * rate * (ended - begun)
+    print(
+        f"{count} links at {rate:g} Hz, {'one process' if together else 'one each'}: "
+        f"{100.0 * published / sent:.0f}% published, {total['dropped']} dropped, "
+        f"{total['lost']} lost, {100.0 * used / (ended - begun):.0f}% of a core; "
+        f"longest gap of commands {gap:.2f} s; stop p50 {np.quantile(took, 0.5):.3f}, "
+        f"p99 {np.quantile(took, 0.99):.3f}, worst {max(took):.3f} s of {len(stops)}; "
+        f"SIGTERM {ending:.1f} s; links late {report.late:.2f} s",
+        flush=True,
+    )
+    return max(took) <= LIMIT and total["lost"] == 0
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--links", type=int, default=12)
+    parser.add_argument("--rates", type=float, nargs="+", default=[20.0, 100.0, 500.0])
+    parser.add_argument("--seconds", type=float, default=20.0)
+    parser.add_argument("--each", action="store_true", help="a process for each link")
+    given = parser.parse_args()
+    os.chdir(os.path.dirname(os.path.abspath(__file__)))
+    rclpy.init()
+    with TemporaryDirectory() as folder:
+        how = given.seconds, not given.each
+        good = [run(folder, given.links, rate, *how) for rate in given.rates]
+    rclpy.try_shutdown()
+    return 0 if all(good) else 2
+
+
+if __name__ == "__main__":
+    sys.exit(main())
