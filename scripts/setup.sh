@@ -38,6 +38,7 @@ dev=
 case "$*" in
   '') ;;
   --dev) dev=-dev ;;
+  -h | --help) sed -n '2,/^[^#]/s/^# \{0,1\}//p' "$0"; exit 0 ;;
   *) die "unknown argument '$*'; usage: scripts/setup.sh [--dev]" ;;
 esac
 [[ $root != *[[:space:]]* ]] ||
