@@ -84,7 +84,7 @@ def test_env_leaves_the_shells_options_alone(shell: str, options: str) -> None:
 
 @pytest.mark.parametrize("shell", SHELLS)
 def test_env_gives_the_workspace_to_a_bare_shell(shell: str) -> None:
-    names = "ROS_AUTOMATIC_DISCOVERY_RANGE ROS_LOG_DIR FASTRTPS_DEFAULT_PROFILES_FILE"
+    names = "ROS_DISTRO ROS_AUTOMATIC_DISCOVERY_RANGE ROS_LOG_DIR FASTRTPS_DEFAULT_PROFILES_FILE"
     program = (
         f"{SOURCE}; {SOURCE}; command -v python; echo $PATH; "
         f"for name in {names}; do eval echo \\$$name; done; "
@@ -92,11 +92,12 @@ def test_env_gives_the_workspace_to_a_bare_shell(shell: str) -> None:
     )
     shown = run(shell, "-c", program, env=BARE, cwd=ROOT)
     assert (shown.returncode, shown.stderr) == (0, "")
-    python, path, reach, logs, profiles = shown.stdout.splitlines()
+    python, path, distro, reach, logs, profiles = shown.stdout.splitlines()
     assert python == f"{ROOT}/.venv/bin/python"
     folders = path.split(":")
     assert (folders[0], folders[-1]) == (f"{ROOT}/.venv/bin", f"{ROOT}/scripts/bin")
     assert len(folders) == len(set(folders))
+    assert distro == "jazzy"
     assert reach == "SYSTEM_DEFAULT"
     assert logs == f"{ROOT}/log/ros"
     assert profiles == f"{ROOT}/config/fastdds.xml"
@@ -479,6 +480,17 @@ def test_an_unknown_argument_is_refused(machine: Machine) -> None:
 
 def test_another_ros_is_refused(machine: Machine) -> None:
     assert machine.setup(ROS_DISTRO="humble").startswith("setup: ROS 2 humble is sourced")
+
+
+def test_the_wheels_own_environment_is_no_distribution(tmp_path: Path) -> None:
+    """env.sh says that ROS is jazzy, for tools that ask; set-up stays with the wheels."""
+    text = (ROOT / "scripts/setup.sh").read_text()
+    probe = re.search(r"^DISTRIBUTION='\n(.*?)^'", text, re.M | re.S)
+    assert probe
+    assert run(ROOT / ".venv/bin/python", "-c", probe[1]).returncode == 1
+    rclpy = script(tmp_path / "rclpy/__init__.py", "")
+    env = BARE | {"PYTHONPATH": str(rclpy.parents[1])}
+    assert run("/usr/bin/python3", "-c", probe[1], env=env).returncode == 0
 
 
 def test_another_processor_is_told_of_the_other_way(machine: Machine) -> None:
