@@ -16,4 +16,5 @@ node kinematic fss_arm_calib kinematic --ros-args -p arm:=config/cad.yaml \
   -p output:=out/fss_sim/arm.yaml -p state_file:=out/fss_sim/observations.json
 # When that has passed, the dynamic calibration can begin from its result:
 # node dynamic fss_arm_calib dynamic --ros-args -p arm:=out/fss_sim/arm.yaml
-node base_reaction fss_arm_view base_reaction --ros-args -p arm:=$arm
+# What it predicts with is not the truth: the guess, until the calibrations pass.
+node base_reaction fss_arm_view base_reaction --ros-args -p arm:=config/cad.yaml

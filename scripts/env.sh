@@ -48,6 +48,7 @@ _fss_load() {
   esac
   export PATH
 
+  export ROS_DISTRO="${ROS_DISTRO:-jazzy}"   # as a distribution's setup does, for tools that ask
   export ROS_LOG_DIR="${ROS_LOG_DIR:-$_fss_root/log/ros}"
   # To Fast DDS, LOCALHOST would mean shared memory too; SYSTEM_DEFAULT leaves it to the profile.
   case "${RMW_IMPLEMENTATION:-rmw_fastrtps_cpp}" in

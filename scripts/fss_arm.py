@@ -1,5 +1,7 @@
 """Give the arm an order, and print its answer.
 
+move ANGLE...: all joints to these angles [deg], arriving together, within the time that --seconds
+says or as fast as their limits allow (arm/move); interrupted, they come to rest.
 arm, disarm: all links (arm/enable). stop: all links of all vehicles at once, or of the one named;
 those that are on hold, under power, until disarmed or armed anew (arm/stop); it fails unless each
 link, and each base's board, says that it has stopped. home: each armed link without a reference
@@ -13,30 +15,34 @@ import os
 import re
 import sys
 from collections.abc import Callable, Iterable
-from math import inf
+from math import degrees, inf, radians
 from time import monotonic
 from typing import Any
+from xml.etree import ElementTree
 
 import rclpy
+from rclpy.action import ActionClient
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
-from std_msgs.msg import Empty
+from std_msgs.msg import Empty, String
 from std_srvs.srv import SetBool, Trigger
+from unique_identifier_msgs.msg import UUID
 
 from fss_arm_driver.protocol import State
+from fss_arm_msgs.action import MoveArm
 from fss_arm_msgs.msg import BaseTelemetry, LinkCommand, LinkTelemetry
 from fss_arm_ros.convert import stamp_ns
 from fss_arm_ros.executor import BatchExecutor
-from fss_arm_ros.qos import command, sensor, subscribe_sensor
+from fss_arm_ros.qos import LATCHED, command, sensor, subscribe_sensor
 from fss_arm_ros.run import RCLError
 from fss_base_driver.protocol import BaseState
 
 ANSWER_TIMEOUT = 10.0  # [s]
 SETTLED = 1.0  # without a new one, all are known [s]
 LINKS = range(1, 13)  # numbers that a link may have
-WORDS = ("arm", "disarm", "stop", "home", "clear", "solve", "forget")
+WORDS = ("move", "arm", "disarm", "stop", "home", "clear", "solve", "forget")
 CALIBRATIONS = ("kinematic", "dynamic", "drift")
 REPEAT = 0.05  # from one stop to the next [s]
 GRAPH = 0.5  # by then a program that has begun knows who is there [s]
@@ -46,6 +52,7 @@ TOPIC = re.compile(
 )
 STOPPED = {LinkTelemetry: State.STOPPED, BaseTelemetry: BaseState.STOPPED}
 EMERGENCY = "use the emergency stop"
+ALIVE = 1.0  # silence of this program that ends a move [s]
 LIVES = 2.0  # a HOME, so that the link holds soon after this has ended [s]
 
 Answer = tuple[bool, str]
@@ -168,7 +175,9 @@ def vehicles(node: Node) -> list[str]:
 
 
 def _where(node: Node) -> str:
-    return "" if node.get_namespace() == "/" else f" in {node.get_namespace()}"
+    """Where somebody was looked for, in words."""
+    domain = f" in ROS domain {os.environ.get('ROS_DOMAIN_ID') or 0}"
+    return domain if node.get_namespace() == "/" else f" in {node.get_namespace()},{domain}"
 
 
 def _named(links: Iterable[str]) -> str:
@@ -224,6 +233,71 @@ def home_link(node: Node, i: int, heard: dict[int, LinkTelemetry], within: float
     return ""
 
 
+def move(node: Node, angles: list[float], seconds: float, wait: float) -> Answer:
+    """Have all joints turn to angles [deg] in a time [s]; where they are then, in words.
+
+    Raises:
+        NoAnswerError: nobody moves the arm.
+    """
+    client = ActionClient(node, MoveArm, "arm/move")
+    if not client.wait_for_server(wait):
+        raise NoAnswerError("nobody offers arm/move")
+    if refusal := refused(angles, limits(node, wait)):
+        return False, refusal
+    goal = MoveArm.Goal(q=list(map(radians, angles)), duration=seconds, keep_alive=ALIVE)
+    told: list[float] = []
+
+    def on_feedback(message: Any) -> None:
+        if not told:
+            told.append(message.feedback.remaining)
+            least = " (as fast as its limits allow)" if told[0] > 1.01 * seconds else ""
+            print(f"moving for {told[0]:.1f} s{least}", flush=True)
+
+    asked = client.send_goal_async(goal, on_feedback)
+    rclpy.spin_until_future_complete(node, asked, timeout_sec=ANSWER_TIMEOUT)
+    if not asked.done():
+        raise NoAnswerError(f"arm/move did not answer within {ANSWER_TIMEOUT:.0f} s")
+    if not (handle := asked.result()).accepted:
+        return False, "the node arm rejects this move; its log says why"
+    alive, ended = node.create_publisher(UUID, "arm/move/alive", 10), handle.get_result_async()
+    while not ended.done():
+        alive.publish(handle.goal_id)
+        rclpy.spin_until_future_complete(node, ended, timeout_sec=0.2 * ALIVE)
+    result = ended.result().result
+    there = ", ".join(f"{round(degrees(q), 1) + 0.0:.1f}" for q in result.q)
+    where = f"the joints are at {there} deg" if there else ""
+    return result.reached, "; ".join(filter(None, (result.message, where)))
+
+
+def limits(node: Node, wait: float) -> list[tuple[float, float]]:
+    """The least and largest angle of each joint [deg], by the arm's description.
+
+    Raises:
+        NoAnswerError: nobody describes it.
+    """
+    heard: list[String] = []
+    node.create_subscription(String, "robot_description", heard.append, LATCHED)
+    end = monotonic() + wait
+    while not heard:
+        if monotonic() > end:
+            raise NoAnswerError("nobody publishes robot_description")
+        rclpy.spin_once(node, timeout_sec=0.05)
+    found = ElementTree.fromstring(heard[-1].data).iterfind("joint[@type='revolute']/limit")
+    return [(degrees(float(k.attrib["lower"])), degrees(float(k.attrib["upper"]))) for k in found]
+
+
+def refused(angles: list[float], limits: list[tuple[float, float]]) -> str:
+    """Why angles [deg] make no move, in words; empty: they do."""
+    if len(angles) != len(limits):
+        return f"{len(angles)} angles are given, but the arm has {len(limits)} joints"
+    beyond = [
+        f"joint {i} cannot go to {angle:g} deg: its limits are {low:g} to {high:g} deg"
+        for i, (angle, (low, high)) in enumerate(zip(angles, limits, strict=True), 1)
+        if not low <= angle <= high
+    ]
+    return "; ".join(beyond)
+
+
 def clear(node: Node, wait: float) -> Answer:
     """Disarm all links and clear their drives' faults; telemetry shows what remains.
 
@@ -256,14 +330,17 @@ def together(answers: dict[str, Answer]) -> Answer:
     return all(done for done, _ in answers.values()), "\n".join(lines)
 
 
-def order(node: Node, what: str, wait: float, within: float) -> Answer:
+def order(node: Node, options: argparse.Namespace) -> Answer:
     """Carry out an order.
 
     Raises:
         NoAnswerError: nobody is there, or nobody answers.
     """
+    what, wait = options.what, options.wait or 10.0
+    if what == "move":
+        return move(node, options.angles, options.seconds, wait)
     if what == "home":
-        return home(node, wait, within)
+        return home(node, wait, options.within)
     if what in ("arm", "disarm"):
         return call(node, SetBool, "arm/enable", SetBool.Request(data=what == "arm"), wait)
     if what == "clear":
@@ -276,12 +353,18 @@ def main() -> int:
     parser = argparse.ArgumentParser("fss_arm.sh", description=__doc__.replace("\n\n", "\n"))
     parser.add_argument("what", choices=WORDS)
     parser.add_argument(
+        "angles", nargs="*", type=float, metavar="ANGLE", help="of each joint [deg], to move"
+    )
+    parser.add_argument(
         "--vehicle", "--namespace", help="its namespace; without, stop is for all vehicles, and "
         "all else for the one in FSS_NAMESPACE",
     )  # fmt: skip
     parser.add_argument("--wait", type=float, help="for somebody to be there [s]: 10, to stop 2")
     parser.add_argument("--within", type=float, default=60.0, help="a link must be referenced [s]")
-    options = parser.parse_args()
+    parser.add_argument("--seconds", type=float, default=0.0, help="that a move takes [s]")
+    options = parser.parse_intermixed_args()
+    if bool(options.angles) != (options.what == "move"):
+        parser.error("move wants an angle for each joint [deg], and nothing else does")
     rclpy.init()
     vehicle = options.vehicle or os.environ.get("FSS_NAMESPACE")
     node = Node("fss_arm", namespace=vehicle or None)
@@ -290,7 +373,7 @@ def main() -> int:
         if options.what == "stop":
             done, words = Stop(node, options.vehicle)(options.wait or 2.0)
         else:
-            done, words = order(node, options.what, options.wait or 10.0, options.within)
+            done, words = order(node, options)
             words = f"{vehicle}: {words}" if vehicle and len(node.get_namespace()) > 1 else words
         code = 0 if done else 1
     except NoAnswerError as error:

@@ -1,12 +1,12 @@
 #!/bin/sh
 # What a person tells the arm; by the ROS domain and the network of this shell, or of a configuration.
-# usage: fss_arm.sh [--vehicle NAME] arm | disarm | stop | home | clear | solve | forget [CONFIG] [OPTION...]
+# usage: fss_arm.sh [--vehicle NAME] move | arm | disarm | stop | home | clear | solve | forget [CONFIG] [ANGLE...] [OPTION...]
 set -eu
 fss_scripts=$(CDPATH='' cd -- "$(dirname -- "$0")" && pwd -P)
 named=
 case ${1:-} in --vehicle) named=${2:-}; shift 2 ;; esac
 case ${2:-} in
-  '' | -*)
+  '' | -* | .[0-9]* | [0-9]*)   # an angle is no configuration
     cd -- "$fss_scripts/.."
     # shellcheck source=scripts/env.sh
     . scripts/env.sh

@@ -6,6 +6,7 @@ set -eu
 fss_scripts=$(CDPATH='' cd -- "$(dirname -- "$0")" && pwd -P)
 # shellcheck source=scripts/fss/config.sh
 . "$fss_scripts/fss/config.sh"
+help "$@"
 case ${1:-} in --vehicle) vehicle "${2:-}"; shift 2 ;; esac
 read_config "${1:-}"
 refuse_systemd stop

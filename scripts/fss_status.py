@@ -5,11 +5,13 @@ Exit code 0: every node runs and none reports an error; 1: not so.
 
 import argparse
 import fcntl
+import os
 import sys
 import time
 from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from math import degrees
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +25,10 @@ from rich.console import Console, Group
 from rich.live import Live
 from rich.markup import escape
 from rich.table import Table
+from sensor_msgs.msg import JointState
 
 from fss_arm_bags.definitions import MEASUREMENTS, NotInstalledError, message_class
+from fss_arm_driver.protocol import State
 from fss_arm_msgs.msg import LinkTelemetry
 from fss_arm_ros.executor import BatchExecutor
 from fss_arm_ros.qos import LATCHED
@@ -33,6 +37,9 @@ LOOSE = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)  # slow
 SPAN = 2.0  # rates are taken over [s]
 REPORT = 3.0  # older than this, a node's report says nothing of it any more [s]
 EVENTS = 5  # shown
+BEGUN = "nodes are started: "  # an event that those before do not belong to
+TAIL = 4096  # of a node's log that its last words are looked for in [bytes]
+READINGS = 64  # messages kept of joints, that a link may have one each
 LEVELS = {
     DiagnosticStatus.OK: ("ok", "green"),
     DiagnosticStatus.WARN: ("warning", "yellow"),
@@ -52,13 +59,15 @@ class Heard:
     """What came in on a topic."""
 
     kind: Any
-    last: bytes = b""
+    recent: deque[bytes] = field(default_factory=lambda: deque(maxlen=READINGS))
     since: float = field(default_factory=time.monotonic)
     times: deque[float] = field(default_factory=deque)  # within the last SPAN [s]
 
     def take(self, data: bytes) -> None:
         """Count a message and keep it; it is read only when it is shown."""
-        self.last = data
+        if self.kind is not JointState:  # each tells all
+            self.recent.clear()
+        self.recent.append(data)
         self.times.append(time.monotonic())
 
     def rate(self) -> float:
@@ -68,9 +77,9 @@ class Heard:
             self.times.popleft()
         return len(self.times) / min(SPAN, now - self.since)
 
-    def message(self) -> Any:
-        """The last one."""
-        return deserialize_message(self.last, self.kind)
+    def messages(self) -> list[Any]:
+        """Those that tell all together, the last one last."""
+        return [deserialize_message(data, self.kind) for data in self.recent]
 
 
 class Listener(Node):
@@ -112,6 +121,15 @@ class Listener(Node):
             if status.name.startswith(self.within) or "/" not in status.name:
                 self.reports[status.name.lstrip("/")] = time.monotonic(), status
 
+    def angles(self, vehicle: str) -> dict[str, float]:
+        """The joints' readings [deg], by name, of what is in a namespace: `/fss2`."""
+        heard = self.measured.get(f"{vehicle}/joint_states")
+        return {
+            name: degrees(q)
+            for message in (heard.messages() if heard and heard.rate() else ())
+            for name, q in zip(message.name, message.position, strict=False)
+        }
+
     def report(self, name: str) -> DiagnosticStatus | None:
         """What a node said of itself, unless that is long ago."""
         then, status = self.reports.get(name, (0.0, None))
@@ -139,9 +157,21 @@ class Processes:
         return time.time() - (self.logs / f"{name}.node").stat().st_mtime
 
     def events(self) -> list[str]:
-        """What was said to the operator last."""
+        """What was said to the operator last, since nodes were started."""
         log = self.logs / "events.log"
-        return log.read_text(errors="replace").splitlines()[-EVENTS:] if log.exists() else []
+        lines = log.read_text(errors="replace").splitlines() if log.exists() else []
+        begun = max((k for k, line in enumerate(lines) if BEGUN in line), default=0)
+        return lines[begun:][-EVENTS:]
+
+    def last_words(self, name: str) -> str:
+        """Of a node, by its log: why it has failed."""
+        log = self.logs / f"{name}.log"
+        if not log.exists():
+            return ""
+        with log.open("rb") as file:
+            file.seek(max(0, log.stat().st_size - TAIL))
+            lines = file.read().decode(errors="replace").splitlines()
+        return next((line.strip() for line in reversed(lines) if line.strip()), "")
 
     @staticmethod
     def _held(path: Path) -> bool:
@@ -158,8 +188,10 @@ class Processes:
 def screen(processes: Processes, listener: Listener) -> Group:
     """All of it, for rich to print."""
     parts = [nodes(processes, listener), links(listener), rates(listener), verdicts(listener)]
-    events = processes.events()
-    if events:
+    if not listener.reports and not listener.measured:
+        domain = os.environ.get("ROS_DOMAIN_ID") or 0
+        parts.append(_table(f"no node is heard in ROS domain {domain}", rows=[[""]]))
+    if events := processes.events():
         parts.append(_table("event", rows=([escape(line)] for line in events)))
     return Group(*(part for part in parts if part.row_count))
 
@@ -174,6 +206,8 @@ def nodes(processes: Processes, listener: Listener) -> Table:
         status = listener.report(name)
         word, tone = LEVELS[status.level] if status else ("", "")
         said = escape(status.message) if status else ""
+        if state in LOST and not said:
+            said = escape(processes.last_words(name))
         if state == "up" and not status and name not in processes.mute:
             said = "runs, but no node of this name reports"
         table.add_row(name, _in(shown, STATES.get(state, "")), _in(word, tone), said)
@@ -183,25 +217,37 @@ def nodes(processes: Processes, listener: Listener) -> Table:
 def links(listener: Listener) -> Table:
     """The links' electronics."""
     table = _table(
-        *("link", "armed", ">rate [Hz]", ">round trip [ms]", ">position [counts]"),
-        *(">current [A]", ">battery [V]", ">drive [deg C]", ">faults"),
+        *("link", "state", ">joint\n[deg]", ">current\n[A]", ">battery\n[V]", ">drive\n[deg C]"),
+        *(">rate\n[Hz]", ">delay\n[ms]", ">faults"),
     )
     for topic, heard in sorted(listener.measured.items()):
-        if heard.kind is not LinkTelemetry or not heard.last:
+        if heard.kind is not LinkTelemetry or not heard.recent:
             continue
-        m = heard.message()
+        m = heard.messages()[-1]
+        link = topic.rpartition("/")[0]
+        q = listener.angles(link.rpartition("/")[0]).get(f"joint_{m.link}")
         table.add_row(
-            topic.rpartition("/")[0].lstrip("/"),
-            _in("armed", "bold yellow") if m.armed else "no",
-            f"{heard.rate():.1f}",
-            f"{1e3 * m.round_trip:.1f}",
-            str(m.position),
+            link.lstrip("/"),
+            _link_state(m, heard.rate()),
+            "" if q is None else f"{round(q, 1) + 0.0:.1f}",
             f"{0.01 * m.current:.2f}",
             f"{0.1 * m.battery:.1f}",
             str(m.temperature),
+            f"{heard.rate():.1f}",
+            f"{1e3 * m.round_trip:.0f}",
             _in(f"{m.faults:#x}", "bold red") if m.faults else "none",
         )
     return table
+
+
+def _link_state(m: LinkTelemetry, rate: float) -> str:
+    if not rate:
+        return _in("silent", "bold red")
+    if m.armed:
+        return _in("armed", "bold yellow")
+    if m.flags & State.STOPPED:
+        return _in("stopped", "bold red")
+    return "disarmed" if m.flags & State.REFERENCED else _in("not homed", "yellow")
 
 
 def rates(listener: Listener) -> Table:
@@ -218,8 +264,8 @@ def verdicts(listener: Listener) -> Table:
     """The calibrations."""
     table = _table("result", "verdict", "reason")
     for topic, heard in sorted(listener.results.items()):
-        if heard.last:
-            message = heard.message()
+        if heard.recent:
+            message = heard.messages()[-1]
             m = getattr(message, "calibration", message)
             table.add_row(topic, _in(m.verdict, VERDICTS.get(m.verdict, "")), escape(m.reason))
     return table
@@ -244,7 +290,7 @@ def settled(processes: Processes, listener: Listener) -> bool:
 
 def _table(*headings: str, rows: Iterable[list[str]] = ()) -> Table:
     """A table; a heading that begins with `>` is of numbers."""
-    table = Table(box=box.SIMPLE, pad_edge=False)
+    table = Table(box=box.SIMPLE, pad_edge=False, collapse_padding=True)
     for heading in headings:
         table.add_column(
             escape(heading.lstrip(">")), justify="right" if heading.startswith(">") else "left"
@@ -284,7 +330,7 @@ def main() -> int:
     """Run."""
     options = arguments().parse_args()
     processes = Processes(options.logs, options.names, options.mute)
-    console = Console(width=None if sys.stdout.isatty() else 120, highlight=False)
+    console = Console(highlight=False)
     rclpy.init()
     listener, executor = Listener(options.namespace), BatchExecutor()
     executor.add_node(listener)

@@ -5,6 +5,7 @@ set -eu
 fss_scripts=$(CDPATH='' cd -- "$(dirname -- "$0")" && pwd -P)
 # shellcheck source=scripts/fss/config.sh
 . "$fss_scripts/fss/config.sh"
+help "$@"
 how=
 case ${1:-} in --vehicle) vehicle "${2:-}"; shift 2 ;; esac
 case ${1:-} in

@@ -5,6 +5,7 @@ set -eu
 fss_scripts=$(CDPATH='' cd -- "$(dirname -- "$0")" && pwd -P)
 # shellcheck source=scripts/fss/config.sh
 . "$fss_scripts/fss/config.sh"
+help "$@"
 [ $# -gt 0 ] || fail "usage: fss_systemd.sh FOLDER [CONFIG]"
 mkdir -p -- "$1" || exit 1
 folder=$(readlink -f -- "$1")

@@ -6,6 +6,7 @@ set -eu
 fss_scripts=$(CDPATH='' cd -- "$(dirname -- "$0")" && pwd -P)
 # shellcheck source=scripts/fss/config.sh
 . "$fss_scripts/fss/config.sh"
+help "$@"
 case ${1:-} in --vehicle) vehicle "${2:-}"; shift 2 ;; esac
 read_config "${1:-}"
 refuse_systemd start
@@ -27,5 +28,11 @@ start() {
   ) </dev/null >>"$FSS_LOGS/$1.log" 2>&1
 }
 each_node check
+begins=
+for name in $fss_nodes; do
+  if held "$name.keep"; then begins=; break; fi
+  begins="$begins $name"
+done
+[ -z "$begins" ] || FSS_TTY='' tell "nodes are started:$begins"   # the events before are another session's
 each_node start
 exec "$fss_scripts/fss_status.sh" --wait 20 "$fss_config"

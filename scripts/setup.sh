@@ -38,6 +38,7 @@ dev=
 case "$*" in
   '') ;;
   --dev) dev=-dev ;;
+  -h | --help) sed -n '2,/^[^#]/s/^# \{0,1\}//p' "$0"; exit 0 ;;
   *) die "unknown argument '$*'; usage: scripts/setup.sh [--dev]" ;;
 esac
 [[ $root != *[[:space:]]* ]] ||
@@ -63,13 +64,19 @@ if not all(importlib.util.find_spec(name) for name in ("venv", "ensurepip")):
 print(getattr(sys, "_base_executable", sys.executable), *lacks)
 '
 
+# Fails where there is no rclpy but in a venv, as that of the wheels.
+DISTRIBUTION='
+import rclpy, sys
+sys.exit(sys.prefix != sys.base_prefix and rclpy.__file__.startswith(sys.prefix))
+'
+
 # Prints each Python 3.11 or 3.12 and what it lacks. A name proves nothing, as a version manager's
 # stand-in may have no such version behind it: each is run.
 pythons() {
   local name names=(python3 /usr/bin/python3)
   [[ $ros == jazzy ]] || names+=(python3.1{2,1} /usr/bin/python3.1{2,1})
   for name in "${names[@]}"; do
-    [[ $ros == wheels ]] || "$name" -c 'import rclpy' 2>/dev/null || continue
+    [[ $ros == wheels ]] || "$name" -c "$DISTRIBUTION" 2>/dev/null || continue
     "$name" -c "$PROBE" 2>/dev/null || true
   done
 }
@@ -82,7 +89,7 @@ choose_ros() {
   unset PYTHONPATH   # packages from elsewhere must not mix with the wheels
   case $distro in
     '') ;;
-    jazzy) say "ROS_DISTRO is jazzy, but no Python here can import rclpy: using wheels" ;;
+    jazzy) [[ ${VIRTUAL_ENV:-} == "$venv" ]] || say "ROS_DISTRO is jazzy, but no Python here can import rclpy: using wheels" ;;
     *) die "ROS 2 $distro is sourced; begin in a shell with ROS 2 Jazzy, or with none" ;;
   esac
 }

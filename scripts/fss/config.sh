@@ -3,6 +3,13 @@
 
 fail() { echo "${0##*/}: $*" >&2; exit 1; }
 
+# help OPTION...: prints what the script says of itself, and ends, if that is asked for.
+help() {
+  case " $* " in *' --help '* | *' -h '*) ;; *) return 0 ;; esac
+  sed -n '2,/^[^#]/s/^# \{0,1\}//p' "$0"
+  exit 0
+}
+
 # vehicle NAME: what --vehicle says: the namespace of all that follows.
 vehicle() {
   [ "$1" ] || fail "--vehicle wants the name of a vehicle, its namespace"
@@ -31,7 +38,7 @@ read_config() {
   export FSS_NAMESPACE
   for fss_space in $fss_spaces; do mkdir -p "$FSS_LOGS$fss_space" || exit 1; done
   FSS_LOGS=$(readlink -f -- "$FSS_LOGS")
-  export ROS_LOG_DIR="$FSS_LOGS/ros"
+  export ROS_LOG_DIR="$FSS_LOGS/ros" FSS_EVENTS="$FSS_LOGS/events.log"
   . scripts/env.sh || exit 1
 }
 
@@ -87,7 +94,7 @@ hold() {
 # tell WORDS: to the log of events, and to the terminal of who started the nodes.
 tell() {
   fss_line="$(date '+%F %T') $*"
-  echo "$fss_line" >>"$FSS_LOGS/events.log"
+  echo "$fss_line" >>"$FSS_EVENTS"
   # In a process of its own: neither a terminal that hangs nor one that is gone is to matter.
   [ -z "${FSS_TTY:-}" ] || { printf '\r%s\r\n' "$fss_line" >"$FSS_TTY"; } 2>/dev/null 9>&- &
 }

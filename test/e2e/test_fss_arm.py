@@ -78,10 +78,11 @@ def test_links_arm_stop_and_disarm_as_told(start, spin, tmp_path):
 
 def test_nobody_there_is_said_in_one_line(domain):
     for what, said in (
-        ("arm", "nobody offers arm/enable\n"),
-        ("home", "nobody drives a link\n"),
-        ("solve", "no calibration runs\n"),
+        ("arm", "nobody offers arm/enable"),
+        ("home", "nobody drives a link"),
+        ("solve", "no calibration runs"),
     ):
+        said += f" in ROS domain {DOMAIN}\n"
         told = tell(what, "--wait", "1")
         assert (told.returncode, told.stderr) == (1, said)
 
@@ -144,6 +145,64 @@ def test_links_that_are_armed_are_homed(spin, bench, telling):
     code, out, err = telling(nodes, home)
     assert (code, err) == (0, "")
     assert out.endswith("all 2 links are referenced\n")
+
+
+MOVE = sys.executable, SCRIPT, "move"
+
+
+@pytest.fixture
+def moving(bench, spin, tmp_path):
+    """The bench with the node of its arm, and what arms all of it."""
+    nodes, transports = bench
+    for transport in transports:
+        transport.link.referenced = True
+    description = paper_arm()
+    save(replace(description, links=description.links[:2]), tmp_path / "arm.yaml")
+    given = {"arm": str(tmp_path / "arm.yaml"), "rate": RATE, "time_to_live": 2.5}
+    whole = ArmNode(parameter_overrides=[Parameter(k, value=v) for k, v in given.items()])
+    spin([*nodes, whole], lambda: len(whole.links.states) == 2)
+    return [*nodes, whole], transports
+
+
+def test_the_arm_is_moved_in_degrees(spin, moving, telling):
+    nodes, transports = moving
+    for node in nodes[:2]:
+        arm(spin, nodes, node)
+    code, out, err = telling(nodes, (*MOVE, "10", "-20", "--seconds", "2"))
+    assert (code, err) == (0, "")
+    assert out == "moving for 2.0 s\nthe joints are at 10.0, -20.0 deg\n"
+    turned = [transport.link.position / 240_000 * 360 for transport in transports]
+    assert turned == pytest.approx([10.0, -20.0], abs=0.3)
+    code, out, _ = telling(nodes, (*MOVE, "--seconds", "0.1", "30", "0"))  # options may come first
+    assert code == 0
+    assert re.match(r"moving for \d\.\d s \(as fast as its limits allow\)\n", out)
+
+
+def test_moves_are_refused_in_degrees_with_the_reason(moving, telling):
+    nodes, _ = moving
+    for angles, words in (
+        (("10",), "1 angles are given, but the arm has 2 joints"),
+        (("10", "95"), "joint 2 cannot go to 95 deg: its limits are -90 to 90 deg"),
+    ):
+        assert telling(nodes, (*MOVE, *angles)) == (1, "", f"{words}\n")
+    unarmed = "links 1, 2 are not armed: scripts/fss_arm.sh arm; the joints are at 0.0, 0.0 deg\n"
+    assert telling(nodes, (*MOVE, "10", "20")) == (1, "", unarmed)
+    code, _, err = telling(nodes, MOVE)
+    assert code == 2
+    assert "move wants an angle for each joint [deg]" in err
+
+
+def test_a_move_that_is_interrupted_comes_to_rest(spin, moving):
+    nodes, transports = moving
+    for node in nodes[:2]:
+        arm(spin, nodes, node)
+    with subprocess.Popen([*MOVE, "80", "80", "--seconds", "60"]) as process:
+        spin(nodes, lambda: transports[0].link.position > 100, 20.0)
+        process.send_signal(signal.SIGINT)
+        spin(nodes, lambda: process.poll() is not None)
+        assert process.returncode == 130
+        spin(nodes, lambda: not nodes[2].links.turn.holder(nodes[2].links.now()))
+        assert transports[0].link.position < 240_000 / 360 * 70
 
 
 def test_homing_that_is_interrupted_says_so(spin, bench):
@@ -217,7 +276,8 @@ def test_a_stop_is_for_all_namespaces_unless_one_is_given(spin, bench, telling):
     assert re.fullmatch(f"fss2/link_1, link_1, link_2: {STOPPED}", out)
     arm_it = sys.executable, SCRIPT, "arm", "--wait", "0.5"
     code, _, err = telling(nodes, arm_it, FSS_NAMESPACE="fss2")
-    assert (code, err) == (1, "nobody offers arm/enable in /fss2; --vehicle is one of /\n")
+    nobody = f"nobody offers arm/enable in /fss2, in ROS domain {DOMAIN}"
+    assert (code, err) == (1, f"{nobody}; --vehicle is one of /\n")
 
 
 def test_a_stop_is_confirmed_by_the_bases_boards_too(spin, telling):

@@ -12,7 +12,7 @@ from std_msgs.msg import Empty
 from std_srvs.srv import SetBool
 
 from fss_arm_driver.arm.guard_topics import GuardTopics
-from fss_arm_driver.arm.link_topics import LinkTopics, Take
+from fss_arm_driver.arm.link_topics import LinkTopics, Take, in_words
 from fss_arm_driver.arm.move_action import MoveAction
 from fss_arm_driver.arm.state_topics import StateTopics
 from fss_arm_driver.arm.stream_topic import StreamTopic
@@ -102,7 +102,7 @@ class ArmNode(Node):
         values["commands taken"] = stream.taken
         values |= {f"commands refused: {kind}": n for kind, n in sorted(stream.refused.items())}
         if troubles:
-            return Health(WARN, "; ".join(f"link {i} {why}" for i, why in troubles.items()), values)
+            return Health(WARN, in_words(troubles), values)
         if why := self.states.withheld:
             return Health(WARN, f"no arm/joint_states: {why}", values)
         return Health(OK, links.turn.holder(links.now()) or "ready", values)

@@ -31,7 +31,7 @@ from fss_arm_driver.programs import link as main
 from fss_arm_driver.protocol import Slow
 from fss_arm_driver.receiver import Receiver
 from fss_arm_driver.scale import CommandError
-from fss_arm_driver.session import Arming, LinkSession, Progress
+from fss_arm_driver.session import Arming, LinkSession, News, Progress
 from fss_arm_driver.settings import LinkSettings
 from fss_arm_driver.transport import Transport, is_exposed, open_transport
 from fss_arm_msgs.msg import CommandStatus, LinkCommand, LinkPath, LinkTelemetry
@@ -39,6 +39,7 @@ from fss_arm_ros.convert import SECOND, stamp_ns
 from fss_arm_ros.diagnostics import Diagnostics, Health
 from fss_arm_ros.door import subscribe
 from fss_arm_ros.ear import Ear
+from fss_arm_ros.events import report
 from fss_arm_ros.pace import pace
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import COMMAND, SENSOR
@@ -91,6 +92,7 @@ class LinkNode(Node):
         self.transport = transport or open_transport(settings.url, number, settings.key())
         self.name, self.lock = f"link_{number}", RLock()
         self.warned = {"trouble": self.transport.trouble, "strain": ""}  # by kind
+        self.changes = News(self.session)
         self.reported: tuple[Any, ...] = ()  # of the last command
         self.given = 0, 0  # when that was given: by the session, and by the time of day then
         self.waiting: list[Future] = []
@@ -171,7 +173,10 @@ class LinkNode(Node):
         self.complain()
 
     def complain(self) -> None:
-        """Log what is wrong, once each time that it begins."""
+        """Log what has changed, and what is wrong, once each time that it begins."""
+        with self.lock:
+            news = self.changes(self.now())
+        report(self, news)
         session, trouble = self.session, self.transport.trouble
         self.warn("trouble", trouble and f"{self.settings.url}: {trouble}")
         self.warn("rival", session.rival)
@@ -206,6 +211,7 @@ class LinkNode(Node):
             given = min(given - ahead, now) if given else now
             try:
                 self.take(message, given, now)
+                self.warn("refused", "")
                 self.pass_on(now)
             except CommandError as error:
                 self.refuse("command", error, given)
@@ -242,6 +248,7 @@ class LinkNode(Node):
             knots = message.time, message.position, message.velocity
             try:
                 self.session.give_path(message.path, begin, *knots, now)
+                self.warn("refused", "")
             except CommandError as error:
                 self.refuse("path", error, now)
             self.send_path(now)

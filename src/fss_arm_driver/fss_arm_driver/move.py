@@ -8,8 +8,9 @@ A frame gives an acceleration in steps that are coarse for a slow joint. Such a 
 faster than its part, to a velocity with which it still arrives with the others.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from math import ceil, copysign, sqrt
+from math import ceil, copysign, degrees, sqrt
 
 from fss_arm_driver.scale import Scale
 from fss_arm_model.description import Arm, Link
@@ -74,18 +75,9 @@ def plan(arm: Arm, q: tuple[float, ...], goal: tuple[float, ...], duration: floa
             fast as they do.
 
     Raises:
-        MoveError: wrong number of joints, a goal beyond a limit, or a duration that is negative
-            or more than an hour.
+        MoveError: as `check` does.
     """
-    if len(goal) != arm.n:
-        raise MoveError(f"q has {len(goal)} joints, expected {arm.n}")
-    if not 0.0 <= duration <= MAX_DURATION:
-        raise MoveError(f"duration is {duration} s, expected 0 to {MAX_DURATION:.0f}")
-    for i, (link, angle) in enumerate(zip(arm.links, goal, strict=True), 1):
-        if not link.q_min <= angle <= link.q_max:
-            raise MoveError(
-                f"q of joint {i} is {angle} rad, expected {link.q_min:.6g} to {link.q_max:.6g}"
-            )
+    check(arm, goal, duration)
     way = [d if (d := abs(b - a)) > MIN_TRAVEL else 0.0 for a, b in zip(q, goal, strict=True)]
     drives = [link.drive for link in arm.links]
     if not any(way):
@@ -101,6 +93,27 @@ def plan(arm: Arm, q: tuple[float, ...], goal: tuple[float, ...], duration: floa
         for link, angle, d in zip(arm.links, goal, way, strict=True)
     )
     return Move(q, profiles, lasts)
+
+
+def check(arm: Arm, goal: Sequence[float], duration: float = 0.0, keep_alive: float = 0.0) -> None:
+    """Check what is asked of a move, wherever the arm is: angles [rad], times [s].
+
+    Raises:
+        MoveError: wrong number of joints, a goal beyond a limit, or a time that is negative or
+            more than an hour.
+    """
+    if len(goal) != arm.n:
+        raise MoveError(f"q has {len(goal)} joints, expected {arm.n}")
+    for name, time in (("duration", duration), ("keep_alive", keep_alive)):
+        if not 0.0 <= time <= MAX_DURATION:
+            raise MoveError(f"{name} is {time} s, expected 0 to {MAX_DURATION:.0f}")
+    for i, (link, angle) in enumerate(zip(arm.links, goal, strict=True), 1):
+        if not link.q_min <= angle <= link.q_max:
+            low, high = degrees(link.q_min), degrees(link.q_max)
+            raise MoveError(
+                f"q of joint {i} is {angle:.6g} rad, which is {degrees(angle):.6g} deg; "
+                f"expected {low:.6g} to {high:.6g} deg"
+            )
 
 
 def _profile(link: Link, target: float, way: float, acceleration: float, lasts: float) -> Profile:

@@ -23,12 +23,13 @@ from std_srvs.srv import SetBool, Trigger
 
 from fss_arm_driver.host_clock import HostClock
 from fss_arm_driver.receiver import Receiver
-from fss_arm_driver.session import Arming, CommandError
+from fss_arm_driver.session import Arming, CommandError, News
 from fss_arm_driver.transport import Transport, is_exposed, open_transport
 from fss_arm_msgs.msg import BaseTelemetry, GripperState, ThrusterCommand
 from fss_arm_ros.convert import SECOND, stamp_ns
 from fss_arm_ros.diagnostics import Diagnostics, Health
 from fss_arm_ros.door import subscribe
+from fss_arm_ros.events import report
 from fss_arm_ros.pace import pace
 from fss_arm_ros.parameters import declare, declare_live
 from fss_arm_ros.qos import SENSOR, command
@@ -76,6 +77,7 @@ class BaseNode(Node):
         self.sums = Sums()
         self.search: BiasSearch | None = None
         self.result: tuple[float, float] | str | None = None  # of it
+        self.changes = News(self.session)
         self.sent, self.warned = NO_PULSE, {"trouble": self.transport.trouble}
         self.waiting: list[Future] = []
         self.seeking: Future | None = None  # who asked for the gyro's bias
@@ -202,6 +204,7 @@ class BaseNode(Node):
         with self.lock:
             try:
                 yield
+                self.warn("refused", "")
             except CommandError as error:
                 self.session.counts["commands_refused"] += 1
                 self.warn("refused", f"{topic} is refused: {error}")
@@ -339,7 +342,10 @@ class BaseNode(Node):
             self.allocation = self.new_allocation()
 
     def complain(self) -> None:
-        """Log what is wrong, once each time that it begins."""
+        """Log what has changed, and what is wrong, once each time that it begins."""
+        with self.lock:
+            news = self.changes(self.now())
+        report(self, news)
         session, trouble = self.session, self.transport.trouble
         self.warn("trouble", trouble and f"{self.settings.url}: {trouble}")
         self.warn("rival", session.rival)

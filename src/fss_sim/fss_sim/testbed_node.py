@@ -37,6 +37,11 @@ from fss_sim.vicon import TARGET
 BURST = RATE  # frames made up for at once, so that the node remains responsive
 STALL = 0.3  # of a busy computer, in real time [s]
 TOGETHER = 5  # of them, for which the clock is published once
+TOLD = 0.5  # while time stands still it is told as often [s]
+ROS_TIME = (
+    "the time is ROS time as it is: start the test bed with -p keep_clock:=true, and all other "
+    "nodes with -p use_sim_time:=true, to pause and step it"
+)
 MAX_FRAMES = 60 * RATE  # frames of one step, so that the node answers before long
 
 
@@ -55,6 +60,7 @@ class TestbedNode(Node):
         if settings.keep_clock:
             self.clock = self.create_publisher(ClockMessage, "/clock", SENSOR)
         self.clock_image = ClockImage()
+        self.told = 0.0  # when the time was [s]
         self.seed, self.paused = settings.seed, settings.paused
         self.begin([v.settings.begin(v.n) for v in self.vehicles])
         self.declare_faults()
@@ -136,6 +142,8 @@ class TestbedNode(Node):
                     self.receive()
             if due <= BURST and not self.paused:
                 self.receive()
+            if self.paused and time.monotonic() - self.told > TOLD:
+                self.tell_time(self.stamp())  # to nodes that have come meanwhile
         return self.pace.rest if due <= BURST else 0.0
 
     def on_failure(self) -> None:
@@ -146,11 +154,16 @@ class TestbedNode(Node):
     def make_frames(self, count: int) -> None:
         """Let so many frames pass, the clock going before, so that nothing is early by it."""
         if self.settings.keep_clock:
-            self.clock.publish(self.clock_image.of(self.stamp() + count * FRAME))
+            self.tell_time(self.stamp() + count * FRAME)
         for _ in range(count):
             reports = step([vehicle.testbed for vehicle in self.vehicles])
             for vehicle, report in zip(self.vehicles, reports, strict=True):
                 vehicle.report(report)
+
+    def tell_time(self, stamp: int) -> None:
+        """Publish it [ns] as the time that all nodes keep."""
+        self.clock.publish(self.clock_image.of(stamp))
+        self.told = time.monotonic()
 
     def receive(self) -> None:
         """Hand datagrams on, as arrived now, or at the last frame if time is kept."""
@@ -166,7 +179,7 @@ class TestbedNode(Node):
     def on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         """Let time stand still, or go on."""
         if not self.settings.keep_clock:
-            response.message = "the time is ROS time as it is: keep_clock is false"
+            response.message = ROS_TIME
             return response
         with self.lock:
             self.paused, self.pace = request.data, self.new_pace()
@@ -177,7 +190,8 @@ class TestbedNode(Node):
         """Let so many frames pass; what has come before is taken before the first of them."""
         with self.lock:
             if not self.paused:
-                response.message = "time runs: pause it first"
+                kept = self.settings.keep_clock
+                response.message = "time runs: pause it first (sim/pause)" if kept else ROS_TIME
             elif request.frames > MAX_FRAMES:
                 response.message = f"{request.frames} frames, expected at most {MAX_FRAMES}"
             else:

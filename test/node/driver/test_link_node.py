@@ -1,6 +1,7 @@
 """The node of one link: a link behind a fake transport or a UDP port, and real topics."""
 
 import os
+import re
 import subprocess
 import sys
 import time
@@ -29,6 +30,7 @@ from fss_arm_msgs.msg import CommandStatus, LinkCommand, LinkPath, LinkTelemetry
 from fss_arm_ros.convert import stamp_ns, to_time
 
 KEY = bytes(range(16))
+UNARMED = "link 1 is disarmed, not armed: scripts/fss_arm.sh arm arms it"
 
 
 class User(Node):
@@ -197,10 +199,54 @@ def test_refused_commands_change_nothing_and_are_said_once(bench, monkeypatch):
     assert transport.link.position == 0
 
 
+def test_a_refusal_is_logged_again_after_a_success(bench, monkeypatch):
+    node, user, _, until = bench
+    said = []
+    monkeypatch.setattr(node.get_logger(), "warning", said.append)
+    arm(user, until)
+    for count in (1, 2):
+        for _ in range(2):
+            order(user, set_point=2.0)
+            until(lambda: user.status and user.status[-1].status == CommandStatus.REFUSED)
+            user.status.clear()
+        assert len(said) == count
+        order(user, set_point=0.05)
+        until(lambda: user.status and user.status[-1].status != CommandStatus.REFUSED)
+        user.status.clear()
+
+
+@pytest.mark.parametrize("bench", [{"timeout": 1.5}], indirect=True)
+def test_each_change_of_state_is_one_line_and_the_worst_are_events(bench, monkeypatch, tmp_path):
+    node, user, transport, until = bench
+    said, events = [], tmp_path / "events.log"
+    monkeypatch.setenv("FSS_EVENTS", str(events))
+    for level in ("info", "warning"):
+        monkeypatch.setattr(node.get_logger(), level, said.append)
+    assert arm(user, until).success
+    transport.talks = False
+    until(lambda: "is lost" in said[-1])
+    transport.talks = True
+    until(lambda: "heard again" in said[-1])
+    user.stop.publish(Empty())
+    until(lambda: said[-1] == "link 1 is stopped")
+    arm(user, until, data=False)
+    until(lambda: said[-1] == "link 1 is disarmed")
+    told = [re.sub(r"\d+\.\d s", "N s", line) for line in said]
+    assert [line for line in told if "arming" not in line] == [
+        "link 1 is armed",
+        "link 1 is lost: silent for N s; it was armed",
+        "link 1 is heard again, after N s, and disarmed",
+        "link 1 is stopped",
+        "link 1 is disarmed",
+    ]
+    log = [line.split(" ", 2)[2] for line in events.read_text().splitlines()]
+    assert log == [line for line in said if re.search("lost|again|stopped", line)]
+
+
 def test_commands_are_told_how_far_they_have_come(bench):
     _, user, _, until = bench
     order(user, set_point=0.05)
-    until(lambda: user.status and user.status[-1].reason == "link 1 is disarmed, not armed")
+    until(lambda: user.status and user.status[-1].reason == UNARMED)
     assert user.status[-1].status == CommandStatus.REFUSED
     assert arm(user, until).success
     until(lambda: user.telemetry[-1].armed)

@@ -113,7 +113,20 @@ def test_time_is_paused_stepped_and_let_go_by_services(spin, ears, call):
 
 
 def test_ros_time_cannot_be_paused(spin, ears, call):
-    assert "keep_clock" in call(testbed(), "sim/pause", SetBool, data=True).message
+    bed = testbed()
+    for answer in (
+        call(bed, "sim/pause", SetBool, data=True),
+        call(bed, "sim/step", StepTime, frames=1),
+    ):
+        assert not answer.success
+        assert "start the test bed with -p keep_clock:=true" in answer.message
+
+
+def test_a_node_that_joins_a_paused_clock_has_its_time(spin, call):
+    bed = testbed(keep_clock=True, paused=True)
+    call(bed, "sim/step", StepTime, frames=3)
+    late = Node("late", parameter_overrides=[Parameter("use_sim_time", value=True)])
+    spin([bed, late], lambda: late.get_clock().now().nanoseconds == 1_030_000_000)
 
 
 def test_flat_out_nobody_is_waited_for_but_drivers(spin, ears):

@@ -8,7 +8,7 @@ from driver_link import MILLISECOND, SECOND, FakeLink
 
 from fss_arm_driver.protocol import Mode, Order, Slow, State, decode, encode
 from fss_arm_driver.scale import CommandError
-from fss_arm_driver.session import Arming, LinkSession
+from fss_arm_driver.session import Arming, LinkSession, News
 from fss_arm_model.description import Drive, TorqueSensor, paper_arm
 
 PERIOD = SECOND // 5
@@ -494,3 +494,48 @@ def test_a_clock_in_steps_is_stamped_with_its_uncertainty():
         if sample and deviation < inf:
             assert abs(sample.stamp - measured) < 4 * 1e9 * deviation
     assert deviation < 0.006
+
+
+class Told:
+    """The words of a session's news, asked for before and after each period."""
+
+    def __init__(self, bench):
+        self.bench, self.news = bench, News(bench.session)
+
+    def __call__(self, periods=1, **how):
+        lines = list(self.news(self.bench.now))
+        for _ in range(periods):
+            self.bench.step(**how)
+            lines += self.news(self.bench.now)
+        return [line.words for line in lines]
+
+
+def test_each_change_of_state_is_told_once(bench):
+    told = Told(bench)
+    assert told(10) == ["link 1 is heard, and disarmed"]
+    bench.session.arm(bench.now)
+    assert told(10) == ["link 1 is arming", "link 1 is armed"]
+    assert told(10, up=False) == ["link 1 is lost: silent for 1.2 s; it was armed"]
+    assert told(50, up=False) == []
+    assert told(10) == ["link 1 is heard again, after 12.2 s, and disarmed"]
+    bench.session.arm(bench.now)
+    assert told(10) == ["link 1 is arming", "link 1 is armed"]
+    assert told(slow_id=Slow.FAULTS, slow_value=1 << 9) == [
+        "link 1 is disarmed: tracking error", "link 1 has a fault: tracking error"
+    ]  # fmt: skip
+    assert told(slow_id=Slow.FAULTS, slow_value=0) == ["link 1 has no fault any more"]
+    bench.session.stop()
+    assert told(10) == ["link 1 is stopped"]
+    bench.session.disarm()
+    assert told(10) == ["link 1 is disarmed"]
+
+
+def test_a_watchdog_that_trips_and_a_link_that_does_not_arm_are_told(armed):
+    told = Told(armed)
+    assert told(5) == ["link 1 is heard, and armed"]
+    assert told(3, down=False, flags=State.WATCHDOG) == [
+        "link 1 is disarmed: link 1 has disarmed itself",
+        "link 1: its watchdog tripped, as it heard no commands",
+    ]
+    armed.session.arm(armed.now)
+    assert told(30, down=False, flags=0) == ["link 1 is arming", "link 1 did not arm"]

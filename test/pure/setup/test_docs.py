@@ -15,6 +15,7 @@ from typing import get_type_hints
 import pytest
 import yaml
 
+from fss_arm_bags.replay import is_command
 from fss_arm_ros.program import Command, Program, named
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -22,9 +23,13 @@ PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))]
 #: Commands of the system and of ROS that the documentation may use.
 SYSTEM = {
     *(".", "cd", "cmake", "colcon", "cp", "export", "make", "python", "ssh", "sudo", "systemctl"),
+    *("git", "pip"),
     *("awk", "arduino-cli", "fast-discovery-server", "build/firmware/fss_link"),
     "build/base_firmware/fss_base",
 }
+
+
+ADDED = ("action", "daemon", "interface", "node", "param", "pkg", "service", "topic")
 
 
 def commands():
@@ -102,7 +107,8 @@ def test_each_command_can_be_given(words):
     elif arguments[:2] == ["action", "send_goal"]:
         check_goal(*(word for word in arguments[2:] if word != "--feedback"))
     elif program == "ros2":
-        assert arguments[0] == "security"  # of the distribution; not among the wheels
+        # Of the distribution, or added to the wheels: test_ros2cli.py runs those that can be there.
+        assert arguments[0] in {"security", "bag", *ADDED}
     else:
         assert program in SYSTEM or program.startswith("("), program
 
@@ -132,3 +138,17 @@ def check_node(package, executable, *arguments):
             if name in hints:
                 given[name] = tuple(value) if isinstance(value, list) else hints[name](value)
     settings(**given)
+
+
+def test_no_command_is_played_by_rosbag2_as_the_page_has_it():
+    page = (ROOT / "docs/how-to/ros2cli.md").read_text()
+    excluded = re.compile(re.search(r'--exclude-regex "([^"]+)"', page)[1])
+    table = (ROOT / "docs/reference/topics.md").read_text().partition("`/clock`")[0]
+    cells = re.findall(r"^\| (`[^|]*`) \|", table, re.M)
+    topics = [f"/{t.strip('/')}" for cell in cells for t in re.findall(r"`([^`]+)`", cell)]
+    topics = [topic.replace("<i>", "1") for topic in topics]
+    assert len(topics) > 40
+    for topic in topics:
+        commands = is_command(topic) or topic.endswith("/path") or "arm_controller" in topic
+        for name in (topic, f"/fss2{topic}"):
+            assert bool(excluded.search(name)) == commands, name

@@ -9,14 +9,21 @@ import shutil
 import subprocess
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
+from functools import partial
 from io import StringIO
 from itertools import pairwise
+from math import radians
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.serialization import serialize_message
 from rich.console import Console
+from sensor_msgs.msg import JointState
+
+from fss_arm_msgs.msg import LinkTelemetry
 
 ROOT = Path(__file__).parents[3]
 STAND_IN = ROOT / "scripts/bin/ros2"
@@ -77,7 +84,7 @@ def test_env_leaves_the_shells_options_alone(shell: str, options: str) -> None:
 
 @pytest.mark.parametrize("shell", SHELLS)
 def test_env_gives_the_workspace_to_a_bare_shell(shell: str) -> None:
-    names = "ROS_AUTOMATIC_DISCOVERY_RANGE ROS_LOG_DIR FASTRTPS_DEFAULT_PROFILES_FILE"
+    names = "ROS_DISTRO ROS_AUTOMATIC_DISCOVERY_RANGE ROS_LOG_DIR FASTRTPS_DEFAULT_PROFILES_FILE"
     program = (
         f"{SOURCE}; {SOURCE}; command -v python; echo $PATH; "
         f"for name in {names}; do eval echo \\$$name; done; "
@@ -85,11 +92,12 @@ def test_env_gives_the_workspace_to_a_bare_shell(shell: str) -> None:
     )
     shown = run(shell, "-c", program, env=BARE, cwd=ROOT)
     assert (shown.returncode, shown.stderr) == (0, "")
-    python, path, reach, logs, profiles = shown.stdout.splitlines()
+    python, path, distro, reach, logs, profiles = shown.stdout.splitlines()
     assert python == f"{ROOT}/.venv/bin/python"
     folders = path.split(":")
     assert (folders[0], folders[-1]) == (f"{ROOT}/.venv/bin", f"{ROOT}/scripts/bin")
     assert len(folders) == len(set(folders))
+    assert distro == "jazzy"
     assert reach == "SYSTEM_DEFAULT"
     assert logs == f"{ROOT}/log/ros"
     assert profiles == f"{ROOT}/config/fastdds.xml"
@@ -297,6 +305,54 @@ def test_a_process_with_no_node_of_its_name_is_told_from_one_that_is_mute(tmp_pa
     assert "runs, but" not in shown["vicon"]
 
 
+def shown(status: dict[str, Any], processes: Any, listener: Any) -> list[str]:
+    """The lines of fss_status.sh, as a terminal of 80 columns has them."""
+    screen = StringIO()
+    Console(file=screen, width=80).print(status["screen"](processes, listener))
+    return [line.strip() for line in screen.getvalue().splitlines() if line.strip()]
+
+
+def test_a_link_is_shown_in_degrees_within_80_columns(tmp_path: Path) -> None:
+    status = runpy.run_path(str(ROOT / "scripts/fss_status.py"))
+    kinds = {"/fss2/link_1/telemetry": LinkTelemetry, "/fss2/joint_states": JointState}
+    heard = {topic: status["Heard"](kind) for topic, kind in kinds.items()}
+    link = LinkTelemetry(link=1, armed=True, position=1, flags=8, current=-120, battery=165)
+    for q, name in ((radians(-12.34), "joint_1"), (radians(5.0), "joint_2")):
+        heard["/fss2/joint_states"].take(
+            serialize_message(JointState(name=[name], position=[q]))
+        )  # a message each
+    heard["/fss2/link_1/telemetry"].take(serialize_message(link))
+    listener = SimpleNamespace(measured=heard, results={}, reports={})
+    listener.angles = partial(status["Listener"].angles, listener)
+    lines = shown(status, status["Processes"](tmp_path, [], []), listener)
+    row = next(line for line in lines if line.startswith("fss2/link_1")).split()
+    assert row[:5] == ["fss2/link_1", "armed", "-12.3", "-1.20", "16.5"]
+
+
+def test_a_failed_node_says_why_and_events_are_those_of_this_session(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", "64")
+    status = runpy.run_path(str(ROOT / "scripts/fss_status.py"))
+    (tmp_path / "link.keep").write_text("failed\n")
+    (tmp_path / "link.log").write_text("[INFO] begins\nlink: the port is taken\n\n")
+    events = ["old link failed", "nodes are started: link", "link failed (1)"]
+    (tmp_path / "events.log").write_text("\n".join(events) + "\n")
+    listener = SimpleNamespace(measured={}, results={}, reports={}, report={}.get)
+    lines = shown(status, status["Processes"](tmp_path, ["link"], []), listener)
+    assert any(re.fullmatch(r"link +failed +link: the port is taken", line) for line in lines)
+    assert lines[-2:] == events[1:]
+    assert "no node is heard in ROS domain 64" in lines
+
+
+@pytest.mark.parametrize("name", ["up", "down", "status", "systemd"])
+def test_help_is_what_the_script_says_of_itself(name: str) -> None:
+    told = run(ROOT / f"scripts/fss_{name}.sh", "--help")
+    assert told.returncode == 0
+    assert f"usage: fss_{name}.sh" in told.stdout
+    assert not told.stdout.startswith("#")
+
+
 # --- the stand-in for ros2 -----------------------------------------------------------------------
 
 
@@ -424,6 +480,17 @@ def test_an_unknown_argument_is_refused(machine: Machine) -> None:
 
 def test_another_ros_is_refused(machine: Machine) -> None:
     assert machine.setup(ROS_DISTRO="humble").startswith("setup: ROS 2 humble is sourced")
+
+
+def test_the_wheels_own_environment_is_no_distribution(tmp_path: Path) -> None:
+    """env.sh says that ROS is jazzy, for tools that ask; set-up stays with the wheels."""
+    text = (ROOT / "scripts/setup.sh").read_text()
+    probe = re.search(r"^DISTRIBUTION='\n(.*?)^'", text, re.M | re.S)
+    assert probe
+    assert run(ROOT / ".venv/bin/python", "-c", probe[1]).returncode == 1
+    rclpy = script(tmp_path / "rclpy/__init__.py", "")
+    env = BARE | {"PYTHONPATH": str(rclpy.parents[1])}
+    assert run("/usr/bin/python3", "-c", probe[1], env=env).returncode == 0
 
 
 def test_another_processor_is_told_of_the_other_way(machine: Machine) -> None:

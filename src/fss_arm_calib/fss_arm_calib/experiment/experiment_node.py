@@ -191,9 +191,12 @@ class ExperimentNode(Node):
         self.enter(self.move, now)
 
     def on_answer(self, answer: Future) -> None:
-        """The goal is accepted: its result will come."""
+        """The goal is accepted: its result will come; or it makes no sense to this arm."""
         if answer is self.goal and answer.result().accepted:
             self.outcome = answer.result().get_result_async()
+        elif answer is self.goal:
+            self.say("waiting to move: the goal was rejected; the log of the node arm says why")
+            self.enter(self.go, self.now())
 
     def on_feedback(self, _: Any) -> None:
         """The move is under way, unless it is one given up before."""

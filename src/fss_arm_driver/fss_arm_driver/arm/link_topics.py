@@ -22,6 +22,13 @@ Take = Callable[[LinkCommand], None]
 LAST_PATH = 65_535  # the number after which they begin anew
 
 
+#: What a person does about a trouble.
+HELP = {
+    "not armed": ": scripts/fss_arm.sh arm",
+    "not referenced": ": scripts/fss_arm.sh home",
+}
+
+
 class MotionError(ValueError):
     """A motion cannot be begun, or must end; the message says why."""
 
@@ -90,26 +97,26 @@ class LinkTopics:
     def troubles(
         self, numbers: Iterable[int] | None = None, referenced: bool = True
     ) -> dict[int, str]:
-        """What keeps links from moving, if anything does: all of them, or these."""
+        """What keeps links from moving, if anything does, all of them or these: one trouble."""
         wanted = self.numbers if numbers is None else sorted(numbers)
         oldest = self.now() - self.settings.time_to_live * SECOND
         silent = {
-            i: "is silent" for i in wanted if i not in self.states or self.states[i].heard < oldest
+            i: "silent" for i in wanted if i not in self.states or self.states[i].heard < oldest
         }
         states = {i: self.states[i] for i in wanted if not silent}
-        lost = {i: "is not referenced" for i, s in states.items() if not s.referenced}
+        lost = {i: "not referenced" for i, s in states.items() if not s.referenced}
         return (
             silent
             or (referenced and lost)
-            or {i: "is not armed" for i, s in states.items() if not s.armed}
+            or {i: "not armed" for i, s in states.items() if not s.armed}
         )
 
     def check(self, motion: Motion | None = None) -> None:
         """Raise MotionError if the arm cannot move, or `motion` shall end."""
         if why := self.stood_still() or (motion.ended if motion else ""):
             raise MotionError(why)
-        for i, trouble in self.troubles().items():
-            raise MotionError(f"link {i} {trouble}")
+        if troubles := self.troubles():
+            raise MotionError(in_words(troubles))
 
     def q(self) -> tuple[float, ...]:
         """Present readings (n) [rad]; () while a link has never been heard."""
@@ -157,6 +164,14 @@ class LinkTopics:
             message.header.stamp = to_time(trajectory.begin)
             publisher.publish(message)
         return {i: LinkCommand(mode=LinkCommand.PATH, path=self.path) for i in self.numbers}
+
+
+def in_words(troubles: Mapping[int, str]) -> str:
+    """The trouble that links have, the same for all, and what helps against it."""
+    trouble = next(iter(troubles.values()))
+    those = ", ".join(map(str, troubles))
+    they = f"link {those} is" if len(troubles) == 1 else f"links {those} are"
+    return f"{they} {trouble}{HELP.get(trouble, '')}"
 
 
 def following(numbers: Iterable[int]) -> int:

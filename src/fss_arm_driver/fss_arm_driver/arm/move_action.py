@@ -1,9 +1,10 @@
 """The action `arm/move`: all joints to given angles, arriving together."""
 
 import time
+from math import degrees
 from typing import Any
 
-from rclpy.action import ActionServer, CancelResponse
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
 from unique_identifier_msgs.msg import UUID
@@ -11,7 +12,7 @@ from unique_identifier_msgs.msg import UUID
 from fss_arm_driver.arm.guard_topics import GuardTopics
 from fss_arm_driver.arm.link_topics import LinkTopics, MotionError
 from fss_arm_driver.arm.turn import Motion
-from fss_arm_driver.move import MAX_DURATION, Move, MoveError, Profile, plan
+from fss_arm_driver.move import Move, MoveError, Profile, check, plan
 from fss_arm_driver.watch import Asker
 from fss_arm_motion.guard import GuardError
 from fss_arm_msgs.action import MoveArm
@@ -28,6 +29,7 @@ class MoveAction:
     def __init__(self, links: LinkTopics, guard: GuardTopics) -> None:
         self.links, self.guard, node = links, guard, links.node
         self.moving = b""  # the goal's id
+        self.ended = ""  # why the last one did, if it was not reached
         self.asker = Asker(0.0, 0.0)
         subscribe(node, UUID, "arm/move/alive", self.on_alive, 10)
         self.server = ActionServer(
@@ -35,6 +37,7 @@ class MoveAction:
             MoveArm,
             "arm/move",
             self.on_move,
+            goal_callback=self.on_goal,
             cancel_callback=self.on_cancel,
             callback_group=ReentrantCallbackGroup(),  # moves take their time; all else goes on
         )
@@ -43,6 +46,15 @@ class MoveAction:
         """Whoever asked for a move still wants it."""
         if goal.uuid.tobytes() == self.moving:
             self.asker.heard = time.monotonic()
+
+    def on_goal(self, goal: MoveArm.Goal) -> GoalResponse:
+        """Reject a goal that makes no sense; the log says why, as an answer has no room for it."""
+        try:
+            check(self.links.arm, goal.q, goal.duration, goal.keep_alive)
+        except MoveError as error:
+            self.links.node.get_logger().warning(f"move rejected: {error}")
+            return GoalResponse.REJECT
+        return GoalResponse.ACCEPT
 
     def on_cancel(self, _: Any) -> CancelResponse:
         """Whoever asked for a move does not want it any more."""
@@ -54,15 +66,17 @@ class MoveAction:
         message = ""
         try:
             await self.begin(handle)
-        except (MotionError, MoveError, GuardError) as error:
+        except (MotionError, GuardError) as error:
             message = str(error)
         if not message:
             handle.succeed()
         elif handle.is_cancel_requested:
             handle.canceled()
         else:
-            self.links.node.get_logger().warning(f"move ended: {message}")
+            if message != self.ended:  # whoever waits to move asks again and again
+                self.links.node.get_logger().warning(f"move ended: {message}")
             handle.abort()
+        self.ended = message
         return MoveArm.Result(reached=not message, message=message, q=self.links.q())
 
     async def begin(self, handle: ServerGoalHandle) -> None:
@@ -70,7 +84,6 @@ class MoveAction:
 
         Raises:
             MotionError: it cannot be begun, or ended before.
-            MoveError: it makes no sense.
             GuardError: bodies would come too near.
         """
         links, request = self.links, handle.request
@@ -78,10 +91,9 @@ class MoveAction:
             raise MotionError(f"{other} is under way")
         links.check()
         move = plan(links.arm, links.q(), tuple(request.q), request.duration)
-        if not 0.0 <= request.keep_alive <= MAX_DURATION:
-            raise MoveError(
-                f"keep_alive is {request.keep_alive} s, expected 0 to {MAX_DURATION:.0f}"
-            )
+        if 0.0 < request.duration < move.duration:
+            words = f"its limits do not allow {request.duration:g} s"
+            links.node.get_logger().info(f"a move takes {move.duration:.2f} s: {words}")
         self.guard.check_move(links.states, move.profiles, begun=False)
         motion = links.turn.take("a move", links.now())
         self.moving = handle.goal_id.uuid.tobytes()
@@ -132,7 +144,7 @@ class MoveAction:
     def farthest(self, move: Move) -> str:
         """The joint that is farthest from its goal, in words."""
         off = [abs(q - p.target) for q, p in zip(self.links.q(), move.profiles, strict=True)]
-        return f"joint {off.index(max(off)) + 1} is off by {max(off):.4f} rad"
+        return f"joint {off.index(max(off)) + 1} is off by {degrees(max(off)):.2f} deg"
 
 
 def position(part: Profile) -> LinkCommand:

@@ -4,7 +4,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
 from fss_arm_driver.arm.guard_topics import GuardTopics
-from fss_arm_driver.arm.link_topics import LinkTopics
+from fss_arm_driver.arm.link_topics import LinkTopics, in_words
 from fss_arm_driver.arm.stream import SetPoint, Stream, StreamError
 from fss_arm_driver.arm.turn import Motion
 from fss_arm_driver.protocol import Mode
@@ -52,8 +52,8 @@ class StreamTopic:
         if why := self.links.stood_still():
             raise StreamError("links", why)
         referenced = any(point.mode == Mode.POSITION for point in points)
-        for i, trouble in self.links.troubles([p.link for p in points], referenced).items():
-            raise StreamError("links", f"link {i} {trouble}")
+        if troubles := self.links.troubles([p.link for p in points], referenced):
+            raise StreamError("links", in_words(troubles))
         try:
             self.guard.check_stream(self.links.states, points)
         except GuardError as error:

@@ -11,6 +11,7 @@
 | `reception.py` | which telemetry is believed; when the link is lost |
 | `clock.py` | the link's clock mapped to the host's |
 | `dialogue.py` | stamps of commands and their echoes: delay, other drivers |
+| `news.py` | what has become of it, a line of the log for each change |
 | `battery.py` | how long the battery lasts |
 
 The rules and their reasons are in docs/reference/protocol.md.
@@ -20,6 +21,7 @@ from fss_arm_driver.scale import CommandError
 from fss_arm_driver.session.arming import RELEASE_TIMEOUT, Arming
 from fss_arm_driver.session.clock import SECOND
 from fss_arm_driver.session.link import COUNTS, LinkSession, Sample
+from fss_arm_driver.session.news import Line, News
 from fss_arm_driver.session.progress import Progress, Status
 from fss_arm_driver.session.session import TROUBLES, Partner, Session
 
@@ -30,7 +32,9 @@ __all__ = [
     "TROUBLES",
     "Arming",
     "CommandError",
+    "Line",
     "LinkSession",
+    "News",
     "Partner",
     "Progress",
     "Sample",

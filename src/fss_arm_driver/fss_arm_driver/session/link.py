@@ -106,6 +106,7 @@ class LinkSession(Session[Telemetry]):
             State.STOPPED | State.WATCHDOG,
             Slow.BATTERY,
             Slow.REFUSED,
+            "scripts/fss_arm.sh arm",
         )
         super().__init__(partner, timeout, watchdog, resolution, key, empty, epoch)
         self.counts.update(dict.fromkeys(COUNTS, 0))

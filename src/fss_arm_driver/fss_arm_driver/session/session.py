@@ -42,6 +42,7 @@ class Partner(NamedTuple, Generic[T]):
     latches: int  # flags of its telemetry that forbid to arm until it was disarmed
     battery: int  # slow field of its battery's voltage [0.1 V]
     refused: int  # that of the datagrams it refused
+    armed_by: str  # the command that a person arms it by
 
 
 class CommandHead(TypedDict):
@@ -93,6 +94,7 @@ class Session(ABC, Generic[T]):
         )
         self._dialogue = Dialogue(epoch, self._timeout, self._silence, signed, partner.refused)
         self._arming = ArmingMachine(partner.name, partner.latches)
+        self.dropped = ""  # why it was disarmed last, in words, if nobody asked for that
         self._version = VERSION  # of frames of this partner that are refused for it
         self._sequence = 0
         self._now = 0
@@ -247,6 +249,7 @@ class Session(ABC, Generic[T]):
         """
         if obstacle := self.obstacle(now):
             raise CommandError(obstacle)
+        self.dropped = ""
         # One that has yet to answer may wait for an earlier driver's watchdog.
         self._arming.arm(now, grace=0 if self._dialogue.answered >= 0 else self._silence)
 
@@ -257,6 +260,7 @@ class Session(ABC, Generic[T]):
         it.
         """
         self._end("disarmed")
+        self.dropped = ""
         self._arming.disarm(self._now, self.lost)
 
     def stop(self) -> None:
@@ -266,13 +270,16 @@ class Session(ABC, Generic[T]):
 
     def _drop(self, why: str) -> None:
         """Disarm without a person's request: a stop stays."""
+        if self.arming in (Arming.ARMING, Arming.ARMED):
+            self.dropped = why
         self._end(why)
         self._arming.drop()
 
     def require_armed(self) -> None:
         """Raise CommandError if it is not armed."""
         if not self.armed:
-            raise CommandError(f"{self.partner.name} is {self.arming.value}, not armed")
+            name, how = self.partner.name, self.partner.armed_by
+            raise CommandError(f"{name} is {self.arming.value}, not armed: {how} arms it")
 
     def tick(self, now: int) -> None:
         """Let time pass: loss, expiry, arming that came to nothing, a simulated clock set back.

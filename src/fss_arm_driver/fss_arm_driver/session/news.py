@@ -1,0 +1,79 @@
+"""What has become of a link, or of the base's board, in words: a line for each change."""
+
+from typing import Any, NamedTuple
+
+from fss_arm_driver.protocol import State
+from fss_arm_driver.session.arming import Arming
+from fss_arm_driver.session.session import Session
+
+
+class Line(NamedTuple):
+    """A line of the log."""
+
+    words: str
+    bad: bool = False
+    for_operator: bool = False  # it is worth a line in the log of events, too
+
+
+class News:
+    """Tells what is new of a session since it was asked last; times are in nanoseconds."""
+
+    def __init__(self, session: Session[Any]) -> None:
+        self._session, self._name = session, session.partner.name
+        self._lost, self._heard = True, 0  # whether it is, and when it was heard last
+        self._arming = Arming.DISARMED
+        self._faults: list[str] = []
+        self._tripped = False
+
+    def __call__(self, now: int) -> list[Line]:
+        """One line for each change; none the first time, of a partner that is not there yet."""
+        session = self._session
+        if session.lost != self._lost:
+            lines = [self._presence(now)]
+        else:
+            lines = [*self._armed(), *self._watchdog(), *self._troubles()]
+        if not session.lost:
+            self._heard = now - round(1e9 * session.silence(now))
+        self._lost, self._arming = session.lost, session.arming
+        return lines
+
+    def _presence(self, now: int) -> Line:
+        """Lost, or heard again: what it was told before does not hold any more."""
+        name, session = self._name, self._session
+        if session.lost:
+            was = f"; it was {self._arming.value}" if self._arming is not Arming.DISARMED else ""
+            return Line(f"{name} is lost: {session.absence}{was}", bad=True, for_operator=True)
+        if not self._heard:
+            return Line(f"{name} is heard, and {session.arming.value}")
+        away = 1e-9 * (now - self._heard)
+        words = f"{name} is heard again, after {away:.1f} s, and {session.arming.value}"
+        return Line(words, for_operator=True)
+
+    def _armed(self) -> list[Line]:
+        before, state = self._arming, self._session.arming
+        if state is before:
+            return []
+        why = self._session.dropped
+        if state is Arming.DISARMED and before is Arming.ARMING:
+            return [Line(f"{self._name} did not arm{': ' * bool(why)}{why}", bad=True)]
+        if state is Arming.DISARMED and why:
+            return [Line(f"{self._name} is disarmed: {why}", bad=True, for_operator=True)]
+        stopped = state is Arming.STOPPED
+        return [Line(f"{self._name} is {state.value}", bad=stopped, for_operator=stopped)]
+
+    def _watchdog(self) -> list[Line]:
+        """It disarmed itself, as commands ceased; arming clears it."""
+        frame = self._session.frame
+        before, self._tripped = self._tripped, bool(frame and frame.flags & State.WATCHDOG)
+        words = f"{self._name}: its watchdog tripped, as it heard no commands"
+        tripped = self._tripped and not before
+        return [Line(words, bad=True, for_operator=True)] if tripped else []
+
+    def _troubles(self) -> list[Line]:
+        faults = self._session.faults if self._session.frame else self._faults
+        before, self._faults = self._faults, faults
+        if new := [fault for fault in faults if fault not in before]:
+            words = f"{self._name} has a fault: {', '.join(new)}"
+            return [Line(words, bad=True, for_operator=True)]
+        cleared = before and not faults
+        return [Line(f"{self._name} has no fault any more", for_operator=True)] if cleared else []
