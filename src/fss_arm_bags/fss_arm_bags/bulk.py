@@ -38,8 +38,26 @@ def poses(messages: Sequence[bytes]) -> Poses:
     Raises:
         SerializedError: a message is something else.
     """
-    stamp, numbers = _taken_apart(messages, 7, "geometry_msgs/PoseStamped")
+    stamp, numbers = whole_poses(messages)
     return Poses(stamp, planar(numbers))
+
+
+def whole_poses(messages: Sequence[bytes]) -> tuple[Stamps, npt.NDArray[np.float64]]:
+    """Stamps [ns], positions x, y, z [m] and quaternions x, y, z, w in geometry_msgs/PoseStamped.
+
+    Returns:
+        (k,) and (k, 7), whatever was seen.
+
+    Raises:
+        SerializedError: a message is something else.
+    """
+    return _taken_apart(messages, 7, "geometry_msgs/PoseStamped")
+
+
+def frame_id(message: bytes) -> str:
+    """The frame id of a serialized message that begins with a header."""
+    size = int.from_bytes(message[12:16], "little" if message[1:2] == LITTLE else "big")
+    return message[16 : 16 + size].rstrip(b"\0").decode(errors="replace")
 
 
 def turn_rates(messages: Sequence[bytes]) -> tuple[Stamps, npt.NDArray[np.float64]]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from math import inf, nan
 
 import numpy as np
 
@@ -11,6 +12,9 @@ from fss_arm_calib.segments.streams import Streams
 from fss_arm_model.description import Arm
 
 PASS, FAIL, NOT_EVALUATED = "pass", "fail", "not_evaluated"
+
+CAUSE = "cause"  # the check that says what probably went wrong
+MOST_REASONS = 4  # of a verdict that is no pass; its checks tell the others
 
 TOLERANCE = 1e-9  # of the last update [deviations]
 
@@ -34,11 +38,22 @@ def at_most(name: str, value: float, threshold: float, reason: str, failing: str
     return Check(name, PASS if passed else FAIL, value, threshold, words)
 
 
-def by_chance(name: str, chi_square: float, freedom: int, least: float, failing: str) -> Check:
-    """A check that passes unless residuals as large as found are less probable than `least`."""
-    chance = probability(chi_square, freedom)
+def by_chance(
+    name: str, chi_square: float, freedom: float, least: float, failing: str, known_by: float = inf
+) -> Check:
+    """A check that passes unless residuals as large as found are less probable than `least`.
+
+    Args:
+        name: of the check.
+        chi_square: sum of their squares, in deviations.
+        freedom: its degrees of freedom.
+        least: probability.
+        failing: what it means if they are larger.
+        known_by: degrees of freedom by which the deviations were estimated; inf: they are known.
+    """
+    chance = probability(chi_square, freedom, known_by)
     facts = (
-        f"chi-square {chi_square:.4g} for {freedom} degrees of freedom, "
+        f"chi-square {chi_square:.4g} for {freedom:.4g} degrees of freedom, "
         f"probability {chance:.2g} (at least {least:g})"
     )
     passed = chance >= least
@@ -68,6 +83,25 @@ def clocks_kept(streams: Streams, most: float) -> Check:
         reason += ", or the subjects are swapped"
     verdict = NOT_EVALUATED if reason else PASS
     return Check("clocks", verdict, back, most, reason, needed=bad)
+
+
+def suspected(streams: Streams) -> list[Check]:
+    """What about the streams alone may be the cause of a verdict, each the likelier first."""
+    words = [*streams.doubts]
+    if streams.silent and streams.others:
+        names, heard = ", ".join(streams.silent), ", ".join(streams.others)
+        words.append(f"nothing heard of {names}, but of {heard}: other names?")
+    if differ := frames_differ(streams):
+        words.append(differ)
+    return [cause(one) for one in words]
+
+
+def frames_differ(streams: Streams) -> str:
+    """In which frames subjects are seen, if not in one; else nothing."""
+    if len(set(streams.frames.values())) < 2:
+        return ""
+    frames = " and ".join(f"{name} in {frame!r}" for name, frame in streams.frames.items())
+    return f"poses in frames that differ: {frames}"
 
 
 def enough(name: str, found: float, needed: float, reason: str, streams: Streams) -> Check:
@@ -145,16 +179,26 @@ def checked(redundancy: Floats, kept: Mask, least: float, noun: str) -> Check:
     return Check("redundancy", NOT_EVALUATED, value, least, reason)
 
 
-def conclude(checks: Sequence[Check]) -> tuple[str, str]:
-    """The verdict of all checks, and its reason: what lacks, what failed, what is well.
+def cause(words: str, verdict: str = FAIL) -> Check:
+    """What probably went wrong; never a reason of its own for a verdict."""
+    return Check(CAUSE, verdict, nan, nan, words, needed=False)
 
-    What lacks something that is needed is not evaluated: a failure may follow from that.
+
+def conclude(checks: Sequence[Check]) -> tuple[str, tuple[str, ...]]:
+    """The verdict of all checks, and its reasons: the likely cause, what lacks, what failed.
+
+    What lacks something that is needed is not evaluated: a failure may follow from that. Of a pass
+    the reasons are what is well.
     """
-    missing = [s for s in checks if s.verdict == NOT_EVALUATED and s.needed]
-    failed = [s for s in checks if s.verdict == FAIL]
-    others = [s for s in checks if s not in missing and s not in failed]
+    causes = [s for s in checks if s.name == CAUSE]
+    missing = [s for s in checks if s.verdict == NOT_EVALUATED and s.needed and s not in causes]
+    failed = [s for s in checks if s.verdict == FAIL and s not in causes]
     verdict = NOT_EVALUATED if missing else FAIL if failed else PASS
-    return verdict, "; ".join(s.reason for s in [*missing, *failed, *others] if s.reason)
+    if verdict == PASS:
+        return verdict, tuple(s.reason for s in checks if s.reason and s not in causes)
+    notes = [s for s in checks if s.verdict == NOT_EVALUATED and s not in [*missing, *causes]]
+    reasons = [s.reason for s in [*causes, *missing, *failed, *notes] if s.reason]
+    return verdict, tuple(dict.fromkeys(reasons))[:MOST_REASONS]
 
 
 def quiet(check: Check) -> Check:

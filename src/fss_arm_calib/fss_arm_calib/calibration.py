@@ -38,6 +38,7 @@ class Input:
     feed: Callable[[Any, Any], Sequence[Any]]  # the finder, with a message
     bulk: Callable[[Any, Sequence[bytes]], Sequence[Any]] | None = None  # with serialized ones
     needed: bool = True  # from a bag without it nothing can be found
+    subject: str = ""  # whose poses they are
 
     @property
     def type(self) -> str:

@@ -5,26 +5,33 @@ import sys
 from argparse import BooleanOptionalAction
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import fields
+from itertools import zip_longest
+from math import nan
 from os import PathLike
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
+from geometry_msgs.msg import PoseStamped
 from rich.console import Console
+from sensor_msgs.msg import Imu, JointState
 
-from fss_arm_bags.bulk import pieces
+from fss_arm_bags.bulk import frame_id, pieces, turn_rates, whole_poses
 from fss_arm_bags.reader import BagError, Bags, digest, open_bags
 from fss_arm_calib import report, result
 from fss_arm_calib.acceptance import FAIL, NOT_EVALUATED, PASS
 from fss_arm_calib.calibration import Calibration, Finder, Input, write_described
+from fss_arm_calib.causes import explained
 from fss_arm_calib.kinds import KINDS
 from fss_arm_calib.outcome import Datum, Outcome
 from fss_arm_calib.segments.streams import newest
+from fss_arm_calib.segments.tape import Tape, Track
 from fss_arm_calib.settings import CalibrationSettings
 from fss_arm_model.description import Arm, described, from_yaml, load
 from fss_arm_model.settings import default_in, meaning
 from fss_arm_ros.calibrated import with_kinematics_of
 from fss_arm_ros.command_line import USER_ERROR, Parser
-from fss_arm_ros.convert import SECOND
+from fss_arm_ros.convert import SECOND, stamp_ns
 
 D = TypeVar("D", bound=Datum)
 C = TypeVar("C", bound=CalibrationSettings)
@@ -63,8 +70,12 @@ def solve_bag(
     arm = arm or described(s.arm)
     finder = kind.finder(arm.n, s, [])
     with open_bags(paths) as bags:
-        found = newest(fed(bags, finder, kind.inputs(s, arm.n), s.horizon, namespace), kind.most(s))
-        return kind.calibrate(found, arm, s, finder.streams(), source(bags))
+        inputs = kind.inputs(s, arm.n)
+        found = newest(fed(bags, finder, inputs, s.horizon, namespace), kind.most(s))
+        outcome = kind.calibrate(found, arm, s, finder.streams(), source(bags))
+        if outcome.verdict == PASS:
+            return outcome
+        return explained(kind, outcome, taped(bags, inputs, namespace))
 
 
 def begun_from(kinematic: str, arm: str, options: argparse.Namespace, namespace: str = "") -> Arm:
@@ -124,6 +135,48 @@ def fed(
             for message in data:
                 found += one.feed(finder, bags.deserialize(message, one.type))
     return found + finder.close()
+
+
+def taped(bags: Bags, inputs: Sequence[Input], namespace: str = "") -> Tape:
+    """What the bags hold of joints, subjects and gyro, to be heard again.
+
+    Raises:
+        BagError: a topic is missing or of another type.
+    """
+    topics = {name(bags, one, namespace): one for one in inputs}
+    wanted = {
+        topic for topic, one in topics.items() if one.message in (JointState, PoseStamped, Imu)
+    }
+    data: dict[str, list[bytes]] = {topic: [] for topic in wanted}
+    receipts: dict[str, list[int]] = {topic: [] for topic in wanted}
+    for topic, _, receipt, message in bags.raw(wanted):
+        data[topic].append(message)
+        receipts[topic].append(receipt)
+    joints: dict[str, list[tuple[int, int, float, float]]] = {}
+    poses, frames, rates = {}, {}, None
+    for topic, messages in data.items():
+        one, heard = topics[topic], np.array(receipts[topic], dtype=np.int64)
+        if one.message is JointState:
+            for received, message in zip(receipts[topic], messages, strict=True):
+                state = bags.deserialize(message, one.type)
+                readings = zip_longest(state.name, state.position, state.velocity, fillvalue=nan)
+                for joint, q, qd in readings:
+                    row = stamp_ns(state.header.stamp), received, float(q), float(qd)
+                    joints.setdefault(str(joint), []).append(row)
+        elif one.message is PoseStamped and messages:
+            stamps, numbers = whole_poses(messages)
+            poses[one.subject] = Track(stamps, heard, numbers)
+            frames[one.subject] = frame_id(messages[0])
+        elif messages:
+            stamps, turns = turn_rates(messages)
+            rates = Track(stamps, heard, turns[:, None])
+    return Tape({joint: _track(rows) for joint, rows in joints.items()}, poses, rates, frames)
+
+
+def _track(rows: Sequence[tuple[int, int, float, float]]) -> Track:
+    stamps, receipts, q, qd = zip(*rows, strict=True)
+    t, heard = (np.array(part, dtype=np.int64) for part in (stamps, receipts))
+    return Track(t, heard, np.column_stack([q, qd]))
 
 
 def name(bags: Bags, one: Input, namespace: str = "", needed: bool = True) -> str:

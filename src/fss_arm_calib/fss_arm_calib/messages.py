@@ -8,7 +8,7 @@ import numpy as np
 from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import Imu, JointState
 
-from fss_arm_bags.bulk import poses, turn_rates
+from fss_arm_bags.bulk import frame_id, poses, turn_rates
 from fss_arm_calib.calibration import Input
 from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.outcome import Provenance as Origin
@@ -21,6 +21,8 @@ AnyFinder = Finder[Any, Any]
 M = TypeVar("M", bound=Any)
 Pose = tuple[float, float, float]
 
+LISTED = 20  # names in a message that are told of, if they are unknown
+
 #: Fields of Calibration.msg that are computed from the data alone.
 NUMBERS = (
     "values", "deviations", "covariance", "residuals", "weights", "leverage", "errors",
@@ -32,8 +34,11 @@ def joints_input(topic: str) -> Input:
     """Readings and rates of joints by their names, joint_<i>, of a sensor_msgs/JointState."""
 
     def feed(finder: AnyFinder, message: Any) -> list[Any]:
-        t = stamp_ns(message.header.stamp)
-        return [one for i, q, qd, _ in joint_readings(message) for one in finder.joint(i, t, q, qd)]
+        t, readings = stamp_ns(message.header.stamp), list(joint_readings(message))
+        if len(readings) < len(message.name):
+            own = {f"joint_{i}" for i, *_ in readings}
+            finder.rests.others.update([name for name in message.name if name not in own][:LISTED])
+        return [one for i, q, qd, _ in readings for one in finder.joint(i, t, q, qd)]
 
     return Input(topic, JointState, feed)
 
@@ -42,12 +47,15 @@ def poses_input(topic: str, subject: str, needed: bool = True) -> Input:
     """Planar poses of a subject, of geometry_msgs/PoseStamped; `needed`: a bag must have them."""
 
     def feed(finder: AnyFinder, message: Any) -> list[Any]:
+        finder.subjects[subject].frame = str(message.header.frame_id)
         return finder.pose(subject, stamp_ns(message.header.stamp), seen_pose(message))
 
     def feed_many(finder: AnyFinder, data: Sequence[bytes]) -> list[Any]:
+        if data:
+            finder.subjects[subject].frame = frame_id(data[0])
         return finder.poses(subject, *poses(data))
 
-    return Input(topic, PoseStamped, feed, feed_many, needed)
+    return Input(topic, PoseStamped, feed, feed_many, needed, subject)
 
 
 def rates_input(topic: str) -> Input:

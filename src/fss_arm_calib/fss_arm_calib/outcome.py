@@ -11,7 +11,14 @@ import numpy.typing as npt
 import yaml
 
 from fss_arm_calib import __version__
-from fss_arm_calib.acceptance import PASS, Check, conclude
+from fss_arm_calib.acceptance import (
+    NOT_EVALUATED,
+    PASS,
+    Check,
+    conclude,
+    frames_differ,
+    suspected,
+)
 from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_model.description import Arm, to_yaml
@@ -121,9 +128,14 @@ class Outcome(Generic[D, S]):
         return conclude(self.checks)[0]
 
     @property
-    def reason(self) -> str:
-        """Of the verdict, in words."""
+    def reasons(self) -> tuple[str, ...]:
+        """Of the verdict, in words; unless it is a pass, the likely cause first."""
         return conclude(self.checks)[1]
+
+    @property
+    def reason(self) -> str:
+        """They in one line."""
+        return "; ".join(self.reasons)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -200,6 +212,10 @@ def concluded(
         end=used[-1].end if used else 0,
     )
     passed = conclude(checks)[0] == PASS
+    if not passed:
+        checks = [*checks, *suspected(streams)]
+    elif differ := frames_differ(streams):
+        checks = [*checks, Check("frames", NOT_EVALUATED, nan, nan, differ, needed=False)]
     return Outcome(
         tuple(data), tuple(used), arm, settings, streams, tuple(checks), provenance, estimate,
         solution, to_yaml(calibrated()) if calibrated and passed else "",

@@ -58,6 +58,7 @@ class Report:
     figures: Sequence[Figure] = ()
     details: Sequence[Table] = ()
     texts: Mapping[str, str] = field(default_factory=dict)  # by title, as they are
+    reasons: Sequence[str] = ()  # the reason as a list
 
 
 def console() -> "Console":
@@ -73,7 +74,9 @@ def printed(report: Report) -> "Group":
     from rich.console import Group
     from rich.text import Text
 
-    verdict = Text.assemble((_words(report.verdict), STYLE[report.verdict]), f": {report.reason}")
+    several = report.verdict != "pass" and len(report.reasons) > 1
+    words = "".join(f"\n  - {one}" for one in report.reasons) if several else f": {report.reason}"
+    verdict = Text.assemble((_words(report.verdict), STYLE[report.verdict]), words)
     title = Text(report.title, style="bold")
     return Group(title, *map(shown, report.tables), verdict, Text(report.origin, style="dim"))
 

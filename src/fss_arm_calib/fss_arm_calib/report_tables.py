@@ -29,6 +29,7 @@ def reported(
         origin=origin(o),
         figures=() if o.solution is None else figures,
         details=(checks(o), *(() if o.solution is None else details), streams(o)),
+        reasons=o.reasons,
         texts={"Settings": o.provenance.parameters, "Description it began from": to_yaml(o.arm)},
     )
 

@@ -109,7 +109,7 @@ def test_an_arm_of_other_lengths_is_named(samples, tmp_path):
     )
     assert calibration.verdict == FAIL
     assert re.match(r"another arm's data: a_\d is 0.3\d+ m, 0.\d+ m in", calibration.reason)
-    assert calibration.estimate.chi_square < 1.0
+    assert not any("residuals are larger" in reason for reason in calibration.reasons)
 
 
 def test_an_arm_of_other_lengths_does_not_fit(samples, tmp_path):

@@ -16,14 +16,16 @@ from fss_arm_calib.dynamic.report import dynamic_report
 from fss_arm_calib.dynamic.settings import DynamicSettings
 from fss_arm_calib.experiment.postures import DEFAULT
 from fss_arm_calib.kinematic.calibrate import calibrate
-from fss_arm_calib.kinematic.problem import OFFSETS
+from fss_arm_calib.kinematic.problem import HEADING_DEVIATION, OFFSETS, POSITION_DEVIATION
 from fss_arm_calib.kinematic.report import kinematic_report
 from fss_arm_calib.kinematic.settings import KinematicSettings
 from fss_arm_calib.segments.maneuvers import ManeuverFinder
 from fss_arm_calib.segments.rests import Observation
 from fss_arm_model.kinematics import joint_positions, tip_in_base
 
-SETTINGS = KinematicSettings(max_outliers=1)
+SETTINGS = KinematicSettings(
+    max_outliers=1, position_deviation=POSITION_DEVIATION, heading_deviation=HEADING_DEVIATION
+)
 STATE = np.array([0.1, 0.2, 3.0, 0.2, -0.1, 0.03, 0.0002, -0.0001])
 
 

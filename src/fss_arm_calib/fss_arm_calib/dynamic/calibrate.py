@@ -39,6 +39,7 @@ def calibrate(
     used = [one for one in maneuvers if one.used]
     number = checks.number(maneuvers, streams, s)
     found = [joints_known(streams, arm), clocks_kept(streams, s.joint_gap), number]
+    found.append(checks.gyro_agrees(streams))
     found += checks.tips_described(used, arm, s)
     solution = solution_of(problem_of(used, arm, s), s) if number.verdict == PASS else None
     found += checks.evaluate(solution, s) if solution else []

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from math import hypot
+from math import hypot, isnan, radians
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from fss_arm_calib.acceptance import (
     Check,
     at_most,
     by_chance,
+    cause,
     checked,
     converged,
     count,
@@ -25,11 +26,14 @@ from fss_arm_calib.dynamic.identifiability import INVISIBLE
 from fss_arm_calib.dynamic.problem import MAX_CONDITION, DynamicProblem, DynamicResult, solve
 from fss_arm_calib.dynamic.settings import DynamicSettings
 from fss_arm_calib.dynamic.solution import Solution
+from fss_arm_calib.estimation.noise import assumed
 from fss_arm_calib.segments.maneuvers import Maneuver
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_model.description import Arm
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_model.planar import wrap
+
+MOST_OFF = 0.2  # of the gyro's turns, of those that motion capture sees
 
 
 def number(every: Sequence[Maneuver], streams: Streams, s: DynamicSettings) -> Check:
@@ -40,6 +44,19 @@ def number(every: Sequence[Maneuver], streams: Streams, s: DynamicSettings) -> C
     if found < s.min_maneuvers and lost:
         reason += f"; {count(len(lost), 'maneuver')} rejected ({lost[0].reason})"
     return enough("maneuvers", found, s.min_maneuvers, reason, streams)
+
+
+def gyro_agrees(streams: Streams) -> Check:
+    """Whether the gyro turns as far as motion capture sees the base turn."""
+    ratio = streams.gyro_ratio
+    if isnan(ratio) or abs(ratio - 1.0) <= MOST_OFF:
+        return Check("gyro", PASS, ratio, MOST_OFF, "")
+    words = f"the gyro turns {ratio:.3g} times as far as motion capture sees"
+    if abs(radians(ratio) - 1.0) <= MOST_OFF:
+        words = f"gyro in degrees a second? {words}"
+    elif abs(ratio + 1.0) <= MOST_OFF:
+        words = f"gyro with the wrong sign? {words}"
+    return Check("gyro", FAIL, ratio, MOST_OFF, words)
 
 
 def tips_described(used: Sequence[Maneuver], arm: Arm, s: DynamicSettings) -> list[Check]:
@@ -56,7 +73,8 @@ def tips_described(used: Sequence[Maneuver], arm: Arm, s: DynamicSettings) -> li
     distance = float(np.sqrt(np.mean(np.sum(away**2, axis=1))))
     # Poses of base and end effector err by so much themselves.
     reach = float(np.sqrt(np.mean(np.sum(seen[:, :2] ** 2, axis=1))))
-    errors = hypot(2.0 * s.position_deviation, reach * s.heading_deviation)
+    position, heading = assumed(s).deviations
+    errors = hypot(2.0 * position, reach * heading)
     limit = hypot(s.max_tip_error, errors)
     words = f"end effector {distance:.3f} m from where it is described (at most {limit:.3f} m)"
     failing = "another arm's data, or its kinematics are to be calibrated first"
@@ -66,19 +84,16 @@ def tips_described(used: Sequence[Maneuver], arm: Arm, s: DynamicSettings) -> li
 def evaluate(solution: Solution, s: DynamicSettings) -> list[Check]:
     """The checks of a solution."""
     r, m = solution.result, solution.result.minimum
-    held = r.at_bound
-    words = f"at the bound of what is possible: {', '.join(held)}" if held else ""
-    words += "; of another arm, or its masses or lengths are others?" if held else ""
-    fit = by_chance(
-        "fit", r.chi_square, r.problem.degrees_of_freedom, s.min_probability,
-        "residuals are larger than the deviations allow",
-    )  # fmt: skip
-    if fit.verdict == FAIL and _fits_swapped(r.problem, s):
-        fit = replace(fit, reason=f"the end effector is taken for the base; {fit.reason}")
+    fit = _fitting(solution, s)
+    found = []
+    if fit.verdict == FAIL and _fits_swapped(solution.first.problem, s):
+        found = [cause("the end effector is taken for the base")]
     return [
+        *found,
         _determined(solution),
         converged(m.converged, m.iterations, m.last_update),
-        Check("bounds", FAIL if held else PASS, len(held), 0, words),
+        _measurable(r),
+        _within_bounds(r),
         fit,
         outliers(
             solution.errors, solution.kept, s.outlier, s.max_outliers, "maneuver",
@@ -87,6 +102,34 @@ def evaluate(solution: Solution, s: DynamicSettings) -> list[Check]:
         checked(r.redundancy, solution.kept, s.min_redundancy, "maneuver"),
         _precise(r, s),
     ]  # fmt: skip
+
+
+def _fitting(solution: Solution, s: DynamicSettings) -> Check:
+    """Whether residuals are as small as given, or as is believed of what they are estimated by."""
+    left, noise = solution.first.left, solution.noise
+    check = by_chance(
+        "fit", float(np.sum(left.squares)), float(np.sum(left.freedom)), s.min_probability,
+        "residuals are larger than the deviations allow",
+    )  # fmt: skip
+    if noise.given.all():
+        return check
+    return replace(check, reason=f"{check.reason}; errors are {noise} by the residuals")
+
+
+def _measurable(r: DynamicResult) -> Check:
+    """Whether what is at a bound would be there by more than its own errors."""
+    names = [name for name in r.at_bound if name in r.beyond_reach]
+    words = f"{', '.join(names)} not measurable from this: give a prior or leave it out"
+    verdict = FAIL if names else PASS
+    return Check("measurable", verdict, len(names), 0, words if names else "")
+
+
+def _within_bounds(r: DynamicResult) -> Check:
+    """Whether nothing that is well measured would have to be what it cannot be."""
+    held = [name for name in r.at_bound if name not in r.beyond_reach]
+    words = f"at the bound of what is possible: {', '.join(held)}"
+    words += "; of another arm, or its masses or lengths are others?"
+    return Check("bounds", FAIL if held else PASS, len(held), 0, words if held else "")
 
 
 def _determined(solution: Solution) -> Check:
@@ -123,6 +166,8 @@ def _precise(r: DynamicResult, s: DynamicSettings) -> Check:
     names, described = r.problem.names, r.problem.guess
     worst, at = 0.0, ""
     for name, value, deviation in zip(names, described, r.deviations, strict=True):
+        if name in r.at_bound:
+            continue
         if name[0] in "mI":
             limit, words = s.max_relative * abs(value), f"{100 * deviation / abs(value):.0f} %"
         elif name[0] in "abxy":
@@ -133,4 +178,8 @@ def _precise(r: DynamicResult, s: DynamicSettings) -> Check:
             worst, at = float(deviation / limit), f"{name} has a deviation of {words}"
     share = f"{100 * s.max_relative:g} % of a described mass or inertia"
     asked = f"(at most {share}, {s.max_place:g} m)"
-    return at_most("precision", worst, 1.0, f"{at} {asked}" if at else "", "too uncertain")
+    words = f"{at} {asked}" if at else ""
+    check = at_most("precision", worst, 1.0, words, "too uncertain")
+    if check.verdict == PASS:
+        return check
+    return replace(check, reason=f"{check.reason}: give a prior, leave it out, or measure more")

@@ -33,6 +33,7 @@ from fss_arm_calib.estimation.least_squares import (
     eliminate,
     minimize,
 )
+from fss_arm_calib.estimation.noise import Left
 from fss_arm_calib.estimation.statistics import redundancy
 from fss_arm_model.base_motion import Path, base_pose_sensitivities, base_poses
 from fss_arm_model.description import Arm, Known
@@ -75,6 +76,10 @@ class DynamicProblem:
             raise ValueError("a pose is not finite")
         if count and not np.isfinite(self.sigma[..., 2]).any():
             raise ValueError("no heading is observed")
+
+    def scaled(self, factors: Floats) -> "DynamicProblem":
+        """The same with other deviations of positions and headings, by factors (2,)."""
+        return replace(self, sigma=self.sigma * factors[[0, 0, 1]])
 
     def only(self, which: npt.NDArray[np.bool_] | npt.NDArray[np.intp]) -> "DynamicProblem":
         """The same with some of the maneuvers."""
@@ -373,6 +378,22 @@ class DynamicResult:
         return tuple(name for name, held in pairs if held)
 
     @cached_property
+    def beyond_reach(self) -> tuple[str, ...]:
+        """Names of those at a bound that their own errors may have taken there.
+
+        They are known, bounds aside, to less than they are by the guess.
+        """
+        linear = self.minimum.linear
+        free = Decomposition.of(linear.regressor, MAX_CONDITION)
+        P, rows = free.covariance(), len(self.by_assumed)
+        by_assumed = P @ (linear.regressor[:rows].T @ self.by_assumed) * self.assumed_deviations
+        deviations = np.sqrt(np.diag(P) + np.sum(by_assumed**2, axis=1))
+        away = np.abs(free.step(linear.residuals))
+        guess, lost = np.abs(self.problem.guess), free.undetermined() > 1e-6
+        hidden = lost | ((away < 3.0 * deviations) & (deviations > 0.5 * guess))
+        return tuple(n for n, one in zip(self.problem.names, hidden, strict=True) if one)
+
+    @cached_property
     def residuals(self) -> Floats:
         """(M, m, 3) observed less predicted poses [m, m, rad]; NaN where not observed."""
         away = self.problem.poses - self.problem.predicted(self.minimum.x)
@@ -424,6 +445,22 @@ class DynamicResult:
         H, r = self._hat
         squares = (np.swapaxes(r, 1, 2) @ np.linalg.solve(np.eye(H.shape[1]) - H, r)).ravel()
         return np.trace(H, axis1=1, axis2=2), np.sqrt(squares / np.maximum(self.problem.free, 1))
+
+    @property
+    def left(self) -> Left:
+        """What the residuals of positions and headings tell of the deviations.
+
+        Without what is known beforehand, of momenta above all, which may be far larger than they
+        are: then it adds nothing to the sum of squares, and much to its degrees of freedom.
+        """
+        H, r = self._hat
+        seen = self.problem.weight > 0.0
+        rows = seen.shape[1]
+        hat = np.diagonal(H, axis1=1, axis2=2) + self.minimum.linear.taken.reshape(len(seen), -1)
+        free = seen - hat[:, :rows]
+        heading = self.problem.looked_at % 3 == 2
+        kinds = np.array([~heading, heading]).astype(float)
+        return Left(kinds @ np.sum(r[:, :rows, 0] ** 2, axis=0), kinds @ np.sum(free, axis=0))
 
     @property
     def redundancy(self) -> Floats:

@@ -45,11 +45,21 @@ class DynamicSettings(ManeuverSettings, CalibrationSettings, Knowledge):
         check=one_of(POSE, HEADING),
     )  # fmt: skip
     position_deviation: float = setting(
-        0.001, "1 sigma of a position of the base, each axis", unit="m", check=POSITIVE
-    )
+        0.0, "1 sigma of a position of the base, each axis; 0: estimated from the residuals",
+        unit="m", check=NOT_NEGATIVE,
+    )  # fmt: skip
     heading_deviation: float = setting(
-        radians(0.5), "1 sigma of a heading of the base", unit="rad", check=POSITIVE
-    )
+        0.0, "1 sigma of a heading of the base; 0: estimated from the residuals", unit="rad",
+        check=NOT_NEGATIVE,
+    )  # fmt: skip
+    max_position_deviation: float = setting(
+        0.001, "largest position_deviation that is believed of an estimate, and what a plan is "
+        "made for", unit="m", check=POSITIVE,
+    )  # fmt: skip
+    max_heading_deviation: float = setting(
+        radians(0.5), "largest heading_deviation that is believed of an estimate, and what a plan "
+        "is made for", unit="rad", check=POSITIVE,
+    )  # fmt: skip
     fresh_rate: float = setting(
         10.0,
         "rate of poses with independent errors, as averaging counts them",

@@ -12,6 +12,7 @@ from fss_arm_calib.dynamic.parameters import Choice
 from fss_arm_calib.dynamic.problem import DynamicProblem, DynamicResult, solve
 from fss_arm_calib.dynamic.settings import HEADING, DynamicSettings
 from fss_arm_calib.estimation.least_squares import Floats, Mask
+from fss_arm_calib.estimation.noise import Left, Noise, Solved, assumed, estimated
 from fss_arm_calib.estimation.outliers import weighed, without_outliers
 from fss_arm_calib.estimation.statistics import root_mean_square
 from fss_arm_calib.outcome import Estimate
@@ -35,7 +36,7 @@ def problem_of(
     most = max(len(one.marks) for one in maneuvers)
     poses = np.zeros((len(maneuvers), most, 3))
     sigma = np.full_like(poses, inf)
-    deviations = np.array([s.position_deviation, s.position_deviation, s.heading_deviation])
+    deviations = assumed(s).deviations[[0, 0, 1]]
     if s.residuals == HEADING:
         deviations[:2] = inf
     for one, pose, spread in zip(maneuvers, poses, sigma, strict=True):
@@ -84,6 +85,8 @@ class Solution:
     leverage: Floats  # (M,)
     directions: tuple[Direction, ...]  # of the p parameters
     combinations: tuple[Combination, ...]
+    noise: Noise  # of poses fresh by `fresh_rate`
+    first: DynamicResult  # by the deviations that are given, or the largest to be believed
 
     @property
     def momenta(self) -> Floats:
@@ -98,19 +101,32 @@ def solution_of(problem: DynamicProblem, settings: DynamicSettings) -> Solution:
     s, size = settings, len(problem.poses)
     weights = np.zeros(size)
 
-    def solved(mask: Mask) -> tuple[DynamicResult, Floats]:
+    largest, seen = (
+        assumed(s).deviations,
+        np.asarray(np.isfinite(problem.sigma[..., 1:]).any(axis=(0, 1))),
+    )
+
+    def solved(mask: Mask) -> tuple[Solved[DynamicResult], Floats]:
         weights[:] = 0.0
-        result, weights[mask], errors = weighed(
-            lambda weight: _weighed(problem.only(mask), weight), int(np.sum(mask)), s.loss
-        )
-        return result, errors
+
+        def with_noise(deviations: Floats) -> tuple[DynamicResult, Left]:
+            those = problem.only(mask).scaled(deviations / largest)
+            result, weights[mask], errors[:] = weighed(
+                lambda weight: _weighed(those, weight), len(errors), s.loss
+            )
+            return result, result.left
+
+        errors = np.empty(np.count_nonzero(mask))
+        found = estimated(s, with_noise, seen)
+        return found, errors
 
     found = without_outliers(solved, size, s, s.min_maneuvers, "error")
+    result, noise, first = found.result
     leverage = np.zeros(size)
-    leverage[found.mask] = found.result.checks[0]
+    leverage[found.mask] = result.checks[0]
     return Solution(
-        found.result, found.mask, weights, found.reasons, found.errors, leverage,
-        tuple(directions(found.result, s)), tuple(combinations(found.result)),
+        result, found.mask, weights, found.reasons, found.errors, leverage,
+        tuple(directions(result, s)), tuple(combinations(result)), noise, first,
     )  # fmt: skip
 
 

@@ -89,6 +89,7 @@ class Linear(NamedTuple):
     regressor: Floats  # (m, p)
     cost: float  # the sum of squares that is to become least
     extend: Callable[[Floats], Floats] | None = None  # from dx (p,) to a step of all unknowns
+    taken: Floats = np.empty(0)  # (rows,) share of each that unknowns eliminated take
 
 
 @dataclass(frozen=True)
@@ -128,9 +129,7 @@ def minimize(
     damping = 0.0
     for iteration in range(max_iterations + 1):
         basis, held, step = _step(linear, x[:p], low, high, damping, max_condition)
-        deviations = np.sqrt(np.diag(basis.covariance()))
-        sizes = np.abs(step[deviations > 0.0]) / deviations[deviations > 0.0]
-        update = float(np.max(sizes, initial=0.0))
+        update = _largest(step, basis)
         negligible = update < tolerance or float(np.max(np.abs(step), initial=0.0)) < ROUNDING
         converged = damping == 0.0 and negligible
         if converged or iteration == max_iterations:
@@ -144,7 +143,19 @@ def minimize(
             damping = damping / 10.0 if damping > 1e-3 else 0.0
         else:
             damping = max(10.0 * damping, 1e-3)
+    if not converged and negligible:
+        # The damped steps became negligible: what matters is whether the free one is.
+        basis, held, step = _step(linear, x[:p], low, high, 0.0, max_condition)
+        update = _largest(step, basis)
+        converged = update < tolerance
     return Minimum(x, linear, basis, held, iteration, update, converged)
+
+
+def _largest(step: Floats, basis: Decomposition) -> float:
+    """The largest part of a step, in the parameter's deviations."""
+    deviations = np.sqrt(np.diag(basis.covariance()))
+    sizes = np.abs(step[deviations > 0.0]) / deviations[deviations > 0.0]
+    return float(np.max(sizes, initial=0.0))
 
 
 def _step(
@@ -190,4 +201,5 @@ def eliminate(A: Floats, B: Floats, r: Floats) -> Linear:
         regressor=rest[..., :-1].reshape(r.size, A.shape[-1]),
         cost=float(np.sum(r**2)),
         extend=extend,
+        taken=np.sum(Q**2, axis=2).ravel(),
     )

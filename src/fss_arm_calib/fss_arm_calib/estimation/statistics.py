@@ -1,6 +1,6 @@
 """How probable residuals are, and how far data check each other."""
 
-from math import nan
+from math import inf, isinf, nan
 
 import numpy as np
 
@@ -13,11 +13,37 @@ def root_mean_square(values: Floats) -> float:
     return float(np.sqrt(np.mean(seen**2))) if seen.size else nan
 
 
-def probability(chi_square: float, freedom: int) -> float:
-    """Of a sum of squares of normal errors as large as found, or larger; 1 without any freedom."""
-    from scipy.special import gammaincc
+def probability(chi_square: float, freedom: float, known_by: float = inf) -> float:
+    """Of a sum of squares of normal errors as large as found, or larger; 1 without any freedom.
 
-    return float(gammaincc(freedom / 2, chi_square / 2)) if freedom else 1.0
+    Args:
+        chi_square: the sum, in deviations.
+        freedom: its degrees of freedom.
+        known_by: those by which the deviations were estimated; inf: they are known.
+    """
+    if not freedom:
+        return 1.0
+    from scipy.special import fdtrc, gammaincc
+
+    if isinf(known_by):
+        return float(gammaincc(freedom / 2, chi_square / 2))
+    return float(fdtrc(freedom, known_by, chi_square / freedom))
+
+
+def as_if_known(error: float, freedom: float, known_by: float) -> float:
+    """An error as improbable in known deviations as this one is in estimated ones.
+
+    Args:
+        error: length of it, in the deviations.
+        freedom: degrees of freedom of its square.
+        known_by: those by which the deviations were estimated; inf: they are known.
+    """
+    if isinf(known_by):
+        return error
+    from scipy.special import chdtri, fdtrc
+
+    chance = max(float(fdtrc(freedom, known_by, error**2 / freedom)), 1e-290)
+    return float(np.sqrt(chdtri(freedom, chance)))
 
 
 def redundancy(hat: Floats) -> Floats:

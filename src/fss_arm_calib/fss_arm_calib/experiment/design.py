@@ -19,6 +19,7 @@ from fss_arm_calib.dynamic.problem import DynamicProblem, DynamicResult, informa
 from fss_arm_calib.dynamic.settings import HEADING, DynamicSettings
 from fss_arm_calib.dynamic.solution import known_beforehand
 from fss_arm_calib.estimation.least_squares import Floats
+from fss_arm_calib.estimation.noise import assumed
 from fss_arm_model.base_motion import Law, Path, base_poses, path, stack
 from fss_arm_model.description import Arm
 from fss_arm_model.dynamics import bias, inertia_matrix
@@ -205,7 +206,7 @@ def problem(
 ) -> DynamicProblem:
     """What would be solved after a plan, its poses those predicted for an arm as described."""
     paths, fresh = zip(*(windowed(one, settings, rest) for one in plan), strict=True)
-    deviations = np.array([settings.position_deviation] * 2 + [settings.heading_deviation])
+    deviations = assumed(settings).deviations[[0, 0, 1]]
     if settings.residuals == HEADING:
         deviations[:2] = inf
     batch = stack(paths)

@@ -43,17 +43,19 @@ def calibrate(
     comparable = since_homed(observations)
     used = [o for o in comparable if o.used]
     problem = problem_of(used, arm, s)
-    number = checks.number(problem, streams, s)
+    homings, number = checks.homings(observations), checks.number(problem, streams, s)
+    if number.verdict != PASS and homings.reason:
+        number = replace(number, reason=f"{number.reason}; {homings.reason}")
     found = [
         joints_known(streams, arm),
-        checks.homings(observations),
+        homings,
         checks.rests(comparable, fewest(problem, s), s),
         clocks_kept(streams, s.joint_gap),
         number,
     ]
     solution = solution_of(problem, s) if number.verdict == PASS else None
     if solution:
-        why = checks.why_off(solution.result, problem, s)
+        why = checks.why_off(solution.result, solution.problem, s)
         reasons = (r and r + w for r, w in zip(solution.reasons, why, strict=True))
         solution = replace(solution, reasons=tuple(reasons))
         found += checks.evaluate(solution, s)

@@ -13,6 +13,7 @@ from fss_arm_calib.acceptance import (
     Check,
     at_most,
     by_chance,
+    cause,
     checked,
     converged,
     count,
@@ -22,22 +23,20 @@ from fss_arm_calib.acceptance import (
     outliers,
 )
 from fss_arm_calib.estimation.least_squares import CAUCHY, Floats, Mask
-from fss_arm_calib.estimation.statistics import redundancy
+from fss_arm_calib.estimation.statistics import probability, redundancy
 from fss_arm_calib.kinematic.problem import (
+    ALIKE,
     FULL,
     KinematicProblem,
     KinematicResult,
-    NotIdentifiable,
-    solve,
+    fit,
 )
 from fss_arm_calib.kinematic.settings import KinematicSettings
-from fss_arm_calib.kinematic.solution import Solution, fewest
+from fss_arm_calib.kinematic.solution import ANY, Solution, fewest
 from fss_arm_calib.segments.rests import Observation, homed, since_homed, unrepeated
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_model.description import DescriptionError
 from fss_arm_model.planar import inverse
-
-ALIKE = 0.01  # described lengths that differ by no more are as good as equal [m]
 
 
 def homings(observations: Sequence[Observation]) -> Check:
@@ -73,7 +72,7 @@ def number(problem: KinematicProblem, streams: Streams, s: KinematicSettings) ->
 def evaluate(solution: Solution, s: KinematicSettings) -> list[Check]:
     """The checks of a solution."""
     r = solution.result
-    checks = [_determined(r, s)]
+    checks = [_determined(solution.first, s)]
     if r.undetermined:
         return checks
     checks.append(converged(r.converged, r.iterations, r.last_update))
@@ -82,20 +81,30 @@ def evaluate(solution: Solution, s: KinematicSettings) -> list[Check]:
     except DescriptionError as error:
         least = float(np.min(solution.problem.all_parameters(r.values)[: solution.problem.arm.n]))
         checks.append(Check("lengths", FAIL, least, 0.0, f"a mirrored solution: {error}"))
-    fit = by_chance(
-        "fit", r.chi_square, r.degrees_of_freedom, s.min_probability,
-        "residuals are larger than the assumed deviations allow",
-    )  # fmt: skip
+    residuals = _fitting(solution, s)
     far = outliers(
         solution.errors, solution.kept, s.outlier, s.max_outliers, "observation",
         "normalized residual",
     )  # fmt: skip
-    if FAIL in (fit.verdict, far.verdict) and (hint := _swap_hint(solution, s)):
-        fit = replace(fit, verdict=FAIL, reason=f"{hint}; {fit.reason}")
+    if FAIL in (residuals.verdict, far.verdict) and (hint := _swap_hint(solution, s)):
+        checks.append(cause(hint))
+        residuals = replace(residuals, verdict=FAIL)
     return [
-        *checks, _lengths_kept(solution, s), fit, far, _checked(solution, s),
+        *checks, _lengths_kept(solution, s), residuals, far, _checked(solution, s),
         _predicted(solution, s),
     ]  # fmt: skip
+
+
+def _fitting(solution: Solution, s: KinematicSettings) -> Check:
+    """Whether residuals are as small as given, or as is believed of what they are estimated by."""
+    r, noise = solution.first, solution.noise
+    check = by_chance(
+        "fit", r.chi_square, r.degrees_of_freedom, s.min_probability,
+        "residuals are larger than the assumed deviations allow",
+    )  # fmt: skip
+    if noise.given.all():
+        return check
+    return replace(check, reason=f"{check.reason}; errors are {noise} by the residuals")
 
 
 def _determined(r: KinematicResult, s: KinematicSettings) -> Check:
@@ -115,8 +124,24 @@ def _lengths_kept(solution: Solution, s: KinematicSettings) -> Check:
     change = float(abs(lengths[k] - described[k]))
     words = f"a_{k + 1} is {lengths[k]:.4f} m, {described[k]:.4f} m in the description"
     words += f" (at most {s.max_length_change:g} m apart)"
-    check = at_most("description", change, s.max_length_change, words, "another arm's data")
-    return check if check.verdict == FAIL else replace(check, reason=_averaged(problem))
+    averaged = _averaged(problem)
+    failing = f"another arm's data, or {averaged}" if averaged else "another arm's data"
+    check = at_most("description", change, s.max_length_change, words, failing)
+    if averaged and check.verdict == PASS and _told_apart(solution) < s.min_probability:
+        return replace(check, verdict=FAIL, reason=averaged)
+    return check if check.verdict == FAIL else replace(check, reason=averaged)
+
+
+def _told_apart(solution: Solution) -> float:
+    """Probability that lengths taken as equal leave residuals so much larger than unlike ones."""
+    equal = solution.result
+    full = fit(replace(equal.problem, parametrization=FULL), max_condition=ANY)
+    more = len(full.values) - len(equal.values)
+    if solution.noise.given.all():
+        return probability(equal.chi_square - full.chi_square, more)
+    freedom = full.degrees_of_freedom
+    scale = full.chi_square / max(freedom, 1)
+    return probability((equal.chi_square - full.chi_square) / scale, more, freedom)
 
 
 def _averaged(problem: KinematicProblem) -> str:
@@ -165,7 +190,7 @@ def _predicted(solution: Solution, s: KinematicSettings) -> Check:
     what = f"{numbers(held_out)} predicted from the others"
     check = by_chance(
         "prediction", solution.prediction.chi_square, 3 * len(held_out), s.min_probability,
-        "worse than the deviations allow",
+        "worse than the deviations allow", solution.noise.freedom,
     )  # fmt: skip
     return replace(check, reason=f"{what}: {check.reason}")
 
@@ -184,19 +209,20 @@ def why_off(result: KinematicResult, problem: KinematicProblem, s: KinematicSett
 
 def _swap_hint(solution: Solution, s: KinematicSettings) -> str:
     """Whether exchanged subjects explain what does not fit; empty if not."""
-    problem = solution.problem.only(solution.kept)
-    try:
-        all_swapped = solve(
-            replace(problem, tip=inverse(problem.tip)), max_condition=s.max_condition
-        )
-        robust = solve(replace(problem, loss=CAUCHY), max_condition=s.max_condition)
-    except NotIdentifiable:
-        return ""
+    problem = solution.problem.only(solution.kept).with_deviations(solution.noise.largest)
+    all_swapped = fit(replace(problem, tip=inverse(problem.tip)), max_condition=s.max_condition)
     check = by_chance(
         "", all_swapped.chi_square, all_swapped.degrees_of_freedom, s.min_probability, ""
     )
     if check.verdict == PASS:
         return "base and end effector are swapped"
+    robust = fit(replace(problem, loss=CAUCHY), max_condition=s.max_condition)
+    if robust.undetermined:
+        return ""
     some = _fits_swapped(robust, problem, s) & (robust.normalized_residuals > s.outlier)
     which = np.flatnonzero(solution.kept)[some].tolist()
-    return f"base and end effector are swapped in {numbers(which)}" if which else ""
+    tip = np.where(some[:, None], inverse(problem.tip), problem.tip)
+    back = fit(replace(problem, tip=tip), max_condition=s.max_condition)
+    check = by_chance("", back.chi_square, back.degrees_of_freedom, s.min_probability, "")
+    explains = bool(which) and check.verdict == PASS
+    return f"base and end effector are swapped in {numbers(which)}" if explains else ""

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from fss_arm_calib.estimation.least_squares import Floats
+from fss_arm_calib.estimation.noise import assumed
 from fss_arm_calib.kinematic.solution import Solution
 from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.report_figures import figure
@@ -22,7 +23,8 @@ def postures(outcome: Outcome[Observation, Solution]) -> Any:
 
     Postures whose observation was rejected are dashed; their residuals would dwarf all others.
     """
-    e, s = outcome.estimate, outcome.settings
+    e, found = outcome.estimate, outcome.solution
+    errors = (found.noise if found else assumed(outcome.settings)).deviations
     q, tip = np.array([o.q for o in outcome.used]), np.array([o.tip for o in outcome.used])
     residuals = np.where((e.weights > 0.0)[:, None], e.residuals, np.nan)
     drawing = figure((14, 8))
@@ -39,10 +41,10 @@ def postures(outcome: Outcome[Observation, Solution]) -> Any:
         bars = which + 0.18 * (2 * k - 1)
         position.bar(bars, 1e3 * residuals[:, k], width=0.34, color=color, label=name)
     _finish(position, "position residual [mm]", 1e3 * np.array([
-        e.position_residual, s.position_deviation, PAPER_POSITION_RESIDUAL]))  # fmt: skip
+        e.position_residual, errors[0], PAPER_POSITION_RESIDUAL]))  # fmt: skip
     heading.bar(which, np.degrees(residuals[:, 2]), width=0.5, color="tab:green")
     _finish(heading, "heading residual [deg]", np.degrees([
-        e.heading_residual, s.heading_deviation, PAPER_HEADING_RESIDUAL]))  # fmt: skip
+        e.heading_residual, errors[1], PAPER_HEADING_RESIDUAL]))  # fmt: skip
     heading.set_xlabel("observation")
     for part in (position, heading):
         part.set_xticks(which[:: max(1, len(which) // 20)])

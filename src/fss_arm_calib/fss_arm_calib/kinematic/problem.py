@@ -40,6 +40,7 @@ from fss_arm_calib.estimation.least_squares import (
     Minimum,
     minimize,
 )
+from fss_arm_calib.estimation.noise import Left
 from fss_arm_calib.estimation.statistics import root_mean_square
 from fss_arm_model.description import Arm, kinematic_index, kinematic_names
 from fss_arm_model.kinematics import tip_in_base, tip_regressor
@@ -47,6 +48,9 @@ from fss_arm_model.planar import wrap
 
 FULL, EQUAL, OFFSETS = "full", "equal", "offsets"
 PARAMETRIZATIONS = (FULL, EQUAL, OFFSETS)
+DESCRIBED = "described"  # of settings: one of these, by the description
+
+ALIKE = 0.01  # described lengths that differ by no more are as good as equal [m]
 
 #: The per-observation errors that give residuals such as the paper's 0.015 m and 0.683 degrees.
 POSITION_DEVIATION = 0.0177  # [m], each axis
@@ -112,6 +116,11 @@ class KinematicProblem:
     def only(self, chosen: npt.NDArray[np.bool_] | npt.NDArray[np.intp]) -> "KinematicProblem":
         """The same with some of the observations."""
         return replace(self, q=self.q[chosen], tip=self.tip[chosen])
+
+    def with_deviations(self, deviations: Floats) -> "KinematicProblem":
+        """The same with other deviations of positions and headings, (2,)."""
+        position, heading = map(float, deviations)
+        return replace(self, position_deviation=position, heading_deviation=heading)
 
     @property
     def shares_length(self) -> bool:
@@ -345,6 +354,17 @@ class KinematicResult:
         """(s, 3, 3) what the parameters' covariance makes of predictions, in deviations."""
         Phi = problem.regressor(self.values).reshape(-1, 3, len(self.values))
         return np.asarray(Phi @ covariance @ np.swapaxes(Phi, 1, 2))
+
+    @property
+    def left(self) -> Left | None:
+        """What the residuals of positions and headings tell of the deviations."""
+        if self.undetermined:
+            return None
+        hat = np.diagonal(self._spread(self.problem, self.weighted), axis1=1, axis2=2)
+        squares = self.weights[:, None] * self.problem.normalized(self.residuals) ** 2
+        freedom = self.weights[:, None] * (1.0 - self.weights[:, None] * hat)
+        parts = [np.array([np.sum(x[:, :2]), np.sum(x[:, 2])]) for x in (squares, freedom)]
+        return Left(*parts)
 
     @cached_property
     def leverage(self) -> Floats:

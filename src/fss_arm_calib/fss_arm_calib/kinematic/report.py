@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from fss_arm_calib.estimation.least_squares import Floats
+from fss_arm_calib.estimation.noise import assumed
 from fss_arm_calib.estimation.statistics import root_mean_square
 from fss_arm_calib.kinematic.figures import (
     PAPER_HEADING_RESIDUAL,
@@ -61,19 +62,23 @@ def _parameters(outcome: Outcome[Observation, Solution], truth: Arm | None) -> T
 
 
 def _residuals(outcome: Outcome[Observation, Solution]) -> Table:
-    e, s, found = outcome.estimate, outcome.settings, outcome.solution
+    e, found = outcome.estimate, outcome.solution
+    noise = found.noise if found else assumed(outcome.settings)
     predicted = found.prediction.residuals if found else np.empty((0, 3))
     rows = [
         [name, shown_unit(unit), *(number(value, unit) for value in values)]
         for name, unit, *values in (
             ("position", "m", PAPER_POSITION_RESIDUAL, e.position_residual,
-             root_mean_square(predicted[:, :2]), s.position_deviation),
+             root_mean_square(predicted[:, :2]), noise.deviations[0]),
             ("heading", "rad", PAPER_HEADING_RESIDUAL, e.heading_residual,
-             root_mean_square(predicted[:, 2]), s.heading_deviation),
+             root_mean_square(predicted[:, 2]), noise.deviations[1]),
         )
     ]  # fmt: skip
-    head = ["of the end effector's", "unit", "paper", "here", "predicted", "assumed"]
-    note = "predicted: of observations held out, by a solution without them."
+    head = ["of the end effector's", "unit", "paper", "here", "predicted", "errors"]
+    note = (
+        "predicted: of observations held out, by a solution without them; errors: of an "
+        f"observation, {'as given' if noise.given.all() else f'estimated: {noise}'}."
+    )
     return Table("Standard deviation of the residuals", head, rows, words=2, note=note)
 
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from math import radians
 
 from fss_arm_calib.kinematic.problem import (
+    DESCRIBED,
     EQUAL,
     FULL,
     HEADING_DEVIATION,
@@ -27,18 +28,29 @@ class KinematicSettings(CalibrationSettings):
     tip_topic: str = like(Vehicle, "tip_topic")
     max_observations: int = most(200, "rests")
     parametrization: str = setting(
-        EQUAL,
-        f"{EQUAL}: one length for all links but the last; {FULL}: a length for each; {OFFSETS}: "
-        "only the angles, as after a drive was switched off and on",
-        check=one_of(*PARAMETRIZATIONS),
+        DESCRIBED,
+        f"{EQUAL}: one length for all links but the last; {FULL}: a length for each; {DESCRIBED}: "
+        f"{EQUAL} if the description's lengths are, else {FULL}; {OFFSETS}: only the angles, as "
+        "after a drive was switched off and on",
+        check=one_of(DESCRIBED, *PARAMETRIZATIONS),
     )
     theta_e: bool = setting(False, "estimate the end effector subject's heading offset, too")
     position_deviation: float = setting(
-        POSITION_DEVIATION, "1 sigma of an observed position, each axis", unit="m", check=POSITIVE
-    )
+        0.0, "1 sigma of an observed position, each axis; 0: estimated from the residuals",
+        unit="m", check=NOT_NEGATIVE,
+    )  # fmt: skip
     heading_deviation: float = setting(
-        HEADING_DEVIATION, "1 sigma of an observed heading", unit="rad", check=POSITIVE
-    )
+        0.0, "1 sigma of an observed heading; 0: estimated from the residuals", unit="rad",
+        check=NOT_NEGATIVE,
+    )  # fmt: skip
+    max_position_deviation: float = setting(
+        POSITION_DEVIATION, "largest position_deviation that is believed of an estimate; of few "
+        "observations it is assumed", unit="m", check=POSITIVE,
+    )  # fmt: skip
+    max_heading_deviation: float = setting(
+        HEADING_DEVIATION, "largest heading_deviation that is believed of an estimate; of few "
+        "observations it is assumed", unit="rad", check=POSITIVE,
+    )  # fmt: skip
     ripple_deviation: float = setting(
         0.0,
         "1 sigma of a reading from its joint's angle, by what comes twice a turn of the wave "

@@ -8,8 +8,14 @@ import numpy.typing as npt
 
 from fss_arm_calib.acceptance import TOLERANCE
 from fss_arm_calib.estimation.least_squares import Floats, Mask
+from fss_arm_calib.estimation.noise import Left, Noise, Solved, assumed, estimated
 from fss_arm_calib.estimation.outliers import without_outliers
+from fss_arm_calib.estimation.statistics import as_if_known
 from fss_arm_calib.kinematic.problem import (
+    ALIKE,
+    DESCRIBED,
+    EQUAL,
+    FULL,
     KinematicProblem,
     KinematicResult,
     NotIdentifiable,
@@ -21,6 +27,10 @@ from fss_arm_calib.kinematic.settings import KinematicSettings
 from fss_arm_calib.outcome import Estimate
 from fss_arm_calib.segments.rests import Observation
 from fss_arm_model.description import Arm
+
+#: Condition number with estimated deviations: whether all is determined is judged without them, as
+#: headings seen much better than positions make it large, and no parameter less certain.
+ANY = 1e6
 
 
 @dataclass(frozen=True)
@@ -34,6 +44,8 @@ class Solution:
     errors: Floats  # (s,) normalized residuals; of those rejected, predicted
     held_out: npt.NDArray[np.intp]  # (h,)
     prediction: Prediction  # of those held out, by a solution without them
+    noise: Noise  # of the observations, as the problem has it
+    first: KinematicResult  # by the deviations that are given, or the largest to be believed
 
 
 def problem_of(used: Sequence[Observation], arm: Arm, s: KinematicSettings) -> KinematicProblem:
@@ -42,18 +54,27 @@ def problem_of(used: Sequence[Observation], arm: Arm, s: KinematicSettings) -> K
     Raises:
         ValueError: observations and arm do not fit.
     """
+    position, heading = assumed(s).deviations.tolist()
     return KinematicProblem(
         q=np.array([o.q for o in used]).reshape(len(used), -1 if used else arm.n),
         tip=np.array([o.tip for o in used]).reshape(-1, 3),
         arm=arm,
-        parametrization=s.parametrization,
-        position_deviation=s.position_deviation,
-        heading_deviation=s.heading_deviation,
+        parametrization=parametrization(arm, s),
+        position_deviation=position,
+        heading_deviation=heading,
         ripple_deviation=s.ripple_deviation,
         eccentricity_deviation=s.eccentricity_deviation,
         theta_e=s.theta_e,
         loss=s.loss,
     )
+
+
+def parametrization(arm: Arm, s: KinematicSettings) -> str:
+    """What is estimated of an arm's lengths."""
+    if s.parametrization != DESCRIBED:
+        return s.parametrization
+    lengths = [link.a for link in arm.links[:-1]] or [0.0]
+    return EQUAL if max(lengths) - min(lengths) <= ALIKE else FULL
 
 
 def fewest(problem: KinematicProblem, s: KinematicSettings) -> int:
@@ -65,19 +86,47 @@ def solution_of(problem: KinematicProblem, settings: KinematicSettings) -> Solut
     """Solve, reject as many outliers as allowed, one after the other, and hold some out."""
     s = settings
 
-    def solved(mask: Mask) -> tuple[KinematicResult, Floats]:
-        result = fit(problem.only(mask), TOLERANCE, max_condition=s.max_condition)
-        return result, result.normalized_residuals
+    largest = problem.sigma[1:].tolist()
+
+    def solved_only(mask: Mask) -> Solved[KinematicResult]:
+        those = problem.only(mask)
+
+        def with_noise(deviations: Floats) -> tuple[KinematicResult, Left | None]:
+            weighed = those.with_deviations(deviations)
+            most = s.max_condition if weighed.sigma[1:].tolist() == largest else ANY
+            result = fit(weighed, TOLERANCE, max_condition=most)
+            return result, result.left
+
+        return estimated(s, with_noise)
+
+    def solved(mask: Mask) -> tuple[Solved[KinematicResult], Floats]:
+        found = solved_only(mask)
+        errors = found.result.normalized_residuals
+        if not found.noise.given.all() and np.sum(mask) > fewest(problem, s):
+            # The worst by the errors of the others: it makes its own deviation larger, and hides.
+            worst, others = int(np.argmax(errors)), mask.copy()
+            others[np.flatnonzero(mask)[worst]] = False
+            without = solved_only(others)
+            there = problem.only(mask & ~others).with_deviations(without.noise.deviations)
+            off = without.result.predicted(there).normalized[0]
+            errors[worst] = max(errors[worst], as_if_known(off, 3.0, without.noise.freedom))
+        return found, errors
 
     found = without_outliers(solved, len(problem.q), s, fewest(problem, s), "normalized residual")
-    errors = found.result.predicted(problem).normalized
-    errors[found.mask] = found.result.normalized_residuals
-    held_out = _held_out(problem, found.result, found.mask, s)
-    return Solution(problem, found.result, found.mask, found.reasons, errors, *held_out)
+    result, noise, first = found.result
+    problem = problem.with_deviations(noise.deviations)
+    errors = np.where(found.mask, found.errors, result.predicted(problem).normalized)
+    most = s.max_condition if noise.given.all() else ANY
+    held_out = _held_out(problem, result, found.mask, s, most)
+    return Solution(problem, result, found.mask, found.reasons, errors, *held_out, noise, first)
 
 
 def _held_out(
-    problem: KinematicProblem, result: KinematicResult, kept: Mask, s: KinematicSettings
+    problem: KinematicProblem,
+    result: KinematicResult,
+    kept: Mask,
+    s: KinematicSettings,
+    max_condition: float,
 ) -> tuple[npt.NDArray[np.intp], Prediction]:
     """Observations predicted by a solution without them; none if too few remain."""
     held_out = (
@@ -87,7 +136,7 @@ def _held_out(
     rest[held_out] = False
     if len(held_out) and np.sum(rest) >= fewest(problem, s):
         try:
-            without = solve(problem.only(rest), TOLERANCE, max_condition=s.max_condition)
+            without = solve(problem.only(rest), TOLERANCE, max_condition=max_condition)
             return held_out, without.predicted(problem.only(held_out))
         except NotIdentifiable:
             pass
@@ -117,7 +166,7 @@ def estimate_of(problem: KinematicProblem, solution: Solution | None) -> Estimat
         heading_residual=r.heading_residual,
         chi_square=r.chi_square,
         degrees_of_freedom=r.degrees_of_freedom,
-        condition_number=r.condition_number,
+        condition_number=solution.first.condition_number,
         iterations=r.iterations,
         last_update=r.last_update,
     )  # fmt: skip

@@ -8,6 +8,7 @@ half of it, if they fall silent.
 """
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
 from math import inf, nan
 from typing import ClassVar, Generic, Protocol, TypeVar
 
@@ -16,7 +17,7 @@ from fss_arm_calib.segments.alignment import Alignment, Offset
 from fss_arm_calib.segments.gyro import Gyro
 from fss_arm_calib.segments.joints import Rest, Rests
 from fss_arm_calib.segments.poses import BASE, TIP, Poses
-from fss_arm_calib.segments.samples import SECOND, Stamps, Stream
+from fss_arm_calib.segments.samples import SECOND, Stamps, Stream, span
 from fss_arm_calib.segments.settings import RestSettings
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_calib.segments.telemetry import Link
@@ -117,6 +118,7 @@ class Finder(ABC, Generic[C, S]):
         return Streams(
             silent=tuple(one.name for one in [*self.joints, *self._poses] if one.newest < 0),
             unknown=tuple(f"joint_{i}" for i in sorted(self.rests.unknown)),
+            others=tuple(sorted(self.rests.others)),
             rejected={
                 f"{one.name} {why}": number
                 for one in every
@@ -126,9 +128,40 @@ class Finder(ABC, Generic[C, S]):
             set_back={one.name: one.set_back / SECOND for one in timed},
             offset=self.alignment.offset,
             offset_beyond=self.alignment.beyond,
+            frames={one.name: one.frame for one in self.subjects.values() if one.first >= 0},
+            doubts=tuple(self._doubts()),
             boots=boots,
             homings=homings,
         )
+
+    def _doubts(self) -> Iterator[str]:
+        """What about the streams may hide all data, in words."""
+        seen = [one for one in self._poses if one.first >= 0]
+        heard = [(joint.name, joint.begun, joint.newest) for joint in self.joints if joint.merged]
+        heard += [(poses.name, poses.first, poses.newest) for poses in seen[1:]]
+        for name, begin, end in heard if seen else ():
+            steps = begin - seen[0].first, end - seen[0].newest
+            if min(steps) > self.horizon or max(steps) < -self.horizon:
+                yield f"clock of {name} {span(steps[1] / SECOND)} that of {seen[0].name}"
+        slow = {joint.name: joint.period for joint in self.joints}
+        late = [name for name, period in slow.items() if period > self.settings.joint_gap]
+        if late:
+            period, gap = max(slow.values()), self.settings.joint_gap
+            yield f"{', '.join(late)} read every {period:.2g} s only: joint_gap is {gap:g} s"
+        moving = [
+            joint.name
+            for joint in self.joints
+            if joint.stillest < self._least_rest and joint.newest - joint.begun > self.horizon // 2
+        ]
+        if moving:
+            least = self._least_rest / SECOND
+            threshold = f"motion_threshold, {self.settings.motion_threshold:g} rad"
+            yield f"{', '.join(moving)} never still for {least:g} s to within {threshold}"
+
+    @property
+    def _least_rest(self) -> int:
+        """How long the arm must rest [ns]."""
+        return self.settle_time + self.min_duration
 
     @abstractmethod
     def _merged(self, ended: Rest | None) -> None:

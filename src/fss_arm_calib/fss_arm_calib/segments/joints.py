@@ -9,7 +9,14 @@ from typing import NamedTuple
 import numpy as np
 
 from fss_arm_calib.estimation.least_squares import Floats
-from fss_arm_calib.segments.samples import LARGEST, NOT_FINITE, OUT_OF_RANGE, Stamps, Stream
+from fss_arm_calib.segments.samples import (
+    LARGEST,
+    NOT_FINITE,
+    OUT_OF_RANGE,
+    SECOND,
+    Stamps,
+    Stream,
+)
 from fss_arm_model.stillness import Run
 
 
@@ -22,6 +29,14 @@ class Joint(Stream):
         self.q, self.qd = array("d"), array("d")
         self.columns += [(self.q, 1), (self.qd, 1)]
         self.run = Run()
+        self.stillest = -1  # longest time in which it kept still [ns]; -1: none was heard
+        self.merged, self.begun = 0, -1  # readings, and the first one's stamp [ns]
+
+    @property
+    def period(self) -> float:
+        """Mean time between readings [s]; 0: not known."""
+        steps = self.merged - 1
+        return (self.newest - self.begun) / SECOND / steps if steps > 0 else 0.0
 
     def append(self, t: int, q: float, qd: float) -> None:
         """Let a reading [rad] and rate [rad/s] wait; NaN: no rate is known."""
@@ -73,6 +88,7 @@ class Rests:
     def __init__(self, n: int, motion_threshold: float, horizon: int) -> None:
         self.joints = [Joint(f"joint_{i}", horizon) for i in range(1, n + 1)]
         self.unknown: set[int] = set()  # numbers heard that the arm does not have
+        self.others: set[str] = set()  # names heard that are not joint_<i>
         self.motion_threshold, self.horizon = motion_threshold, horizon
         self.begin, self.end = -1, -1  # of the present rest
 
@@ -107,6 +123,9 @@ class Rests:
         moves = joint.run.start >= 0 and not joint.run.holds(q, self.motion_threshold)
         ended = self.present(t) if moves else None
         joint.run.add(t, q, self.motion_threshold)
+        joint.stillest = max(joint.stillest, joint.run.last - joint.run.start)
+        joint.merged += 1
+        joint.begun = joint.begun if joint.begun >= 0 else t
         joint.t.append(t)
         joint.q.append(q)
         joint.qd.append(qd)

@@ -14,7 +14,7 @@ gyro's stamps are of the joints' clock. What was learned by then shifts the wind
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import inf, pi
+from math import inf, nan, pi
 from typing import NamedTuple
 
 import numpy as np
@@ -24,9 +24,12 @@ from fss_arm_calib.segments.alignment import offset_of_move
 from fss_arm_calib.segments.finder import Finder
 from fss_arm_calib.segments.joints import Joint, Rest
 from fss_arm_calib.segments.poses import BASE, FROZEN, bins, mean_pose, seen_from
-from fss_arm_calib.segments.samples import SECOND, Gap
+from fss_arm_calib.segments.samples import SECOND, Gap, Stamps
 from fss_arm_calib.segments.settings import ManeuverSettings
+from fss_arm_calib.segments.streams import Streams
 from fss_arm_model.base_motion import Path, path, sampled
+
+LEAST_SEEN = 1.0  # squares of the base's turns, of all frames, that the gyro is compared by [rad^2]
 
 
 @dataclass(frozen=True)
@@ -92,6 +95,7 @@ class ManeuverFinder(Finder[Motion, Maneuver]):
         s = settings or ManeuverSettings()
         super().__init__(n, s, search=0.5)
         self._lag(s.time_offset)
+        self._turns = np.zeros(2)  # of gyro and motion capture together, and of the latter alone
         self._before: Rest | None = None  # the rest that the next maneuver begins with
 
     def _merged(self, ended: Rest | None) -> None:
@@ -207,6 +211,7 @@ class ManeuverFinder(Finder[Motion, Maneuver]):
         if turned is None or self.base.gaps(begin, end, self.vicon_gap):
             return
         t, poses = self.base.about(begin, end)
+        self._compare(turned, t, np.unwrap(poses[:, 2]))
         search = self.alignment.search
         ends = np.array([search, (end - begin) / SECOND - search])
         gyro, seen = (turned[0] - begin) / SECOND, (t - begin) / SECOND
@@ -214,6 +219,18 @@ class ManeuverFinder(Finder[Motion, Maneuver]):
         found = offset_of_move(ends, [(gyro, turned[1])], seen, psi, search)
         if found.deviation < inf:
             self._learn(replace(found, value=found.value + self.base.lag / SECOND))
+
+    def _compare(self, turned: tuple[Stamps, Floats], t: Stamps, psi: Floats) -> None:
+        """Learn how far the gyro turns as motion capture sees it turn."""
+        angle = np.interp(t - t[0], turned[0] - t[0], turned[1])
+        a, p = angle - np.mean(angle), psi - np.mean(psi)
+        self._turns += [float(a @ p), float(p @ p)]
+
+    def streams(self) -> Streams:
+        """With what the gyro says of the base's turns."""
+        common, own = self._turns
+        ratio = common / own if own > LEAST_SEEN else nan
+        return replace(super().streams(), gyro_ratio=ratio)
 
     def _needed_since(self) -> int:
         rest = self._pending[0].before if self._pending else self._before or self.rests

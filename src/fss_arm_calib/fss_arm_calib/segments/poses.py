@@ -51,6 +51,7 @@ class Poses(Stream):
         super().__init__(name, horizon)
         self.max_speed, self.max_turn = max_speed, max_turn
         self.first = -1  # the first stamp of all [ns]
+        self.frame = ""  # id of the frame that its poses are in
         self.xyh = array("d")
         self.since = array("q")  # when the subject first had the very pose it has at t
         self.columns += [(self.xyh, 3), (self.since, 1)]

@@ -20,6 +20,20 @@ NOT_FINITE, OUT_OF_RANGE = "not finite", "out of range"
 REPEATED, OUT_OF_ORDER, ASTRAY = "repeated", "out of order", "astray in time"
 
 
+HOUR, YEARS = 3600.0, 1e8  # [s]
+
+
+def span(by: float) -> str:
+    """By how much a clock is ahead of, or behind, another one [s], in words."""
+    direction, by = "ahead of" if by > 0.0 else "behind", abs(by)
+    hours = round(by / HOUR)
+    if by > YEARS:
+        return f"{by / 3.156e7:.3g} years {direction} (counting since its start?)"
+    if hours and abs(by - hours * HOUR) < 0.02 * HOUR:
+        return f"{by:.1f} s ({'an hour' if hours == 1 else f'{hours} hours'}) {direction}"
+    return f"{by:.2f} s {direction}"
+
+
 class Gap(NamedTuple):
     """An interval without samples."""
 

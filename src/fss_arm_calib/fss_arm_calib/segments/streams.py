@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from math import nan
 from typing import Protocol, TypeVar
 
 from fss_arm_calib.segments.alignment import Offset
@@ -13,10 +14,14 @@ class Streams:
 
     silent: tuple[str, ...] = ()  # not heard yet
     unknown: tuple[str, ...] = ()  # joints heard that the arm does not have
+    others: tuple[str, ...] = ()  # names of joints heard that are not joint_<i>
     rejected: Mapping[str, int] = field(default_factory=dict)  # samples, by stream and reason
     set_back: Mapping[str, float] = field(default_factory=dict)  # longest step back of stamps [s]
     offset: Offset = field(default_factory=Offset)  # between the clocks
     offset_beyond: float = 0.0  # what it is more than, by most moves [s]
+    frames: Mapping[str, str] = field(default_factory=dict)  # frame id of each subject seen
+    doubts: tuple[str, ...] = ()  # what about them may hide all data
+    gyro_ratio: float = nan  # of the base's turns by the gyro to those by motion capture
     boots: tuple[int, ...] = ()  # as an Observation's, at last
     homings: tuple[int, ...] = ()
 

@@ -1,0 +1,374 @@
+"""What went wrong, if data and model disagree: what goes wrong in laboratories, tried in turn.
+
+Each hypothesis changes what was heard, or what is asked of it, and all is found and solved anew.
+One with which the calibration passes is named, and never applied: the verdict stays what it was.
+If several pass, that is named whose result is nearest to the description: an arm fits its mirror
+image as well.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from math import inf, radians
+from time import monotonic
+from typing import Any
+
+import numpy as np
+
+from fss_arm_calib.acceptance import CAUSE, PASS, cause
+from fss_arm_calib.calibration import Calibration
+from fss_arm_calib.estimation.least_squares import Floats
+from fss_arm_calib.outcome import Outcome
+from fss_arm_calib.segments.poses import BASE, TIP
+from fss_arm_calib.segments.samples import LARGEST, SECOND, span
+from fss_arm_calib.segments.tape import Tape, Track, seen_from_above
+from fss_arm_model.description import Arm
+from fss_arm_model.planar import wrap
+
+LONGEST = 900.0  # of what was heard, only so much at its end is tried [s]
+JOINTS, POSES = 0.05, 0.02  # periods that are enough to try it with [s]
+#: Checks that fail of data that agree with the model.
+UNCERTAIN = {"precision", "measurable", "redundancy"}
+
+MOST = 60.0  # time to try [s]
+
+TABLE = 20.0  # no test bed is larger [m]
+TURN = 3.3  # a larger reading is none in radians [rad]
+LENGTH, ANGLE = 0.05, radians(20.0)  # a description is no farther from the truth [m, rad]
+APART = 0.25  # clocks, which is looked at [s]
+TILTED = 0.01  # of a quaternion's x and y, squared: the subject does not lie flat
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """What may have gone wrong, and what would be without it."""
+
+    words: str  # as a question
+    remedy: str
+    tape: Tape
+    settings: Any
+
+
+Maker = Callable[[Tape, Arm, Any], Iterator[tuple[str, str, Tape | dict[str, Any]]]]
+
+
+def explained(
+    kind: Calibration[Any, Any], outcome: Outcome[Any, Any], tape: Tape
+) -> Outcome[Any, Any]:
+    """The outcome with the likely cause of its verdict, if one is found.
+
+    A pass needs none, nor do data that agree with the model and say too little.
+    """
+    failing = {check.name for check in outcome.checks if check.needed and check.verdict != PASS}
+    if outcome.verdict == PASS or failing - {CAUSE} <= UNCERTAIN:
+        return outcome
+    words = likely(kind, outcome.arm, outcome.settings, tape)
+    if not words:
+        return outcome
+    others = [check for check in outcome.checks if check.name != CAUSE]
+    return replace(outcome, checks=(cause(words, outcome.verdict), *others))
+
+
+def likely(kind: Calibration[Any, Any], arm: Arm, settings: Any, tape: Tape) -> str:
+    """The hypothesis that makes a calibration pass, in words; empty: none does."""
+    tape, until = tape.brief(LONGEST, JOINTS, POSES), monotonic() + MOST
+    best, nearest = "", inf
+    as_it_is = tried(kind, arm, Hypothesis("", "", tape, settings))
+    if as_it_is and as_it_is.verdict == PASS:
+        return ""  # what is wrong is not on the tape
+    lacking = as_it_is is None or as_it_is.solution is None
+    for one in hypotheses(tape, arm, settings, lacking):
+        if monotonic() > until:
+            break
+        outcome = tried(kind, arm, one)
+        if outcome is None or outcome.verdict != PASS:
+            continue
+        away = distance(outcome)
+        if away < nearest:
+            residual = 1e3 * outcome.estimate.position_residual
+            best, nearest = f"{one.words} {one.remedy} the residuals are {residual:.2g} mm", away
+        if away < 1.0:
+            break
+    return best
+
+
+def tried(kind: Calibration[Any, Any], arm: Arm, one: Hypothesis) -> Outcome[Any, Any] | None:
+    """What would be concluded; None: nothing can be."""
+    try:
+        finder: Any = kind.finder(arm.n, one.settings, [])
+        found = one.tape.play(finder)
+        return kind.calibrate(found, arm, one.settings, finder.streams(), "")
+    except (ArithmeticError, LookupError, ValueError):
+        return None
+
+
+def distance(outcome: Outcome[Any, Any]) -> float:
+    """From the description, in what a description may be off by."""
+    e = outcome.estimate
+    by_unit = {"m": LENGTH, "rad": ANGLE}
+    away = [
+        abs(float(wrap(value - initial) if unit == "rad" else value - initial)) / by_unit[unit]
+        for value, initial, unit in zip(e.values, e.initial, e.units, strict=True)
+        if unit in by_unit
+    ]
+    return max(away, default=0.0)
+
+
+def hypotheses(tape: Tape, arm: Arm, settings: Any, lacking: bool) -> Iterator[Hypothesis]:
+    """All that may be wrong with what was heard, what is seen at a glance first."""
+    for maker in [*MAKERS, *LACKING * lacking]:
+        for words, remedy, change in maker(tape, arm, settings):
+            if isinstance(change, Tape):
+                yield Hypothesis(words, remedy, change, settings)
+            else:
+                yield Hypothesis(words, remedy, tape, replace(settings, **change))
+
+
+def _names(tape: Tape, arm: Arm, _: Any) -> Iterator[tuple[str, str, Tape]]:
+    wanted = [f"joint_{i}" for i in range(1, arm.n + 1)]
+    heard = sorted(tape.joints, key=_by_number)
+    if len(heard) == arm.n and heard != wanted:
+        named = ", ".join(heard)
+        tracks = {name: tape.joints[own] for name, own in zip(wanted, heard, strict=True)}
+        yield f"joints named {named}?", "taken in this order", replace(tape, joints=tracks)
+
+
+def _by_number(name: str) -> tuple[int, str]:
+    digits = "".join(c if c.isdigit() else " " for c in name).split()
+    return int(digits[-1][:9]) if digits else 0, name
+
+
+def _units(tape: Tape, arm: Arm, _: Any) -> Iterator[tuple[str, str, Tape]]:
+    largest = {n: _largest(track.values[:, :3]) for n, track in tape.poses.items()}
+    far = [name for name, size in largest.items() if size > TABLE]
+    if far:
+        whose = "" if len(far) == len(largest) else f" of {', '.join(far)}"
+        scale = np.array([1e-3] * 3 + [1.0] * 4)
+        changed = tape.with_poses(
+            lambda n, t: t._replace(values=t.values * scale) if n in far else t
+        )
+        yield f"position{whose} in millimetres?", "with 0.001", changed
+    wide = {n: _largest(track.values[:, :1]) for n, track in tape.joints.items()}
+    turned = [name for name, size in wide.items() if size > TURN]
+    if turned:
+        whose = "joints" if len(turned) == len(wide) else ", ".join(turned)
+        counts = [_counted(tape.joints[name].values[:, 0]) for name in turned]
+        if not all(counts):
+            yield f"{whose} in degrees?", "in radians", _scaled(tape, turned, radians(1.0))
+        per_count = {
+            f"joint_{i}": 2.0 * np.pi * link.drive.direction / link.drive.counts_per_turn
+            for i, link in enumerate(arm.links, 1)
+        }
+        if all(counts) or max(wide.values()) > LARGEST:
+            changed = tape
+            for name in turned:
+                changed = _scaled(changed, [name], per_count.get(name, 1.0))
+            yield f"{whose} in counts?", "in radians", changed
+
+
+def _largest(values: Floats) -> float:
+    seen = np.abs(values[np.isfinite(values)])
+    return float(np.percentile(seen, 95)) if seen.size else 0.0
+
+
+def _counted(q: Floats) -> bool:
+    return bool(np.all(q == np.round(q)))
+
+
+def _scaled(tape: Tape, names: Sequence[str], by: float) -> Tape:
+    return tape.with_joints(lambda n, t: t._replace(values=t.values * by) if n in names else t)
+
+
+def _clocks(tape: Tape, arm: Arm, _: Any) -> Iterator[tuple[str, str, Tape]]:
+    """By when samples were received, and by when joints and subjects moved."""
+    late = {
+        name: float(np.median(track.receipt - track.t)) / SECOND
+        for name, track in [*tape.joints.items(), *tape.poses.items()]
+        if len(track.t)
+    }
+    if not late:
+        return
+    right = min(late.values(), key=abs)
+    off = {name: by - right for name, by in late.items() if abs(by - right) > APART}
+    if off:
+        changed = replace(
+            tape,
+            joints={n: _on_receipt(t) for n, t in tape.joints.items()},
+            poses={n: _on_receipt(t) for n, t in tape.poses.items()},
+            rates=_on_receipt(tape.rates) if tape.rates else None,
+        )
+        every = off.keys() >= tape.joints.keys()
+        whose = [name for name in off if not every or name not in tape.joints]
+        who = ", ".join([*["the joints"] * every, *whose])
+        by = -float(np.median(list(off.values())))
+        words = f"clock of {who} {span(by)} the others?"
+        yield words, "with the times of receipt", changed
+    by = _lag(tape)
+    if abs(by) > APART:
+        changed = replace(
+            tape.with_joints(lambda _, t: _shifted(t, -by)),
+            rates=_shifted(tape.rates, -by) if tape.rates else None,
+        )
+        words = f"clock of the joints {span(by)} the subjects'?"
+        yield words, "with it shifted", changed
+
+
+def _on_receipt(track: Track) -> Track:
+    """Stamps as if by the clock of the receiver: the least delay counts as none."""
+    if not len(track.t):
+        return track
+    by = int(np.min(track.receipt - track.t))
+    return track._replace(t=track.t + by)
+
+
+def _shifted(track: Track, by: float) -> Track:
+    return track._replace(t=track.t + round(by * SECOND))
+
+
+def _lag(tape: Tape, step: float = 0.1) -> float:
+    """By how much joints' stamps are later than the subjects' when all move [s]; 0: not known."""
+    base, tip = (tape.poses.get(name) for name in (BASE, TIP))
+    if base is None or len(base.t) < 10 or any(len(t.t) < 10 for t in tape.joints.values()):
+        return 0.0
+    joints = list(tape.joints.values())
+    if not joints:
+        return 0.0
+    begins = np.array([min(int(t.t[0]) for t in joints), int(base.t[0])])
+    ends = np.array([max(int(t.t[-1]) for t in joints), int(base.t[-1])])
+    if np.max(ends - begins) > 2 * LONGEST * SECOND:
+        return 0.0
+    seen = seen_from_above(base.values)[:, 2]
+    t = (base.t - begins[1]) / SECOND
+    if tip is not None and len(tip.t) > 10:
+        other = seen_from_above(tip.values)[:, 2]
+        seen = np.interp(t, (tip.t - begins[1]) / SECOND, _continued(other)) - _continued(seen)
+    seconds = (ends - begins) / SECOND
+    there = np.abs(np.diff(np.interp(np.arange(0.0, seconds[1], step), t, _continued(seen))))
+    here = sum(
+        np.abs(np.diff(np.interp(np.arange(0.0, seconds[0], step), at, track.values[:, 0])))
+        for track in joints
+        for at in [(track.t - begins[0]) / SECOND]
+    )
+    here = np.asarray(here)
+    size = len(here) + len(there)
+    found = np.fft.irfft(
+        np.fft.rfft(here - here.mean(), size) * np.conj(np.fft.rfft(there - there.mean(), size)),
+        size,
+    )
+    k = int(np.argmax(found))
+    later = step * (k if k < len(here) else k - size)
+    return later + float(begins[0] - begins[1]) / SECOND
+
+
+def _continued(heading: Floats) -> Floats:
+    """Without turns, and as before where nothing was seen."""
+    seen = np.flatnonzero(np.isfinite(heading))
+    if not len(seen):
+        return np.zeros(len(heading))
+    return np.interp(np.arange(len(heading)), seen, np.unwrap(heading[seen]))
+
+
+def _poses(tape: Tape, arm: Arm, _: Any) -> Iterator[tuple[str, str, Tape]]:
+    """What may be wrong with subjects."""
+    values = [track.values for track in tape.poses.values()]
+    flat = all(np.nanmean(v[:, 3] ** 2 + v[:, 4] ** 2) < TILTED for v in values if len(v))
+    if BASE in tape.poses and TIP in tape.poses:
+        swapped = {BASE: tape.poses[TIP], TIP: tape.poses[BASE]}
+        yield (
+            "base and end effector are swapped?", "exchanged",
+            replace(tape, poses={**tape.poses, **swapped}),
+        )  # fmt: skip
+    if not flat:
+        yield "quaternions with w first?", "in the order x, y, z, w", _turned(tape, _W_FIRST)
+        yield "poses with y up?", "with z up", _turned(tape, _Y_UP)
+        yield "poses with x up?", "with z up", _turned(tape, _X_UP)
+    yield "poses mirrored?", "with y and headings reversed", _turned(tape, _MIRRORED)
+    yield "headings clockwise?", "reversed", _turned(tape, _CLOCKWISE)
+    yield "positions mirrored?", "with y reversed", _turned(tape, _REVERSED)
+    if len(values) > 1:
+        yield "end effector seen from the base already?", "so taken", _put_on_base(tape)
+
+
+# Columns of a pose, x y z and the quaternion's x y z w, from which others are taken, and signs.
+_W_FIRST = [0, 1, 2, 4, 5, 6, 3], [1, 1, 1, 1, 1, 1, 1]
+_Y_UP = [0, 2, 1, 3, 5, 4, 6], [1, -1, 1, 1, -1, 1, 1]
+_X_UP = [1, 2, 0, 4, 5, 3, 6], [1, 1, 1, 1, 1, 1, 1]
+_MIRRORED = [0, 1, 2, 3, 4, 5, 6], [1, -1, 1, -1, 1, -1, 1]
+_CLOCKWISE = [0, 1, 2, 3, 4, 5, 6], [1, 1, 1, 1, 1, -1, 1]
+_REVERSED = [0, 1, 2, 3, 4, 5, 6], [1, -1, 1, 1, 1, 1, 1]
+
+
+def _turned(tape: Tape, change: tuple[list[int], list[int]]) -> Tape:
+    columns, signs = change
+    return tape.with_poses(lambda _, t: t._replace(values=t.values[:, columns] * signs))
+
+
+def _put_on_base(tape: Tape) -> Tape:
+    """The end effector's poses taken as seen from the base, put where the base is."""
+    base, tip = tape.poses[BASE], tape.poses[TIP]
+    if not len(base.t) or not len(tip.t):
+        return tape
+    at, seen = seen_from_above(base.values), seen_from_above(tip.values)
+    t, since = (track.t - base.t[0] for track in (tip, base))
+    x, y, heading = (np.interp(t, since, column) for column in (*at.T[:2], _continued(at[:, 2])))
+    away = (seen[:, 0] + 1j * seen[:, 1]) * np.exp(1j * heading)
+    half, none = 0.5 * (heading + seen[:, 2]), np.zeros(len(t))
+    pose = [x + away.real, y + away.imag, none, none, none, np.sin(half), np.cos(half)]
+    poses = {**tape.poses, TIP: tip._replace(values=np.column_stack(pose))}
+    return replace(tape, poses=poses)
+
+
+def _joints(tape: Tape, arm: Arm, _: Any) -> Iterator[tuple[str, str, Tape]]:
+    """What may be wrong with readings."""
+    names = [f"joint_{i}" for i in range(1, arm.n + 1) if f"joint_{i}" in tape.joints]
+    jumps = [n for n in names if (np.abs(np.diff(tape.joints[n].values[:, 0])) > np.pi).any()]
+    if jumps:
+        changed = tape.with_joints(lambda n, t: _unwrapped(t) if n in jumps else t)
+        yield f"{', '.join(jumps)} wrapped?", "counting turns", changed
+    for name in names:
+        yield f"{name} with the wrong sign?", "reversed", _scaled(tape, [name], -1.0)
+    if len(names) > 1:
+        yield "all joints with the wrong sign?", "reversed", _scaled(tape, names, -1.0)
+    for a, b in combinations(names, 2):
+        tracks = {**tape.joints, a: tape.joints[b], b: tape.joints[a]}
+        yield f"{a} and {b} exchanged?", "changed back", replace(tape, joints=tracks)
+    if len(names) > 2:
+        tracks = dict(zip(names, (tape.joints[n] for n in reversed(names)), strict=True))
+        yield "joints counted from the tip?", "in reverse order", replace(tape, joints=tracks)
+
+
+def _unwrapped(track: Track) -> Track:
+    values = track.values.copy()
+    values[:, 0] = np.unwrap(values[:, 0])
+    return track._replace(values=values)
+
+
+def _settings(tape: Tape, arm: Arm, s: Any) -> Iterator[tuple[str, str, dict[str, Any]]]:
+    """What may be asked in vain of these data."""
+    periods = [
+        float(np.median(np.diff(track.t))) / SECOND
+        for track in tape.joints.values()
+        if len(track.t) > 2
+    ]
+    slow = max(periods, default=0.0)
+    if 2.0 * slow > s.joint_gap:
+        gap = 3.0 * slow
+        words = f"joints read every {slow:.2g} s only, and joint_gap is {s.joint_gap:g} s?"
+        yield words, f"with {gap:.2g} s", {"joint_gap": gap}
+    for times in (5.0, 25.0):
+        threshold = times * s.motion_threshold
+        words = f"joints never still within {s.motion_threshold:g} rad?"
+        remedy = f"with motion_threshold {threshold:g}"
+        yield words, remedy, {"motion_threshold": threshold}
+    short = {"settle_time": 0.2, "min_duration": 0.2}
+    yield "rests too short?", "with settle_time and min_duration 0.2", short
+
+
+def _lengths(tape: Tape, arm: Arm, s: Any) -> Iterator[tuple[str, str, dict[str, Any]]]:
+    if getattr(s, "parametrization", "full") != "full":
+        words = f"links of unlike lengths, and parametrization is {s.parametrization}?"
+        yield words, "with full", {"parametrization": "full"}
+
+
+MAKERS: tuple[Maker, ...] = (_names, _units, _clocks, _poses, _joints, _lengths)
+LACKING: tuple[Maker, ...] = (_settings,)  # of data that are too few

@@ -1,0 +1,115 @@
+"""Noise estimated from residuals: as large as it was, as well known as said, given if given."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fss_arm_calib.acceptance import FAIL, PASS
+from fss_arm_calib.estimation.noise import Left, estimated
+from fss_arm_calib.estimation.statistics import as_if_known, probability
+from fss_arm_calib.experiment.postures import DEFAULT
+from fss_arm_calib.kinematic.calibrate import calibrate
+from fss_arm_calib.kinematic.settings import KinematicSettings
+from fss_arm_calib.segments.rests import Observation
+from fss_arm_model.description import kinematic_index, paper_arm
+from fss_arm_model.kinematics import tip_in_base
+
+ARM = paper_arm()
+CAMERA = np.array([0.001, 0.001, np.radians(0.1)])
+UNLIKE = ARM.with_kinematics([0.42, 0.30, 0.37, 0.25, 0.1, -0.06, -0.02, 0.2, 0.02, 0.3])
+SETTINGS = KinematicSettings(parametrization="full")
+
+
+def observe(sigma, seed, arm=ARM, q=DEFAULT):
+    tips = tip_in_base(arm.vector(), q)
+    tips = tips + sigma * np.random.default_rng(seed).standard_normal(tips.shape)
+    return [
+        Observation(k, k + 1, tuple(a), tuple(b))
+        for k, (a, b) in enumerate(zip(q.tolist(), tips.tolist(), strict=True))
+    ]
+
+
+def test_errors_are_as_large_as_claimed_of_a_camera_that_nobody_described():
+    truth, nees, off = ARM.vector()[kinematic_index(4)], [], []
+    for seed in range(150):
+        found = calibrate(observe(CAMERA, seed), ARM, SETTINGS)
+        assert found.verdict == PASS, found.reason
+        error, noise = found.values - truth, found.solution.noise
+        nees.append(error @ np.linalg.solve(found.covariance, error) / len(error))
+        off.append((noise.deviations - CAMERA[1:]) / noise.uncertainty)
+    assert np.mean(nees) == pytest.approx(1.0, abs=0.12)
+    assert np.sqrt(np.mean(np.square(off), axis=0)) == pytest.approx([1.15, 1.15], abs=0.2)
+    assert (found.deviations < 0.003).all()  # with the paper's camera, up to 0.01
+
+
+def test_what_is_given_is_assumed():
+    s = replace(SETTINGS, position_deviation=0.002)
+    noise = calibrate(observe(CAMERA, 1), ARM, s).solution.noise
+    assert noise.deviations[0] == 0.002
+    assert noise.given.tolist() == [True, False]
+    assert noise.deviations[1] == pytest.approx(CAMERA[2], rel=0.6)
+
+
+def test_more_than_is_believed_of_a_camera_fails_as_if_assumed():
+    found = calibrate(observe(60.0 * CAMERA, 1), ARM, SETTINGS)
+    given = replace(
+        SETTINGS, position_deviation=SETTINGS.max_position_deviation,
+        heading_deviation=SETTINGS.max_heading_deviation,
+    )  # fmt: skip
+    assert found.verdict == FAIL
+    assert "residuals are larger than the assumed deviations allow" in found.reason
+    assert np.array_equal(found.values, calibrate(observe(60.0 * CAMERA, 1), ARM, given).values)
+
+
+def test_of_too_few_nothing_is_estimated():
+    found = calibrate(observe(CAMERA, 1, q=DEFAULT[:6]), ARM, SETTINGS)
+    assert found.estimate.degrees_of_freedom == 8
+    assert not found.solution.noise.given.any()
+    few = replace(SETTINGS, parametrization="offsets", min_observations=2)
+    assert calibrate(observe(CAMERA, 1, q=DEFAULT[:2]), ARM, few).solution.noise.given.all()
+
+
+def test_one_far_off_is_named_though_it_makes_the_noise_larger():
+    seen = observe(CAMERA, 3)
+    x, y, heading = seen[4].tip
+    seen[4] = replace(seen[4], tip=(x + 0.012, y, heading))
+    found = calibrate(seen, ARM, SETTINGS)
+    assert found.verdict == FAIL
+    assert "observation 5 off" in found.reason
+    assert calibrate(seen, ARM, replace(SETTINGS, max_outliers=1)).verdict == PASS
+
+
+def test_unlike_links_are_told_apart_unless_asked_not_to():
+    seen = observe(CAMERA, 1, UNLIKE)
+    assert calibrate(seen, UNLIKE).names[:4] == ("a_1", "a_2", "a_3", "a_4")
+    assert calibrate(observe(CAMERA, 1), ARM).names[:2] == ("a", "a_4")
+    equal = calibrate(seen, UNLIKE, KinematicSettings(parametrization="equal"))
+    assert equal.verdict == FAIL
+    assert "another arm's data, or links described as 0.300 to 0.420 m long" in equal.reason
+    assert "full tells them apart" in equal.reason
+
+
+def test_exact_data_have_the_least_noise():
+    noise = calibrate(observe(0.0 * CAMERA, 1), ARM, SETTINGS).solution.noise
+    assert noise.deviations[0] == pytest.approx(1e-3 * SETTINGS.max_position_deviation)
+
+
+def test_two_kinds_of_coordinates_have_their_own_noise():
+    true = np.array([0.004, 0.0005])
+    s = replace(SETTINGS, max_position_deviation=0.01, max_heading_deviation=0.01)
+
+    def solve(deviations):
+        return None, Left((true / deviations) ** 2 * [30.0, 20.0], np.array([32.0, 22.0]))
+
+    noise = estimated(s, solve).noise
+    assert noise.deviations == pytest.approx(true)
+    assert noise.uncertainty == pytest.approx(true / np.sqrt([64.0, 44.0]))
+
+
+def test_probabilities_allow_for_deviations_that_were_estimated():
+    assert probability(12.0, 3) < probability(12.0, 3, 20.0) < probability(12.0, 3, 10.0)
+    assert probability(12.0, 3, 1e9) == pytest.approx(probability(12.0, 3))
+    assert as_if_known(5.0, 3.0, np.inf) == 5.0
+    assert as_if_known(5.0, 3.0, 1e9) == pytest.approx(5.0)
+    assert 3.0 < as_if_known(5.0, 3.0, 10.0) < 4.0

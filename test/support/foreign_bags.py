@@ -1,0 +1,397 @@
+"""Bags of other arms by MuJoCo and rosbags, good ones and such as go wrong in laboratories.
+
+Nothing of them is made by our plant, our kinematics, our base motion or our recorder.
+"""
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import cache
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from model_oracles import mujoco_model
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from fss_arm_model.description import Arm, Base, Link, save
+
+SECOND = 1_000_000_000
+START = 1_750_000_000 * SECOND
+STORE = get_typestore(Stores.ROS2_JAZZY)
+COUNTS = 240_000
+RATE, JOINT_RATE = 50, 10  # of cameras and gyro, and of readings [Hz]
+MOVE = 2.5  # [s]
+STEP = 0.0025  # of the simulation [s]
+LAG = 0.005  # of receipt [s]
+
+#: Errors of a pose, the same for all of a tenth of a second, and for four: where the dynamics are
+#: measured, cameras err by a tenth of the latter.
+FRESH = np.array([0.0005, 0.0005, np.radians(0.1)])
+SLOW = np.array([0.0007, 0.0007, np.radians(0.07)])
+
+
+def arm(n: int, seed: int) -> Arm:
+    """An arm of n unlike links, the outer ones lighter."""
+    rng = np.random.default_rng([n, seed])
+    links = []
+    for i in range(n):
+        a, mass = rng.uniform(0.26, 0.45), rng.uniform(1.8, 3.0) * (1.0 - 0.06 * i)
+        b, inertia = a * rng.uniform(0.35, 0.65), mass * a**2 * rng.uniform(0.09, 0.14)
+        theta_0 = rng.uniform(-0.15, 0.15) if i else 0.0
+        links.append(Link(a=a, mass=mass, inertia=inertia, b=b, theta_0=theta_0))
+    mount = (rng.uniform(0.15, 0.25), rng.uniform(-0.06, 0.06), rng.uniform(-0.5, 0.5))
+    base = Base(mass=rng.uniform(9.0, 14.0), inertia=rng.uniform(0.2, 0.4), mount=mount)
+    return Arm("foreign", base, tuple(links))
+
+
+def described(truth: Arm, seed: int, dynamic: bool) -> Arm:
+    """What its laboratory believes of it: by drawings; or measured, but for b, I and the base."""
+    rng, n = np.random.default_rng([7, seed]), truth.n
+    lengths = np.array([link.a for link in truth.links])
+    offsets = np.array([link.theta_0 for link in truth.links[1:]])
+    mount = np.array(truth.base.mount)
+    place, turn = (0.0005, 0.0017) if dynamic else (0.008, 0.05)
+    lengths = lengths + place * rng.uniform(-1.0, 1.0, n)
+    offsets = offsets + turn * rng.uniform(-1.0, 1.0, n - 1)
+    mount = mount + np.array([place, place, turn]) * rng.uniform(-1.0, 1.0, 3)
+    known = truth.with_kinematics([*lengths.tolist(), *offsets.tolist(), *mount.tolist()])
+    base = replace(known.base, inertia=truth.base.inertia * rng.uniform(0.93, 1.07))
+    links = tuple(
+        replace(link, b=link.a * 0.5, inertia=link.inertia * rng.uniform(0.75, 1.25))
+        for link in known.links
+    )
+    return replace(known, base=base, links=links)
+
+
+@dataclass(frozen=True)
+class Flight:
+    """What happened: at RATE, poses of base and end effector; at JOINT_RATE, joints."""
+
+    t: np.ndarray  # (k,) [s]
+    base: np.ndarray  # (k, 3)
+    tip: np.ndarray  # (k, 3)
+    spin: np.ndarray  # (k,) of the base [rad/s]
+    at: np.ndarray  # (m,) of readings [s]
+    q: np.ndarray  # (m, n)
+    qd: np.ndarray  # (m, n)
+
+
+def targets(n: int, count: int, seed: int, wide: float) -> np.ndarray:
+    rng = np.random.default_rng([11, seed])
+    return rng.choice([-1.0, 1.0], (count, n)) * rng.uniform(0.25, wide, (count, n))
+
+
+@cache
+def flight(n: int, seed: int, dynamic: bool, rest: float = 0.0, count: int = 0) -> Flight:
+    """An arm that goes from posture to posture, afloat, by torques; at STEP."""
+    truth = arm(n, seed)
+    rest = rest or (4.6 if dynamic else 3.0)
+    postures = targets(n, count or (5 + 4 * n if dynamic else 14), seed, 1.45)
+    model = mujoco_model(truth)
+    model.opt.timestep, model.opt.integrator = STEP, mujoco.mjtIntegrator.mjINT_RK4
+    data = mujoco.MjData(model)
+    data.qpos[3:] = postures[0]
+    data.qpos[:3] = [0.1, -0.2, 0.4 * (seed % 5)]
+    rng = np.random.default_rng([13, seed])
+    data.qvel[:3] = rng.uniform(-1.0, 1.0, 3) * [0.004, 0.004, 0.003]
+    last, length = model.body(f"link_{n}").id, truth.links[-1].a
+    base = model.body("base").id
+    period = rest + MOVE
+    steps = round(len(postures) * period / STEP)
+    every = {"pose": round(1.0 / RATE / STEP), "joint": round(1.0 / JOINT_RATE / STEP)}
+    poses, joints = [], []
+    mujoco.mj_forward(model, data)
+    inertia = np.empty((model.nv, model.nv))
+    for k in range(steps):
+        t = k * STEP
+        leg = min(int(t // period), len(postures) - 1)
+        into = np.clip((t - leg * period - rest) / MOVE, 0.0, 1.0)
+        step = postures[min(leg + 1, len(postures) - 1)] - postures[leg]
+        want = postures[leg] + step * into**3 * (10.0 - 15.0 * into + 6.0 * into**2)
+        rate = step * 30.0 * into**2 * (1.0 - into) ** 2 / MOVE
+        if k % every["pose"] == 0:
+            R = data.xmat[last].reshape(3, 3)
+            end = data.xpos[last] + R @ [length, 0.0, 0.0]
+            there = data.xmat[base].reshape(3, 3)
+            poses.append([
+                t, *data.xpos[base][:2], np.arctan2(there[1, 0], there[0, 0]),
+                *end[:2], np.arctan2(R[1, 0], R[0, 0]), data.qvel[2],
+            ])  # fmt: skip
+        if k % every["joint"] == 0:
+            joints.append([t, *data.qpos[3:], *data.qvel[3:]])
+        if dynamic:
+            if k % 8 == 0:
+                mujoco.mj_fullM(model, data, inertia)
+                gain = np.linalg.inv(np.linalg.inv(inertia)[3:, 3:])
+            pull = 400.0 * (want - data.qpos[3:]) + 40.0 * (rate - data.qvel[3:])
+            data.qfrc_applied[3:] = gain @ pull
+            mujoco.mj_step(model, data)
+        elif (k + 1) % every["pose"] == 0:
+            t = (k + 1) * STEP
+            data.qpos[:3] = [0.1 + 0.004 * t, -0.2 - 0.003 * t, 0.4 * (seed % 5) + 0.002 * t]
+            leg = min(int(t // period), len(postures) - 1)
+            into = np.clip((t - leg * period - rest) / MOVE, 0.0, 1.0)
+            step = postures[min(leg + 1, len(postures) - 1)] - postures[leg]
+            data.qpos[3:] = postures[leg] + step * into**3 * (10.0 - 15.0 * into + 6.0 * into**2)
+            data.qvel[3:] = step * 30.0 * into**2 * (1.0 - into) ** 2 / MOVE
+            mujoco.mj_kinematics(model, data)
+        elif k == 0:
+            mujoco.mj_kinematics(model, data)
+    p, j = np.array(poses), np.array(joints)
+    return Flight(p[:, 0], p[:, 1:4], p[:, 4:7], p[:, 7], j[:, 0], j[:, 1 : n + 1], j[:, n + 1 :])
+
+
+@dataclass
+class Heard:
+    """What a bag will hold, to be spoilt: stamps and receipts in [s] since START."""
+
+    joints: dict[str, np.ndarray]  # name: (m, 4) stamp, receipt, q, qd
+    poses: dict[str, np.ndarray]  # subject: (k, 9) stamp, receipt, x y z, quaternion x y z w
+    gyro: np.ndarray  # (k, 3) stamp, receipt, rate
+    frames: dict[str, str] = field(
+        default_factory=lambda: {"fss": "world", "end_effector": "world"}
+    )
+    start: dict[str, int] = field(default_factory=dict)  # of a stream's clock, if not START [ns]
+
+
+def heard(one: Flight, seed: int, dynamic: bool) -> Heard:
+    """A flight as its sensors report it."""
+    rng, n = np.random.default_rng([17, seed]), one.q.shape[1]
+    joints = {
+        f"joint_{i + 1}": np.column_stack([
+            one.at, one.at + LAG,
+            np.round(one.q[:, i] * COUNTS / (2 * np.pi)) * (2 * np.pi) / COUNTS, one.qd[:, i],
+        ])
+        for i in range(n)
+    }  # fmt: skip
+    poses = {}
+    lasting = SLOW * (0.1 if dynamic else 1.0)
+    for name, seen in (("fss", one.base), ("end_effector", one.tip)):
+        tenth = (one.t * 10).astype(int)
+        slow = (one.t / 4.0).astype(int)
+        error = FRESH * rng.standard_normal((tenth[-1] + 1, 3))[tenth]
+        error += lasting * rng.standard_normal((slow[-1] + 1, 3))[slow]
+        x, y, heading = (seen + error).T
+        zero = np.zeros(len(one.t))
+        quaternion = [zero, zero, np.sin(0.5 * heading), np.cos(0.5 * heading)]
+        height = zero + (0.25 if name == "fss" else 0.3)
+        poses[name] = np.column_stack([one.t, one.t + LAG, x, y, height, *quaternion])
+    rate = one.spin + 2e-4 * rng.standard_normal(len(one.t))
+    return Heard(joints, poses, np.column_stack([one.t, one.t + LAG, rate]))
+
+
+def stamp(t: float, start: int):
+    sec, nanosec = divmod(start + round(t * SECOND), SECOND)
+    return STORE.types["builtin_interfaces/msg/Time"](int(sec), int(nanosec))
+
+
+def write(folder: Path, what: Heard) -> Path:
+    """The bag, by rosbags' writer."""
+    T = STORE.types
+    header, point = T["std_msgs/msg/Header"], T["geometry_msgs/msg/Point"]
+    turn, vector = T["geometry_msgs/msg/Quaternion"], T["geometry_msgs/msg/Vector3"]
+    pose, stamped = T["geometry_msgs/msg/Pose"], T["geometry_msgs/msg/PoseStamped"]
+    state, imu = T["sensor_msgs/msg/JointState"], T["sensor_msgs/msg/Imu"]
+    rows = []
+    names = list(what.joints)
+    by_time: dict[tuple[float, float], list[int]] = {}
+    for i, name in enumerate(names):
+        for k, (t, receipt, *_) in enumerate(what.joints[name]):
+            by_time.setdefault((t, receipt), []).append((i, k))
+    for (t, receipt), which in by_time.items():
+        values = np.array([what.joints[names[i]][k, 2:] for i, k in which])
+        start = what.start.get("joints", START)
+        message = state(
+            header(stamp(t, start), ""), [names[i] for i, _ in which],
+            *np.ascontiguousarray(values.T), np.empty(0),
+        )  # fmt: skip
+        rows.append((receipt, "/joint_states", state.__msgtype__, message))
+    for name, track in what.poses.items():
+        start = what.start.get(name, START)
+        for t, receipt, *numbers in track.tolist():
+            message = stamped(
+                header(stamp(t, start), what.frames[name]),
+                pose(point(*numbers[:3]), turn(*numbers[3:])),
+            )
+            rows.append((receipt, f"/vicon/{name}/{name}", stamped.__msgtype__, message))
+    none = np.zeros(9)
+    for t, receipt, rate in what.gyro.tolist():
+        message = imu(
+            header(stamp(t, what.start.get("gyro", START)), ""), turn(0.0, 0.0, 0.0, 1.0), none,
+            vector(0.0, 0.0, rate), none, vector(0.0, 0.0, 0.0), none,
+        )  # fmt: skip
+        rows.append((receipt, "/fog/imu", imu.__msgtype__, message))
+    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as bag:
+        connections = {}
+        for receipt, topic, kind, message in sorted(rows, key=lambda row: row[0]):
+            if topic not in connections:
+                connections[topic] = bag.add_connection(topic, kind, typestore=STORE)
+            data = STORE.serialize_cdr(message, kind)
+            bag.write(connections[topic], START + round(receipt * SECOND), data)
+    return folder
+
+
+Spoil = Callable[[Heard, np.random.Generator], None]
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A way to spoil a bag, and what the verdict must begin with."""
+
+    name: str
+    spoil: Spoil
+    says: str  # pattern
+    options: dict[str, object] = field(default_factory=dict)  # settings that are given
+
+    def named(self, reasons: tuple[str, ...]) -> bool:
+        return bool(reasons) and bool(re.search(self.says, reasons[0]))
+
+
+def _scaled(columns: slice, by: float, *names: str) -> Spoil:
+    def spoil(what: Heard, _: np.random.Generator) -> None:
+        for name in names or what.poses:
+            what.poses[name][:, columns] *= by
+
+    return spoil
+
+
+def _joint(change: Callable[[np.ndarray], None], every: bool = False) -> Spoil:
+    def spoil(what: Heard, rng: np.random.Generator) -> None:
+        names = list(what.joints)
+        for name in names if every else [names[rng.integers(1, len(names))]]:
+            change(what.joints[name])
+
+    return spoil
+
+
+def _times(by: float) -> Callable[[np.ndarray], None]:
+    def change(track: np.ndarray) -> None:
+        track[:, 2:] *= by
+
+    return change
+
+
+def _counts(track: np.ndarray) -> None:
+    track[:, 2:] *= COUNTS / (2 * np.pi)
+    track[:, 2] = np.round(track[:, 2])
+
+
+def _wrap(what: Heard, _: np.random.Generator) -> None:
+    for name in list(what.joints)[1:2]:
+        q = what.joints[name][:, 2]
+        middle = 0.5 * (q.max() + q.min())
+        what.joints[name][:, 2] = (q - middle) % (2 * np.pi) + middle
+
+
+def _exchange(what: Heard, rng: np.random.Generator) -> None:
+    names = list(what.joints)
+    k = int(rng.integers(0, len(names) - 1))
+    a, b = names[k], names[k + 1]
+    what.joints[a], what.joints[b] = what.joints[b], what.joints[a]
+
+
+def _columns(order: list[int], signs: list[int]) -> Spoil:
+    def spoil(what: Heard, _: np.random.Generator) -> None:
+        for track in what.poses.values():
+            track[:, 2:] = track[:, 2:][:, order] * signs
+
+    return spoil
+
+
+def _swap(what: Heard, _: np.random.Generator) -> None:
+    a, b = what.poses["fss"], what.poses["end_effector"]
+    what.poses.update({"fss": b, "end_effector": a})
+
+
+def _late(by: float) -> Spoil:
+    def spoil(what: Heard, _: np.random.Generator) -> None:
+        for track in [*what.joints.values(), what.gyro]:
+            track[:, 0] += by
+
+    return spoil
+
+
+def _boot(what: Heard, _: np.random.Generator) -> None:
+    what.start.update({"joints": 4321 * SECOND, "gyro": 4321 * SECOND})
+
+
+def _renamed(what: Heard, _: np.random.Generator) -> None:
+    what.joints = {f"q{i}": track for i, track in enumerate(what.joints.values(), 1)}
+
+
+def _rare(what: Heard, _: np.random.Generator) -> None:
+    what.joints = {name: track[:: 2 * JOINT_RATE] for name, track in what.joints.items()}
+
+
+def _restless(what: Heard, rng: np.random.Generator) -> None:
+    for track in what.joints.values():
+        track[:, 2] += 0.003 * rng.standard_normal(len(track))
+
+
+def _relative(what: Heard, _: np.random.Generator) -> None:
+    base, tip = what.poses["fss"], what.poses["end_effector"]
+    turn = [2.0 * np.arctan2(track[:, 7], track[:, 8]) for track in (base, tip)]
+    away = (tip[:, 2] - base[:, 2]) + 1j * (tip[:, 3] - base[:, 3])
+    away = away * np.exp(-1j * turn[0])
+    half = 0.5 * (turn[1] - turn[0])
+    tip[:, 2], tip[:, 3] = away.real, away.imag
+    tip[:, 7], tip[:, 8] = np.sin(half), np.cos(half)
+    what.frames["end_effector"] = "fss"
+
+
+def _same(_: Heard, __: np.random.Generator) -> None:
+    """Nothing is spoilt but what is asked."""
+
+
+MILLIMETRES = Kind("millimetres", _scaled(slice(2, 5), 1e3), r"^position in millimetres\?")
+DEGREES = Kind("degrees", _joint(_times(np.degrees(1.0)), every=True), r"^joints in degrees\?")
+SIGN = Kind("one sign", _joint(_times(-1.0)), r"^joint_\d with the wrong sign\?")
+ORDER = Kind("order", _exchange, r"^joint_\d and joint_\d exchanged\?")
+SIGNS = Kind("all signs", _joint(_times(-1.0), every=True), r"^all joints with the wrong sign\?")
+MIRRORED = Kind(
+    "mirrored", _columns([0, 1, 2, 3, 4, 5, 6], [1, -1, 1, -1, 1, -1, 1]), r"^poses mirrored\?"
+)
+W_FIRST = Kind("w first", _columns([0, 1, 2, 6, 3, 4, 5], [1] * 7), r"^quaternions with w first\?")
+Y_UP = Kind("y up", _columns([0, 2, 1, 3, 5, 4, 6], [1, 1, -1, 1, 1, -1, 1]), r"^poses with y up\?")
+SWAPPED = Kind("swapped", _swap, r"^base and end effector are swapped")
+HOUR_APART = Kind("an hour", _late(3600.0), r"^clock of the joints .*\(an hour\) ahead")
+
+KINEMATIC = [
+    MILLIMETRES,
+    Kind("millimetres, one", _scaled(slice(2, 5), 1e3, "end_effector"),
+         r"^position of end_effector in millimetres\?"),
+    DEGREES,
+    Kind("degrees, one joint", _joint(_times(np.degrees(1.0))), r"^joint_\d in degrees\?"),
+    Kind("counts", _joint(_counts, every=True), r"^joints in counts\?"),
+    SIGN, ORDER, SIGNS, MIRRORED, W_FIRST, Y_UP, SWAPPED,
+    Kind("headings clockwise", _columns([0, 1, 2, 3, 4, 5, 6], [1, 1, 1, 1, 1, -1, 1]),
+         r"^headings clockwise\?"),
+    Kind("clocks 3 s apart", _late(3.0), r"^clock of the joints 3\.\d+ s ahead"),
+    HOUR_APART,
+    Kind("since boot", _boot, r"^clock of the joints .* behind .*since"),
+    Kind("other names", _renamed, r"^joints named q1, q2"),
+    Kind("seen from the base", _relative, r"^end effector seen from the base already\?"),
+    Kind("taken as equal", _same, r"^links of unlike lengths", {"parametrization": "equal"}),
+    Kind("joints at 0.5 Hz", _rare, r"^joints read every 2 s only"),
+    Kind("never still", _restless, r"^joints never still"),
+]  # fmt: skip
+DYNAMIC = [
+    MILLIMETRES, DEGREES, SIGN, ORDER, SIGNS, MIRRORED, W_FIRST, Y_UP, SWAPPED, HOUR_APART,
+    Kind("one wrapped", _wrap, r"^joint_\d wrapped\?"),
+    Kind("gyro in degrees", lambda what, _: what.gyro.__setitem__(
+        (slice(None), 2), np.degrees(what.gyro[:, 2])), r"^gyro in degrees a second\?"),
+]  # fmt: skip
+
+
+def make(
+    folder: Path, n: int, seed: int, dynamic: bool, kind: Kind | None = None, noise: int = 0
+) -> tuple[Path, Path]:
+    """A bag, and the description that its laboratory has."""
+    what = heard(flight(n, seed, dynamic), 1000 * seed + noise, dynamic)
+    if kind:
+        kind.spoil(what, np.random.default_rng([19, seed]))
+    folder.mkdir(parents=True, exist_ok=True)
+    save(described(arm(n, seed), 1000 * seed + noise, dynamic), folder / "arm.yaml")
+    return write(folder / "bag", what), folder / "arm.yaml"
