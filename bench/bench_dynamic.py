@@ -3,7 +3,9 @@
 Eight single-joint maneuvers of +-60 degrees as telemetry gives them, at 5 Hz, fitted by the base's
 heading: once for the inertia that all links share, once for all b and I. The peer has the same
 residuals, guess and interpolated joint paths; it integrates the base's heading from momentum
-conservation, with the inertia matrix from a compiled kernel, to 1e-8. One core.
+conservation, with the inertia matrix from a compiled kernel, to 1e-8. One core. The floor of a
+prediction with its sensitivities is the time of its multiplications and additions at the core's
+peak, measured in the same run; those of a node of the paths are counted from base_motion.
 
     OPENBLAS_NUM_THREADS=1 python bench/bench_dynamic.py
 """
@@ -14,6 +16,7 @@ from dataclasses import replace
 from statistics import median
 
 import numpy as np
+from peak import peak
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
@@ -24,6 +27,7 @@ from fss_arm_model.description import paper_arm
 
 ARM, N = paper_arm(), 4
 NOISE = np.radians(1.54)  # of the base's turn
+OPERATIONS = 93 * (N + 1)  # of a node
 PRIOR = {"b": 0.02, "I": 0.02}
 
 
@@ -101,6 +105,14 @@ def main() -> None:
     path = prepare(samples)
     preparing = timed(lambda: prepare(samples), 50)
     print(f"paths from telemetry, once for 8 maneuvers: {1e3 * preparing:.2f} ms")
+    p, rest = ARM.vector(), np.zeros(8)
+    taken = timed(lambda: base_motion.base_pose_sensitivities(p, path, rest), 200)
+    nodes = path.marks[:, -1, -2].sum()
+    floor = OPERATIONS * nodes / peak()
+    print(
+        f"sensitivities at {nodes:.0f} nodes: {1e6 * taken:.0f} us, at the core's peak "
+        f"{1e6 * floor:.1f} us: {100.0 * floor / taken:.0f} % of peak"
+    )
     for words, limit in (("I", 2.0), ("b_i I_i", 10.0)):
         known = problem(path, words)
         # A fresh problem each time, as it keeps what it has computed.

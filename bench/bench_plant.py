@@ -17,7 +17,6 @@ from pathlib import Path
 from time import perf_counter, process_time
 
 import mujoco
-import numba
 import numpy as np
 import pinocchio as pin
 from mujoco import rollout as mujoco_rollout
@@ -25,6 +24,7 @@ from mujoco import rollout as mujoco_rollout
 sys.path.append(str(Path(__file__).parents[1] / "test" / "support"))
 from model_arms import random_arm
 from model_oracles import mujoco_index, mujoco_model, pinocchio_model
+from peak import PEAK_OPERATIONS, multiply_and_add
 
 from fss_arm_model.description import paper_arm
 from fss_arm_model.held import Target
@@ -96,30 +96,6 @@ def compare(name, peer, ours, peer_steps, our_steps, required, n=4, threads=1):
         f"{name:34} {mine:8.3f} us/step  peer {theirs:8.3f} us/step  ratio {ratio:5.1f}"
         f"  (at least {required}), {100.0 * share:.0f}% of peak"
     )
-
-
-ROWS, TIMES = 96, 4000  # numbers that go on independently of each other, which fill the registers
-PEAK_OPERATIONS = 16 * ROWS * TIMES
-
-
-@numba.njit(error_model="numpy")
-def _multiply_and_add(a, b):
-    x = np.full(ROWS, a)
-    for _ in range(TIMES):
-        for j in range(ROWS):
-            y = x[j] * a + b
-            y = y * a + b
-            y = y * a + b
-            y = y * a + b
-            y = y * a + b
-            y = y * a + b
-            y = y * a + b
-            x[j] = y * a + b
-    return x.sum()
-
-
-def multiply_and_add():
-    _multiply_and_add(0.5, 0.1)
 
 
 def operations(n):

@@ -1,7 +1,7 @@
 """How long the maps take, beside plain numpy sampling: `python bench/bench_workspace.py`.
 
 One core unless said otherwise, after the kernels are compiled. Times are medians of three runs; of
-the processor too, as other programs may run.
+the processor too, as other programs may run. A warning of numpy ends it.
 """
 
 import os
@@ -9,7 +9,9 @@ import os
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import time
+import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from statistics import median
 from typing import Any
 
@@ -57,6 +59,7 @@ def sampled_map(arm: Arm, grid: Grid, count: int, seed: int = 0) -> np.ndarray:
 
 
 def main() -> None:
+    warnings.simplefilter("error")
     arm = paper_arm()
     manipulability_map(arm, FIXED, cell=0.1)
     boundary, _, region = timed(lambda: fixed_workspace(arm))
@@ -72,6 +75,16 @@ def main() -> None:
                 f"{name} base, best of all postures, {cells} cells of 1 cm, {workers} threads: "
                 f"{taken:.2f} s, of the processor {processor:.2f} s, "
                 f"{1e6 * processor / cells:.1f} us a cell"
+            )
+    for n in (6, 8):
+        longer = replace(arm, links=(arm.links * 2)[:n])
+        for name, kind in (("fixed", FIXED), ("floating", FLOATING)):
+            begin = time.process_time()
+            cells = int(np.isfinite(manipulability_map(longer, kind, cell=CELL).w).sum())
+            processor = time.process_time() - begin
+            print(
+                f"{n} links, {name} base, {cells} cells of 1 cm: of the processor "
+                f"{processor:.1f} s, {1e6 * processor / cells:.1f} us a cell"
             )
     fixed = maps["fixed"]
     for count in (500_000, 4_000_000, 16_000_000):
