@@ -19,9 +19,7 @@ node arm fss_arm_driver arm --ros-args -p arm:=$arm
 # node mocap fss_base_driver mocap --ros-args -p system:=vicon -p host:=192.168.1.2    # docs/how-to/mocap.md
 node kinematic fss_arm_calib kinematic --ros-args -p arm:=$arm \
   -p output:=out/arm.yaml -p state_file:=out/observations.json
-# When that has passed, the dynamic calibration can begin from its result, told its deviations
+# The dynamic calibration begins from its result as soon as that has passed, with its covariance
 # (docs/explanation/dynamic.md):
-# node dynamic fss_arm_calib dynamic --ros-args -p arm:=$arm -p output:=out/arm_dynamic.yaml \
-#   -p length_deviation:=0.0055 -p offset_deviation:=0.022 \
-#   -p mount_deviation:=0.005 -p mount_angle_deviation:=0.014
+# node dynamic fss_arm_calib dynamic --ros-args -p arm:=$arm -p output:=out/arm_dynamic.yaml
 node base_reaction fss_arm_view base_reaction --ros-args -p arm:=$arm

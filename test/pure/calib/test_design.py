@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+import yaml
 
 from fss_arm_calib.dynamic.problem import information
 from fss_arm_calib.dynamic.settings import DynamicSettings
@@ -21,6 +22,8 @@ from fss_arm_calib.experiment.design import (
     design,
     expected,
     from_yaml,
+    goal_of,
+    meets,
     problem,
     profile,
     timed,
@@ -223,6 +226,50 @@ def test_impossible_conditions_are_refused(conditions, message):
         Conditions(**conditions)
 
 
+def rcl_parameters(path):
+    """As nodes are given them by --params-file."""
+    return {k: v["ros__parameters"] for k, v in yaml.safe_load(path.read_text()).items()}
+
+
+def test_a_goal_is_kept_to_with_as_few_maneuvers_as_it_takes(capsys):
+    asked = ["--count", "12", "--kinds", "sweep", "--goal", "b_4 0.02", "--rest", "9"]
+    assert main(asked) == 0
+    text = capsys.readouterr().out
+    assert "goal b_4 0.02: promised" in text
+    assert main([*asked[:5], "b_i 0.0001", "--count", "2"]) == 0
+    assert "goal b_i 0.0001: not met by 2 maneuvers" in capsys.readouterr().out
+
+
+def test_the_last_maneuver_of_a_goal_was_needed():
+    goal = {"b_4": 0.02}
+    conditions = Conditions(rest=9.0, kinds=(SWEEP,))
+    plan = design(
+        ARM, 12, SETTINGS, conditions, **SMALL,
+        enough=lambda some: meets(expected(ARM, some, SETTINGS, 9.0), goal),
+    )  # fmt: skip
+    assert 1 < len(plan) < 12
+    assert meets(expected(ARM, plan, SETTINGS, 9.0), goal)
+    assert not meets(expected(ARM, plan[:-1], SETTINGS, 9.0), goal)
+
+
+@pytest.mark.parametrize(
+    ("words", "found"),
+    [
+        ("b_i 0.002", {"b_1": 0.002, "b_10": 0.002}),
+        ("I_i 0.1 I_0 2", {"I_1": 0.1, "I_0": 2.0}),
+        ("", {}),
+    ],
+)
+def test_a_goal_in_words(words, found):
+    assert goal_of(words, ("b_1", "b_10", "I_1", "I_0", "x_com")) == found
+
+
+@pytest.mark.parametrize("words", ["b_i", "b_i x", "c_i 1", "b_1 -1", "b_1 nan", "0.1 b_1"])
+def test_a_goal_that_cannot_be_is_refused(words):
+    with pytest.raises(ValueError, match=r"goal has .* expected a name and a deviation"):
+        goal_of(words, ("b_1", "I_0"))
+
+
 def test_the_command_prints_what_to_expect_and_writes_a_plan(tmp_path, capsys):
     output = tmp_path / "plan.yaml"
     assert main(["--count", "2", "--kinds", "single", "--output", str(output)]) == 0
@@ -232,5 +279,7 @@ def test_the_command_prints_what_to_expect_and_writes_a_plan(tmp_path, capsys):
     assert len(from_yaml(output.read_text(), 4)) == 2
     assert main(["--kinematic", "--count", "8", "--output", str(output)]) == 0
     assert "theta_BJ1" in capsys.readouterr().out
+    parsed = rcl_parameters(output)
+    assert np.shape(parsed["experiment"]["postures"]) == (32,)
     assert main(["--table", "1", "1", "--count", "1"]) == 1
     assert capsys.readouterr().err.count("\n") == 1

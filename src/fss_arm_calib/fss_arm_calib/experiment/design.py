@@ -7,10 +7,10 @@ chosen parameters' uncertainty most (D-optimality). Each maneuver has its start'
 as unknowns, and the table may be tilted: what counts is what a drifting base leaves visible.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from math import inf, sqrt
+from math import inf, nan, sqrt
 
 import numpy as np
 import yaml
@@ -233,6 +233,7 @@ def design(
     seed: int = 0,
     tried: int = 200,
     progress: Callable[[int], None] = lambda _: None,
+    enough: Callable[[Sequence[Planned]], bool] = lambda _: False,
 ) -> list[Planned]:
     """Maneuvers, each beginning where the last one ended.
 
@@ -247,6 +248,7 @@ def design(
         seed: of the candidates.
         tried: candidates for each maneuver.
         progress: called with the number of maneuvers found.
+        enough: whether a plan so far will do.
 
     Raises:
         NoManeuver: nothing keeps to the conditions.
@@ -257,7 +259,7 @@ def design(
     plan: list[Planned] = []
     total = np.zeros(()) if known is None else known
     elapsed = conditions.rest
-    while len(plan) < count:
+    while len(plan) < count and not (plan and enough(plan)):
         options = candidates(arm, place, tried, conditions, rng)
         if not options:
             sides = " x ".join(f"{side:g}" for side in conditions.table)
@@ -280,6 +282,36 @@ def design(
         place = options[best].waypoints[-1]
         progress(len(plan))
     return plan
+
+
+def goal_of(words: str, names: Sequence[str]) -> dict[str, float]:
+    """The deviations asked for, by name, of words as `b_i 0.002 I_4 0.001`, in SI units.
+
+    Raises:
+        ValueError: a word names nothing estimated, or what follows it is no positive number.
+    """
+    pairs, goal = words.split(), dict[str, float]()
+    for word, value in zip(pairs[::2], [*pairs[1::2], ""], strict=False):
+        stem = word.removesuffix("_i")
+        each = [k for k in names if k.rpartition("_")[0] == stem != word and k != f"{stem}_0"]
+        own = [word] if word in names else each
+        try:
+            asked = float(value)
+        except ValueError:
+            asked = nan
+        if not own or not asked > 0.0:
+            known = " ".join(names)
+            raise ValueError(
+                f"goal has {word!r} {value!r}, expected a name and a deviation; of {known}, or b_i"
+            )
+        goal |= dict.fromkeys(own, asked)
+    return goal
+
+
+def meets(result: DynamicResult, goal: Mapping[str, float]) -> bool:
+    """Whether the deviations are as small as asked for."""
+    sigma = dict(zip(result.problem.names, result.deviations, strict=True))
+    return all(sigma[name] <= asked for name, asked in goal.items())
 
 
 def _before(model: DynamicProblem, settings: DynamicSettings) -> Floats:

@@ -16,7 +16,7 @@ from fss_arm_calib import report
 from fss_arm_calib.dynamic.kind import DYNAMIC
 from fss_arm_calib.dynamic.problem import DynamicResult, information
 from fss_arm_calib.dynamic.settings import DynamicSettings
-from fss_arm_calib.dynamic.solution import problem_of
+from fss_arm_calib.dynamic.solution import nothing_seen, problem_of
 from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.experiment import postures
 from fss_arm_calib.experiment.design import (
@@ -25,6 +25,8 @@ from fss_arm_calib.experiment.design import (
     Planned,
     design,
     expected,
+    goal_of,
+    meets,
     to_yaml,
 )
 from fss_arm_calib.from_bag import add_settings, fed
@@ -44,6 +46,9 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--kinematic", action="store_true", help="propose postures to rest in instead")
     p.add_argument("--count", type=int, default=16, help="how many (default: 16)")
     p.add_argument("--chosen", default="", help="names that matter most, as 'b_1 b_2'; empty: all")
+    p.add_argument(
+        "--goal", default="", help="deviations at which to stop sooner, as 'b_i 0.002 I_4 0.001'"
+    )
     p.add_argument("--bag", default="", help="maneuvers made before, to add to")
     p.add_argument("--output", metavar="YAML", help="write the plan, for `experiment` to run")
     p.add_argument("--seed", type=int, default=0, help="of the candidates (default: 0)")
@@ -137,8 +142,10 @@ def propose_postures(
         report.Table("To expect", ["parameter", "unit", "assumed", "± 1 sigma"], rows, words=2),
     )
     if options.output:
-        text = yaml.safe_dump({"postures": q.ravel().round(6).tolist()}, default_flow_style=None)
-        Path(options.output).write_text(f"# Joint readings, row after row [rad].\n{text}")
+        given = {"ros__parameters": {"postures": q.ravel().round(6).tolist()}}
+        text = yaml.safe_dump({"experiment": given}, default_flow_style=None)
+        head = "# For `experiment --ros-args --params-file`: joint readings, row after row [rad].\n"
+        Path(options.output).write_text(head + text)
         console.print(f"postures written to {options.output}", soft_wrap=True)
 
 
@@ -155,6 +162,7 @@ def propose(options: argparse.Namespace, console: Console) -> None:
         propose_postures(options, arm, conditions, console)
         return
     before = known_before(options.bag, arm, settings)
+    goal = goal_of(options.goal, nothing_seen(arm, settings).names)
     with Progress(console=console, transient=True) as bar:
         task = bar.add_task("choosing maneuvers", total=options.count)
         plan = design(
@@ -166,11 +174,19 @@ def propose(options: argparse.Namespace, console: Console) -> None:
             before,
             seed=options.seed,
             progress=lambda k: bar.update(task, completed=k),
+            enough=lambda plan: (
+                bool(goal) and meets(expected(arm, plan, settings, conditions.rest), goal)
+            ),
         )
-    tables = [table(plan), outlook(expected(arm, plan, settings, conditions.rest))]
+    result = expected(arm, plan, settings, conditions.rest)
+    tables = [table(plan), outlook(result)]
     if options.compare:
         tables.append(comparison(arm, settings, conditions, options.count))
     _show(console, *tables)
+    if goal:
+        words = "promised" if meets(result, goal) else f"not met by {len(plan)} maneuvers"
+        minutes = sum(one.length + conditions.rest for one in plan) / 60.0
+        console.print(f"goal {options.goal}: {words}, in {minutes:.1f} min", soft_wrap=True)
     if options.output:
         Path(options.output).write_text(to_yaml(plan), encoding="utf-8")
         console.print(f"plan written to {options.output}", soft_wrap=True)
