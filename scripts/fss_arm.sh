@@ -22,4 +22,6 @@ case ${2:-} in
     ;;
 esac
 [ -z "$named" ] || set -- "$@" --vehicle "$named"
+[ "${ROS_SECURITY_ENABLE:-}" != true ] ||
+  export ROS_SECURITY_ENCLAVE_OVERRIDE="${ROS_SECURITY_ENCLAVE_OVERRIDE:-/person}"
 exec python3 "$fss_scripts/fss_arm.py" "$@"

@@ -18,5 +18,7 @@ names=
 # Nodes that are not ours need not report on /diagnostics.
 name() { case $2 in fss_*) names="$names $1" ;; *) names="$names --mute $1" ;; esac; }
 each_node name
+[ "${ROS_SECURITY_ENABLE:-}" != true ] ||
+  export ROS_SECURITY_ENCLAVE_OVERRIDE="${ROS_SECURITY_ENCLAVE_OVERRIDE:-/person}"
 # shellcheck disable=SC2086  # both are words
 exec python3 "$fss_scripts/fss_status.py" $how --namespace "$fss_vehicle" --logs "$FSS_LOGS" $names

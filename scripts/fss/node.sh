@@ -14,6 +14,7 @@ become() {
   echo $$ >"$FSS_LOGS/$wanted.node"
   # Not the real ros2: it would stay as the node's parent, with the lock and the number.
   [ -z "$FSS_NAMESPACE" ] || set -- "$@" --ros-args -r "__ns:=/$FSS_NAMESPACE"
+  [ "${ROS_SECURITY_ENABLE:-}" != true ] || set -- "$@" --ros-args --enclave "/$fss_name/$wanted"
   exec "$fss_scripts/bin/ros2" run "$@"
 }
 each_node become

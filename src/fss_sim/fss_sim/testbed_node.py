@@ -248,7 +248,7 @@ class TestbedNode(Node):
 
     def health_of(self, vehicle: VehicleTopics, apart: str = "") -> Health:
         """What a vehicle is like; `apart`: what to say of one that touches nothing."""
-        words = []
+        words = [vehicle.unwritten] if vehicle.unwritten else []
         if vehicle.touches():
             words += ["bodies touch each other or the table's border"]
         if not vehicle.testbed.plant.thrusters.floats:

@@ -52,6 +52,7 @@ class VehicleTopics:
         name: str = "",
     ) -> None:
         self.node, self.lock, self.stamp = node, lock, stamp
+        self.unwritten = ""  # why its state file could not be written
         self.settings, self.name = settings, name
         self.space, self.prefix = (f"/{name}/", f"{name}.") if name else ("", "")
         self.arm = settings.description()
@@ -226,9 +227,16 @@ class VehicleTopics:
         return values
 
     def save(self) -> None:
-        """Write the state file."""
-        if self.settings.state_file:
+        """Write the state file; a full disk is told once in a row, and ends nothing."""
+        if not self.settings.state_file:
+            return
+        before, self.unwritten = self.unwritten, ""
+        try:
             self.testbed.state().save(Path(self.settings.state_file))
+        except OSError as error:
+            self.unwritten = f"cannot write {self.settings.state_file}: {error.strerror}"
+            if self.unwritten != before:
+                self.node.get_logger().error(self.unwritten)
 
     def all_wires(self) -> list[Any]:
         """What links and board are reached by."""

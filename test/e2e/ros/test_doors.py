@@ -6,6 +6,7 @@ from time import monotonic
 
 import numpy as np
 import pytest
+from all_nodes import NODES
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
@@ -15,21 +16,6 @@ from fss_arm_model.description import paper_arm, to_yaml
 from fss_arm_ros.qos import LATCHED
 from fss_sim.rehearsal.processes import Nodes
 
-NODES = {
-    "link_1": ("fss_arm_driver", "link", {"url": "udp://127.0.0.1:9"}),
-    "arm": ("fss_arm_driver", "arm", {}),
-    "motion": ("fss_arm_motion", "motion", {}),
-    "base_reaction": ("fss_arm_view", "base_reaction", {}),
-    "workspace": ("fss_arm_workspace", "workspace", {}),
-    "kinematic": ("fss_arm_calib", "kinematic", {}),
-    "dynamic": ("fss_arm_calib", "dynamic", {}),
-    "drift": ("fss_arm_calib", "drift", {}),
-    "base": ("fss_base_driver", "base", {"url": "udp://127.0.0.1:9"}),
-    "navigation": ("fss_gnc", "navigation", {}),
-    "control": ("fss_gnc", "control", {}),
-    "guidance": ("fss_gnc", "guidance", {}),
-    "testbed": ("fss_sim", "testbed", {"ports": [0, 0, 0, 0]}),
-}
 THEIRS = ("/parameter_events", "/clock", "/rosout")  # not the node's own to read
 NUMBERS = (float("nan"), float("inf"), -float("inf"), 1e308, -1e308, 0.0, 5e-324)
 WORDS = ("", "joint_", "joint_" + 5000 * "9", "joint_0", "link_\u0664", 100_000 * "x")

@@ -298,6 +298,18 @@ def test_it_goes_on_from_its_state_file(spin, ears, tmp_path):
     second.destroy_node()
 
 
+def test_a_state_that_cannot_be_written_is_told_and_the_ports_are_given_back(ros, tmp_path, capfd):
+    (tmp_path / "full").write_text("in the way")
+    bed = testbed(state_file=str(tmp_path / "full" / "state.json"))
+    ports = [int(wire.place.split()[-1]) for wire in bed.all_wires()]
+    bed.close()
+    assert capfd.readouterr().err.count(f"cannot write {tmp_path}/full/state.json: ") == 1
+    bed.destroy_node()
+    again = testbed(ports=ports)
+    again.close()
+    again.destroy_node()
+
+
 def test_faults_are_set_live_and_published(spin, ears, call):
     bed, said = testbed(keep_clock=True, paused=True, **{"link_2.loss": 0.25}), []
     ears.create_subscription(SimFaults, "sim/faults", said.append, LATCHED)
