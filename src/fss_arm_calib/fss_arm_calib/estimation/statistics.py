@@ -3,7 +3,6 @@
 from math import inf, isinf, nan
 
 import numpy as np
-from scipy.special import chdtri, fdtrc, gammaincc
 
 from fss_arm_calib.estimation.least_squares import Floats
 
@@ -22,6 +21,8 @@ def probability(chi_square: float, freedom: float, known_by: float = inf) -> flo
         freedom: its degrees of freedom.
         known_by: those by which the deviations were estimated; inf: they are known.
     """
+    from scipy.special import fdtrc, gammaincc
+
     if not freedom:
         return 1.0
     if isinf(known_by):
@@ -37,6 +38,8 @@ def as_if_known(error: float, freedom: float, known_by: float) -> float:
         freedom: degrees of freedom of its square.
         known_by: those by which the deviations were estimated; inf: they are known.
     """
+    from scipy.special import chdtri, fdtrc
+
     if isinf(known_by):
         return error
     chance = max(float(fdtrc(freedom, known_by, error**2 / freedom)), 1e-290)
