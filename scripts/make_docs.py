@@ -1,13 +1,14 @@
-"""Make docs/reference/: interfaces.md from the messages, parameters.md from the settings."""
+"""Make docs/reference/: messages in interfaces.md, settings in parameters.md, description.md."""
 
 import argparse
 import sys
 from collections.abc import Iterator
-from dataclasses import fields
+from dataclasses import MISSING, fields
 from importlib.metadata import distribution
 from pathlib import Path
 from typing import Any, get_type_hints
 
+from fss_arm_model.description import Arm, Base, Drive, Link, TorqueSensor
 from fss_arm_model.settings import meaning
 from fss_arm_ros.program import ABOUT, ALLOW, Command, Program, named
 
@@ -113,6 +114,29 @@ def _parameters(settings: type) -> str:
     return "\n".join(rows)
 
 
+def description() -> str:
+    """The fields of a description, a table for each of its parts."""
+    parts = ["# The description of an arm and its base", NOTE]
+    parts += [
+        "A YAML file, as `config/cad.yaml`; `arm:=FILE` gives it to nodes, `--arm FILE` to "
+        "commands. What is required has no default. An entry that is missing, unknown or wrong is "
+        "named with its place and what was expected."
+    ]
+    for title, kind in (
+        ("The file", Arm), ("`base`", Base), ("each of `links`, from the base on", Link),
+        ("`drive` of a link", Drive), ("`torque_sensor` of a link", TorqueSensor),
+    ):  # fmt: skip
+        rows = ["| entry | default | |", "|---|---|---|"]
+        for f in fields(kind):
+            given = f.default is MISSING and f.default_factory is MISSING
+            default = "**required**" if given else "" if f.default is MISSING else _shown(f.default)
+            unit = f" [{f.metadata['unit']}]" if f.metadata["unit"] else ""
+            words = f"{f.metadata['about']}{unit}".strip() or f.metadata["expected"]
+            rows.append(_row(f"`{f.name}`", default, words))
+        parts += [f"## {title}", (getdoc(kind) or "").split("\n\n")[0], "\n".join(rows)]
+    return "\n\n".join(parts) + "\n"
+
+
 def _shown(default: Any) -> str:
     """As a parameters file has it; empty for an empty string."""
     if isinstance(default, tuple):
@@ -133,7 +157,10 @@ def main() -> int:
     parser.add_argument("--check", action="store_true", help="write nothing, list what is old")
     check = parser.parse_args().check
     old = []
-    for name, make in (("interfaces.md", interfaces), ("parameters.md", parameters)):
+    made = {
+        "interfaces.md": interfaces, "parameters.md": parameters, "description.md": description,
+    }  # fmt: skip
+    for name, make in made.items():
         path, text = REFERENCE / name, make()
         if path.exists() and path.read_text(encoding="utf-8") == text:
             continue

@@ -368,7 +368,7 @@ KINEMATIC = [
     SIGN, ORDER, SIGNS, MIRRORED, W_FIRST, Y_UP, SWAPPED,
     Kind("headings clockwise", _columns([0, 1, 2, 3, 4, 5, 6], [1, 1, 1, 1, 1, -1, 1]),
          r"^headings clockwise\?"),
-    Kind("clocks 3 s apart", _late(3.0), r"^clock of the joints 3\.\d+ s ahead"),
+    Kind("clocks 3 s apart", _late(3.0), r"^clock of the joints (3|2\.9\d|3\.0\d) s ahead"),
     HOUR_APART,
     Kind("since boot", _boot, r"^clock of the joints .* behind .*since"),
     Kind("other names", _renamed, r"^joints named q1, q2"),

@@ -202,7 +202,7 @@ def concluded(
     digest = hashlib.sha256()
     for array in arrays:
         digest.update(array.tobytes())
-    parameters = {f.name: getattr(settings, f.name) for f in fields(kind)}
+    parameters = {f.name: _plain(getattr(settings, f.name)) for f in fields(kind)}
     provenance = Provenance(
         software=f"fss_arm_calib {__version__}",
         parameters=yaml.safe_dump(parameters, sort_keys=False),
@@ -220,6 +220,13 @@ def concluded(
         tuple(data), tuple(used), arm, settings, streams, tuple(checks), provenance, estimate,
         solution, to_yaml(calibrated()) if calibrated and passed else "",
     )  # fmt: skip
+
+
+def _plain(value: Any) -> Any:
+    """A setting as YAML takes it: numpy's numbers are given by who computes them."""
+    if isinstance(value, tuple):
+        return tuple(map(_plain, value))
+    return value.item() if isinstance(value, np.generic) else value
 
 
 def settings_of(provenance: Any, kind: type[C]) -> C:

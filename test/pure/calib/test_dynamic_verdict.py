@@ -175,6 +175,52 @@ def test_a_solution_at_a_bound_fails():
     assert "at the bound of what is possible: b_4" in result.reason
 
 
+def test_a_link_too_light_to_be_seen_is_said_to_be_so():
+    """Its inertia is a hundredth of the others', which nobody can see: it is no other arm."""
+    last = replace(ARM.links[3], mass=0.15, inertia=3e-4)
+    light = replace(ARM, links=(*ARM.links[:3], last))
+    verdicts = []
+    for seed in range(3):
+        noise = SETTINGS.position_deviation, SETTINGS.heading_deviation
+        rig = Float(postures(8, seed=6), light.vector(), STATE, noise=noise, seed=seed)
+        result = calibrate(feed(ManeuverFinder(4), rig.samples()), light, SETTINGS)
+        verdicts.append(result.verdict)
+        assert "of another arm" not in result.reason
+        assert "inf %" not in result.reason
+        assert re.search(r"I_4.* not measurable from this|too uncertain: I_4", result.reason)
+        assert re.search("give a prior(,| or) leave it out", result.reason)
+    assert set(verdicts) == {FAIL}
+
+
+def test_momenta_said_to_be_large_do_not_make_the_fit_lenient(maneuvers):
+    """They were known to be small: no more is allowed of the poses if much is allowed of them."""
+    fits = []
+    for times in (1.0, 100.0):
+        settings = replace(
+            SETTINGS, momentum_deviation=0.3 * times, spin_deviation=0.05 * times,
+            min_probability=0.0,
+        )  # fmt: skip
+        left = calibrate(maneuvers, ARM, settings).solution.first.left
+        fits.append(np.sum(left.squares) / np.sum(left.freedom))
+    assert fits[0] == pytest.approx(fits[1], rel=0.03)
+
+
+@pytest.mark.parametrize(
+    ("ratio", "words"),
+    [
+        (57.3, "gyro in degrees a second? the gyro turns 57.3 times"),
+        (-1.0, "gyro with the wrong sign?"),
+        (1.5, "the gyro turns 1.5 times as far as motion capture sees"),
+        (1.1, ""),
+        (np.nan, ""),
+    ],
+)
+def test_a_gyro_that_turns_otherwise_fails(maneuvers, ratio, words):
+    result = calibrate(maneuvers, ARM, SETTINGS, Streams(gyro_ratio=ratio))
+    assert result.verdict == (FAIL if words else PASS)
+    assert not words or result.reasons[0].startswith(words)
+
+
 def test_headings_alone_as_in_the_paper(maneuvers):
     settings = replace(SETTINGS, estimate="I", residuals=HEADING)
     result = calibrate(maneuvers, ARM, settings)

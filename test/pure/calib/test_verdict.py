@@ -218,6 +218,24 @@ def swapped(observation):
     return replace(observation, tip=tuple(inverse(np.array(observation.tip)).tolist()))
 
 
+@pytest.mark.parametrize("seed", range(1, 8))
+@pytest.mark.parametrize("parametrization", [EQUAL, FULL])
+def test_swapped_subjects_are_recognized_whatever_is_estimated(parametrization, seed):
+    settings = replace(KinematicSettings(), parametrization=parametrization)
+    every = calibrate([swapped(o) for o in observe(seed=seed)], paper_arm(), settings)
+    assert every.verdict != PASS
+    assert every.reasons[0] == "base and end effector are swapped"
+
+
+def test_no_swap_is_claimed_that_does_not_explain_all():
+    """Of a joint with the wrong sign some poses happen to fit when exchanged."""
+    for seed in range(5):
+        wrong = [replace(o, q=(o.q[0], -o.q[1], *o.q[2:])) for o in observe(seed=seed)]
+        found = calibrate(wrong, paper_arm())
+        assert found.verdict == FAIL
+        assert "swapped" not in found.reason
+
+
 def test_swapped_subjects_are_recognized():
     every = calibrate([swapped(o) for o in observe()], paper_arm())
     assert every.verdict == FAIL
@@ -293,6 +311,14 @@ def test_a_result_says_where_it_is_from_and_follows_from_that():
     assert again.checks == c.checks
     with pytest.raises(ValueError, match="parameters are not those of CalibrationSettings"):
         settings_of(c.provenance, CalibrationSettings)
+
+
+def test_numbers_of_numpy_are_settings_like_others():
+    told = replace(SETTINGS, heading_deviation=np.float64(0.01), min_observations=np.int64(7))
+    found = calibrate(observe(), paper_arm(), told)
+    again = settings_of(found.provenance, KinematicSettings)
+    assert (again.heading_deviation, again.min_observations) == (0.01, 7)
+    assert type(again.min_observations) is int
 
 
 def test_exact_observations_pass():

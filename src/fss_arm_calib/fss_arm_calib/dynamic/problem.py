@@ -386,8 +386,9 @@ class DynamicResult:
         linear = self.minimum.linear
         free = Decomposition.of(linear.regressor, MAX_CONDITION)
         P, rows = free.covariance(), len(self.by_assumed)
-        by_assumed = P @ (linear.regressor[:rows].T @ self.by_assumed) * self.assumed_deviations
-        deviations = np.sqrt(np.diag(P) + np.sum(by_assumed**2, axis=1))
+        influence = P @ (linear.regressor[:rows].T @ self.by_assumed)
+        assumed = self.problem.assumed[np.ix_(self.assumed, self.assumed)]
+        deviations = np.sqrt(np.diag(P + influence @ assumed @ influence.T))
         away = np.abs(free.step(linear.residuals))
         guess, lost = np.abs(self.problem.guess), free.undetermined() > 1e-6
         hidden = lost | ((away < 3.0 * deviations) & (deviations > 0.5 * guess))

@@ -21,6 +21,8 @@ def probability(chi_square: float, freedom: float, known_by: float = inf) -> flo
         freedom: its degrees of freedom.
         known_by: those by which the deviations were estimated; inf: they are known.
     """
+    from scipy.special import fdtrc, gammaincc
+
     if not freedom:
         return 1.0
     from scipy.special import fdtrc, gammaincc
@@ -38,6 +40,8 @@ def as_if_known(error: float, freedom: float, known_by: float) -> float:
         freedom: degrees of freedom of its square.
         known_by: those by which the deviations were estimated; inf: they are known.
     """
+    from scipy.special import chdtri, fdtrc
+
     if isinf(known_by):
         return error
     from scipy.special import chdtri, fdtrc

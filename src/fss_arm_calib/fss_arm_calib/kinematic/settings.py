@@ -36,7 +36,9 @@ class KinematicSettings(CalibrationSettings):
     )
     theta_e: bool = setting(False, "estimate the end effector subject's heading offset, too")
     position_deviation: float = setting(
-        0.0, "1 sigma of an observed position, each axis; 0: estimated from the residuals",
+        0.0,
+        "1 sigma of a position seen from the base, each axis, with the error of the base's heading "
+        "times the reach; 0: estimated from the residuals",
         unit="m", check=NOT_NEGATIVE,
     )  # fmt: skip
     heading_deviation: float = setting(

@@ -139,10 +139,13 @@ class Finder(ABC, Generic[C, S]):
         seen = [one for one in self._poses if one.first >= 0]
         heard = [(joint.name, joint.begun, joint.newest) for joint in self.joints if joint.merged]
         heard += [(poses.name, poses.first, poses.newest) for poses in seen[1:]]
+        apart: dict[str, list[str]] = {}  # names by how far
         for name, begin, end in heard if seen else ():
             steps = begin - seen[0].first, end - seen[0].newest
             if min(steps) > self.horizon or max(steps) < -self.horizon:
-                yield f"clock of {name} {span(steps[1] / SECOND)} that of {seen[0].name}"
+                apart.setdefault(span(round(steps[1] / SECOND)), []).append(name)
+        for words, names in apart.items():
+            yield f"clock of {', '.join(names)} {words} that of {seen[0].name}"
         slow = {joint.name: joint.period for joint in self.joints}
         late = [name for name, period in slow.items() if period > self.settings.joint_gap]
         if late:

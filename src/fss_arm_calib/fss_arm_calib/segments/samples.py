@@ -30,8 +30,8 @@ def span(by: float) -> str:
     if by > YEARS:
         return f"{by / 3.156e7:.3g} years {direction} (counting since its start?)"
     if hours and abs(by - hours * HOUR) < 0.02 * HOUR:
-        return f"{by:.1f} s ({'an hour' if hours == 1 else f'{hours} hours'}) {direction}"
-    return f"{by:.2f} s {direction}"
+        return f"{by:.0f} s ({'an hour' if hours == 1 else f'{hours} hours'}) {direction}"
+    return f"{by:.4g} s {direction}"
 
 
 class Gap(NamedTuple):
