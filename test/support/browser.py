@@ -8,6 +8,7 @@ import time
 import urllib.request
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import matplotlib.image
 import numpy as np
@@ -35,7 +36,16 @@ class Page:
         )
         self.told = folder / "DevToolsActivePort"
 
-    def picture(self, timeout: float = 60.0) -> bytes:
+    def picture(self) -> bytes:
+        """What it shows now, as PNG."""
+        return base64.b64decode(self.ask("Page.captureScreenshot")["data"])
+
+    def text(self, element: str) -> str:
+        """What an element says."""
+        asked = f"document.getElementById({element!r})?.textContent ?? ''"
+        return str(self.ask("Runtime.evaluate", expression=asked)["result"]["value"])
+
+    def ask(self, method: str, timeout: float = 60.0, **given: Any) -> Any:
         """Ask over the DevTools protocol, as soon as the browser answers."""
         deadline = time.monotonic() + timeout
         while time.monotonic() < deadline:
@@ -44,10 +54,10 @@ class Page:
                 with urllib.request.urlopen(f"http://127.0.0.1:{port}/json") as answer:
                     pages = [p for p in json.load(answer) if p["type"] == "page"]
                 with connect(pages[0]["webSocketDebuggerUrl"], max_size=None) as browser:
-                    browser.send(json.dumps({"id": 1, "method": "Page.captureScreenshot"}))
+                    browser.send(json.dumps({"id": 1, "method": method, "params": given}))
                     while (reply := json.loads(browser.recv(timeout))).get("id") != 1:
                         pass
-                return base64.b64decode(reply["result"]["data"])
+                return reply["result"]
             except (OSError, IndexError):
                 time.sleep(0.2)  # it is still starting
         raise TimeoutError("the browser does not answer")

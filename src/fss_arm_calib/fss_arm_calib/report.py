@@ -59,6 +59,7 @@ class Report:
     details: Sequence[Table] = ()
     texts: Mapping[str, str] = field(default_factory=dict)  # by title, as they are
     reasons: Sequence[str] = ()  # the reason as a list
+    below: Sequence[str] = ()  # the verdict: when the data are from, what to do now
 
 
 def console() -> "Console":
@@ -88,7 +89,8 @@ def shown(table: Table) -> "PrintedTable":
     printed = PrintedTable(title=table.title, title_justify="left")
     for k, name in enumerate(table.head):
         style = "bold" if name == "estimate" else ""
-        printed.add_column(name, justify="left" if k < table.words else "right", style=style)
+        side: Any = "left" if k < table.words else "right"
+        printed.add_column(name, justify=side, style=style, overflow="fold")  # nothing is cut off
     for row in table.rows:
         printed.add_row(*row)
     return printed
@@ -122,6 +124,7 @@ def _section(report: Report, pictures: Mapping[str, bytes]) -> str:
         f"<h1>{escape(report.title)}</h1>",
         f'<p class="verdict"><span class="{report.verdict}">{_words(report.verdict)}</span> '
         f"{escape(report.reason)}</p>",
+        *(f'<p class="below">{escape(words)}</p>' for words in report.below),
         *map(_table, report.tables),
     ]
     for figure in report.figures:
@@ -141,7 +144,11 @@ def _section(report: Report, pictures: Mapping[str, bytes]) -> str:
 
 def _table(table: Table) -> str:
     def row(cells: Sequence[str], tag: str) -> str:
-        kinds = ("word" if k < table.words else "number" for k in range(len(cells)))
+        kinds = ["word" if k < table.words else "number" for k in range(len(cells))]
+        kinds = [
+            f"{kind} {MARKED.get(cell, '')}".strip()
+            for kind, cell in zip(kinds, cells, strict=True)
+        ]
         inner = (
             f'<{tag} class="{k}">{escape(c)}</{tag}>' for k, c in zip(kinds, cells, strict=True)
         )
@@ -154,6 +161,10 @@ def _table(table: Table) -> str:
         f"<div><table><thead>{row(table.head, 'th')}</thead>\n"
         f"<tbody>{rows}</tbody></table></div>"
     )
+
+
+#: What a table says that is not as it should be: red, and amber where it is weak.
+MARKED = {"fail": "bad", "NO": "bad", "not evaluated": "weak"}
 
 
 def _words(verdict: str) -> str:
@@ -178,7 +189,12 @@ th {{ font-weight: 600; border-bottom-color: #888; }}
 .number {{ text-align: right; white-space: nowrap; }}
 th.number {{ white-space: normal; vertical-align: bottom; }}
 .word {{ vertical-align: top; }}
-.verdict span {{ padding: 0.1rem 0.6rem; border-radius: 0.2rem; color: white; font-weight: 600; }}
+.verdict {{ font-size: 1.15rem; margin: 0.8rem 0 0.3rem; }}
+.verdict span {{ padding: 0.2rem 0.8rem; border-radius: 0.2rem; color: white; font-weight: 600;
+       font-size: 1.6rem; text-transform: uppercase; }}
+.below {{ margin: 0.2rem 0; font-weight: 600; }}
+.bad {{ color: #b3261e; font-weight: 600; }}
+.weak {{ color: #8a6100; font-weight: 600; }}
 .pass {{ background: #2a7a3b; }}
 .fail {{ background: #b3261e; }}
 .not_evaluated {{ background: #8a6100; }}

@@ -1,12 +1,13 @@
 """Tables that reports of every kind of calibration have, and the one that any kind may have."""
 
 from collections.abc import Sequence
+from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
 
-from fss_arm_calib.acceptance import count
-from fss_arm_calib.outcome import Outcome
+from fss_arm_calib.acceptance import FAIL, NOT_EVALUATED, PASS, count
+from fss_arm_calib.outcome import Outcome, Provenance
 from fss_arm_calib.report import Figure, Report, Table
 from fss_arm_model.description import Arm, to_yaml
 from fss_arm_model.planar import wrap
@@ -30,8 +31,26 @@ def reported(
         figures=() if o.solution is None else figures,
         details=(checks(o), *(() if o.solution is None else details), streams(o)),
         reasons=o.reasons,
+        below=[f"Data of {dated(o.provenance)}.", NEXT[o.verdict]],
         texts={"Settings": o.provenance.parameters, "Description it began from": to_yaml(o.arm)},
     )
+
+
+#: What to do with a result, by its verdict.
+NEXT = {
+    PASS: "Next: give the calibrated description (output) to the nodes, and keep the bag.",
+    FAIL: "Next: do not use these numbers. The checks below that failed say what to look at.",
+    NOT_EVALUATED: "Next: record what is missing; what there is already counts.",
+}
+
+
+def dated(provenance: Provenance) -> str:
+    """When the data were taken, in the time of this computer; simulated time begins in 1970."""
+    begin, end = (
+        datetime.fromtimestamp(1e-9 * t, UTC).astimezone()
+        for t in (provenance.begin, provenance.end)
+    )
+    return f"{begin:%F %H:%M} to {end:%H:%M %Z}"
 
 
 def table_report(outcome: Outcome[Any, Any], truth: Arm | None = None) -> Report:

@@ -9,6 +9,8 @@ fonts and releases, and tells them how it is used. This stands before both of it
 - The page comes with a policy by which browsers load from here and nowhere else, and without the
   links by which they would look other hosts up before they obey it.
 
+It adds the strip to the page, and answers for what that shows (`page.py`).
+
 It imports what starts quickly, and runs as a process of its own: `python -m fss_arm_view.gate`.
 """
 
@@ -16,13 +18,17 @@ import asyncio
 import re
 import socket
 import sys
+import time
 from asyncio import StreamReader, StreamWriter
 from collections.abc import Callable, Coroutine, Iterable
 from contextlib import suppress
 from functools import partial
 from ipaddress import ip_address
+from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
+
+from fss_arm_view.page import NOW, with_strip
 
 HTTP2 = b"PRI * HTTP/2.0\r\n"
 PATIENCE = 10.0  # for the head of a request [s]
@@ -75,8 +81,23 @@ async def _pump(reader: StreamReader, writer: StreamWriter) -> None:
         writer.write_eof()
 
 
-async def _page(head: bytes, here: Any, there: Any, data_port: int) -> None:
+def now(file: Path) -> bytes:
+    """The answer to who asks for the strip: what the node has said last, and how long ago [s]."""
+    try:
+        age, said = time.time() - file.stat().st_mtime, file.read_bytes()
+    except OSError:
+        return b"HTTP/1.1 503 Service Unavailable\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
+    text = b'{"age": %.1f, "said": %s}' % (age, said)
+    head = f"HTTP/1.1 200 OK\r\nContent-Length: {len(text)}\r\nContent-Type: application/json"
+    return f"{head}\r\nCache-Control: no-store\r\nConnection: close\r\n\r\n".encode() + text
+
+
+async def _page(head: bytes, here: Any, there: Any, data_port: int, said: Path) -> None:
     """One answer, with the policy among its headers."""
+    if head.split(b" ", 2)[1] == NOW.encode():
+        here[1].write(now(said))
+        await here[1].drain()
+        return
     name = urlsplit(f"//{header(head, b'host')}").hostname or ""
     data = f"http://{f'[{name}]' if ':' in name else name}:{data_port}"
     there[1].write(without(head, b"connection") + b"\r\nConnection: close\r\n\r\n")
@@ -86,7 +107,7 @@ async def _page(head: bytes, here: Any, there: Any, data_port: int) -> None:
     added += b"Content-Security-Policy: " + policy
     answer = without(without(answer, b"connection"), b"content-security-policy")
     if header(answer, b"content-type").startswith("text/html"):
-        page = shut_in(await there[0].read(-1))
+        page = with_strip(shut_in(await there[0].read(-1)))
         answer = without(answer, b"content-length") + f"\r\nContent-Length: {len(page)}".encode()
         here[1].write(answer + added + b"\r\n\r\n" + page)
         await here[1].drain()
@@ -130,14 +151,16 @@ async def _guard(
             each.close()
 
 
-async def guard(bind: str, ports: tuple[int, int], inner: tuple[int, int], names: str) -> None:
+async def guard(
+    bind: str, ports: tuple[int, int], inner: tuple[int, int], said: Path, names: str
+) -> None:
     """Stand before the data's port and the page's until cancelled.
 
     Raises:
         OSError: a port is taken.
     """
     known = frozenset(f"{name}".lower() for name in (*names.split(), *own_names()))
-    serve: tuple[Any, Any] = _data, partial(_page, data_port=ports[0])
+    serve: tuple[Any, Any] = _data, partial(_page, data_port=ports[0], said=said)
     servers = [
         await asyncio.start_server(partial(_guard, within, known, how), bind, port)
         for port, within, how in zip(ports, inner, serve, strict=True)
@@ -152,11 +175,11 @@ def own_names() -> set[str]:
 
 
 def main() -> int:
-    """Run: BIND DATA_PORT PAGE_PORT INNER_DATA_PORT INNER_PAGE_PORT NAMES."""
-    bind, *ports, names = sys.argv[1:]
+    """Run: BIND DATA_PORT PAGE_PORT INNER_DATA_PORT INNER_PAGE_PORT SAID NAMES."""
+    bind, *ports, said, names = sys.argv[1:]
     data, page, inner_data, inner_page = map(int, ports)
     try:
-        asyncio.run(guard(bind, (data, page), (inner_data, inner_page), names))
+        asyncio.run(guard(bind, (data, page), (inner_data, inner_page), Path(said), names))
     except OSError as error:
         print(f"view: {error.strerror}", file=sys.stderr)
         return 1

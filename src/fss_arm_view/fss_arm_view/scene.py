@@ -17,7 +17,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from fss_arm_model.description import Arm
-from fss_arm_model.kinematics import com_positions, joint_positions
+from fss_arm_model.kinematics import com_positions, joint_positions, tip_jacobian
 from fss_arm_model.momentum import generalized_jacobian
 
 Floats = npt.NDArray[np.float64]
@@ -34,14 +34,20 @@ TRAIL = 600  # points kept
 TRAIL_STEP = 0.005  # between them [m]
 SHOWN = 60  # seconds of the plots
 
-# Told apart on white and on black.
-STONE, STEEL, GHOST, BAND = (130, 130, 130), (40, 110, 200), (240, 130, 20), (250, 190, 120)
-TIP, PURPLE, RED = (30, 150, 70), (150, 80, 190), (220, 50, 50)
-#: Of series that stand side by side: x, y and the third; or the links.
+# Told apart on white and on black; each has one meaning, and red is left to alarms.
+STONE = (130, 130, 130)  # what does not move: the table; the arm on a base that is held
+STEEL = (40, 110, 200)  # measured
+GHOST, BAND = (240, 130, 20), (250, 190, 120)  # predicted, and within one sigma of that
+TIP = (30, 150, 70)  # the end effector
+PURPLE = (150, 80, 190)  # the target, and what is to be kept out of about it
+JET = (0, 175, 190)  # thrusters that fire
+DIFFERENCE = (200, 40, 140)  # measured less predicted
+AXES = (90, 90, 90), (165, 120, 10)  # x, y
+#: Of the links.
 PALETTE = (
-    *(STEEL, GHOST, TIP, PURPLE, RED),
-    *((120, 90, 60), (220, 120, 190), (120, 120, 30), (30, 170, 190), (90, 90, 90)),
-    *((130, 180, 60), (100, 60, 130)),
+    *((130, 85, 45), (235, 150, 190), (125, 135, 25), (95, 60, 150)),
+    *((70, 160, 140), (200, 110, 90), (150, 150, 200), (60, 90, 60)),
+    *((190, 180, 110), (110, 130, 150), (170, 60, 110), (205, 205, 50)),
 )
 
 LEGEND = (
@@ -50,9 +56,11 @@ LEGEND = (
     ("path of the base", STEEL),
     ("path of the centre of mass", GHOST),
     ("path of the end effector", TIP),
-    ("manipulability of the floating arm", TIP),
+    ("manipulability, floating base", TIP),
+    ("manipulability, base held", STONE),
 )
 LEGEND_ROWS = 6
+ELLIPSE = 0.4  # how large manipulability is drawn [s]
 
 
 class Series(NamedTuple):
@@ -61,23 +69,26 @@ class Series(NamedTuple):
     name: str
     title: str
     lines: tuple[str, ...]
+    colours: tuple[Colour, ...]
 
 
 HEADING = Series(
     "heading",
     "heading of the base [deg]",
     ("band_above", "band_below", "predicted", "measured"),
+    (BAND, BAND, GHOST, STEEL),
 )
 TURN = Series(
     "turn",
     "heading, measured less predicted [deg]",
     ("band_above", "band_below", "difference"),
+    (BAND, BAND, DIFFERENCE),
 )
-PLACE = Series("place", "place, measured less predicted [mm]", ("x", "y"))
-MOMENTUM = Series("momentum", "momentum of base and arm", ("x_N_s", "y_N_s", "angular_N_m_s"))
-TORQUE = Series("torque", "torque about joint 1 [N m]", ("predicted", "measured"))
-NAMED = {"x_N_s": "x [N s]", "y_N_s": "y [N s]", "angular_N_m_s": "angular [N m s]"}
-PLOTS = (HEADING, TURN, PLACE, MOMENTUM, TORQUE)
+PLACE = Series("place", "place, measured less predicted [mm]", ("x", "y"), AXES)
+LINEAR = Series("momentum", "momentum [N s]", ("x", "y"), AXES)
+ANGULAR = Series("spin", "angular momentum [N m s]", ("measured",), (STEEL,))
+TORQUE = Series("torque", "torque, joint 1 [N m]", ("predicted", "measured"), (GHOST, STEEL))
+PLOTS = (HEADING, TURN, PLACE, LINEAR, ANGULAR, TORQUE)
 OF_LINKS = {
     "angle": "joint angles [deg]",
     "current": "motor currents [A]",
@@ -97,14 +108,26 @@ def ground() -> list[Drawing]:
     edge = flat([(-a, -a), (a, -a), (a, a), (-a, a), (-a, -a)])
     return [
         ("table/edge", rr.LineStrips2D([edge], colors=STONE, radii=0.01)),
+        *_ticks(),
         *(legend(k, text, colour) for k, (text, colour) in enumerate(LEGEND)),
     ]
+
+
+def _ticks() -> list[Drawing]:
+    """Metres along the edges of the table."""
+    a, metres = TABLE / 2.0, range(1 - int(TABLE / 2.0), int(TABLE / 2.0) + 1)
+    marks = [[(m, -a), (m, 0.06 - a)] for m in metres] + [[(-a, m), (0.06 - a, m)] for m in metres]
+    beside = [(m, -a - 0.1) for m in metres] + [(-a - 0.15, m) for m in metres]
+    names = [f"{m:d} m" if m == metres[-1] else f"{m:d}" for m in (*metres, *metres)]
+    places = rr.Points2D(flat(beside), colors=STONE, radii=0.001, labels=names, show_labels=True)
+    lines = rr.LineStrips2D([flat(mark) for mark in marks], colors=STONE, radii=0.006)
+    return [("table/ticks", lines), ("table/metres", places)]
 
 
 def legend(k: int, text: str, colour: Colour) -> Drawing:
     """The k-th entry of the legend, above the table: a word in its colour."""
     column, row = divmod(k, LEGEND_ROWS)
-    place = (2.0 * column - 1.0, TABLE / 2.0 + 0.19 * (LEGEND_ROWS - row) + 0.05)
+    place = (2.3 * column - 1.3, TABLE / 2.0 + 0.19 * (LEGEND_ROWS - row) + 0.05)
     word = rr.Points2D(flat([place]), colors=colour, radii=0.001, labels=[text], show_labels=True)
     return f"table/legend/{k}", word
 
@@ -163,17 +186,18 @@ def arm(description: Arm, pose: npt.ArrayLike, q: npt.ArrayLike) -> list[Lines |
         Lines([flat(joints)], STEEL, 0.015),
         Dots(flat(joints), STEEL, 0.028),
         Dots(flat(com_positions(p, state)), GHOST, 0.008),
-        ellipse(generalized_jacobian(p, state)[:2], joints[-1]),
+        ellipse(tip_jacobian(p, state)[:2, 3:], joints[-1], STONE),
+        ellipse(generalized_jacobian(p, state)[:2], joints[-1], TIP),
     ]
 
 
-def ellipse(J: Floats, centre: Floats, scale: float = 0.15) -> Lines:
-    """The floating-base manipulability ellipse {J qd : |qd| = 1}, drawn at a scale [s]."""
+def ellipse(J: Floats, centre: Floats, colour: Colour, scale: float = ELLIPSE) -> Lines:
+    """The manipulability ellipse {J qd : |qd| = 1}, drawn at a scale [s]."""
     U, s, _ = np.linalg.svd(J)
     s = np.append(s, 0.0)  # of a single link
     angle = np.linspace(0.0, 2.0 * pi, 49)
     points = centre + scale * (np.column_stack([s[0] * np.cos(angle), s[1] * np.sin(angle)]) @ U.T)
-    return Lines([flat(points)], TIP, 0.003)
+    return Lines([flat(points)], colour, 0.008)
 
 
 def trail(points: Sequence[tuple[float, float]], what: str, colour: Colour) -> Drawing:
@@ -233,7 +257,7 @@ def plumes(pose: npt.ArrayLike, valves: Sequence[bool]) -> Lines:
         jet = [0.0, PLUME * (out + 0.2j * out), PLUME * (out - 0.2j * out), 0.0]
         points = complex(x, y) + turn * (0.5 * BASE * corner + np.array(jet))
         strips.append(flat(np.column_stack([points.real, points.imag])))
-    return Lines(strips, RED, 0.008)
+    return Lines(strips, JET, 0.012)
 
 
 def numbers(series: Series, values: Sequence[float]) -> list[Drawing]:
@@ -257,7 +281,8 @@ def reaction(message: Any) -> list[Drawing]:
         ),
         *numbers(TURN, (degrees(band), -degrees(band), degrees(turn))),
         *numbers(PLACE, (1e3 * dx, 1e3 * dy)),
-        *numbers(MOMENTUM, message.momentum),
+        *numbers(LINEAR, message.momentum[:2]),
+        *numbers(ANGULAR, message.momentum[2:]),
         *numbers(TORQUE, (message.torque, message.torque_measured)),
     ]
 
@@ -282,13 +307,11 @@ def called(pose: Sequence[float], name: str) -> Drawing:
 def styles(n: int, vehicle: str = "") -> list[Drawing]:
     """Names and colours of the series, of one of several vehicles with its name."""
     of = f"{vehicle} " if vehicle else ""
-    fixed = {"measured": (STEEL, 2.0), "predicted": (GHOST, 2.0)}
-    fixed |= dict.fromkeys(("band_above", "band_below"), (BAND, 1.0))
     found: list[Drawing] = []
     for series in PLOTS:
-        for line, of_place in zip(series.lines, PALETTE, strict=False):
-            colour, width = fixed.get(line, (of_place, 1.5))
-            name = "band of 1 sigma" if line.startswith("band") else NAMED.get(line, line)
+        for line, colour in zip(series.lines, series.colours, strict=True):
+            is_band = line.startswith("band")
+            name, width = ("band of 1 sigma", 1.0) if is_band else (line, 2.0)
             found.append((f"plot/{series.name}/{line}", _series(of + name, colour, width)))
     for kind in OF_LINKS:
         for i in range(1, n + 1):
@@ -302,8 +325,11 @@ def _series(name: str, colour: Colour, width: float) -> Any:
 
 
 def blueprint() -> Any:
-    """The table at the left, base reaction beside it, the links at the right, events below."""
-    a, legend_height = TABLE / 2.0 + 0.1, 0.2 * LEGEND_ROWS
+    """The table at the left, base reaction beside it, the links at the right, events below.
+
+    Few and large, so that axes have ticks to read: what is looked at seldom shares a place.
+    """
+    a, legend_height = TABLE / 2.0 + 0.25, 0.2 * LEGEND_ROWS
     table = rrb.Spatial2DView(
         origin="table",
         name="table from above, 4 m x 4 m",
@@ -316,17 +342,19 @@ def blueprint() -> Any:
     )
     look: dict[str, Any] = {"plot_legend": rrb.PlotLegend(rrb.Corner2D.LeftTop)}
     look["time_ranges"] = last
-    plots = [rrb.TimeSeriesView(origin=f"plot/{s.name}", name=s.title, **look) for s in PLOTS]
-    links = [
+    heading, turn, at, *forces = (
+        rrb.TimeSeriesView(origin=f"plot/{s.name}", name=s.title, **look) for s in PLOTS
+    )
+    angle, *more = (
         rrb.TimeSeriesView(origin=f"plot/{kind}", name=title, **look)
         for kind, title in OF_LINKS.items()
-    ]
+    )
     return rrb.Blueprint(
         rrb.Horizontal(
             rrb.Vertical(table, rrb.TextLogView(origin="log", name="events"), row_shares=[4, 1]),
-            rrb.Vertical(*plots, row_shares=[3, 3, 2, 2, 2]),
-            rrb.Vertical(*links),
-            column_shares=[5, 4, 3],
+            rrb.Vertical(heading, turn, at),
+            rrb.Vertical(angle, rrb.Tabs(*more), rrb.Tabs(*forces)),
+            column_shares=[5, 4, 4],
         ),
         collapse_panels=True,
     )

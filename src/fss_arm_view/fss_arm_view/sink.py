@@ -137,11 +137,13 @@ class Viewer:
         web_port: of the page.
         memory: for drawings, as rerun has it.
         names: of this computer, beside its own.
+        said: file with what the strip above the page shows.
     """
 
     def __init__(
-        self, mode: str, bind: str, port: int, web_port: int, memory: str, names: Iterable[str] = ()
-    ) -> None:
+        self, mode: str, bind: str, port: int, web_port: int, memory: str,
+        names: Iterable[str] = (), said: Path = Path("none"),
+    ) -> None:  # fmt: skip
         program = rerun_program()
         common = "--memory-limit", memory, "--hide-welcome-screen"
         if mode == NATIVE:
@@ -153,10 +155,10 @@ class Viewer:
         self.url = f"rerun+http://127.0.0.1:{data}/proxy"
         command = [
             program, "--bind", "127.0.0.1", "--port", data, *common, "--serve-web",
-            "--web-viewer-port", page, "--server-memory-limit", memory,
+            "--web-viewer-port", page, "--server-memory-limit", memory, "--newest-first",
             "--cors-allow-origin", f"http://{host(bind, '*')}:{web_port}",
         ]  # fmt: skip
-        gate = [bind, port, web_port, data, page, " ".join(names)]
+        gate = [bind, port, web_port, data, page, said, " ".join(names)]
         gate = [sys.executable, "-m", "fss_arm_view.gate", *gate]
         self.processes = [self._start(command), self._start(gate)]
 

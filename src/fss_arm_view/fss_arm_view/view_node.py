@@ -3,30 +3,35 @@
 import os
 import socket
 import sys
+import time
 from collections import Counter, defaultdict, deque
 from collections.abc import Iterable
 from contextlib import suppress
 from functools import partial
 from ipaddress import ip_address
 from math import degrees, dist, isfinite
+from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import rerun as rr
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Empty
+from std_msgs.msg import Empty, Float64
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 from visualization_msgs.msg import Marker, MarkerArray
 
 from fss_arm_model.description import described
 from fss_arm_msgs.msg import (
     BaseReaction,
+    BaseTelemetry,
     DynamicCalibration,
+    GripperState,
     KinematicCalibration,
     LinkTelemetry,
     MissionState,
@@ -44,11 +49,13 @@ from . import scene
 from .programs import view as main
 from .settings import ViewSettings
 from .sink import FILE, NATIVE, WEB, Scoped, Sink, Viewer, host, keep_quiet, new_file, open_stream
+from .strip import Strip, told
 
 LEAST_PLUME = 0.2  # a shorter pulse of a thruster is drawn so long [s]
 
 OLD = 3 * SECOND  # of a prediction: the ghost goes
 LIVES = 2 * SECOND  # what a mission says, unless it says it again
+TELLS = 0.5  # from one time that the page is told to the next [s]
 
 LEVELS = {OK: "INFO", WARN: "WARN", ERROR: "ERROR"}
 
@@ -66,11 +73,13 @@ class ViewNode(Node):
         self.quiet: TemporaryDirectory[str] = first.quiet if first else keep_quiet()
         self.viewer = None
         if s.mode in (NATIVE, WEB) and not first:
-            self.viewer = Viewer(s.mode, s.bind, s.port, s.web_port, s.memory, s.names)
+            ports = s.port, s.web_port
+            self.viewer = Viewer(s.mode, s.bind, *ports, s.memory, s.names, self.said_to_page)
         self.sink: Sink | Scoped = (
             Scoped(first.sink, self.vehicle) if first else Sink(self._recording(), s.rate, s.queue)
         )
         self.q = [0.0] * self.known.arm.n
+        self.strip, self.heard = Strip(), time.monotonic()  # when a measurement came [s]
         self.t = 0  # stamp of the newest measurement [ns]; 0: none yet
         self.outlines: dict[str, MarkerArray] = {}  # the newest of each topic
         self.reported: Counter[str] = Counter()  # of the sink's counts
@@ -88,6 +97,24 @@ class ViewNode(Node):
         if s.mode == WEB:
             self._say_where()
         self.diagnostics = Diagnostics(self, self.health)
+        if s.mode == WEB:
+            steady = Clock(clock_type=ClockType.STEADY_TIME)
+            self.create_timer(TELLS, self.tell_page, clock=steady)
+
+    @property
+    def said_to_page(self) -> Path:
+        """The file that the gate answers the page from."""
+        return Path(self.quiet.name) / "now.json"
+
+    def tell_page(self) -> None:
+        """Say what the strip above the page shows."""
+        now, ones = time.monotonic(), self.others or [self]
+        strips = {one.vehicle: one.strip.items(now) for one in ones}
+        newest = max(ones, key=lambda one: one.heard)
+        text = told(newest.t, now - newest.heard, strips)
+        fresh = self.said_to_page.with_suffix(".new")
+        fresh.write_text(text)
+        fresh.replace(self.said_to_page)
 
     def _recording(self) -> rr.RecordingStream:
         s = self.settings
@@ -128,6 +155,12 @@ class ViewNode(Node):
             (BaseReaction, "base_reaction", self.on_reaction),
         ):
             subscribe(self, kind, topic, take, quick)
+        for kind, topic, take in (
+            (BaseTelemetry, "base/telemetry", partial(setattr, self.strip, "base")),
+            (GripperState, "gripper/state", partial(setattr, self.strip, "gripper")),
+            (Float64, "base/propellant", self.on_propellant),
+        ):
+            subscribe(self, kind, topic, take, quick)
         for i in range(1, self.known.arm.n + 1):
             subscribe(self, LinkTelemetry, f"link_{i}/telemetry", self.on_telemetry, quick)
         self.create_subscription(Empty, "arm/stop", self.on_stop, 10)
@@ -153,7 +186,7 @@ class ViewNode(Node):
         Stamps of events may be of another clock, as beside a replayed bag or a simulator, and a
         viewer stays with the newest drawing of a recording. So stamps that go back begin another.
         """
-        self.t = stamp_ns(message.header.stamp)
+        self.t, self.heard = stamp_ns(message.header.stamp), time.monotonic()
         if self.stamps[stream].set_back(self.t):
             self.sink.stream = self.first._recording()
             for one in (self.first, *self.first.others):
@@ -201,7 +234,7 @@ class ViewNode(Node):
             self.explain("target", scene.PURPLE)
             parts = [scene.base(pose, scene.PURPLE)]
             if self.keep_out > 0.0 and self.t < self.told + LIVES:
-                parts.append(scene.circle(pose[:2], self.keep_out, scene.RED))
+                parts.append(scene.circle(pose[:2], self.keep_out, scene.PURPLE))
             self.sink.put(stamp_ns(message.header.stamp), [scene.together("target", parts)])
 
     def on_mission(self, message: MissionState) -> None:
@@ -235,13 +268,18 @@ class ViewNode(Node):
 
     def on_thrust(self, message: ThrusterCommand) -> None:
         """Thrusters fire: until when their plumes are drawn."""
-        self.explain("thrusters", scene.RED)
+        self.explain("thrusters", scene.JET)
         for k, seconds in enumerate(message.on_time):
             shown = max(seconds, LEAST_PLUME) if seconds > 0.0 else 0.0
             self.valves_until[k] = self.t + int(shown * SECOND)
 
+    def on_propellant(self, message: Float64) -> None:
+        """Mass of the gas that is left [kg]."""
+        self.strip.propellant = message.data
+
     def on_reaction(self, message: BaseReaction) -> None:
         """Prediction and measurement of the base's motion."""
+        self.strip.turn = float(message.difference[2]), float(message.predicted_deviation[2])
         if self.sink.due("reaction"):
             # Telemetry is older than the base's poses: its ghost is drawn beside it as it is now.
             self.difference = np.array(message.difference)
@@ -252,6 +290,7 @@ class ViewNode(Node):
 
     def on_telemetry(self, message: LinkTelemetry) -> None:
         """One link's current, and the share of its frames that did not come."""
+        self.strip.links[message.link] = message, time.monotonic()
         i, missed = message.link, message.sequence - self.sequences.get(message.link, -1) - 1
         share = missed / (missed + 1) if i in self.sequences and missed >= 0 else 0.0
         self.losses[i] = 0.95 * self.losses.get(i, 0.0) + 0.05 * share
@@ -264,9 +303,19 @@ class ViewNode(Node):
     def on_diagnostics(self, message: DiagnosticArray) -> None:
         """Each node's state when it changes."""
         for status in message.status:
+            self.trouble(status)
             if self.said.get(status.name) != status.level:
                 self.said[status.name] = status.level
                 self.say(f"{status.name}: {status.message}", LEVELS.get(status.level, "WARN"))
+
+    def trouble(self, status: DiagnosticStatus) -> None:
+        """What a node reports as an error, and that it does no more, for its vehicle's strip."""
+        space = f"/{status.name.strip('/')}".rpartition("/")[0].strip("/")
+        for one in self.others or [self]:
+            if one.vehicle in ("", space):
+                one.strip.troubles.pop(status.name, None)
+                if status.level == ERROR:
+                    one.strip.troubles[status.name] = status.message
 
     def on_stop(self, _: Empty) -> None:
         """Somebody stopped the arm."""
@@ -278,6 +327,7 @@ class ViewNode(Node):
             known = self.known.with_message(topic, message)
             self.known = known if known.arm.n == self.known.arm.n else self.known
         found = message.calibration
+        self.strip.verdicts[topic.rpartition("/")[2]] = found.verdict
         level = "INFO" if found.verdict == found.PASS else "WARN"
         text = f"{topic.rpartition('/')[2]}: {found.verdict}: {found.reason}"
         self.say(text, level)

@@ -1,6 +1,7 @@
 """The page that the view serves during the demo, looked at in a browser."""
 
 import re
+import signal
 import socket
 import subprocess
 import sys
@@ -10,14 +11,19 @@ from threading import Event
 
 import pytest
 from browser import CHROMIUM, Page, Picture
+from geometry_msgs.msg import PoseStamped
+from rclpy.node import Node
 from running import wait_until
 
+from fss_arm_msgs.msg import LinkTelemetry
+from fss_arm_ros.convert import pose_stamped
+from fss_arm_ros.qos import SENSOR
 from fss_arm_view import scene
 
 ADDRESS = re.compile(r"open (http://\S+)")
 #: Parts of the page, as the blueprint shares it out: left, top, right, bottom.
-TABLE, LINKS = (0.05, 0.28, 0.38, 0.75), (0.77, 0.1, 1.0, 0.8)
-HEADING, BAND = (0.42, 0.08, 0.75, 0.27), (0.42, 0.31, 0.75, 0.48)
+TABLE, LINKS = (0.08, 0.31, 0.31, 0.73), (0.77, 0.14, 1.0, 0.37)
+HEADING, BAND = (0.46, 0.14, 0.69, 0.37), (0.46, 0.43, 0.69, 0.66)
 
 #: Pixels of a colour at least, after several moves; a plot without curves has 40, of its legend.
 WANTED = {
@@ -71,4 +77,41 @@ def test_the_page_shows_arm_prediction_and_measurement(start, spin, demo, tmp_pa
                 "colours": picture.colours(0.0, 0.0, 1.0, 1.0),
             }
     finally:
+        page.close()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(CHROMIUM is None, reason="needs chromium, Debian's package of that name")
+def test_the_page_says_how_old_its_data_are_and_that_none_come(start, spin, domain, tmp_path):
+    ports = ("-p", f"port:={free_port()}", "-p", f"web_port:={free_port()}")
+    view = start("fss_arm_view.view_node", "--ros-args", *ports)
+    source, sends = Node("source"), [True]
+    poses = source.create_publisher(PoseStamped, "vicon/fss/fss", SENSOR)
+    telemetry = source.create_publisher(LinkTelemetry, "link_1/telemetry", SENSOR)
+
+    def send():
+        if sends[0]:
+            now = source.get_clock().now().nanoseconds
+            poses.publish(pose_stamped(now, "world", (0.1, 0.2, 0.3)))
+            telemetry.publish(LinkTelemetry(link=1, armed=True, battery=165))
+
+    source.create_timer(0.1, send)
+    spin([source], lambda: ADDRESS.search(view.output), 60.0)
+    page = Page(ADDRESS.search(view.output)[1], tmp_path / "browser")
+    try:
+
+        def says(element, words):
+            return spin([source], lambda: words in page.text(element), 120.0)
+
+        says("fss", "1 of 1 armed")
+        says("fss", "16.5 V, link 1")
+        sends[0] = False
+        says("fss_age", "NO DATA FOR")
+        says("fss", "silentlink 1")
+        sends[0] = True
+        spin([source], lambda: "NO DATA" not in page.text("fss_age"), 60.0)
+        view.process.send_signal(signal.SIGSTOP)
+        says("fss_age", "NO DATA FOR")
+    finally:
+        view.process.send_signal(signal.SIGCONT)
         page.close()

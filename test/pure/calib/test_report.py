@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from calib_float import Float, feed, postures
 from calib_rig import ARM
+from rich.console import Console
 
 from fss_arm_calib import report
 from fss_arm_calib.dynamic.calibrate import calibrate as calibrate_dynamics
@@ -98,6 +99,32 @@ def test_the_page_holds_all_and_needs_no_other_file(tmp_path):
     for figure in told.figures:
         png = (tmp_path / "report" / f"{figure.name}.png").read_bytes()
         assert png.startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize("count", [3, 13])
+def test_under_the_verdict_stand_the_date_and_what_to_do_now(tmp_path, count):
+    told = kinematic_report(outcome(count))
+    when, then = told.below
+    assert re.fullmatch(r"Data of \d{4}-\d\d-\d\d \d\d:\d\d to \d\d:\d\d \S+\.", when)
+    page = report.write(tmp_path, told).read_text()
+    assert page.index(told.reason[:20]) < page.index(when) < page.index(then) < page.index("<table")
+    assert (told.verdict == "not_evaluated") == then.startswith("Next: record what is missing")
+
+
+def test_what_is_weak_or_wrong_is_marked(tmp_path):
+    rows = [["a", "fail"], ["b", "not evaluated"], ["c", "pass"]]
+    table = report.Table("checks", ["check", "verdict"], rows, words=2)
+    page = report.write(tmp_path, report.Report("t", "fail", "r", [table], "o")).read_text()
+    for cell in ('"word bad">fail<', '"word weak">not evaluated<', '"word">pass<'):
+        assert cell in page
+
+
+def test_no_column_of_a_printed_table_is_cut_off():
+    name = "a_rather_long_name_of_a_parameter_that_does_not_fit"
+    told = report.shown(report.Table("t", ["parameter", "value"], [[name, "1"]]))
+    console = Console(width=30, record=True)
+    console.print(told)
+    assert name in re.sub(r"[\W\d]", "", console.export_text())
 
 
 def test_without_a_solution_the_page_tells_why(tmp_path):

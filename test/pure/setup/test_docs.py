@@ -152,3 +152,22 @@ def test_no_command_is_played_by_rosbag2_as_the_page_has_it():
         commands = is_command(topic) or topic.endswith("/path") or "arm_controller" in topic
         for name in (topic, f"/fss2{topic}"):
             assert bool(excluded.search(name)) == commands, name
+
+
+SOURCES = "".join(
+    path.read_text()
+    for pattern in ("src/*/fss_*/**/*.py", "scripts/**/*.sh", "scripts/*.py", "scripts/bin/ros2")
+    for path in ROOT.glob(pattern)
+)
+
+
+@pytest.mark.parametrize(
+    "message",
+    re.findall(r"^\|[^`|]*`([^`]+)`", (ROOT / "docs/start/troubles.md").read_text(), re.M),
+)
+def test_each_trouble_is_one_that_a_program_tells(message):
+    """Its words stand in a source, but for numbers and names, which are put in."""
+    plain = re.sub(r'"\s*\n\s*f?"', "", SOURCES)  # texts of several lines
+    parts = re.split(r" in ROS domain 0|\d+ ?s? ?|not (?:armed|referenced): ", message)
+    for part in filter(str.strip, parts):
+        assert part.strip() in plain, part

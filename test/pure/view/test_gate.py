@@ -1,10 +1,15 @@
 """The gate lets in who asks this computer by its address or name, and shuts the page in."""
 
 import asyncio
+import json
+import os
+import time
+from pathlib import Path
 
 import pytest
 
 from fss_arm_view import gate
+from fss_arm_view.page import NOW
 
 NAMES = {"localhost", "fss", "fss.local"}
 PAGE = (
@@ -44,13 +49,13 @@ async def ask(port, said):
     return answer
 
 
-def through(said, which):
+def through(said, which, page=PAGE, file=Path("none")):
     """What comes back through the gate, and what got to rerun's port; which: 0 data, 1 page."""
     got = []
 
     async def rerun(reader, writer):
         got.append(await reader.readuntil(b"\r\n\r\n"))
-        writer.write(PAGE)
+        writer.write(page)
         writer.close()
 
     async def run():
@@ -62,7 +67,9 @@ def through(said, which):
             ports.append(probe.sockets[0].getsockname()[1])
             probe.close()
             await probe.wait_closed()
-        task = asyncio.create_task(gate.guard("127.0.0.1", tuple(ports), tuple(within), "fss"))
+        task = asyncio.create_task(
+            gate.guard("127.0.0.1", tuple(ports), tuple(within), file, "fss")
+        )
         for _ in range(100):
             try:
                 return await ask(ports[which], said), ports
@@ -101,3 +108,25 @@ def test_data_pass_as_they_are(said):
     answer, got, _ = through(said, 0)
     assert got == [said]
     assert answer == PAGE
+
+
+def test_the_page_has_the_strip_above_it():
+    page = PAGE.replace(b'favicon.ico">', b'favicon.ico"><body></body></html>')
+    answer, _, _ = through(b"GET / HTTP/1.1\r\nHost: fss:9090\r\n\r\n", 1, page)
+    head, _, body = answer.partition(b"\r\n\r\n")
+    assert body.index(b'<div id="fss_age"') < body.index(b"</body>")
+    assert gate.header(head, b"content-length") == str(len(body))
+
+
+def test_what_the_strip_shows_comes_with_its_age(tmp_path):
+    """So that a node that is gone, or stands still, does not look alive."""
+    ask_now = f"GET {NOW} HTTP/1.1\r\nHost: fss:9090\r\n\r\n".encode()
+    assert through(ask_now, 1, file=tmp_path / "none")[0].startswith(b"HTTP/1.1 503 ")
+    file = tmp_path / "now.json"
+    file.write_text('{"newest": "1"}')
+    os.utime(file, (time.time() - 60.0,) * 2)
+    answer, got, _ = through(ask_now, 1, file=file)
+    said = json.loads(answer.partition(b"\r\n\r\n")[2])
+    assert said["said"] == {"newest": "1"}
+    assert 59.0 < said["age"] < 70.0
+    assert not got

@@ -1,5 +1,6 @@
 """What the view draws, and how it gets to rerun without anybody waiting."""
 
+import re
 import subprocess
 import time
 from dataclasses import replace
@@ -27,11 +28,31 @@ def test_the_arm_is_drawn_to_its_tip_with_y_upwards():
     arm, pose, q = paper_arm(), (0.3, -0.2, 0.5), (0.1, 0.2, -0.3, 0.4)
     _, (lines, dots) = scene.together("arm", scene.arm(arm, pose, q))
     tip = tip_pose(arm.vector(), np.array([*pose, *q]))
-    drawn, ellipse = strips(lines)
+    drawn, held, ellipse = strips(lines)
     assert len(dots.positions.as_arrow_array()) == 5 + 5  # joints with tip; base and links
     assert drawn.shape == (5, 2)
     np.testing.assert_allclose(drawn[-1], [tip[0], -tip[1]], atol=1e-6)  # rerun keeps float32
-    np.testing.assert_allclose(ellipse[:-1].mean(axis=0), [tip[0], -tip[1]], atol=1e-6)
+    for around in (held, ellipse):
+        np.testing.assert_allclose(around[:-1].mean(axis=0), [tip[0], -tip[1]], atol=1e-6)
+    # A base that is free recoils: the end effector moves less.
+    assert np.ptp(ellipse, axis=0).max() < np.ptp(held, axis=0).max()
+
+
+def test_each_colour_has_one_meaning():
+    meanings = [scene.STONE, scene.STEEL, scene.GHOST, scene.BAND, scene.TIP, scene.PURPLE]
+    meanings += [scene.JET, scene.DIFFERENCE, *scene.AXES, *scene.PALETTE]
+    apart = [
+        np.linalg.norm(np.subtract(a, b)) for k, a in enumerate(meanings) for b in meanings[:k]
+    ]
+    assert min(apart) > 25.0
+    reds = [c for c in meanings if c[0] > 180 and c[1] < 70 and c[2] < 70]
+    assert not reds  # which is left to alarms
+
+
+def test_newtons_and_newton_metres_do_not_share_an_axis():
+    assert all(len(set(re.findall(r"\[([^]]+)\]", s.title))) == 1 for s in scene.PLOTS)
+    assert {s.name for s in scene.PLOTS if "N s" in s.title} == {"momentum"}
+    assert {s.name for s in scene.PLOTS if "N m s" in s.title} == {"spin"}
 
 
 def test_the_ellipse_of_a_single_link_is_a_line():
@@ -49,7 +70,7 @@ def test_a_planned_way_is_dashed_and_a_zone_lies_about_its_centre():
     way = scene.route([(0.0, 0.0), (1.0, 0.0), (1.0, 2.0)])
     np.testing.assert_allclose(way.strips, [[[0, 0], [0.5, 0]], [[1, 0], [1, -1]]], atol=1e-12)
     assert scene.route([]).strips == []
-    (around,) = scene.circle((1.0, 2.0), 0.5, scene.RED).strips
+    (around,) = scene.circle((1.0, 2.0), 0.5, scene.PURPLE).strips
     np.testing.assert_allclose(np.hypot(*(around - (1.0, -2.0)).T), 0.5)
 
 
@@ -81,7 +102,7 @@ def test_a_plume_leaves_the_corner_of_its_thruster():
 def test_lines_are_drawn_in_their_frame_and_no_longer_in_another():
     line = [[(0.0, 0.0), (1.0, 0.0)]]
     drawings = {
-        in_base: dict(scene.outline(line, "straight paths, fixed", scene.RED, in_base))
+        in_base: dict(scene.outline(line, "straight paths, fixed", scene.JET, in_base))
         for in_base in (True, False)
     }
     for in_base, drawn in drawings.items():

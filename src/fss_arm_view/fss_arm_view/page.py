@@ -1,0 +1,108 @@
+"""What the gate adds to rerun's page: the strip above it, and how old is what it shows.
+
+The page asks the gate for NOW, which the node keeps in a file, and rerun for the time at which it
+draws: what it draws is older by the difference. A page that lags far behind, as on a busy computer,
+is loaded anew, and gets the newest first.
+"""
+
+NOW = "/fss/now"
+
+SCRIPT = """
+<style>
+  canvas { top: 46px !important; height: calc(100% - 46px) !important; }
+  #fss { position: fixed; top: 0; left: 0; right: 0; height: 46px; z-index: 9; display: flex;
+    overflow: hidden; background: #fff; color: #222; font: 13px sans-serif; gap: 18px;
+    padding: 0 12px; align-items: center; border-bottom: 1px solid #bbb; white-space: nowrap; }
+  #fss div { line-height: 1.1; } #fss b { font-size: 19px; } #fss small { color: #777; }
+  #fss .good b { color: #17803d; } #fss .warn b { color: #b35900; }
+  #fss .alarm { background: #c81e1e; padding: 4px 8px; } #fss .alarm * { color: #fff; }
+  #fss .last { margin-left: auto; text-align: right; }
+  #fss_age { position: fixed; top: 46px; left: 0; right: 0; z-index: 10; display: none;
+    cursor: pointer; padding: 10px; background: #c81e1e; color: #fff; text-align: center;
+    font: bold 34px sans-serif; }
+</style>
+<div id="fss"></div><div id="fss_age" title="load the page anew, the newest first"></div>
+<script>
+(() => {
+  const OLD = 3, FAR = 20, AGAIN = 90;  // [s]: said; loaded anew; but not as often
+  const age = document.getElementById("fss_age"), strip = document.getElementById("fss");
+  const began = Date.now();
+  let far = 0;
+  age.onclick = () => location.reload();
+
+  function fields(bytes) {  // of a protocol buffer: by number, integers and parts of it
+    const found = {};
+    let at = 0;
+    const integer = () => {
+      let value = 0n, shift = 0n, byte;
+      do { byte = bytes[at++]; value |= BigInt(byte & 127) << shift; shift += 7n; }
+      while (byte & 128);
+      return value;
+    };
+    while (at < bytes.length) {
+      const key = Number(integer()), number = key >> 3;
+      if ((key & 7) !== 0 && (key & 7) !== 2) break;
+      let value = integer();
+      if ((key & 7) === 2) value = bytes.subarray(at, at += Number(value));
+      (found[number] ||= []).push(value);
+    }
+    return found;
+  }
+
+  function times() {  // at which rerun draws, and of the newest that has come to it [ns]
+    const state = fields(window._handle.viewer_state()), text = new TextDecoder();
+    const active = text.decode(state[2][0]);
+    for (const recording of state[3].map(fields)) {
+      if (text.decode(recording[1][0]) !== active || !recording[3]) continue;
+      const name = of => text.decode(fields(of)[1][0]);
+      const current = fields(recording[3][0]), timeline = name(current[1][0]);
+      for (const one of recording[2].map(fields))
+        if (name(one[1][0]) === timeline && one[3])
+          return [fields(current[3][0])[1][0], fields(one[3][0])[2][0]];
+    }
+  }
+
+  function show(items, name) {
+    const group = name ? [["vehicle", name, ""]] : [];
+    for (const [what, value, tone] of [...group, ...items]) {
+      const item = document.createElement("div");
+      item.className = tone;
+      const label = document.createElement("small"), words = document.createElement("b");
+      label.textContent = what; words.textContent = value;
+      item.append(label, document.createElement("br"), words);
+      strip.append(item);
+    }
+  }
+
+  async function look() {
+    let words = "";
+    try {
+      const {age: since, said: now} = await (await fetch("NOW", {cache: "no-store"})).json();
+      const newest = BigInt(now.newest), silent = now.silent + since;
+      strip.replaceChildren();
+      for (const vehicle of now.vehicles) show(vehicle.items, vehicle.name);
+      show([["time here", new Date().toLocaleTimeString("en-GB"), "last"]]);
+      let shown;
+      try { shown = times(); } catch { /* rerun has drawn nothing yet, or is of another version */ }
+      if (newest && silent > OLD) words = `NO DATA FOR ${Math.round(silent)} s`;
+      else if (newest && shown) {
+        const old = Number(newest - shown[0]) / 1e9, lag = Number(newest - shown[1]) / 1e9;
+        if (old > OLD) words = `DATA ${Math.round(old)} s OLD`;
+        far = lag > FAR ? far + 1 : 0;
+        if (far > 5 && Date.now() - began > 1e3 * AGAIN) location.reload();
+      } else if (newest && Date.now() - began > 1e4) words = "NOTHING IS SHOWN YET";
+    } catch { words = "THE VIEW DOES NOT ANSWER"; }
+    age.textContent = words;
+    age.style.display = words ? "block" : "none";
+    setTimeout(look, 500);
+  }
+  look();
+})();
+</script>
+""".replace("NOW", NOW)
+
+
+def with_strip(page: bytes) -> bytes:
+    """A page with the strip, before the end of its body."""
+    body, end, rest = page.rpartition(b"</body>")
+    return body + SCRIPT.encode() + end + rest if end else page
