@@ -5,6 +5,7 @@ import sys
 from collections.abc import Iterator
 from dataclasses import MISSING, fields
 from importlib.metadata import distribution
+from inspect import getdoc
 from pathlib import Path
 from typing import Any, get_type_hints
 

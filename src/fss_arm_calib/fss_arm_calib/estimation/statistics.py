@@ -25,8 +25,6 @@ def probability(chi_square: float, freedom: float, known_by: float = inf) -> flo
 
     if not freedom:
         return 1.0
-    from scipy.special import fdtrc, gammaincc
-
     if isinf(known_by):
         return float(gammaincc(freedom / 2, chi_square / 2))
     return float(fdtrc(freedom, known_by, chi_square / freedom))
@@ -44,8 +42,6 @@ def as_if_known(error: float, freedom: float, known_by: float) -> float:
 
     if isinf(known_by):
         return error
-    from scipy.special import chdtri, fdtrc
-
     chance = max(float(fdtrc(freedom, known_by, error**2 / freedom)), 1e-290)
     return float(np.sqrt(chdtri(freedom, chance)))
 
