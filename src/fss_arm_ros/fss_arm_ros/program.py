@@ -63,15 +63,16 @@ class Program:
     """An executable that runs nodes; places are MODULE:NAME."""
 
     make: str  # place of the node's class, or of a function that makes nodes; its words are shown
-    settings: str  # place of the dataclass that the node declares itself from
-    of: str = ""  # place of what the node is made of, if anything, with its own words in `about`
+    settings: str  # place of the dataclass that the node declares itself from; see `about`
+    of: str = ""  # place of what the node is made of, if anything
     takes: str = ""  # what the plain arguments are, as `BAG...`; empty: there may be none
     short: Mapping[str, str] = field(default_factory=dict)  # flags, each with its parameter
 
     @property
     def about(self) -> str:
-        """What it is for, in paragraphs."""
-        return "\n\n".join([*([named(self.of).about] if self.of else []), docstring(self.make)])
+        """What it is for: what the settings say in ABOUT, if anything, and the words of `make`."""
+        said = getattr(named(self.settings), "ABOUT", "")
+        return "\n\n".join(filter(None, [said, docstring(self.make)]))
 
     def usage(self, name: str) -> str:
         """One screen of help: what the node does, its parameters with their defaults."""

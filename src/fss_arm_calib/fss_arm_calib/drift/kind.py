@@ -86,8 +86,7 @@ def rest(finder: DriftFinder) -> dict[str, object]:
 
 DRIFT = Calibration(
     name="drift",
-    about="Tilt of the table, torque and drag of the hose, from the base's drifts with the arm at "
-    "rest.",
+    about=DriftSettings.ABOUT,
     settings=DriftSettings,
     data=Data(
         "drift", Drift, "calibration/drifts", drifts_message, drifts_of,

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from math import radians
+from typing import ClassVar
 
 from fss_arm_calib.segments.settings import DriftFinderSettings
 from fss_arm_calib.settings import CalibrationSettings, most
@@ -15,6 +16,11 @@ class DriftSettings(DriftFinderSettings, CalibrationSettings):
     Raises:
         SettingError: a setting is impossible.
     """
+
+    ABOUT: ClassVar = (
+        "Tilt of the table, torque and drag of the hose, from the base's drifts with the arm at "
+        "rest."
+    )
 
     arm: str = setting("", "description YAML of masses and inertias; empty: the paper's arm")
     max_drifts: int = most(30, "drifts")

@@ -119,7 +119,7 @@ def maneuvers_of(message: msg.Maneuvers) -> list[Maneuver]:
 
 DYNAMIC = Calibration(
     name="dynamic",
-    about="Masses, centres of mass and inertias, from how the base answers the arm's maneuvers.",
+    about=DynamicSettings.ABOUT,
     settings=DynamicSettings,
     data=Data(
         "maneuver", Maneuver, "calibration/maneuvers", maneuvers_message, maneuvers_of,

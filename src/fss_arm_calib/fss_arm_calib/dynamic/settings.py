@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from math import radians
+from typing import ClassVar
 
 from fss_arm_calib.dynamic.parameters import Choice, Knowledge
 from fss_arm_calib.segments.settings import ManeuverSettings
@@ -27,6 +28,10 @@ class DynamicSettings(ManeuverSettings, CalibrationSettings, Knowledge):
     Raises:
         SettingError: a setting is impossible.
     """
+
+    ABOUT: ClassVar = (
+        "Masses, centres of mass and inertias, from how the base answers the arm's maneuvers."
+    )
 
     tip_topic: str = like(Vehicle, "tip_topic")
     gyro_topic: str = setting("fog/imu", "topic of the base's turn rates")

@@ -111,7 +111,7 @@ def stale(outcome: Outcome[Observation, Solution], streams: Streams) -> str:
 
 KINEMATIC = Calibration(
     name="kinematic",
-    about="Lengths, joint offsets and the mount, from where the end effector is seen at rest.",
+    about=KinematicSettings.ABOUT,
     settings=KinematicSettings,
     data=Data(
         "observation", Observation, "calibration/observations", observations_message,

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from math import radians
+from typing import ClassVar
 
 from fss_arm_calib.kinematic.problem import (
     DESCRIBED,
@@ -24,6 +25,10 @@ class KinematicSettings(CalibrationSettings):
     Raises:
         SettingError: a setting is impossible.
     """
+
+    ABOUT: ClassVar = (
+        "Lengths, joint offsets and the mount, from where the end effector is seen at rest."
+    )
 
     tip_topic: str = like(Vehicle, "tip_topic")
     max_observations: int = most(200, "rests")
