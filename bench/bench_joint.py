@@ -244,7 +244,7 @@ class Peer:
         """
         return least_squares(
             lambda u: self(x + scale * (u - 1.0)), np.ones(len(x)), jac_sparsity=self.sparsity(),
-            tr_solver="lsmr", max_nfev=1, diff_step=0.01,
+            tr_solver="lsmr", max_nfev=1, diff_step=0.5,
         )  # fmt: skip
 
 

@@ -82,7 +82,7 @@ class Calibration(Generic[D, C]):
     health: Callable[[Any], Mapping[str, object]] = field(default=lambda _: {})  # of the finder
     lacks: Mapping[str, str] = field(default_factory=dict)  # what it cannot have, and why
     evidence: Callable[[Sequence[D], Arm, C], Evidence] | None = None  # for a joint estimate
-    after: tuple[str, ...] = ()  # topics of results that it begins from
+    after: Mapping[str, type[Any]] = field(default_factory=dict)  # results to begin from
 
     def report_of(self, outcome: Outcome[D, Any], truth: Arm | None = None) -> Report:
         """The report of an outcome, with what such a calibration cannot have.

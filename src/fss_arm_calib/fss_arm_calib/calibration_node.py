@@ -64,9 +64,8 @@ class CalibrationNode(Node):
             subscribe_sensor(
                 self, one.message, one.topic, partial(self.on_sample, one.feed), keep_all=True
             )
-        for other in (KINDS[topic.rpartition("/")[2]] for topic in kind.after):
-            heard = partial(self.on_result, other.topic)
-            self.create_subscription(other.message, other.topic, heard, LATCHED)
+        for topic, message in kind.after.items():
+            self.create_subscription(message, topic, partial(self.on_result, topic), LATCHED)
         self.create_service(Trigger, "~/solve", self.on_solve)
         self.create_service(Trigger, "~/forget", self.on_forget)
         if kept:

@@ -109,5 +109,8 @@ DRIFT = Calibration(
     lacks={
         "time offset": "within a drift the arm rests: an offset of the clocks moves nothing",
     },
-    after=("calibration/kinematic", "calibration/dynamic"),
+    after={
+        "calibration/kinematic": msg.KinematicCalibration,
+        "calibration/dynamic": msg.DynamicCalibration,
+    },
 )  # fmt: skip

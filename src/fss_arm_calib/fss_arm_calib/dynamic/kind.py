@@ -134,5 +134,5 @@ DYNAMIC = Calibration(
     to_message=to_message,
     numbers=("combination_values", "momenta"),
     report=dynamic_report,
-    after=("calibration/kinematic",),
+    after={"calibration/kinematic": msg.KinematicCalibration},
 )  # fmt: skip
