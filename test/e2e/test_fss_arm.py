@@ -357,6 +357,8 @@ def test_a_hundred_stops_tell_the_truth_each_time(spin, start, telling, capsys):
         return all(armed.values())
 
     def turn():
+        if not arm_all():  # a busy machine loses links
+            return False
         for turner in turners:
             turner.publish(
                 LinkCommand(mode=LinkCommand.VELOCITY, set_point=speed, time_to_live=10.0)
@@ -365,9 +367,8 @@ def test_a_hundred_stops_tell_the_truth_each_time(spin, start, telling, capsys):
 
     took, refused = [], []
     for k in range(50):
-        spin(nodes, arm_all, 60.0)
         speed = 0.1 * (-1) ** k
-        spin(nodes, turn, 20.0)
+        spin(nodes, turn, 60.0)
         code, out, err = telling(nodes, STOP)
         if code:  # a busy machine may silence links
             assert re.match(r"link_\d.*: no word that it stopped", err)

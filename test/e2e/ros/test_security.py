@@ -59,7 +59,7 @@ def test_each_node_may_do_what_it_does_and_hardly_more(spin, nodes):
         return not any(fnmatch(topic, expression) for topic in did)
 
     found = [{}]
-    spin(watch, lambda: not found.__setitem__(0, missing()) and not found[0], 90.0)
+    spin(watch, lambda: not found.__setitem__(0, missing()) and not found[0], 240.0)
     for name, what in wanted.items():
         allowed = topics(COMMON | ACCESS[what])[0]
         stray = [t for t in done_by(watch, name) if not any(fnmatch(t, a) for a in allowed)]

@@ -88,6 +88,21 @@ def test_files_of_the_repository_that_are_named_are_there(page):
     assert not [name for name in named if not (ROOT / name).exists()]
 
 
+def test_each_trial_has_its_tests():
+    text, _, _ = (ROOT / "docs/reference/trials.md").read_text().partition("\n## ")
+    rows = [line for line in text.splitlines() if line.startswith("| ")]
+    cells = [row.split("|")[4] for row in rows[1:] if "**" not in row]
+    assert len(cells) > 20
+    for cell in cells:
+        file = None
+        for word in re.findall(r"`([\w/.]+)`", cell):
+            if word.endswith(".py"):
+                file = (ROOT / "test" / word).read_text()
+            else:
+                assert f"def {word}(" in file, word
+        assert file, cell
+
+
 def check_goal(name, kind, fields):
     """Of an action: its name is in the table, its type has these fields."""
     assert f"`{name.lstrip('/')}`" in (ROOT / "docs/reference/topics.md").read_text()
