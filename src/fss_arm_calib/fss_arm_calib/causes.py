@@ -325,10 +325,10 @@ def _joints(tape: Tape, arm: Arm, _: Any) -> Iterator[tuple[str, str, Tape]]:
     if jumps:
         changed = tape.with_joints(lambda n, t: _unwrapped(t) if n in jumps else t)
         yield f"{', '.join(jumps)} wrapped?", "counting turns", changed
-    for name in names:
-        yield f"{name} with the wrong sign?", "reversed", _scaled(tape, [name], -1.0)
     if len(names) > 1:
         yield "all joints with the wrong sign?", "reversed", _scaled(tape, names, -1.0)
+    for name in names:
+        yield f"{name} with the wrong sign?", "reversed", _scaled(tape, [name], -1.0)
     for a, b in combinations(names, 2):
         tracks = {**tape.joints, a: tape.joints[b], b: tape.joints[a]}
         yield f"{a} and {b} exchanged?", "changed back", replace(tape, joints=tracks)
