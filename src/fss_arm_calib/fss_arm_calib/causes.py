@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from math import inf, radians
-from time import monotonic
+from time import process_time
 from typing import Any
 
 import numpy as np
@@ -30,7 +30,7 @@ JOINTS, POSES = 0.05, 0.02  # periods that are enough to try it with [s]
 #: Checks that fail of data that agree with the model.
 UNCERTAIN = {"precision", "measurable", "redundancy"}
 
-MOST = 60.0  # time to try [s]
+MOST = 60.0  # time of computing to try it in [s]
 
 TABLE = 20.0  # no test bed is larger [m]
 TURN = 3.3  # a larger reading is none in radians [rad]
@@ -71,14 +71,14 @@ def explained(
 
 def likely(kind: Calibration[Any, Any], arm: Arm, settings: Any, tape: Tape) -> str:
     """The hypothesis that makes a calibration pass, in words; empty: none does."""
-    tape, until = tape.brief(LONGEST, JOINTS, POSES), monotonic() + MOST
+    tape, until = tape.brief(LONGEST, JOINTS, POSES), process_time() + MOST
     best, nearest = "", inf
     as_it_is = tried(kind, arm, Hypothesis("", "", tape, settings))
     if as_it_is and as_it_is.verdict == PASS:
         return ""  # what is wrong is not on the tape
     lacking = as_it_is is None or as_it_is.solution is None
     for one in hypotheses(tape, arm, settings, lacking):
-        if monotonic() > until:
+        if process_time() > until:
             break
         outcome = tried(kind, arm, one)
         if outcome is None or outcome.verdict != PASS:
@@ -325,10 +325,10 @@ def _joints(tape: Tape, arm: Arm, _: Any) -> Iterator[tuple[str, str, Tape]]:
     if jumps:
         changed = tape.with_joints(lambda n, t: _unwrapped(t) if n in jumps else t)
         yield f"{', '.join(jumps)} wrapped?", "counting turns", changed
-    for name in names:
-        yield f"{name} with the wrong sign?", "reversed", _scaled(tape, [name], -1.0)
     if len(names) > 1:
         yield "all joints with the wrong sign?", "reversed", _scaled(tape, names, -1.0)
+    for name in names:
+        yield f"{name} with the wrong sign?", "reversed", _scaled(tape, [name], -1.0)
     for a, b in combinations(names, 2):
         tracks = {**tape.joints, a: tape.joints[b], b: tape.joints[a]}
         yield f"{a} and {b} exchanged?", "changed back", replace(tape, joints=tracks)
@@ -370,5 +370,5 @@ def _lengths(tape: Tape, arm: Arm, s: Any) -> Iterator[tuple[str, str, dict[str,
         yield words, "with full", {"parametrization": "full"}
 
 
-MAKERS: tuple[Maker, ...] = (_names, _units, _clocks, _poses, _joints, _lengths)
+MAKERS: tuple[Maker, ...] = (_names, _units, _lengths, _clocks, _poses, _joints)
 LACKING: tuple[Maker, ...] = (_settings,)  # of data that are too few
