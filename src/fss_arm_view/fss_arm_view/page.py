@@ -24,10 +24,11 @@ SCRIPT = """
 <div id="fss"></div><div id="fss_age" title="load the page anew, the newest first"></div>
 <script>
 (() => {
-  const OLD = 3, FAR = 20, AGAIN = 90;  // [s]: said; loaded anew; but not as often
+  const OLD = 3, FAR = 20, AGAIN = 90;  // [s]: said; loaded anew; but not as often, at first
   const age = document.getElementById("fss_age"), strip = document.getElementById("fss");
   const began = Date.now();
-  let far = 0;
+  let far = 0, first = 0;  // how often it was far behind in a row; when rerun drew first
+  const tries = Number(sessionStorage.fss_tries || 0);  // which did not help: a slow computer
   age.onclick = () => location.reload();
 
   function fields(bytes) {  // of a protocol buffer: by number, integers and parts of it
@@ -89,7 +90,12 @@ SCRIPT = """
         const old = Number(newest - shown[0]) / 1e9, lag = Number(newest - shown[1]) / 1e9;
         if (old > OLD) words = `DATA ${Math.round(old)} s OLD`;
         far = lag > FAR ? far + 1 : 0;
-        if (far > 5 && Date.now() - began > 1e3 * AGAIN) location.reload();
+        first ||= Date.now();
+        if (lag < OLD) sessionStorage.fss_tries = 0;
+        if (far > 5 && Date.now() - first > 1e3 * AGAIN * 2 ** tries) {
+          sessionStorage.fss_tries = tries + 1;
+          location.reload();
+        }
       } else if (newest && Date.now() - began > 1e4) words = "NOTHING IS SHOWN YET";
     } catch { words = "THE VIEW DOES NOT ANSWER"; }
     age.textContent = words;

@@ -137,7 +137,8 @@ def test_a_node_that_keeps_failing_is_given_up_and_the_operator_told(laboratory)
     up = lab.run("up")
     assert up.returncode == 1
     assert re.search(r"record +failed", up.stdout)
-    first, last = lab.events().splitlines()
+    begin, first, last = lab.events().splitlines()
+    assert "nodes are started: " in begin
     assert first.endswith("record failed (1), starting it again (1 of 1)")
     assert last.endswith(f"failed (1) 2 times and is not started again; see {lab.logs}/record.log")
     assert (lab.logs / "record.log").read_text().count("output is empty") == 2
