@@ -159,7 +159,7 @@ def day(arm, rng, counts=(13, 12, 3), zeros=0.0, number=0) -> Day:
 
 
 ROUGH = replace(KINEMATIC, **{
-    name: getattr(KinematicSettings(), name) for name in ("position_deviation", "heading_deviation")
+    name: getattr(KinematicSettings(), f"max_{name}") for name in ("position_deviation", "heading_deviation")
 })  # fmt: skip  # as the paper's rests
 
 

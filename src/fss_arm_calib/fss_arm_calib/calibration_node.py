@@ -11,7 +11,6 @@ from std_srvs.srv import Trigger
 
 from fss_arm_calib.acceptance import PASS, clocks_kept, count
 from fss_arm_calib.calibration import Calibration
-from fss_arm_calib.kinds import KINDS
 from fss_arm_calib.messages import common
 from fss_arm_calib.node_settings import node_settings
 from fss_arm_calib.outcome import LIVE, Outcome
