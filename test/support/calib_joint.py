@@ -158,9 +158,12 @@ def day(arm, rng, counts=(13, 12, 3), zeros=0.0, number=0) -> Day:
     return Day({kind: some for kind, some in data.items() if some}, moved, acting)
 
 
-ROUGH = replace(KINEMATIC, **{
-    name: getattr(KinematicSettings(), f"max_{name}") for name in ("position_deviation", "heading_deviation")
-})  # fmt: skip  # as the paper's rests
+#: As the paper's rests.
+ROUGH = replace(
+    KINEMATIC,
+    position_deviation=KINEMATIC.max_position_deviation,
+    heading_deviation=KINEMATIC.max_heading_deviation,
+)
 
 
 def errors(names, found, truth):

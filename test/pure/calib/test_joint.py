@@ -31,6 +31,21 @@ def problem(days, guess=ARM, settings=JOINT):
     return problem_of([one.data for one in days], guess, settings, KINDS, SETTINGS)
 
 
+def test_deviations_that_nobody_gave_are_those_that_the_stages_found():
+    """As well known as by the true ones, not as the largest that would be believed."""
+    unsaid = {"position_deviation": 0.0, "heading_deviation": 0.0}
+    settings = {
+        name: one if name == "drift" else replace(one, **unsaid) for name, one in SETTINGS.items()
+    }
+    rng = np.random.default_rng(5)
+    sessions = [Session("day", day(draw_arm(rng), rng).data)]
+    given, found = (
+        np.sqrt(np.diag(calibrate(sessions, ARM, JOINT, KINDS, known).estimate.covariance))
+        for known in (SETTINGS, settings)
+    )
+    assert_allclose(found, given, rtol=0.6)
+
+
 def off(problem, found, truth):
     """Errors of the arm's parameters, angles wrapped."""
     error = found - values(truth)

@@ -75,11 +75,12 @@ class Stage:
     arm: Arm  # that those which passed leave
     used: dict[str, list[Any]]  # data that they did not reject
     outcomes: dict[str, Outcome[Any, Any]]
+    settings: dict[str, Any]  # of each kind, with the deviations that it found of observations
 
 
 def stages(session: Session, arm: Arm, kinds: Kinds, settings: Mapping[str, Any]) -> Stage:
     """Each kind of calibration of a session's data, where it can beginning from the one before."""
-    used, outcomes = {}, {}
+    used, outcomes, known = {}, {}, dict(settings)
     for name, kind in kinds.items():
         data = session.data.get(name, ())
         if not any(one.used for one in data) or not kind.evidence:
@@ -89,8 +90,13 @@ def stages(session: Session, arm: Arm, kinds: Kinds, settings: Mapping[str, Any]
         kept = weights > 0.0 if len(weights) else np.ones(len(outcome.used), dtype=bool)
         used[name] = [one for one, well in zip(outcome.used, kept, strict=True) if well]
         outcomes[name] = outcome
+        if noise := getattr(outcome.solution, "noise", None):  # those of drifts are given
+            position, heading = noise.deviations.tolist()
+            known[name] = replace(
+                settings[name], position_deviation=position, heading_deviation=heading
+            )
         arm = from_yaml(outcome.description) if outcome.description else arm
-    return Stage(arm, used, outcomes)
+    return Stage(arm, used, outcomes, known)
 
 
 @dataclass(frozen=True)
@@ -108,18 +114,25 @@ def problem_of(
     s: JointSettings,
     kinds: Kinds,
     settings: Mapping[str, Any],
+    own: Sequence[Mapping[str, Any]] = (),
 ) -> JointProblem:
     """The problem that the data of sessions make.
+
+    Args:
+        used: the data of each session, by kind.
+        arm: the initial guess.
+        s: what is known.
+        kinds: of calibration, the table.
+        settings: of the kinds.
+        own: settings of each session, if they differ in the deviations of its observations.
 
     Raises:
         ValueError: data and arm do not fit.
     """
     sessions = []
-    for data in used:
+    for data, its in zip(used, own or len(used) * [settings], strict=True):
         every = ((name, kinds[name].evidence) for name in data)
-        sessions.append(
-            {name: make(data[name], arm, settings[name]) for name, make in every if make}
-        )
+        sessions.append({name: make(data[name], arm, its[name]) for name, make in every if make})
     n, words = arm.n, s.priors.strip()
     size = 5 * n + 6 + s.theta_e
     prior = np.zeros((size, size))
@@ -185,7 +198,8 @@ def calibrate(
         _numbers(used, kinds) if found else "no rest, maneuver or drift can be used",
     )  # fmt: skip
     found_checks, solution = [enough], None
-    problem = problem_of(used, arm, s, kinds, of_kinds)
+    own = [stage.settings for _, stage in found]
+    problem = problem_of(used, arm, s, kinds, of_kinds, own)
     estimate = Estimate(names, problem.units, problem.guess)
     if found:
         start = begin(problem, [stage.arm for _, stage in found])
