@@ -9,7 +9,7 @@ from rclpy.parameter import Parameter
 from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, SettingError, Settings, between, setting
 from fss_arm_model.vehicle import Vehicle
 from fss_arm_ros.parameters import declare
-from fss_arm_ros.run import run
+from fss_arm_ros.program import Program
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,8 @@ def test_setting_error_is_a_value_error():
     ],
 )
 def test_every_end_has_its_exit_code_and_at_most_one_line(capfd, args, code, said):
-    assert run(ThingNode, Thing, ["/some/where/thing", *args.split()]) == code
+    thing = Program(f"{__name__}:ThingNode", f"{__name__}:Thing")
+    assert thing(["/some/where/thing", *args.split()]) == code
     out, err = capfd.readouterr()
     assert said in out + err
     assert len(err.splitlines()) <= 1
