@@ -183,7 +183,6 @@ class LinkNode(Node):
         self.warn("path", session.breakage)
         if bool(session.strain) != bool(self.warned["strain"]):  # its figures change all the time
             self.warn("strain", session.strain)
-        self.warn("standstill", session.standstill and f"{session.standstill}: disarmed")
 
     def transmit(self) -> None:
         """Send the command of the moment."""

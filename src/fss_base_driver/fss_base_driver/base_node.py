@@ -349,7 +349,6 @@ class BaseNode(Node):
         session, trouble = self.session, self.transport.trouble
         self.warn("trouble", trouble and f"{self.settings.url}: {trouble}")
         self.warn("rival", session.rival)
-        self.warn("standstill", session.standstill and f"{session.standstill}: disarmed")
 
     def warn(self, kind: str, text: str) -> None:
         """Log a warning once in a row."""
