@@ -23,19 +23,26 @@ class News:
         self._lost, self._heard = True, 0  # whether it is, and when it was heard last
         self._arming = Arming.DISARMED
         self._faults: list[str] = []
-        self._tripped = False
+        self._tripped, self._still = False, ""
 
     def __call__(self, now: int) -> list[Line]:
         """One line for each change; none the first time, of a partner that is not there yet."""
-        session = self._session
+        session, lines = self._session, self._standstill()
         if session.lost != self._lost:
-            lines = [self._presence(now)]
+            lines += [self._presence(now)]
         else:
-            lines = [*self._armed(), *self._watchdog(), *self._troubles()]
+            lines += [*([] if lines else self._armed()), *self._watchdog(), *self._troubles()]
         if not session.lost:
             self._heard = now - round(1e9 * session.silence(now))
         self._lost, self._arming = session.lost, session.arming
         return lines
+
+    def _standstill(self) -> list[Line]:
+        """Of the driver itself, whatever it then finds of the others."""
+        before, self._still = self._still, self._session.standstill
+        words = f"{self._name} is disarmed: its driver {self._still}"
+        new = self._still and self._still != before
+        return [Line(words, bad=True, for_operator=True)] if new else []
 
     def _presence(self, now: int) -> Line:
         """Lost, or heard again: what it was told before does not hold any more."""
