@@ -244,7 +244,7 @@ class _Walk:
                 raise DamageError(f"no whole record at byte {at}")
             if (kind == HEADER) != (at == len(MAGIC)):
                 raise DamageError(f"its header is at byte {at}")
-            if kind in (SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX):
+            if kind in (HEADER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX):
                 self._take(kind, at, self.file.read(length))
             at = to
         self._compare()
@@ -259,6 +259,11 @@ class _Walk:
             fits = size <= len(data) - 6
             if self.index is not None and (not fits or entries != self.index.pop(channel, None)):
                 raise DamageError(f"the message index at byte {at} does not fit its chunk")
+        elif kind == HEADER:
+            profile = int.from_bytes(data[:4], "little")
+            library = int.from_bytes(data[4 + profile : 8 + profile], "little")
+            if 8 + profile + library > len(data):
+                raise DamageError(f"the header at byte {at} holds less than it says")
         elif kind == MESSAGE:
             self.met.checked = False
             channel, _, receipt, _ = HEAD.unpack_from(data)
