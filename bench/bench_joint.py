@@ -161,7 +161,6 @@ class Peer:
 
     def moved(self, p, one, law, own, g):
         """Poses of the base at a maneuver's marks."""
-        n = ARM.n
 
         def state(t, pose):
             q, qd = law(np.array([t]))
@@ -177,9 +176,7 @@ class Peer:
             return np.linalg.solve(H[:3, :3], np.array([*P, spin]) - H[:3, 3:] @ qd)
 
         span = one.marks[0], one.marks[-1]
-        return solve_ivp(rate, span, own[:3], t_eval=one.marks, rtol=1e-8, atol=1e-10).y.T[
-            :, : n - 1
-        ]
+        return solve_ivp(rate, span, own[:3], t_eval=one.marks, rtol=1e-8, atol=1e-10).y.T
 
     def drifted(self, p, one, own, acting):
         """Poses of the base while it drifts."""

@@ -99,6 +99,7 @@ ROOMS = {
     "fss_arm_calib.joint": {
         "fss_arm_model", "fss_arm_bags", "fss_arm_ros", *SHARED, "fss_arm_calib.kinds",
         "fss_arm_calib.from_bag", "fss_arm_calib.dynamic.parameters",
+        "fss_arm_calib.dynamic.settings",
     },
     "fss_gnc.navigation": {"fss_arm_model", "fss_arm_ros.image"},
     "fss_gnc.control": {"fss_arm_model", "fss_gnc.reference"},

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from math import degrees, isfinite, nan
 from typing import Any, NamedTuple
 
-STOPPED = 2  # flag of the telemetry of links and of the base's board
+STOPPED = 2  # State.STOPPED of docs/reference/protocol.md, in the flags of links and board
 SILENT = 3.0  # a link that is not heard for longer is [s]
 SIGMAS = 3.0  # a larger difference of the heading is an alarm
 PLAIN, GOOD, WARN, ALARM = "", "good", "warn", "alarm"  # how a word is shown

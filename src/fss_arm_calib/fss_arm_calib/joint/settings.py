@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from math import radians
 
 from fss_arm_calib.dynamic.parameters import Choice, Knowledge
-from fss_arm_calib.settings import SHARE
-from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, setting
+from fss_arm_calib.dynamic.settings import DynamicSettings
+from fss_arm_model.settings import NOT_NEGATIVE, like, setting
 
 
 @dataclass(frozen=True)
@@ -27,16 +27,9 @@ class JointSettings(Knowledge):
         "1 sigma of how far a joint's zero moves from one session to the next; 0: it does not",
         unit="rad", check=NOT_NEGATIVE,
     )  # fmt: skip
-    min_probability: float = setting(
-        1e-3, "least chi-square probability of residuals as large as found", check=SHARE
-    )
-    max_relative: float = setting(
-        1.0, "largest deviation of a mass or an inertia, of its value in the description",
-        check=POSITIVE,
-    )  # fmt: skip
-    max_place: float = setting(
-        0.02, "largest deviation of a length or a centre of mass", unit="m", check=POSITIVE
-    )
+    min_probability: float = like(DynamicSettings, "min_probability")
+    max_relative: float = like(DynamicSettings, "max_relative")
+    max_place: float = like(DynamicSettings, "max_place")
 
     def __post_init__(self) -> None:
         super().__post_init__()
