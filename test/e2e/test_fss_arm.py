@@ -3,7 +3,6 @@
 import os
 import re
 import signal
-import socket
 import subprocess
 import sys
 from dataclasses import replace
@@ -16,7 +15,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
 from rosgraph_msgs.msg import Clock
-from running import DOMAIN
+from running import DOMAIN, free_port
 from std_msgs.msg import Empty
 from std_srvs.srv import SetBool, Trigger
 
@@ -41,12 +40,7 @@ def tell(what, *options):
 
 def start_bed(start):
     """Start a simulated test bed; the urls of its links."""
-    sockets = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(4)]
-    for s in sockets:
-        s.bind(("127.0.0.1", 0))
-    ports = [s.getsockname()[1] for s in sockets]
-    for s in sockets:
-        s.close()
+    ports = [free_port() for _ in range(4)]
     start("fss_sim.testbed_node", "--ros-args", "-p", f"ports:={ports}")
     return [f"udp://127.0.0.1:{port}?bind=0" for port in ports]
 

@@ -1,7 +1,6 @@
 """Processes that stand still in the midst of a move, and go on: nothing moves as before."""
 
 import signal
-import socket
 import time
 from dataclasses import replace
 
@@ -9,6 +8,7 @@ from driver_link import RATE, FakeTransport
 from rclpy.action import ActionClient
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from running import free_port
 from std_srvs.srv import SetBool
 
 from fss_arm_driver.link_node import LinkNode
@@ -69,9 +69,7 @@ def test_an_arm_node_that_stood_still_moves_nothing_any_more(spin, start, tmp_pa
 
 
 def test_a_test_bed_that_stood_still_lets_commands_expire_as_time_went_on(spin, start):
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
+    port = free_port()
     bed = start("fss_sim.testbed_node", "--ros-args", "-p", f"ports:=[{port}, 0, 0, 0]")
     link = LinkNode(1, f"udp://127.0.0.1:{port}?bind=0")
     user, seen = Node("user"), []

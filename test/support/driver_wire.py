@@ -7,9 +7,9 @@ import socket
 import termios
 import tty
 from contextlib import suppress
-from select import select
 
 from fss_arm_driver.protocol import StreamDecoder, pack
+from fss_arm_driver.transport import readable
 
 TIMEOUT = 10.0
 
@@ -34,7 +34,7 @@ class UdpEnd:
         """A UDP port meets its driver by what comes."""
 
     def receive(self, timeout=TIMEOUT):
-        if not select([self.line], [], [], timeout)[0]:
+        if not readable([self.line], timeout):
             return b""
         data, self.home = self.line.recvfrom(2000)
         return data
@@ -54,7 +54,7 @@ class StreamEnd:
     def receive(self, timeout=TIMEOUT):
         self.accept(timeout)
         with suppress(OSError):  # a pseudo-terminal that nobody has open
-            while self.line and not self.frames and select([self.line], [], [], timeout)[0]:
+            while self.line and not self.frames and readable([self.line], timeout):
                 if not (data := os.read(self.line.fileno(), 4096)):
                     break
                 self.frames = self.decoder.feed(data)
@@ -87,7 +87,7 @@ class TcpEnd(StreamEnd):
         self.line = None
 
     def accept(self, timeout=TIMEOUT):
-        if select([self.listener], [], [], 0 if self.line else timeout)[0]:
+        if readable([self.listener], 0.0 if self.line else timeout):
             self.line = self.listener.accept()[0]
 
     close = unplug

@@ -9,6 +9,8 @@ import struct
 import threading
 from collections.abc import Mapping
 
+from running import free_port
+
 CONNECT, SERVER_INFO, REQUEST_MODELS, MODELS, FRAME = 0, 1, 4, 5, 7
 RIGID_BODY = 1  # a model's type
 TICKS = 1_000_000  # of the server's clock [1/s]
@@ -52,9 +54,7 @@ class NatNetServer:
         self.names, self.address = names, address
         self.command = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.command.bind((address, 0))
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
-            free.bind((address, 0))
-            self.data_port = free.getsockname()[1]
+        self.data_port = free_port()
         self.clients = 0  # that have asked for all
         self.number = 0
         threading.Thread(target=self.answer, daemon=True).start()

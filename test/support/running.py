@@ -2,10 +2,13 @@
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +21,19 @@ OWN = next(reserve(range(66, 102)))  # reserved for as long as it is referred to
 OWN.enter()
 DOMAIN = OWN.number
 os.environ["ROS_PYTHON_CHECK_FIELDS"] = "1"
+
+# A range of its own, too, of ports that the system gives to nobody who asks for any.
+PORTS = cycle(range(10_000 + 100 * DOMAIN, 10_100 + 100 * DOMAIN))
+
+
+def free_port() -> int:
+    """A port that no other test process takes, free for TCP and for UDP."""
+    for port in PORTS:
+        with suppress(OSError), socket.socket(type=socket.SOCK_DGRAM) as datagrams:
+            datagrams.bind(("", port))
+            socket.create_server(("", port)).close()
+            return port
+    raise AssertionError("never: PORTS has no end")
 
 
 def wait_until(until: Callable[[], Any], timeout: float, step: Callable[[], Any]) -> Any:

@@ -5,14 +5,13 @@ import sys
 import time
 from contextlib import suppress
 from dataclasses import replace
-from select import select
 from threading import Event, Lock, Thread
 from typing import Any
 
 from rclpy.node import Node
 from sensor_msgs.msg import Imu
 
-from fss_arm_driver.transport import Serial, open_port
+from fss_arm_driver.transport import Serial, open_port, readable
 from fss_arm_ros.convert import SECOND
 from fss_arm_ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
 from fss_arm_ros.parameters import declare, declare_live
@@ -55,7 +54,7 @@ class FogNode(Node):
                 if self.port is None:
                     self.port = open_port(self.settings.device, self.settings.baud)
                     self.lines = Lines()
-                if select([self.port], [], [], AWAKE)[0]:
+                if readable([self.port], AWAKE):
                     self.take(os.read(self.port.fileno(), 4096), time.time_ns())
             except RCLError:
                 return  # shut down meanwhile

@@ -1,13 +1,13 @@
 """The real node `base` and the test bed's board: what is asked for moves the base, and no more."""
 
 import signal
-import socket
 
 import numpy as np
 import pytest
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from running import free_port
 from sensor_msgs.msg import Imu
 from std_msgs.msg import Bool, Empty
 from std_srvs.srv import SetBool
@@ -52,9 +52,7 @@ class User(Node):
 
 class Graph:
     def __init__(self, spin, start, tmp_path):
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
-            free.bind(("127.0.0.1", 0))
-            port = free.getsockname()[1]
+        port = free_port()
         keys = tmp_path / "keys"
         keys.write_text("".join(f"{i} {i:02x}{'5a' * 19}\n" for i in range(5)))
         keys.chmod(0o600)

@@ -2,7 +2,6 @@
 
 import shutil
 import signal
-import socket
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,6 +10,7 @@ import pytest
 from base_firmware import Emulation
 from firmware import BASE, build
 from rclpy.node import Node
+from running import free_port
 from std_srvs.srv import SetBool
 
 from fss_arm_driver.transport import open_transport
@@ -21,12 +21,6 @@ from fss_base_driver.protocol import BaseSlow, BaseState
 
 KEY = bytes(range(16))
 MS = 1000
-
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 @pytest.fixture

@@ -1,9 +1,8 @@
 """The base's first day: the command `check` beside the node `base` and a board with a bad valve."""
 
-import socket
-
 import pytest
 from rclpy.parameter import Parameter
+from running import free_port
 
 from fss_arm_model.files import read_yaml
 from fss_sim.testbed_node import TestbedNode
@@ -12,9 +11,7 @@ ALONE = ("--q", "0", "0", "0", "0", "--yes")
 
 
 def test_a_valve_that_does_not_open_is_found_and_the_others_fit(spin, start, tmp_path):
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
+    port = free_port()
     settings = {
         "ports": [0, 0, 0, 0], "board_port": port, "table": [8.0, 8.0], "coulomb_friction": 5.0,
         "valve_3.stuck_closed": 1.0,

@@ -5,24 +5,20 @@ import subprocess
 import time
 from collections.abc import Iterator
 from contextlib import closing, suppress
-from select import select
 from threading import Thread
 
 import pytest
 from firmware import build
 from rclpy.node import Node
+from running import free_port
 from sensor_msgs.msg import JointState
 
 from fss_arm_driver.link_node import LinkNode
+from fss_arm_driver.transport import readable
 from fss_arm_msgs.msg import LinkCommand
 from fss_arm_ros.qos import COMMAND, subscribe_sensor
 
 LOST, STOPPED = 3.0, 4.0  # [s]
-
-
-def free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as probe:
-        return int(probe.getsockname()[1])
 
 
 @pytest.fixture(params=["fss_link", "testbed"])
@@ -53,7 +49,7 @@ class Cable(Thread):
 
     def run(self) -> None:
         while not self.closing:
-            for line in select([self.listener, *self.pairs], [], [], 0.01)[0]:
+            for line in readable([self.listener, *self.pairs], 0.01):
                 if line is self.listener:
                     self.join_ends(line.accept()[0])
                 elif line in self.pairs:

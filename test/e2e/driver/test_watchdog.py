@@ -2,7 +2,6 @@
 
 import json
 import signal
-import socket
 import subprocess
 import time
 from collections.abc import Iterator
@@ -13,7 +12,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from firmware import build
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from running import wait_until
+from running import free_port, wait_until
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
 
@@ -34,12 +33,6 @@ def keys(tmp_path: Path) -> Path:
     path.touch(0o600)
     path.write_text(f"1 {KEY.hex()}\n")
     return path
-
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 @pytest.fixture(params=["--udp 0", "--tcp 0", "--pty"])

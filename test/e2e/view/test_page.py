@@ -2,7 +2,6 @@
 
 import re
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -13,7 +12,7 @@ import pytest
 from browser import CHROMIUM, Page, Picture
 from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
-from running import wait_until
+from running import free_port, wait_until
 
 from fss_arm_msgs.msg import LinkTelemetry
 from fss_arm_ros.convert import pose_stamped
@@ -30,12 +29,6 @@ WANTED = {
     "arm": 150, "path of the end effector": 120, "band": 350, "prediction": 300, "links": 300,
     "colours": 300,
 }  # fmt: skip
-
-
-def free_port():
-    with socket.socket() as s:
-        s.bind(("127.0.0.1", 0))
-        return s.getsockname()[1]
 
 
 @pytest.fixture

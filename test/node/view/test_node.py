@@ -15,7 +15,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import Point, PoseStamped, Transform
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from running import wait_until
+from running import free_port, wait_until
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Empty, Header
 from trajectory_msgs.msg import MultiDOFJointTrajectory, MultiDOFJointTrajectoryPoint
@@ -88,12 +88,6 @@ def test_several_vehicles_are_shown_in_one_recording(spin, tmp_path):
         assert f"/plot/angle/{name}/link_2" in shown
     assert "fss2: arm/stop" in shown
     assert "/table/arm" not in shown
-
-
-def free_port():
-    with socket.socket() as s:
-        s.bind(("127.0.0.1", 0))
-        return s.getsockname()[1]
 
 
 @pytest.fixture(scope="module")

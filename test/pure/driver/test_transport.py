@@ -1,6 +1,7 @@
 """Frames over UDP, TCP and a pseudo-terminal: one suite for all, then what is each one's own."""
 
 import os
+import resource
 import socket
 import termios
 import time
@@ -12,6 +13,18 @@ from fss_arm_driver.transport import BATCH, FORMS, TransportError, UdpTransport,
 from fss_arm_driver.transport.udp import HELD, SKB
 
 DOWN, UP = bytes(range(72)), bytes(range(72, 144))
+
+
+@pytest.fixture
+def crowd():
+    """More open files than `select` can tell apart."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, 2048), hard))
+    files = [os.open(os.devnull, os.O_RDONLY) for _ in range(1024)]
+    yield
+    for file in files:
+        os.close(file)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
 
 
 @pytest.fixture(params=ENDS)
@@ -56,6 +69,14 @@ def meet(transport, end):
                 pass
             return
     pytest.fail(f"nothing came: {transport.trouble}")
+
+
+def test_any_number_of_files_may_be_open(crowd, end, opened):
+    transport = opened(end.url)
+    meet(transport, end)
+    end.send(UP)
+    assert transport.wait(TIMEOUT)
+    assert transport.receive() == [UP]
 
 
 def hear(transport):

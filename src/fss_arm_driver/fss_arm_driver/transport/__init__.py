@@ -2,7 +2,7 @@
 
 from urllib.parse import SplitResult, parse_qs, urlsplit
 
-from fss_arm_driver.transport.base import BATCH, Transport, TransportError
+from fss_arm_driver.transport.base import BATCH, Transport, TransportError, readable
 from fss_arm_driver.transport.copley import CopleyTransport
 from fss_arm_driver.transport.stream import Serial, open_port, serial, tcp
 from fss_arm_driver.transport.udp import UdpTransport
@@ -17,6 +17,7 @@ __all__ = [
     "is_exposed",
     "open_port",
     "open_transport",
+    "readable",
 ]
 
 #: What a URL may be, by its scheme.

@@ -1,6 +1,8 @@
 """What the driver knows of the way to a link."""
 
 from collections import Counter
+from collections.abc import Sequence
+from select import POLLIN, poll
 from typing import Protocol
 
 BATCH = 64  # frames read at once, so that a flood cannot keep a node from its other work
@@ -8,6 +10,31 @@ BATCH = 64  # frames read at once, so that a flood cannot keep a node from its o
 
 class TransportError(ValueError):
     """A URL that names no transport, or one that cannot be opened."""
+
+
+class Line(Protocol):
+    """Something open that bytes come from: a socket, a serial port."""
+
+    def fileno(self) -> int:
+        """Its file descriptor, which does not block."""
+
+    def close(self) -> None:
+        """Close it."""
+
+
+def readable(lines: Sequence[Line], timeout: float) -> list[Line]:
+    """Those of `lines` that have bytes or have ended; waits for one until `timeout` [s].
+
+    Unlike `select`, of any file descriptor: a process may have more than a thousand.
+
+    Raises:
+        ValueError: one of them is closed.
+    """
+    poller = poll()
+    for line in lines:
+        poller.register(line, POLLIN)
+    ready = {number for number, _ in poller.poll(1000.0 * timeout)}
+    return [line for line in lines if line.fileno() in ready]
 
 
 class Transport(Protocol):

@@ -5,7 +5,6 @@ import random
 import time
 from collections import Counter, deque
 from contextlib import suppress
-from select import select
 from socket import socketpair
 from threading import Event, Thread
 
@@ -14,7 +13,7 @@ from serial import Serial
 from fss_arm_driver.copley.language import FIRST_BAUD
 from fss_arm_driver.copley.link import DriveLink
 from fss_arm_driver.protocol import Mode
-from fss_arm_driver.transport.base import BATCH
+from fss_arm_driver.transport.base import BATCH, readable
 from fss_arm_driver.transport.stream import open_port, set_rate
 
 TICK = 0.005  # at which time passes for the drive [s]
@@ -99,7 +98,7 @@ class CopleyTransport:
 
     def _turn(self, port: Serial) -> None:
         """Wait a little for bytes or commands, and let the link go on."""
-        ready = select([port, self._bell], [], [], TICK)[0]
+        ready = readable([port, self._bell], TICK)
         data = b""
         if port in ready and not (data := os.read(port.fileno(), 4096)):
             raise ConnectionResetError("the device is gone")

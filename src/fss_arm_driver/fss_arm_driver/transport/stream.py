@@ -7,28 +7,16 @@ import termios
 from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
-from select import select
 from threading import Event
-from typing import Protocol
 
 from serial import EIGHTBITS, PARITY_NONE, STOPBITS_ONE, Serial, SerialException
 
 from fss_arm_driver.protocol import StreamDecoder, pack
-from fss_arm_driver.transport.base import BATCH
+from fss_arm_driver.transport.base import BATCH, Line, readable
 
 CONNECTING = 1.0  # how long opening may take [s]
 UNANSWERED = 2000  # a TCP connection whose bytes are not acknowledged for so long is dead [ms]
 NOISE = 1000  # bytes without a frame that are noise beyond doubt
-
-
-class Line(Protocol):
-    """An open byte stream: a socket, a serial port."""
-
-    def fileno(self) -> int:
-        """Its file descriptor, which does not block."""
-
-    def close(self) -> None:
-        """Close it."""
 
 
 class StreamTransport:
@@ -80,7 +68,7 @@ class StreamTransport:
         frames: list[bytes] = []
         line = self._line
         try:
-            while line and not self._broken and len(frames) < BATCH and _readable(line, 0.0):
+            while line and not self._broken and len(frames) < BATCH and readable([line], 0.0):
                 if not (data := os.read(line.fileno(), 4096)):
                     raise ConnectionResetError("closed by the other end")
                 frames += self._decode(data)
@@ -100,7 +88,7 @@ class StreamTransport:
                 return False
         assert self._line
         try:
-            return _readable(self._line, timeout)
+            return bool(readable([self._line], timeout))
         except (OSError, ValueError):
             return False
 
@@ -130,10 +118,6 @@ class StreamTransport:
         if line:
             with suppress(OSError):
                 line.close()
-
-
-def _readable(line: Line, timeout: float) -> bool:
-    return bool(select([line], [], [], timeout)[0])
 
 
 def tcp(host: str, port: int) -> StreamTransport:

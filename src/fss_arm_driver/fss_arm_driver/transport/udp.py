@@ -2,10 +2,9 @@
 
 import socket
 from collections import Counter
-from select import select
 
 from fss_arm_driver.protocol import FRAME_SIZE
-from fss_arm_driver.transport.base import BATCH
+from fss_arm_driver.transport.base import BATCH, readable
 
 HELD = 1024  # frames that the system holds while nobody reads: 2 s of a link's at 500 Hz
 SKB = 768  # that Linux counts for a frame [bytes]; it grants twice what it is asked for
@@ -72,7 +71,7 @@ class UdpTransport:
     def wait(self, timeout: float) -> bool:
         """Wait for a datagram."""
         try:
-            return bool(select([self._socket], [], [], timeout)[0])
+            return bool(readable([self._socket], timeout))
         except (OSError, ValueError):  # closed meanwhile
             return False
 
