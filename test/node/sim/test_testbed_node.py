@@ -17,9 +17,11 @@ from fss_arm_driver.link_node import LinkNode
 from fss_arm_driver.protocol import Command, Mode, Order, Telemetry, decode, encode
 from fss_arm_msgs.msg import SimFaults, SimTruth
 from fss_arm_msgs.srv import ResetTestbed, StepTime
-from fss_arm_ros.convert import PoseError, planar_pose, stamp_ns
+from fss_arm_ros.convert import SECOND, PoseError, planar_pose, stamp_ns
 from fss_arm_ros.qos import LATCHED, sensor
 from fss_sim import testbed_node
+from fss_sim.pace import Clocked
+from fss_sim.testbed import FRAME
 
 OF_REAL_TIME = {"/diagnostics", "/rosout", "/parameter_events"}
 
@@ -273,6 +275,28 @@ def test_drivers_reach_links_by_what_each_is_told(spin, tmp_path):
 def test_what_reaches_no_link_is_refused(ros, given, complaint):
     with pytest.raises(ValueError, match=complaint):
         testbed(**given)
+
+
+def test_what_comes_while_it_stands_still_is_not_heard_before_its_time(ros, monkeypatch):
+    clock, heard = [0], []
+    with closing(testbed()) as bed:
+        bed.ticker.close()
+        begun = bed.testbed.frame
+        bed.pace = Clocked(lambda: clock[0], begun, back=SECOND, ahead=30 * SECOND)
+        make = bed.make_frames
+
+        def stall(count):
+            make(count)
+            clock[0] = 3 * SECOND
+
+        clock[0] = 2 * FRAME
+        monkeypatch.setattr(bed, "make_frames", stall)
+        monkeypatch.setattr(bed, "receive", lambda: heard.append(bed.testbed.frame - begun))
+        bed.tick()
+        assert not heard
+        while not heard:
+            bed.tick()
+    assert heard == [300]
 
 
 def test_truth_tells_vicons_frame_and_its_markers(spin, ears):
