@@ -181,6 +181,7 @@ class Guard:
         position: npt.ArrayLike | None = None,
         max_velocity: npt.ArrayLike | None = None,
         max_acceleration: npt.ArrayLike | None = None,
+        until: float = inf,
         base: npt.ArrayLike | None = None,
         twist: npt.ArrayLike | None = None,
         target: npt.ArrayLike | None = None,
@@ -200,6 +201,7 @@ class Guard:
             position: (n) commanded [rad].
             max_velocity: (n) of the trapezoids [rad/s]; the drives' limits by default.
             max_acceleration: (n) to speed up and brake with [rad/s^2]; the same.
+            until: when it is given up, whatever is left [s].
             base: pose, see above.
             twist: see above.
             target: see above.
@@ -217,7 +219,8 @@ class Guard:
         turned = turning(qd, wanted, a, self.settings.braking * a, horizon)
         gone = trapezoids(way, qd, top, a)
         lasts, gains = (np.where(np.isnan(goal), *both) for both in zip(turned, gone, strict=True))
-        return self.check_path(*moved(q, qd, (lasts, gains), horizon), base, twist, target)
+        path = moved(q, qd, (lasts, gains), horizon, until)
+        return self.check_path(*path, base, twist, target)
 
     def drift(
         self,
@@ -307,15 +310,17 @@ def trapezoids(way: Floats, qd: Floats, top: Floats, a: Floats) -> Phases:
     return np.stack([begin, held, end]), np.stack([speeding, np.zeros_like(qd), back])
 
 
-def moved(q: Floats, qd: Floats, phases: Phases, longest: float) -> tuple[Floats, Floats, Floats]:
+def moved(
+    q: Floats, qd: Floats, phases: Phases, least: float, most: float = inf
+) -> tuple[Floats, Floats, Floats]:
     """Knots of joints that pass through phases, each on its own time, and then rest.
 
     Returns:
-        times (k,) from 0, at least until `longest`, readings and rates (k, n).
+        times (k,) from 0, for `least` to `most` seconds, readings and rates (k, n).
     """
     lasts, a = phases
     ends = np.cumsum(lasts, axis=0)
-    times = np.sort(np.append(ends, max(longest, BRIEF)))
+    times = np.minimum(np.sort(np.append(ends, max(least, BRIEF))), most)
     times = np.concatenate([[0.0], times[np.diff(times, prepend=0.0) > BRIEF]])
     if times.size == 1:
         times = np.array([0.0, 2.0 * BRIEF])

@@ -222,6 +222,20 @@ def test_a_command_is_refused_for_where_it_leads():
         guard.check_command(bent, rest, position=[nan, 1.5, 1.5, nan], velocity=[0, nan, nan, 1])
 
 
+def test_a_command_leads_nowhere_after_it_is_given_up():
+    guard, rest = Guard(paper_arm(), BED), np.zeros(4)
+    slow = {"position": [0.0, 0.0, 1e-3, 0.0], "max_velocity": [0.5, 0.5, 1e-5, 0.5]}  # for 100 s
+    drifting = {"base": np.zeros(3), "twist": [0.02, 0.0, 0.0]}
+    with pytest.raises(GuardError, match="table edge"):
+        guard.check_command(rest, rest, **slow, **drifting)
+    guard.check_command(rest, rest, **slow, **drifting, until=10.0)
+    with pytest.raises(GuardError, match="table edge"):
+        guard.check_command(rest, rest, **slow, **drifting, until=60.0)
+    times, q, qd = moved(rest, rest, (np.full((3, 4), 2.0), np.full((3, 4), 0.5)), 0.0, 3.0)
+    assert times.tolist() == [0.0, 2.0, 3.0]
+    np.testing.assert_allclose((q[-1], qd[-1]), (np.full(4, 2.25), np.full(4, 1.5)), atol=1e-12)
+
+
 def test_bad_numbers_are_named():
     guard, rest = Guard(paper_arm()), np.zeros((2, 4))
     with pytest.raises(ValueError, match=r"times are \[0. 0.\]"):

@@ -7,6 +7,7 @@ where arm and base are by then, and ends if less than half of the margins would 
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from math import inf
 from typing import Any
 
 import numpy as np
@@ -94,10 +95,13 @@ class GuardTopics:
         guard.check_path(times, q, qd, **self.known())
 
     def check_move(
-        self, links: Mapping[int, LinkState], profiles: Sequence[Profile], begun: bool
+        self, links: Mapping[int, LinkState], profiles: Sequence[Profile], until: float = inf
     ) -> None:
-        """Check a move from where the arm is: one that is to begin, or that has."""
-        guard = self.under_way if begun else self.guard
+        """Check a move that is to begin, or one that is under way `until` it is given up [s].
+
+        A joint that hardly turns is told to do so slowly, and need not be waited for.
+        """
+        guard = self.guard if until == inf else self.under_way
         if guard is None:
             return
         limits = [link.drive for link in self.arm.links]
@@ -110,6 +114,7 @@ class GuardTopics:
             max_acceleration=[
                 p.acceleration or k.max_acceleration for p, k in zip(profiles, limits, strict=True)
             ],
+            until=until,
             **self.known(),
         )
 

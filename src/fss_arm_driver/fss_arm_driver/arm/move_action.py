@@ -94,7 +94,7 @@ class MoveAction:
         if 0.0 < request.duration < move.duration:
             words = f"its limits do not allow {request.duration:g} s"
             links.node.get_logger().info(f"a move takes {move.duration:.2f} s: {words}")
-        self.guard.check_move(links.states, move.profiles, begun=False)
+        self.guard.check_move(links.states, move.profiles)
         motion = links.turn.take("a move", links.now())
         self.moving = handle.goal_id.uuid.tobytes()
         self.asker = Asker(request.keep_alive, time.monotonic())
@@ -111,9 +111,10 @@ class MoveAction:
         """Repeat the commands until all joints are there."""
         links, begun = self.links, self.links.now()
         given, motion.plan = begun, lambda at: move.at((at - begun) / SECOND)
+        longest = move.duration + links.settings.max_overrun
         while not self.reached(move):
             elapsed = (links.now() - begun) / SECOND
-            if elapsed > move.duration + links.settings.max_overrun:
+            if elapsed > longest:
                 raise MotionError(f"not reached within {elapsed:.1f} s, {self.farthest(move)}")
             links.send({i: position(p) for i, p in enumerate(move.profiles, 1)}, given, motion)
             remaining = max(0.0, move.duration - elapsed)
@@ -121,7 +122,7 @@ class MoveAction:
             await links.ticked
             given = links.now()
             self.check(handle, motion)
-            self.guard.check_move(links.states, move.profiles, begun=True)
+            self.guard.check_move(links.states, move.profiles, longest - elapsed)
 
     def check(self, handle: ServerGoalHandle, motion: Motion) -> None:
         """Raise MotionError if a move cannot or shall not go on."""
