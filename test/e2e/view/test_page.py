@@ -26,7 +26,7 @@ HEADING, BAND = (0.46, 0.14, 0.69, 0.37), (0.46, 0.43, 0.69, 0.66)
 
 #: Pixels of a colour at least, after several moves; a plot without curves has 40, of its legend.
 WANTED = {
-    "arm": 150, "path of the end effector": 120, "band": 350, "prediction": 300, "links": 300,
+    "arm": 150, "path of the end effector": 80, "band": 200, "prediction": 200, "links": 120,
     "colours": 300,
 }  # fmt: skip
 
