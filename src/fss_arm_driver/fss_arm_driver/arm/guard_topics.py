@@ -24,7 +24,8 @@ from fss_arm_driver.settings import ArmSettings
 from fss_arm_model.description import Arm
 from fss_arm_motion.guard import Guard
 from fss_arm_ros.convert import SECOND, PoseError, planar_pose
-from fss_arm_ros.qos import subscribe_sensor
+from fss_arm_ros.glance import Glance
+from fss_arm_ros.pace import pace
 
 
 class GuardTopics:
@@ -43,12 +44,20 @@ class GuardTopics:
             self.guard, self.under_way = Guard(arm, settings), Guard(arm, half)
         self.base: tuple[int, Floats, Floats] = 0, np.zeros(3), np.zeros(3)  # heard, pose, twist
         self.target: tuple[int, Floats] = 0, np.zeros(3)
-        subscribe_sensor(node, Odometry, "base/state", self.on_base)
-        subscribe_sensor(node, PoseStamped, settings.target_topic, self.on_target)
+        self.glances = (
+            Glance(node, Odometry, "base/state", self.on_base),
+            Glance(node, PoseStamped, settings.target_topic, self.on_target),
+        )
+        node.create_timer(1.0 / settings.rate, self.look, clock=pace(node))  # to know their age
 
     def now(self) -> int:
         """The node's clock [ns]."""
         return int(self.node.get_clock().now().nanoseconds)
+
+    def look(self) -> None:
+        """See where base and target are."""
+        for glance in self.glances:
+            glance.look()
 
     def on_base(self, message: Odometry) -> None:
         """Learn where the base is, and how it moves: its twist is along its own axes."""
@@ -66,6 +75,7 @@ class GuardTopics:
 
     def known(self) -> dict[str, Any]:
         """Base and target, as the guard takes them, as far as they are known and not old."""
+        self.look()
         now, oldest = self.now(), self.now() - self.settings.base_age * SECOND
         heard, pose, twist = self.base
         if heard <= oldest:
