@@ -26,6 +26,7 @@ from fss_arm_ros.calibrated import Calibrated
 from fss_arm_ros.convert import PoseError, joint_readings, planar_pose
 from fss_arm_ros.diagnostics import ERROR, OK, Diagnostics, Health
 from fss_arm_ros.door import subscribe
+from fss_arm_ros.glance import Glance
 from fss_arm_ros.pace import pace
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED, subscribe_sensor
@@ -76,7 +77,7 @@ class WorkspaceNode(Node):
         ):
             subscribe(self, kind, topic, partial(self.on_calibration, topic), LATCHED)
         subscribe_sensor(self, JointState, s.joints_topic, self.on_joints)
-        subscribe_sensor(self, PoseStamped, s.base_topic, self.on_pose)
+        self.base = Glance(self, PoseStamped, s.base_topic, self.on_pose)
         self.create_timer(1.0 / s.rate, self.on_timer, clock=pace(self))
         self.diagnostics = Diagnostics(self, self.health)
 
@@ -102,6 +103,7 @@ class WorkspaceNode(Node):
         known, q = self.known, self.posture()
         if q is None:
             return
+        self.base.look()
         header = self.header(self.settings.base_frame)
         self.publish(
             "ellipsoids", messages.ellipsoid_markers(known.arm, q, self.settings.scale, header)

@@ -25,6 +25,7 @@ from fss_arm_model.description import described
 from fss_arm_msgs.msg import GripperState, MissionState
 from fss_arm_ros.convert import SECOND, stamp_ns, to_time
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
+from fss_arm_ros.glance import Glance
 from fss_arm_ros.pace import pace
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import COMMAND, LATCHED, command, subscribe_sensor
@@ -79,8 +80,10 @@ class GuidanceNode(Node):
         self.joints = Latest[Floats]("arm/joint_states", s.max_age)
         self.holds = Latest[bool]("gripper/state", FORGETFUL)
         self.propellant = Latest[float]("base/propellant", FORGETFUL)
-        for topic in (self.base, self.target):
-            subscribe_sensor(self, Odometry, topic.name, partial(self.on_body, topic))
+        self.glances = [
+            Glance(self, Odometry, topic.name, partial(self.on_body, topic))
+            for topic in (self.base, self.target)
+        ]
         subscribe_sensor(self, JointState, self.joints.name, self.on_joints)
         subscribe_sensor(self, GripperState, self.holds.name, self.on_gripper)
         subscribe_sensor(self, Float64, self.propellant.name, self.on_propellant)
@@ -112,6 +115,11 @@ class GuidanceNode(Node):
         """The node's clock [ns]."""
         return int(self.get_clock().now().nanoseconds)
 
+    def look(self) -> None:
+        """See where base and target are."""
+        for glance in self.glances:
+            glance.look()
+
     def on_body(self, topic: Latest[Body], message: Odometry) -> None:
         """Where base or target is; nothing if that is no number."""
         try:
@@ -142,6 +150,7 @@ class GuidanceNode(Node):
 
     def seen(self, begun: int) -> Seen:
         """What is known now, base and target moved on to it."""
+        self.look()
         now = self.now()
 
         def moved(topic: Latest[Body]) -> Body | None:
@@ -160,6 +169,7 @@ class GuidanceNode(Node):
 
     def trouble(self) -> str:
         """What of base and joints is not known, in words; empty: all is."""
+        self.look()
         now = self.now()
         return self.base.trouble(now) or self.joints.trouble(now)
 
