@@ -1,5 +1,6 @@
 """Drawings of a dynamic calibration."""
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,15 @@ from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.report_figures import figure
 from fss_arm_calib.segments.maneuvers import Maneuver
+from fss_arm_model.base_motion import base_poses
+
+FINE = 100  # predicted poses of a maneuver
+BETWEEN = 2.0  # drawn between two maneuvers [s]
+SCALES = (1e3, 1e3, float(np.degrees(1.0)))  # to mm, mm, deg
+STYLES: tuple[dict[str, Any], ...] = (
+    {"color": "tab:orange", "linewidth": 1.5},
+    {"color": "tab:blue", "markersize": 7, "zorder": 3},
+)
 
 
 def _edges(outcome: Outcome[Maneuver, Solution]) -> npt.NDArray[np.int64]:
@@ -17,37 +27,46 @@ def _edges(outcome: Outcome[Maneuver, Solution]) -> npt.NDArray[np.int64]:
     return np.cumsum([0, *(len(one.marks) for one in outcome.used)])
 
 
-def _by_maneuver(outcome: Outcome[Maneuver, Solution]) -> list[Floats]:
-    """Residuals of each maneuver, (m, 3)."""
-    return np.split(outcome.estimate.residuals, _edges(outcome)[1:-1])
-
-
 def motion(outcome: Outcome[Maneuver, Solution]) -> Any:
-    """How far each maneuver moved the base, from its first pose to its last."""
-    measured, predicted = [], []
-    for one, residual in zip(outcome.used, _by_maneuver(outcome), strict=True):
-        poses = np.array(one.poses)
-        measured.append(poses[-1] - poses[0])
-        predicted.append(measured[-1] - (residual[-1] - residual[0]))
-    seen, expected = np.array(measured), np.array(predicted)
-    drawing = figure((14, 5))
-    for axes, column, label, scale in zip(
-        drawing.subplots(1, 3), (0, 1, 2), ("x [mm]", "y [mm]", "heading [deg]"),
-        (1e3, 1e3, np.degrees(1.0)), strict=True,
-    ):  # fmt: skip
-        ends = scale * np.array([min(seen[:, column].min(), 0.0), max(seen[:, column].max(), 0.0)])
-        axes.plot(ends, ends, "-", color="0.6", linewidth=1.0)
-        axes.plot(scale * expected[:, column], scale * seen[:, column], "o", markersize=5)
-        for k, place in enumerate(
-            zip(scale * expected[:, column], scale * seen[:, column], strict=True)
-        ):
-            if np.isfinite(place).all():
-                axes.annotate(str(k + 1), place, (5, 3), textcoords="offset points", fontsize=8)
-        axes.set_title(f"change of {label.split()[0]}", fontsize=11)
-        axes.set_xlabel(f"predicted {label}")
-        axes.set_ylabel(f"measured {label}")
-        axes.grid(alpha=0.25)
+    """The base in each maneuver, as measured at rest and as predicted all the way between."""
+    drawing = figure((14, 9))
+    axes = drawing.subplots(3, 1, sharex=True)
+    begin, middles = 0.0, []
+    for number, one, times, predicted in _predictions(outcome):
+        measured = np.array(one.poses) - predicted[0]
+        places = begin + times - times[0], begin + np.array(one.marks) - times[0]
+        for column, axis in enumerate(axes):
+            for k, style in enumerate(("-", ".")):
+                poses = (predicted - predicted[0], measured)[k]
+                axis.plot(places[k], SCALES[column] * poses[:, column], style, **STYLES[k])
+            axis.axvline(places[0][-1] + 0.5 * BETWEEN, color="0.85", linewidth=0.8)
+        middles.append((begin + 0.5 * np.ptp(times), str(number)))
+        begin = places[0][-1] + BETWEEN
+    for axis, label in zip(axes, ("x [mm]", "y [mm]", "heading [deg]"), strict=True):
+        axis.set_ylabel(f"change of {label}")
+        axis.grid(axis="y", alpha=0.25)
+    words = "predicted", "measured"
+    drawing.legend(axes[0].lines[:2], words, loc="outside upper right", ncols=2)
+    axes[2].set_xlim(-0.5 * BETWEEN, begin - 0.5 * BETWEEN)
+    axes[2].set_xticks(*zip(*middles, strict=True))
+    axes[2].set_xlabel(f"maneuver, each over its time; all together {begin:.0f} s")
     return drawing
+
+
+def _predictions(
+    outcome: Outcome[Maneuver, Solution],
+) -> Iterator[tuple[int, Maneuver, Floats, Floats]]:
+    """Each maneuver that is kept, with its number, times (k,) [s], and predicted poses (k, 3)."""
+    if outcome.solution is None:
+        return
+    problem, x = outcome.solution.result.problem, outcome.solution.result.minimum.x
+    vector, states = problem.vector(x), iter(problem.states(x))
+    for number, (one, kept) in enumerate(
+        zip(outcome.used, outcome.solution.kept, strict=True), start=1
+    ):
+        if kept:
+            times = np.union1d(one.marks, np.linspace(one.marks[0], one.marks[-1], FINE))
+            yield number, one, times, base_poses(vector, one.path_at(times), next(states))
 
 
 def residuals(outcome: Outcome[Maneuver, Solution]) -> Any:

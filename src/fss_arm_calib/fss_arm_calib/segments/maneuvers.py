@@ -18,6 +18,7 @@ from math import inf, nan, pi
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.segments.alignment import offset_of_move
@@ -53,8 +54,12 @@ class Maneuver:
     @cached_property
     def path(self) -> Path:
         """The joints' path, with the base's poses as its marks."""
+        return self.path_at(self.marks)
+
+    def path_at(self, marks: npt.ArrayLike) -> Path:
+        """The joints' path with marks of one's own, (k,) from `start` on [s]."""
         law, edges = sampled(self.times, self.q, self.qd)
-        return path(law, edges, self.marks)
+        return path(law, edges, marks)
 
     @property
     def moved(self) -> tuple[int, ...]:
