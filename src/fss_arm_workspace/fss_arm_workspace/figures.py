@@ -86,13 +86,17 @@ def _pairs(points: Any) -> Floats:
 
 def _maps(figure: Any, a: Analysis, straight: Mapping[str, Paths]) -> None:
     """Figure 6: fixed vehicle workspace and largest manipulability; beside it, on a free base."""
-    for axes, (name, found) in zip(figure.subplots(1, 2), a.maps.items(), strict=True):
+    from matplotlib.colors import PowerNorm
+
+    panels = figure.subplots(1, 2)
+    most = max(float(np.nanmax(found.w)) for found in a.maps.values())  # one scale for both
+    norm = PowerNorm(0.5, 0.0, most)
+    for axes, (name, found) in zip(panels, a.maps.items(), strict=True):
         grid = found.grid
         extent = (
             grid.x, grid.x + grid.width * grid.cell, grid.y, grid.y + grid.height * grid.cell
         )  # fmt: skip
-        image = axes.imshow(found.w, origin="lower", extent=extent, cmap="viridis")
-        figure.colorbar(image, ax=axes, label="w = sqrt(det(J Jᵀ)) [m²]", shrink=0.85)
+        image = axes.imshow(found.w, origin="lower", extent=extent, norm=norm)
         for points, _ in a.known:
             closed = np.append(points, points[:1])
             axes.plot(closed.real, closed.imag, "k-", linewidth=1.2)
@@ -101,6 +105,7 @@ def _maps(figure: Any, a: Analysis, straight: Mapping[str, Paths]) -> None:
         axes.margins(0.02)
         axes.autoscale()
         _frame(axes, "base's frame")
+    figure.colorbar(image, ax=panels, label="w = sqrt(det(J Jᵀ)) [m²]", shrink=0.85)
     worst = max(float(deviation.max(initial=0.0)) for _, deviation in a.known)
     known = f", boundary known to {1e3 * worst:.1f} mm (1 sigma)" if worst > 0.0 else ""
     figure.suptitle(f"Fixed vehicle workspace, {a.region.area:.3f} m²{known}", fontsize=11)
@@ -149,10 +154,15 @@ def _ellipsoids(figure: Any, a: Analysis, straight: Mapping[str, Paths]) -> None
             line = tip[:, None] + _SCALE * directions.T @ (radii[:, None] * circle[: len(radii)])
             label = f"{name}: w = {float(measure(a.arm, q, kind)):.3f} m²"
             axes.plot(*line, color=color, label=label)
+        detail = axes.inset_axes((0.66, 0.02, 0.32, 0.3), xticks=[], yticks=[])
+        detail.plot(*line, color=color)  # on a floating base, which is the smaller one
+        detail.plot(*tip, "k.", markersize=3)
+        detail.set_aspect("equal", adjustable="datalim")
+        detail.set_title("floating, enlarged", fontsize=7, pad=2)
         reach = 1.15 * float(sum(link.a for link in a.arm.links))
         axes.set_xlim(-0.3, a.arm.base.mount[0] + reach)
         axes.set_ylim(-0.6 * reach, 0.6 * reach)
-        axes.legend(fontsize=8, loc="lower right")
+        axes.legend(fontsize=8, loc="upper left")
         axes.set_title("q = " + ", ".join(f"{x:.0f}°" for x in np.degrees(q)), fontsize=9)
         _frame(axes, "base's frame")
     figure.suptitle(f"Manipulability ellipsoids, drawn at {_SCALE:g} m per m/rad", fontsize=11)
