@@ -123,7 +123,7 @@ def caught_of(truth, rng, gain=1.0, last=20, still=False):
     pose = np.array([tip.real, tip.imag, np.angle(u) + P[layout.TIP_ANGLE]])
     free = FreeBody(pose, measured(twist), covariance)
     before = sample(0.0, q, qd, np.zeros(3))
-    estimate = Caught(P, PRIOR, PLACE, before, free, ERRORS, THRUST)
+    estimate = Caught(P, PRIOR, PLACE, [before], free, ERRORS, THRUST)
     start = points.matrix(q, held=False) @ qd + points.of_free(q, twist, tip)
 
     def rate(t, y):

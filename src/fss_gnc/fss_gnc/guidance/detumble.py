@@ -59,7 +59,9 @@ class Detumble:
             return self.abort.step(seen)
         q, qd = seen.floating
         self.twist = qd[:3]
-        if seen.holds and seen.target is not None and not self._held:
+        if seen.holds and seen.held is not None:
+            self.p, self._held = with_held(self.craft.arm.vector(), *seen.held), True
+        elif seen.holds and seen.target is not None and not self._held:
             place = hold(self.p, q, seen.target.pose)
             self.p, self._held = with_held(self.p, self.settings.target, place), True
         rates = self.joints.rates(self.p, seen)

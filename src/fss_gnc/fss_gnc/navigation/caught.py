@@ -29,7 +29,7 @@ from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
 
 from fss_arm_model import layout
 from fss_arm_model.dynamics import inertia_matrix
-from fss_arm_model.held import Target, with_held
+from fss_arm_model.held import Target
 from fss_arm_model.kernels import Floats
 from fss_arm_model.kinematics import tip_jacobian, tip_pose
 from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, Settings, setting
@@ -39,6 +39,7 @@ UNKNOWNS, OF_BODY = 11, 4
 SPACING = 1.0  # of samples at first; errors of a filtered twist last a quarter of that [s]
 MOST = 120  # samples that are kept; of more, every other one is
 ITERATIONS, SETTLED = 20, 1e-3  # of the solution; in deviations, when it ends
+VAGUE = 1.0  # what is known of the base's twist but by the samples [m/s, m/s, rad/s]
 STEP = 1e-5  # of differences, in deviations of what was known before
 
 
@@ -75,10 +76,11 @@ class MassProperties(NamedTuple):
         found: Floats = np.sqrt(self.covariance.diagonal())
         return found
 
-    def added(self, p: Floats) -> Floats:
-        """Parameters of an arm p (8 + 6 n,) that holds the body."""
+    @property
+    def held(self) -> tuple[Target, Floats]:
+        """As a body and its place (3,) in the last link's frame (held.py)."""
         mass, x, y, inertia = self.values.tolist()
-        return with_held(p, Target(mass, inertia), np.array([x, y, 0.0]))
+        return Target(mass, inertia), np.array([x, y, 0.0])
 
 
 class Sample(NamedTuple):
@@ -89,15 +91,26 @@ class Sample(NamedTuple):
     qd: Floats  # (3 + n,)
     base: Floats  # (3, 3) covariance of the base's twist
     joints: Floats  # (n,) deviations of the joints' rates [rad/s]
-    impulse: Floats  # (3,) of the valves since the first: [N s] and about the world's origin
+    impulse: Floats  # (3,) of the valves since any time: [N s] and about the world's origin
 
 
 class FreeBody(NamedTuple):
-    """The body before the grip, at the first sample's time."""
+    """The body before the grip."""
 
     tip: Floats  # (3,) pose of the last link's tip, were it in the gripper already
     twist: Floats  # (3,) of that point of it
     covariance: Floats  # (3, 3)
+
+    @staticmethod
+    def of(p: Floats, place: Floats, pose: Floats, twist: Floats, covariance: Floats) -> "FreeBody":
+        """By pose and twist (3,) of its frame, which will be at `place` in the gripper."""
+        heading = pose[2] - place[2]
+        apart = (layout.reach(p, layout.count(p)) - complex(*place[:2])) * np.exp(1j * heading)
+        x, y = apart.real, apart.imag
+        J = np.array([[1.0, 0.0, -y], [0.0, 1.0, x], [0.0, 0.0, 1.0]])
+        at = pose + np.array([x, y, 0.0])
+        at[2] = heading + p[layout.TIP_ANGLE]
+        return FreeBody(at, J @ twist, J @ covariance @ J.T)
 
 
 @dataclass
@@ -108,8 +121,8 @@ class Caught:
         p: (8 + 6 n,) of base and arm alone.
         prior: the body's mass and inertia as assumed, its frame's origin the centre of mass.
         place: (3,) of its frame in the last link's (held.py).
-        before: base and arm before the grip.
-        free: the body then.
+        earlier: base and arm before the grip, in order.
+        free: the body before the grip, at any time.
         errors: what is known beforehand.
         thrust_error: relative error of the valves' thrust.
     """
@@ -117,7 +130,7 @@ class Caught:
     p: Floats
     prior: Target
     place: Floats
-    before: Sample
+    earlier: list[Sample]
     free: FreeBody
     errors: CaughtErrors = field(default_factory=CaughtErrors)
     thrust_error: float = 0.05
@@ -128,13 +141,13 @@ class Caught:
         e = self.errors
         self._known = np.concatenate([
             [np.log(self.prior.mass)], self.place[:2], [np.log(self.prior.inertia), 1.0],
-            self.before.qd[:3], self.free.twist,
+            self.earlier[0].qd[:3], self.free.twist,
         ])  # fmt: skip
         self._root = np.zeros((UNKNOWNS, UNKNOWNS))  # of the prior's covariance
         self._root[range(5), range(5)] = (
             e.mass_error, e.com_error, e.com_error, e.mass_error, max(self.thrust_error, 1e-9)
         )  # fmt: skip
-        self._root[BASE, BASE] = cholesky(self.before.base, lower=True)
+        self._root[BASE, BASE] = VAGUE * np.eye(3)
         self._root[FREE, FREE] = cholesky(self.free.covariance, lower=True)
         self._z = np.zeros(UNKNOWNS)  # off from what was known, in its deviations
         self._covariance: Floats = np.eye(UNKNOWNS)
@@ -147,13 +160,11 @@ class Caught:
 
     def is_due(self, t: float) -> bool:
         """Whether another sample is to be taken at a time [s]."""
-        last = self.samples[-1].t if self.samples else self.before.t
-        return t >= last + self.spacing
+        return t >= (self.samples or self.earlier)[-1].t + self.spacing
 
     def solve(self) -> MassProperties:
         """By all samples, begun from the last solution."""
-        if self.samples:
-            self._solve()
+        self._solve()
         x = self._known + self._root @ self._z
         covariance = self._root @ self._covariance @ self._root.T
         values = np.array([np.exp(x[LOG_M]), *x[C], np.exp(x[LOG_I])])
@@ -162,7 +173,7 @@ class Caught:
 
     def _solve(self) -> None:
         """Gauss-Newton, damped (Levenberg and Marquardt), in deviations of what was known."""
-        rows = _Rows(self.p, self.samples)
+        rows = _Rows(self.p, self.earlier, self.samples)
         root = self._correlations(rows)
         cost, off = self._cost(rows, root, self._z)
         damping = 1e-3
@@ -201,7 +212,9 @@ class Caught:
         inverse = np.linalg.inv(H[:, :, :3])
         to_base = inverse @ rows.about_base
         by_joints = -inverse @ H[:, :, 3:]
-        momentum = self._before(x) + x[GAIN] * rows.impulse
+        arm, body = self._before(x)
+        momentum = arm + rows.held[:, None] * body
+        momentum = momentum + x[GAIN] * (rows.impulse - self.earlier[0].impulse)
         at = np.einsum("kij,kj->ki", to_base, momentum)
         return at + np.einsum("kij,kj->ki", by_joints, rows.rates), to_base, by_joints
 
@@ -210,15 +223,15 @@ class Caught:
         """(2,) in the last link's frame."""
         return np.array([layout.each(self.p, layout.LENGTH)[-1], 0.0])
 
-    def _before(self, x: Floats) -> Floats:
-        """Momentum before the grip, about the world's origin, (3,)."""
-        q, qd = self.before.q, self.before.qd.copy()
+    def _before(self, x: Floats) -> tuple[Floats, Floats]:
+        """Momenta of base and arm and of the body before the grip, about the world's origin."""
+        q, qd = self.earlier[0].q, self.earlier[0].qd.copy()
         qd[:3] = x[BASE]
         arm = to_origin(q[:2], inertia_matrix(self.p, q)[:3] @ qd)
         tip = self.free.tip
         heading = tip[2] - self.p[layout.TIP_ANGLE]
         body = body_inertia(x, self.place_of_tip, np.array([heading]))[0] @ x[FREE]
-        return arm + to_origin(tip[:2], body)
+        return arm, to_origin(tip[:2], body)
 
     def _correlations(self, rows: "_Rows") -> Floats:
         """Root of the covariance of all twists (3 k, 3 k), lower triangular."""
@@ -226,7 +239,7 @@ class Caught:
         x = self._known + self._root @ self._z
         _, to_base, by_joints = self._predicted(rows, x)
         walk = np.diag(np.square([e.push, e.push, e.twisting]))
-        since = np.minimum.outer(rows.t, rows.t) - self.before.t
+        since = np.minimum.outer(rows.t, rows.t) - self.earlier[0].t
         moved = to_base @ walk
         found = np.einsum("aij,ab,bkj->aibk", moved, since, to_base)
         loose = by_joints * rows.loose[:, None, :]
@@ -237,7 +250,9 @@ class Caught:
 class _Rows:
     """What is the same of the samples for whatever body is held."""
 
-    def __init__(self, p: Floats, samples: list[Sample]) -> None:
+    def __init__(self, p: Floats, earlier: list[Sample], later: list[Sample]) -> None:
+        samples = earlier + later
+        self.held = np.repeat([0.0, 1.0], [len(earlier), len(later)])
         q, qd = np.array([s.q for s in samples]), np.array([s.qd for s in samples])
         self.t = np.array([s.t for s in samples])
         self.twist, self.rates = qd[:, :3], qd[:, 3:]
@@ -251,7 +266,7 @@ class _Rows:
 
     def inertia(self, x: Floats, tip: Floats) -> Floats:
         """The base's rows of H with the body x, (k, 3, 3 + n)."""
-        body = body_inertia(x, tip, self._headings)
+        body = self.held[:, None, None] * body_inertia(x, tip, self._headings)
         return self._arm + self._tip[:, :, :3].transpose(0, 2, 1) @ body @ self._tip
 
 
