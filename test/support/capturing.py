@@ -98,7 +98,7 @@ class Flight:
         self.allocation = Allocation(self.valves, PERIOD, self.least)
         self.control = PoseControl(arm)
         self.navigation = Navigation(arm, body=settings.target)
-        self.found = []  # what is held, as it was known: time, properties
+        self.found, self.measured = [], None  # what is held: times and properties; the newest
         self.sensors = Sensors(PRESETS["default"], case.seed)
         rng = np.random.default_rng(case.seed)
         self.encoders = rng.uniform(-7e-4, 7e-4, arm.n)
@@ -159,7 +159,7 @@ class Flight:
             q = q + (self.t - then) * qd
         left = self.plant.thrusters.tank - self.plant.thrusters.used
         last = self.heard[0] if self.heard else None
-        held = self.navigation.found and self.navigation.found.held
+        held = self.measured if self.plant.holds else None
         return Seen(self.t, *known, q, qd, effort, self.plant.holds, left, last, held)
 
     def order(self):
@@ -251,6 +251,7 @@ class Flight:
         self.navigation.predict(now)
         if self.learns and (found := self.navigation.observe(now)):
             self.found.append((self.t, found))
+            self.measured = found.held
 
     def judge(self):
         """Who touches whom."""

@@ -10,7 +10,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Empty
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
-from fss_arm_msgs.msg import MissionState
+from fss_arm_msgs.msg import MassProperties, MissionState
 from fss_arm_ros.convert import SECOND
 from fss_arm_ros.qos import LATCHED
 from fss_gnc import guidance_node, messages
@@ -303,6 +303,19 @@ def test_a_capture_whose_target_is_lost_ends_with_valves_closed_and_joints_at_re
     assert ended.result.message == "target/state is not known"
     bench.coasts()
     assert np.abs(bench.rates[-1].velocity).max() == 0.0
+
+
+def test_what_is_held_is_what_the_navigation_has_found_until_it_is_let_go(bench):
+    told = bench.create_publisher(MassProperties, "target/mass_properties", 1)
+    bench.holds = True
+    bench.until(lambda: bench.guidance.holds.value and told.get_subscription_count())
+    told.publish(MassProperties(mass=-1.0, inertia=0.6))  # that is no body
+    told.publish(MassProperties(mass=20.0, com=[0.4, 0.05], inertia=0.6))
+    bench.until(lambda: bench.guidance.seen(bench.now()).held is not None)
+    target, place = bench.guidance.seen(bench.now()).held
+    assert (target.mass, target.inertia, *place) == (20.0, 0.6, 0.4, 0.05, 0.0)
+    bench.holds = False
+    bench.until(lambda: bench.guidance.seen(bench.now()).held is None)
 
 
 def test_what_rests_is_detumbled(bench):
