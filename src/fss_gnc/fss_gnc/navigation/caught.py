@@ -37,7 +37,7 @@ from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, Settings, setting
 LOG_M, C, LOG_I, GAIN, BASE, FREE = 0, slice(1, 3), 3, 4, slice(5, 8), slice(8, 11)
 UNKNOWNS, OF_BODY = 11, 4
 SPACING = 1.0  # of samples at first; errors of a filtered twist last a quarter of that [s]
-MOST = 120  # samples that are kept; of more, every other one is
+MOST = 60  # samples that are kept; of more, every other one is
 ITERATIONS, SETTLED = 20, 1e-3  # of the solution; in deviations, when it ends
 VAGUE = 1.0  # what is known of the base's twist but by the samples [m/s, m/s, rad/s]
 STEP = 1e-5  # of differences, in deviations of what was known before

@@ -155,8 +155,8 @@ class Flight(NamedTuple):
     error: np.ndarray  # of the audit: momentum and energy
     propellant: np.ndarray
     planned: np.ndarray  # (m, 3) where the base was to be
-    found: MassProperties | None  # what was held, as it was known in the end
     phases: list[tuple[float, str]]  # since when [s]
+    found: MassProperties | None  # what was held, as it was known in the end
 
 
 def read(bag: Path) -> Flight:
