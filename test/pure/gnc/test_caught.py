@@ -9,6 +9,7 @@ from scipy.stats import chi2
 from fss_arm_model import layout
 from fss_arm_model.description import paper_arm
 from fss_arm_model.held import Target
+from fss_gnc.navigation import EstimatorSettings, KnownInputs
 from fss_gnc.navigation.caught import MOST, SPACING, Caught, CaughtErrors, FreeBody, Sample
 
 ARM = paper_arm()
@@ -197,9 +198,21 @@ def test_a_payload_that_was_in_the_gripper_already_is_found_by_its_motion():
     assert found.deviations[0] < 2.0
 
 
+def test_what_valves_have_given_is_counted_once_until_the_next_command():
+    inputs = KnownInputs(P, EstimatorSettings(valve_delay=0.0))
+    at, ms = 100 * 10**9, 10**6
+    inputs.pulses(at, [0.08, *[0.0] * 7])
+    inputs.pulses(at + 50 * ms, [0.0, 0.02, *[0.0] * 6])  # which closes the first
+    first, second = inputs.valves[:2]
+    given = inputs.impulse(at - ms, at + 100 * ms)
+    np.testing.assert_allclose(given, 0.05 * first + 0.02 * second)
+    parts = inputs.impulse(at, at + 30 * ms) + inputs.impulse(at + 30 * ms, at + 100 * ms)
+    np.testing.assert_allclose(parts, given)
+
+
 def test_of_many_samples_every_other_one_is_kept():
     estimate = caught_of([10.0, *PLACE[:2], 0.25], np.random.default_rng(7), last=3)
-    for t in np.arange(4.0, 200.0):
+    for t in np.arange(4.0, 1.5 * MOST):
         if estimate.is_due(t):
             estimate.take(estimate.samples[-1]._replace(t=t))
     assert len(estimate.samples) <= MOST
