@@ -10,14 +10,22 @@ from fss_arm_model import layout
 from fss_arm_model.description import paper_arm
 from fss_arm_model.held import Target
 from fss_gnc.navigation import EstimatorSettings, KnownInputs
-from fss_gnc.navigation.caught import MOST, SPACING, Caught, CaughtErrors, FreeBody, Sample
+from fss_gnc.navigation.caught import (
+    MOST,
+    SPACING,
+    Caught,
+    CaughtErrors,
+    FreeBody,
+    MassProperties,
+    Sample,
+)
 
 ARM = paper_arm()
 P = ARM.vector()
 POSTURE = np.array([0.95, 1.3, 1.36, -1.23])
 PLACE = np.array([ARM.links[-1].a + 0.19, 0.0, np.pi])
-PRIOR = Target(10.0, 0.25)
 ERRORS = CaughtErrors(push=0.0, twisting=0.0)
+PRIOR = MassProperties.assumed(Target(10.0, 0.25), PLACE, ERRORS)
 TWIST = np.array([1e-3, 1e-3, 1e-3])  # deviations of what is measured [m/s, m/s, rad/s]
 RATES = 5e-4  # of the joints [rad/s]
 THRUST = 0.05
@@ -124,7 +132,7 @@ def caught_of(truth, rng, gain=1.0, last=20, still=False):
     pose = np.array([tip.real, tip.imag, np.angle(u) + P[layout.TIP_ANGLE]])
     free = FreeBody(pose, measured(twist), covariance)
     before = sample(0.0, q, qd, np.zeros(3))
-    estimate = Caught(P, PRIOR, PLACE, [before], free, ERRORS, THRUST)
+    estimate = Caught(P, PRIOR, [before], free, ERRORS, THRUST)
     start = points.matrix(q, held=False) @ qd + points.of_free(q, twist, tip)
 
     def rate(t, y):
@@ -163,7 +171,6 @@ def test_fifty_targets_are_found_within_their_deviations():
         off.append(apart / found.deviations)
         nees.append(apart @ np.linalg.solve(found.covariance, apart) / 4)
         shares.append(found.deviations / np.array([truth[0], 1.0, 1.0, truth[3]]))
-    print(f"NEES {np.mean(nees):.2f}, worst {np.abs(off).max():.2f}, {np.median(shares, axis=0)}")
     low, high = chi2.ppf([0.005, 0.995], 200) / 200
     assert low < np.mean(nees) < high
     assert np.abs(off).max() < 3.0
@@ -184,7 +191,6 @@ def test_a_grip_shows_the_mass_and_motion_shows_the_rest():
         caught_of(truth, np.random.default_rng(5), last=seconds).solve().deviations / truth
         for seconds in (2, 20)
     )
-    print(first, last)
     assert (last < first).all()
 
 
@@ -193,9 +199,17 @@ def test_a_payload_that_was_in_the_gripper_already_is_found_by_its_motion():
     estimate = caught_of(truth, np.random.default_rng(6), last=40)
     unknown = estimate.free._replace(twist=np.zeros(3), covariance=np.eye(3))
     found = replace(estimate, free=unknown).solve()
-    print(found.values, found.deviations)
     assert (np.abs(found.values - truth) < 3.0 * found.deviations).all()
     assert found.deviations[0] < 2.0
+
+
+def test_what_was_found_is_where_another_estimate_begins():
+    truth = np.array([20.0, PLACE[0] + 0.05, 0.03, 0.5])
+    first = caught_of(truth, np.random.default_rng(8)).solve()
+    later = caught_of(truth, np.random.default_rng(9), still=True)
+    then = replace(later, prior=first).solve()
+    np.testing.assert_allclose(then.deviations, first.deviations, rtol=0.05)
+    np.testing.assert_allclose(then.values, first.values, rtol=0.05)
 
 
 def test_what_valves_have_given_is_counted_once_until_the_next_command():

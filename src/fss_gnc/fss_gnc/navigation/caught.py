@@ -70,6 +70,19 @@ class MassProperties(NamedTuple):
     values: Floats  # (4,) mass [kg], centre of mass in the last link's frame [m, m], inertia
     covariance: Floats  # (4, 4)
 
+    @staticmethod
+    def assumed(body: Target, place: Floats, errors: CaughtErrors) -> "MassProperties":
+        """Of a body whose frame is at `place` (held.py) in the gripper."""
+        e = errors
+        found = MassProperties(np.array([body.mass, *place[:2], body.inertia]), np.eye(OF_BODY))
+        deviations = found.scale * (e.mass_error, e.com_error, e.com_error, e.mass_error)
+        return found._replace(covariance=np.diag(deviations**2))
+
+    @property
+    def scale(self) -> Floats:
+        """(4,): what of each value is 1 as unknowns have it, of mass and inertia the logarithm."""
+        return np.array([self.values[0], 1.0, 1.0, self.values[3]])
+
     @property
     def deviations(self) -> Floats:
         """(4,)."""
@@ -119,17 +132,15 @@ class Caught:
 
     Args:
         p: (8 + 6 n,) of base and arm alone.
-        prior: the body's mass and inertia as assumed, its frame's origin the centre of mass.
-        place: (3,) of its frame in the last link's (held.py).
+        prior: what is known of the body beforehand.
         earlier: base and arm before the grip, in order.
         free: the body before the grip, at any time.
-        errors: what is known beforehand.
+        errors: what else pushes.
         thrust_error: relative error of the valves' thrust.
     """
 
     p: Floats
-    prior: Target
-    place: Floats
+    prior: MassProperties
     earlier: list[Sample]
     free: FreeBody
     errors: CaughtErrors = field(default_factory=CaughtErrors)
@@ -138,15 +149,15 @@ class Caught:
     spacing: float = SPACING
 
     def __post_init__(self) -> None:
-        e = self.errors
+        mass, x, y, inertia = self.prior.values
         self._known = np.concatenate([
-            [np.log(self.prior.mass)], self.place[:2], [np.log(self.prior.inertia), 1.0],
-            self.earlier[0].qd[:3], self.free.twist,
+            [np.log(mass), x, y, np.log(inertia), 1.0], self.earlier[0].qd[:3], self.free.twist,
         ])  # fmt: skip
+        scale = self.prior.scale
+        covariance = self.prior.covariance / np.outer(scale, scale)
         self._root = np.zeros((UNKNOWNS, UNKNOWNS))  # of the prior's covariance
-        self._root[range(5), range(5)] = (
-            e.mass_error, e.com_error, e.com_error, e.mass_error, max(self.thrust_error, 1e-9)
-        )  # fmt: skip
+        self._root[:OF_BODY, :OF_BODY] = cholesky(covariance, lower=True)
+        self._root[GAIN, GAIN] = max(self.thrust_error, 1e-9)
         self._root[BASE, BASE] = VAGUE * np.eye(3)
         self._root[FREE, FREE] = cholesky(self.free.covariance, lower=True)
         self._z = np.zeros(UNKNOWNS)  # off from what was known, in its deviations
@@ -168,8 +179,8 @@ class Caught:
         x = self._known + self._root @ self._z
         covariance = self._root @ self._covariance @ self._root.T
         values = np.array([np.exp(x[LOG_M]), *x[C], np.exp(x[LOG_I])])
-        scale = np.array([values[0], 1.0, 1.0, values[3]])
-        return MassProperties(values, scale[:, None] * covariance[:OF_BODY, :OF_BODY] * scale)
+        found = MassProperties(values, covariance[:OF_BODY, :OF_BODY])
+        return found._replace(covariance=found.covariance * np.outer(found.scale, found.scale))
 
     def _solve(self) -> None:
         """Gauss-Newton, damped (Levenberg and Marquardt), in deviations of what was known."""

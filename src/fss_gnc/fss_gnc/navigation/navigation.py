@@ -189,7 +189,10 @@ class Navigation:
         )  # fmt: skip
 
     def _begin(self, t: int, sample: Sample) -> Caught:
-        """With what was known before the grip; of a payload nothing was."""
+        """With what was known before the grip; of a payload nothing was.
+
+        Where base or joints were not known for a while, what was found until then is the prior.
+        """
         known = [seen for seen in self._seen if seen[0] <= self._gripped - BEFORE]
         self._seen.clear()
         place, state = self.place, known[-1][2] if known else None
@@ -204,15 +207,9 @@ class Navigation:
             free = FreeBody(tip, J @ sample.qd, np.eye(3))
         else:
             free = FreeBody.of(self.p, place, state.pose, state.twist, state.covariance[3:, 3:])
-        return Caught(
-            self.p,
-            self.body,
-            place,
-            earlier or [sample],
-            free,
-            self.errors,
-            self.settings.thrust_error,
-        )
+        prior = self.found or MassProperties.assumed(self.body, place, self.errors)
+        thrust_error = self.settings.thrust_error
+        return Caught(self.p, prior, earlier or [sample], free, self.errors, thrust_error)
 
     def _weigh(self) -> None:
         p = self.p
