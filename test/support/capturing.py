@@ -80,8 +80,8 @@ class Flown:
 class Flight:
     """One run."""
 
-    def __init__(self, case, activity=None, settings=SETTINGS):
-        self.case, self.settings = case, settings
+    def __init__(self, case, activity=None, settings=SETTINGS, truth=None, learns=True):
+        self.case, self.settings, self.learns = case, settings, learns
         self.arm = arm = paper_arm()
         side = np.exp(1j * np.radians(-135.0))
         centre = 0j
@@ -89,7 +89,7 @@ class Flight:
         q = np.array([at.real, at.imag, -1.4, *POSTURE])
         target = [[centre.real, centre.imag, case.heading], [*case.drift, case.spin]]
         contact = Contact() if case.solid else None
-        world = World(gripper=case.gripper, target=settings.target, contact=contact)
+        world = World(gripper=case.gripper, target=truth or settings.target, contact=contact)
         self.plant = Plant(arm, q, None, world, target)
         self.craft = Craft(arm, settings)
         self.activity = activity or Capture(self.craft)
@@ -97,7 +97,8 @@ class Flight:
         self.least = propulsion.minimum_on_time
         self.allocation = Allocation(self.valves, PERIOD, self.least)
         self.control = PoseControl(arm)
-        self.navigation = Navigation(arm)
+        self.navigation = Navigation(arm, body=settings.target)
+        self.found, self.measured = [], None  # what is held: times and properties; the newest
         self.sensors = Sensors(PRESETS["default"], case.seed)
         rng = np.random.default_rng(case.seed)
         self.encoders = rng.uniform(-7e-4, 7e-4, arm.n)
@@ -158,7 +159,8 @@ class Flight:
             q = q + (self.t - then) * qd
         left = self.plant.thrusters.tank - self.plant.thrusters.used
         last = self.heard[0] if self.heard else None
-        return Seen(self.t, *known, q, qd, effort, self.plant.holds, left, last)
+        held = self.measured if self.plant.holds else None
+        return Seen(self.t, *known, q, qd, effort, self.plant.holds, left, last, held)
 
     def order(self):
         self.now = seen = self.seen()
@@ -247,6 +249,9 @@ class Flight:
             self.navigation.target_pose(now, *sight.target.pose)
         self.navigation.gripper(plant.holds)
         self.navigation.predict(now)
+        if self.learns and (found := self.navigation.observe(now)):
+            self.found.append((self.t, found))
+            self.measured = found.held
 
     def judge(self):
         """Who touches whom."""

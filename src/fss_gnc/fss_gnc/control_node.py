@@ -18,7 +18,7 @@ from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
 
 from fss_arm_model.description import described
 from fss_arm_model.held import Target, hold
-from fss_arm_msgs.msg import GripperState
+from fss_arm_msgs.msg import GripperState, MassProperties
 from fss_arm_ros.convert import SECOND, stamp_ns, to_time
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.inbox import Inbox
@@ -52,6 +52,7 @@ class ControlNode(Node):
         self.trajectory = Latest[tuple[int, Path | None]]("base/trajectory", s.timeout)
         self.used, self.holds = 0.0, False
         self.place: Floats | None = None  # of what is held, in the last link's frame
+        self.measured: tuple[Target, Floats] | None = None  # it and its place, once known
         self.trouble, self.acting = "", False
         self.inbox = Inbox(self)
         for topic in (self.base, self.target):
@@ -60,6 +61,7 @@ class ControlNode(Node):
         self.inbox.listen(MultiDOFJointTrajectory, "base/trajectory", self.on_trajectory)
         self.inbox.listen(JointTrajectory, "arm/planned", self.on_planned)
         self.inbox.listen(GripperState, "gripper/state", self.on_gripper)
+        self.inbox.listen(MassProperties, "target/mass_properties", self.on_mass)
         self.inbox.listen(Float64, "base/propellant", self.on_propellant)
         self.wrench = self.create_publisher(WrenchStamped, "base/wrench", command(0.3))
         self.create_timer(1.0 / s.rate, self.tick, clock=pace(self))
@@ -108,7 +110,15 @@ class ControlNode(Node):
     def on_gripper(self, message: GripperState) -> None:
         """Whether the target is part of the arm."""
         self.holds = message.holds
-        self.place = self.place if message.holds else None
+        if not message.holds:
+            self.place = self.measured = None
+
+    def on_mass(self, message: MassProperties) -> None:
+        """What is held, as the navigation has found it."""
+        try:
+            self.measured = messages.mass_properties(message) if self.holds else None
+        except ValueError as error:
+            self.warn("target/mass_properties", error)
 
     def tick(self) -> None:
         """Publish the wrench for the next period; none to act: once zero, then nothing."""
@@ -146,7 +156,7 @@ class ControlNode(Node):
         p = self.arm.vector()
         if self.holds and self.place is None and (target := self.target.at(now)):
             self.place = hold(p, q, target.after(self.target.age(now)).pose)
-        return present(p, self.used, self.held, self.place)
+        return present(p, self.used, *(self.measured or (self.held, self.place)))
 
     def publish(self, wrench: Floats) -> None:
         """Publish force along the base's axes [N] and torque about its origin [N m]."""
@@ -158,7 +168,8 @@ class ControlNode(Node):
 
     def health(self) -> Health:
         """For diagnostics."""
-        values = {"holds the target": self.place is not None, "propellant used [kg]": self.used}
+        held = self.place is not None or self.measured is not None
+        values = {"holds the target": held, "propellant used [kg]": self.used}
         if self.trouble:
             does = "takes the joints to rest" if self.acting else "coasts"
             return Health(WARN, f"{does}: {self.trouble}", values)

@@ -22,7 +22,7 @@ from std_msgs.msg import Bool, Empty, Float64
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from fss_arm_model.description import described
-from fss_arm_msgs.msg import GripperState, MissionState
+from fss_arm_msgs.msg import GripperState, MassProperties, MissionState
 from fss_arm_ros.convert import SECOND, stamp_ns, to_time
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.glance import Glance
@@ -38,6 +38,7 @@ from fss_gnc.guidance.activity import (
     Craft,
     Ended,
     Floats,
+    Held,
     Orders,
     Seen,
 )
@@ -78,6 +79,7 @@ class GuidanceNode(Node):
         self.base = Latest[Body]("base/state", s.max_age)
         self.target = Latest[Body]("target/state", s.max_age)
         self.joints = Latest[Floats]("arm/joint_states", s.max_age)
+        self.held: Held | None = None  # what the gripper holds, as the navigation has found it
         self.holds = Latest[bool]("gripper/state", FORGETFUL)
         self.propellant = Latest[float]("base/propellant", FORGETFUL)
         self.glances = [
@@ -86,6 +88,7 @@ class GuidanceNode(Node):
         ]
         subscribe_sensor(self, JointState, self.joints.name, self.on_joints)
         subscribe_sensor(self, GripperState, self.holds.name, self.on_gripper)
+        subscribe_sensor(self, MassProperties, "target/mass_properties", self.on_mass)
         subscribe_sensor(self, Float64, self.propellant.name, self.on_propellant)
         for name in ("base/stop", "arm/stop"):
             self.create_subscription(Empty, name, partial(self.on_stop, name), 10)
@@ -138,6 +141,15 @@ class GuidanceNode(Node):
     def on_gripper(self, message: GripperState) -> None:
         """Whether the gripper holds the target."""
         self.holds.take(self.now(), message.holds)
+        self.held = self.held if message.holds else None
+
+    def on_mass(self, message: MassProperties) -> None:
+        """What that is."""
+        try:
+            self.held = messages.mass_properties(message) if self.holds.value else None
+        except ValueError as error:
+            words = f"target/mass_properties: {error}"
+            self.get_logger().warning(words, throttle_duration_sec=1.0)
 
     def on_propellant(self, message: Float64) -> None:
         """What is left."""
@@ -164,7 +176,7 @@ class GuidanceNode(Node):
         return Seen(
             (now - begun) / SECOND, moved(self.base), moved(self.target), q, qd, effort,
             self.holds.at(now), np.nan if left is None else left,
-            None if self.joints.value is None else self.joints.value[0],
+            None if self.joints.value is None else self.joints.value[0], self.held,
         )  # fmt: skip
 
     def trouble(self) -> str:

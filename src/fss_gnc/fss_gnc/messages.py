@@ -8,6 +8,7 @@ from geometry_msgs.msg import Quaternion, Transform, Twist, Vector3
 from rclpy.duration import Duration
 from trajectory_msgs.msg import MultiDOFJointTrajectory, MultiDOFJointTrajectoryPoint
 
+from fss_arm_model.held import Target
 from fss_arm_ros.convert import SECOND, PoseError, joint_readings, planar_pose, stamp_ns, to_time
 from fss_gnc.reference import Body, Floats, Path
 
@@ -41,6 +42,18 @@ def joints(message: Any, n: int) -> Floats:
     if not np.isfinite(found[:2]).all():
         raise ValueError("an angle or a rate is not finite")
     return found
+
+
+def mass_properties(message: Any) -> tuple[Target, Floats]:
+    """MassProperties as a body and its place (3,) in the last link's frame (held.py).
+
+    Raises:
+        ValueError: it is no body.
+    """
+    place = np.array([*message.com, 0.0])
+    if not np.isfinite(place).all():
+        raise ValueError(f"com is {message.com}, must be finite")
+    return Target(message.mass, message.inertia), place
 
 
 def planned_rates(message: Any, n: int) -> tuple[int, Floats, Floats]:

@@ -18,10 +18,11 @@ from fss_arm_msgs.msg import (
     DynamicCalibration,
     GripperState,
     KinematicCalibration,
+    MassProperties,
     ThrusterCommand,
 )
 from fss_arm_ros.calibrated import Calibrated
-from fss_arm_ros.convert import SECOND, PoseError, joint_readings, planar_pose, stamp_ns
+from fss_arm_ros.convert import SECOND, PoseError, joint_readings, planar_pose, stamp_ns, to_time
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.door import subscribe
 from fss_arm_ros.parameters import declare
@@ -70,6 +71,7 @@ class NavigationNode(Node):
         self.pulses = 0  # commands to the valves that were heard
         self.state = self.create_publisher(Odometry, "base/state", SENSOR)
         self.target = self.create_publisher(Odometry, "target/state", SENSOR)
+        self.held = self.create_publisher(MassProperties, "target/mass_properties", SENSOR)
         self.transform = self.create_publisher(TFMessage, "/tf", SENSOR)
         self.images = StateImage(s.world_frame, s.base_frame)
         self.transforms = TransformImage(s.world_frame, s.base_frame)
@@ -93,7 +95,7 @@ class NavigationNode(Node):
     def begin(self) -> None:
         """Know nothing of where base and target are."""
         s = self.settings
-        self.navigation = Navigation(self.known.arm, s, s.of_target(), s.body())
+        self.navigation = Navigation(self.known.arm, s, s.of_target(), s.body(), s)
         self.base = Body(self.navigation.base, self.publish_base)
         self.free = Body(
             self.navigation.target, lambda state: self.target.publish(self.target_images.of(state))
@@ -210,6 +212,20 @@ class NavigationNode(Node):
                 if not body.lost:
                     self.navigation.predict(now)
                 body.tell(now)
+        self.learn(now)
+
+    def learn(self, now: int) -> None:
+        """Publish what is held, if more is known of it."""
+        n = self.navigation
+        found = n.observe(now)
+        if found is None or n.caught is None:
+            return
+        message = MassProperties(
+            mass=float(found.values[0]), com=found.values[1:3], inertia=float(found.values[3]),
+            covariance=found.covariance.ravel(), samples=len(n.caught.samples),
+        )  # fmt: skip
+        message.header.stamp, message.header.frame_id = to_time(now), f"link_{self.known.arm.n}"
+        self.held.publish(message)
 
     def health(self) -> Health:
         """For diagnostics."""

@@ -9,10 +9,12 @@ from rclpy.duration import Duration
 from rclpy.parameter import Parameter
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint, MultiDOFJointTrajectory
 
+from fss_arm_model import layout
 from fss_arm_model.description import paper_arm
 from fss_arm_model.dynamics import inertia_matrix
 from fss_arm_model.held import Target, hold, with_held
 from fss_arm_model.kinematics import tip_pose
+from fss_arm_msgs.msg import MassProperties
 from fss_arm_ros.convert import SECOND, to_time
 from fss_gnc import messages
 from fss_gnc.control_node import ControlNode
@@ -212,6 +214,17 @@ def test_mass_and_inertia_are_those_with_the_target_and_without_the_propellant(b
     whole = with_held(p, Target(), hold(p, q, bench.target[0]))
     mass = inertia_matrix(bench.control.control.p, q)[0, 0]
     assert mass == pytest.approx(inertia_matrix(whole, q)[0, 0] - 0.06)
+    told = bench.create_publisher(MassProperties, "target/mass_properties", 1)
+    bench.until(lambda: told.get_subscription_count())
+    told.publish(MassProperties(mass=20.0, com=[0.4, 0.05], inertia=0.6))
+    bench.until(lambda: bench.control.measured is not None)
+    bench.acts()
+    found = with_held(p, Target(20.0, 0.6), np.array([0.4, 0.05, 0.0]))
+    found[layout.MASS] -= 0.06
+    np.testing.assert_allclose(bench.control.control.p, found)
+    told.publish(MassProperties(mass=-1.0, inertia=0.6))
+    bench.acts()
+    np.testing.assert_allclose(bench.control.control.p, found)
     bench.holds = False
     bench.until(lambda: bench.control.place is None)
     bench.acts()

@@ -1,5 +1,7 @@
 """The node `guidance` by its actions and topics: one activity at a time, and how it ends."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
@@ -10,13 +12,16 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Empty
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
-from fss_arm_msgs.msg import MissionState
+from fss_arm_model.dynamics import inertia_matrix
+from fss_arm_msgs.msg import MassProperties, MissionState
 from fss_arm_ros.convert import SECOND
 from fss_arm_ros.qos import LATCHED
 from fss_gnc import guidance_node, messages
+from fss_gnc.guidance.account import Account
 from fss_gnc.guidance.activity import Ended, Orders
 from fss_gnc.guidance.kinds import BASE, MISSIONS, HoldBase, Kind
 from fss_gnc.guidance_node import GuidanceNode
+from fss_gnc.reference import Body
 
 HOLD, GO_TO, FOLLOW = BASE
 CAPTURE, DETUMBLE, ABORT = MISSIONS
@@ -303,6 +308,28 @@ def test_a_capture_whose_target_is_lost_ends_with_valves_closed_and_joints_at_re
     assert ended.result.message == "target/state is not known"
     bench.coasts()
     assert np.abs(bench.rates[-1].velocity).max() == 0.0
+
+
+def momentum_along_x(craft):
+    """Of base and arm at 1 m/s."""
+    zero = np.zeros(3 + craft.arm.n)
+    return inertia_matrix(craft.arm.vector(), zero)[0, 0]
+
+
+def test_what_is_held_is_what_the_navigation_has_found_until_it_is_let_go(bench):
+    told = bench.create_publisher(MassProperties, "target/mass_properties", 1)
+    bench.holds = True
+    bench.until(lambda: bench.guidance.holds.value and told.get_subscription_count())
+    told.publish(MassProperties(mass=-1.0, inertia=0.6))  # that is no body
+    told.publish(MassProperties(mass=20.0, com=[0.4, 0.05], inertia=0.6))
+    bench.until(lambda: bench.guidance.seen(bench.now()).held is not None)
+    target, place = bench.guidance.seen(bench.now()).held
+    assert (target.mass, target.inertia, *place) == (20.0, 0.6, 0.4, 0.05, 0.0)
+    account, seen = Account(bench.guidance.craft), bench.guidance.seen(bench.now())
+    account.update(replace(seen, base=Body(np.zeros(3), np.array([1.0, 0.0, 0.0]))))
+    assert account.momentum[0] == pytest.approx(momentum_along_x(bench.guidance.craft) + 20.0)
+    bench.holds = False
+    bench.until(lambda: bench.guidance.seen(bench.now()).held is None)
 
 
 def test_what_rests_is_detumbled(bench):

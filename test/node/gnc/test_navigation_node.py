@@ -13,7 +13,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu, JointState
 from tf2_msgs.msg import TFMessage
 
-from fss_arm_msgs.msg import GripperState, ThrusterCommand
+from fss_arm_msgs.msg import GripperState, MassProperties, ThrusterCommand
 from fss_arm_ros.convert import SECOND, pose_stamped, stamp_ns, to_time
 from fss_arm_ros.diagnostics import OK, WARN
 from fss_arm_ros.door import refusals
@@ -43,7 +43,10 @@ class Bench(Node):
         self.joints = self.create_publisher(JointState, "joint_states", SENSOR)
         self.pulses = self.create_publisher(ThrusterCommand, "thrusters/pulses", SENSOR)
         self.gripper = self.create_publisher(GripperState, "gripper/state", SENSOR)
-        self.states, self.targets, self.transforms = [], [], []
+        self.states, self.targets, self.transforms, self.masses = [], [], [], []
+        self.create_subscription(
+            MassProperties, "target/mass_properties", self.masses.append, sensor()
+        )
         self.create_subscription(Odometry, "base/state", self.states.append, sensor())
         self.create_subscription(Odometry, "target/state", self.targets.append, sensor())
         self.create_subscription(TFMessage, "/tf", self.transforms.append, sensor())
@@ -269,6 +272,7 @@ def test_a_clock_that_is_set_back_begins_anew(fly, spin, capfd):
 
 def test_a_held_target_goes_with_the_gripper(fly, spin):
     node, bench = fly(1.0)
+    assert not bench.masses  # it holds nothing
     bench.gripper.publish(GripperState(holds=True))
     spin([node, bench], lambda: node.navigation.holds)
     rest = (0.0, 0.0, 0.0)
@@ -285,3 +289,10 @@ def test_a_held_target_goes_with_the_gripper(fly, spin):
     there = pose(still["target"], (1, 0, 0), moved)
     assert off(bench.targets[-1], there, rest)[0] < 5e-3
     assert bench.targets[-1].twist.twist.linear.x != 0.0
+    spin([node, bench], lambda: bench.masses)
+    found = bench.masses[-1]
+    assert found.header.frame_id == "link_4"
+    assert bench.now - 2 * SECOND < stamp_ns(found.header.stamp) <= bench.now
+    assert found.samples >= 1
+    assert np.linalg.eigvalsh(found.covariance.reshape(4, 4)).min() > 0.0
+    assert min(found.mass, found.inertia) > 0.0

@@ -8,6 +8,7 @@ from capturing import POSTURE, SETTINGS, Case, Flight
 
 from fss_arm_model import layout
 from fss_arm_model.description import paper_arm
+from fss_arm_model.held import Target, hold
 from fss_arm_model.kinematics import tip_pose
 from fss_gnc.guidance.abort import Abort
 from fss_gnc.guidance.activity import Craft, Seen
@@ -15,6 +16,7 @@ from fss_gnc.guidance.approach import Planner, coasted
 from fss_gnc.guidance.detumble import Detumble
 from fss_gnc.guidance.drift import Drifting
 from fss_gnc.guidance.leak import Leak
+from fss_gnc.guidance.mission_settings import MissionSettings
 from fss_gnc.guidance.reach import Reach, fixtures
 from fss_gnc.guidance.rest import braking, slowing
 from fss_gnc.reference import Body
@@ -44,6 +46,56 @@ def test_it_captures_a_tumbling_target_and_stops_it():
     assert np.abs(flight.plant.imbalance).max() < 1e-9
     # Turn rates are known to 2 mrad/s, times 2 kg m^2, and a last pulse may end after that.
     assert flight.activity.momentum[2] == pytest.approx(flown.momentum, abs=5e-3)
+
+
+def of_unknown_mass(assumed, mass, learns=True, inertia=None, **case):
+    settings = MissionSettings(target_mass=assumed, target_inertia=assumed / 40.0)
+    truth = Target(mass, mass / 40.0 if inertia is None else inertia)
+    flight = Flight(Case(distance=1.4, **case), None, settings, truth, learns)
+    return flight, flight.fly()
+
+
+def errors_of_found(flight):
+    """Of what was known of the target in the end, in its deviations (4,), and the NEES."""
+    truth, found = flight.plant.world.target, flight.navigation.found
+    place = hold(P, flight.plant.q, flight.plant.target[0])
+    off = found.values - [truth.mass, *place[:2], truth.inertia]
+    return off / found.deviations, off @ np.linalg.solve(found.covariance, off) / 4
+
+
+@pytest.mark.parametrize("mass", [5.0, 20.0])
+def test_a_target_of_another_mass_than_assumed_is_weighed_and_stopped(mass):
+    flight, flown = of_unknown_mass(10.0, mass)
+    assert flown.well
+    assert flown.safe
+    found = flight.navigation.found
+    assert np.abs(errors_of_found(flight)[0]).max() < 3.0
+    assert found.deviations[0] < 0.5 * found.values[0]  # 0.7 of it before
+    assert (found.deviations[1:3] < 0.035).all()
+
+
+@pytest.mark.slow
+def test_twelve_captured_targets_are_known_as_well_as_is_said():
+    nees = []
+    for seed in range(12):
+        rng = np.random.default_rng(100 + seed)
+        mass = 10.0 * 2.0 ** rng.uniform(-1.0, 1.0)
+        inertia = mass / 40.0 * np.exp(0.3 * rng.standard_normal())
+        spin = rng.choice([-1.0, 1.0]) * rng.uniform(0.05, 0.15)
+        flight, flown = of_unknown_mass(10.0, mass, inertia=inertia, spin=spin, seed=seed)
+        assert flown.well
+        off, found = errors_of_found(flight)
+        assert np.abs(off).max() < 3.0
+        nees.append(found)
+    assert np.mean(nees) < 1.5  # 0.2: the base's twist is better than its covariance says
+
+
+@pytest.mark.parametrize("learns", [False, True])
+def test_a_target_six_times_as_heavy_is_stopped_only_by_who_weighs_it(learns):
+    _, flown = of_unknown_mass(5.0, 30.0, learns, spin=0.25, drift=(-0.025, 0.02))
+    assert flown.captured
+    assert flown.well == learns
+    assert flown.message.endswith("" if learns else "off the reference")
 
 
 @pytest.mark.slow

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from fss_arm_model.clearance import gaps, sizes, with_edge, with_target
+from fss_arm_model.held import with_held
 from fss_arm_model.momentum import momentum
 from fss_gnc.guidance.activity import Craft, Floats, Seen
 
@@ -39,7 +40,8 @@ class Account:
         q, qd = seen.floating
         p, n, s = self.craft.arm.vector(), self.craft.arm.n, self.craft.settings
         around = sizes(s, s.target_radius, s.gripper_length)
-        self.momentum = momentum(p, q, qd)
+        held = seen.held if seen.holds else None
+        self.momentum = momentum(p if held is None else with_held(p, *held), q, qd)
         self.edge = float(gaps(p, q, list(with_edge(n)), around).min())
         if seen.target is not None:
             pairs = list(with_target(n))[:-1]

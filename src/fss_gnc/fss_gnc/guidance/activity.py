@@ -11,10 +11,12 @@ import numpy as np
 import numpy.typing as npt
 
 from fss_arm_model.description import Arm
+from fss_arm_model.held import Target
 from fss_gnc.guidance.mission_settings import MissionSettings
 from fss_gnc.reference import Body, Path
 
 Floats = npt.NDArray[np.float64]
+Held = tuple[Target, Floats]  # a body and its place (3,) in the last link's frame (held.py)
 
 
 class ActivityError(ValueError):
@@ -34,6 +36,7 @@ class Seen:
     holds: bool | None = None  # the gripper the target; None: not known
     propellant: float = np.nan  # left [kg]; NaN: not known
     last_q: Floats | None = None  # (n,) as the joints were last heard [rad]; None: never
+    held: Held | None = None  # what the gripper holds, as measured; None: it is not yet
 
     @property
     def floating(self) -> tuple[Floats, Floats]:

@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from fss_arm_model.held import hold, with_held
 from fss_gnc.guidance.abort import Abort, Stopping
-from fss_gnc.guidance.activity import Craft, Ended, Orders, Seen
+from fss_gnc.guidance.activity import Craft, Ended, Held, Orders, Seen
 from fss_gnc.guidance.leak import Leak
 from fss_gnc.guidance.rest import braking
 from fss_gnc.guidance.watch import Watch
@@ -42,6 +42,7 @@ class Detumble:
         self.leak = Leak()
         self._path: Path | None = None
         self._held = False
+        self._known: Held | None = None  # what it holds, as measured
         self._begun = self._moving = np.nan
         self._left = np.inf  # since when it is left alone
 
@@ -59,7 +60,11 @@ class Detumble:
             return self.abort.step(seen)
         q, qd = seen.floating
         self.twist = qd[:3]
-        if seen.holds and seen.target is not None and not self._held:
+        if seen.holds and seen.held is not None and seen.held is not self._known:
+            self.p, self._held = with_held(self.craft.arm.vector(), *seen.held), True
+            self._known = seen.held
+            self._path = self._path if self._is_still(qd) else None  # planned for another mass
+        elif seen.holds and seen.target is not None and not self._held:
             place = hold(self.p, q, seen.target.pose)
             self.p, self._held = with_held(self.p, self.settings.target, place), True
         rates = self.joints.rates(self.p, seen)

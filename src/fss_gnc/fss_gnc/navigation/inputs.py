@@ -26,6 +26,8 @@ SECOND = 1_000_000_000
 UNHEARD = 0.5  # a joint that is silent for longer may do anything [s]
 FOLLOWS = 0.2  # how long a joint may be off from its plan in the same way [s]
 RESTS = 1e-4  # change of a joint's rate that the base does not feel [rad/s]
+LATELY = 0.5  # [s]
+RATE_ERROR = 5e-4  # of a joint's rate that is read, at least [rad/s]
 READINGS, PULSES, POINTS = 8, 32, 16  # kept of each joint, of commands to the valves, of a plan
 NEVER, FOREVER = -np.inf, np.inf
 
@@ -173,6 +175,18 @@ class KnownInputs:
             self._planned[-k:-1] = np.diff(qd, axis=0) / np.diff(t)[:, None]
         return True
 
+    def impulse(self, begin: int, end: int) -> Floats:
+        """Of the valves from one time [ns] to another, in the base's axes, (3,) [N s, N s, N m s].
+
+        Of the last PULSES commands.
+        """
+        first, last = self._seconds(begin), self._seconds(end)
+        following = np.append(self._opened[1:], FOREVER)
+        closed = np.minimum(np.minimum(self._closed, following[:, None]), last)
+        lasts = np.maximum(closed - np.maximum(self._opened, first)[:, None], 0.0)
+        found: Floats = lasts.sum(axis=0) @ self.valves
+        return found
+
     @property
     def heard(self) -> bool:
         """Whether every joint was."""
@@ -190,6 +204,16 @@ class KnownInputs:
         age = t - self._read_at[:, -1]
         qd = np.where(age <= UNHEARD, self._rates[:, -1], 0.0)
         return self._angles + qd * np.where(age <= UNHEARD, age, 0.0), qd
+
+    def loose(self) -> Floats:
+        """Deviations of the joints' rates, (n,) [rad/s]: as read, and by what they changed lately.
+
+        A filter whose model is wrong takes LATELY to see what the joints' reaction really was.
+        """
+        heard = np.where(self._read_at > self._read_at[:, -1:] - LATELY, self._rates, np.nan)
+        late = np.nanmax(heard, axis=1) - np.nanmin(heard, axis=1)
+        found: Floats = RATE_ERROR + self.settings.joint_rate_error * np.abs(heard[:, -1]) + late
+        return found
 
     def _late(self) -> Floats:
         """Squares of the changes between two readings, by time: the larger of the last two."""

@@ -1,5 +1,6 @@
 """Base and target together: what is seen of one may be the other, and one may hold the other."""
 
+from collections import deque
 from functools import partial
 from math import hypot, pi
 
@@ -9,9 +10,10 @@ import numpy.typing as npt
 from fss_arm_model.description import Arm
 from fss_arm_model.held import Target, held, hold, with_held
 from fss_arm_model.kernels import Floats
-from fss_arm_model.kinematics import tip_pose
+from fss_arm_model.kinematics import tip_jacobian, tip_pose
 
-from .body_filter import GATE, BodyFilter, Free, Pose
+from .body_filter import GATE, BodyFilter, BodyState, Free, Pose
+from .caught import SPACING, Caught, CaughtErrors, FreeBody, MassProperties, Sample, to_origin
 from .inputs import KnownInputs
 from .settings import EstimatorSettings, TargetErrors
 
@@ -20,6 +22,9 @@ SAME = 0.05, 0.15  # a pose so near to the end effector's is the end effector's 
 UNSEEN = SECOND // 5  # a held target that is not seen for so long is where the gripper has it
 GRIP = 0.05, 0.1  # by how much gripping and letting go changes twists [m/s], [rad/s]
 SHAKEN = 0.05, 0.2  # random walk of a held target's twist [m/s/sqrt(s)], [rad/s/sqrt(s)]
+BEFORE = SECOND // 2  # so long before a grip is heard of, none had been; and after, all is calm
+EARLIER = 20  # moments before a grip that are kept, BEFORE apart
+GAP = 2 * SECOND  # in which nothing was known; what the valves gave meanwhile is not either
 EASED = 0.05  # of what a pose of the held target says of its place in the gripper is believed
 
 
@@ -46,7 +51,8 @@ class Navigation:
         arm: as known.
         settings: errors of sensors and inputs.
         of_target: errors of the target's poses, and what accelerates it.
-        body: the target's mass and inertia.
+        body: the target's mass and inertia as assumed.
+        errors: how well these are known, and the momentum.
     """
 
     def __init__(
@@ -55,15 +61,22 @@ class Navigation:
         settings: EstimatorSettings | None = None,
         of_target: TargetErrors | None = None,
         body: Target | None = None,
+        errors: CaughtErrors | None = None,
     ) -> None:
         self.settings, self.body = settings or EstimatorSettings(), body or Target()
         self.p = arm.vector()
         self.inputs = KnownInputs(self.p, self.settings)
-        errors, s = of_target or TargetErrors(), self.settings
-        self._carried = _Carried(errors)
+        of_target, s = of_target or TargetErrors(), self.settings
+        self._carried = _Carried(of_target)
         self.base = BodyFilter(s, self.inputs, partial(self._other, "target"), s)
-        self.target = BodyFilter(errors, self._carried, partial(self._other, "base"), s)
+        self.target = BodyFilter(of_target, self._carried, partial(self._other, "base"), s)
         self.place: Floats | None = None  # of the target in the gripper; None: it is not held
+        self.errors = errors or CaughtErrors()
+        self.caught: Caught | None = None
+        self.found: MassProperties | None = None  # of what is held; None: nothing measured yet
+        self._gripped = 0  # when that was heard [ns]
+        self._seen: deque[tuple[int, Sample, BodyState | None]] = deque(maxlen=EARLIER)
+        self._given, self._given_until = np.zeros(3), -GAP  # impulse of the valves, [ns]
 
     @property
     def holds(self) -> bool:
@@ -73,6 +86,8 @@ class Navigation:
     def describe(self, arm: Arm) -> None:
         """The arm is known better."""
         self.p = arm.vector()
+        if self.caught:
+            self.caught.p = self.p
         self._weigh()
 
     def joint(self, i: int, t: int, q: float, qd: float) -> None:
@@ -116,7 +131,8 @@ class Navigation:
         """Take whether the gripper holds the target."""
         if holds == self.holds:
             return
-        self._carried.held, self.place = holds, None
+        self._carried.held, self.place, self._gripped = holds, None, self.base.t
+        self.caught = self.found = None
         for body in (self.base, self.target):
             body.push(body.t, *GRIP)
         self._weigh()
@@ -129,9 +145,79 @@ class Navigation:
             self.target.held(t, (x, y, heading))
         self.target.predict(t)
 
+    def observe(self, t: int) -> MassProperties | None:
+        """Learn of what is held, by where all is at t [ns]; what is known then, if that is new."""
+        if not self.base.events or self.base.lost(t) or not self.inputs.heard_at(t):
+            return None
+        if self.holds and t < self._gripped + BEFORE:
+            return None
+        if t > self._given_until + GAP:
+            self._given_until, self.caught = t - BEFORE, None
+            self._seen.clear()
+        sample = self._sample(t)
+        if not self.holds:
+            free = self.target.events and not self.target.lost(t)
+            if not self._seen or t >= self._seen[-1][0] + BEFORE:
+                self._seen.append((t, sample, self.target.state().at(t) if free else None))
+            return None
+        if self.caught is None:
+            self.caught = self._begin(t, sample)
+        if not self.caught.is_due(sample.t):
+            return None
+        self.caught.take(sample)
+        self.found = self.caught.solve()
+        self._weigh()
+        return self.found
+
+    def _sample(self, t: int) -> Sample:
+        """All as it is at t [ns], with what the valves have given."""
+        q, qd = self._state(t)
+        base = self.base.state()
+
+        def given(begin: int, end: int) -> Floats:
+            x, y, heading = base.at((begin + end) // 2).pose.tolist()
+            fx, fy, torque = self.inputs.impulse(begin, end)
+            force = complex(fx, fy) * np.exp(1j * heading)
+            return to_origin(np.array([x, y]), np.array([force.real, force.imag, torque]))
+
+        until = max(t - BEFORE, self._given_until)  # of what came later not all may be heard yet
+        self._given = self._given + given(self._given_until, until)
+        self._given_until = until
+        return Sample(
+            t / SECOND, q, qd, base.covariance[3:, 3:], self.inputs.loose(),
+            self._given + given(until, t),
+        )  # fmt: skip
+
+    def _begin(self, t: int, sample: Sample) -> Caught:
+        """With what was known before the grip; of a payload nothing was.
+
+        Where base or joints were not known for a while, what was found until then is the prior.
+        """
+        known = [seen for seen in self._seen if seen[0] <= self._gripped - BEFORE]
+        self._seen.clear()
+        place, state = self.place, known[-1][2] if known else None
+        earlier = [seen[1] for seen in known[:: -round(SPACING * SECOND / BEFORE)]][::-1]
+        if place is None:  # it has no markers
+            x, y, heading = self.body.fixture
+            out = np.exp(-1j * heading) * complex(x, y)  # from it to the tip, seen from the tip
+            place = hold(self.p, sample.q, tip_pose(self.p, sample.q))
+            place = place + np.array([out.real, out.imag, 0.0])
+        if state is None:
+            tip, J = tip_pose(self.p, sample.q), tip_jacobian(self.p, sample.q)
+            free = FreeBody(tip, J @ sample.qd, np.eye(3))
+        else:
+            free = FreeBody.of(self.p, place, state.pose, state.twist, state.covariance[3:, 3:])
+        prior = self.found or MassProperties.assumed(self.body, place, self.errors)
+        thrust_error = self.settings.thrust_error
+        return Caught(self.p, prior, earlier or [sample], free, self.errors, thrust_error)
+
     def _weigh(self) -> None:
-        place = self.place
-        self.inputs.describe(self.p if place is None else with_held(self.p, self.body, place))
+        p = self.p
+        if self.found is not None:
+            p = with_held(p, *self.found.held)
+        elif self.place is not None:
+            p = with_held(p, self.body, self.place)
+        self.inputs.describe(p)
 
     def _state(self, t: int) -> tuple[Floats, Floats]:
         """Base and joints at t [ns], and their rates, (3 + n,) each."""

@@ -6,6 +6,8 @@ from fss_arm_model.held import Target
 from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, Settings, between, like, setting
 from fss_arm_model.vehicle import Vehicle
 
+from .caught import CaughtErrors
+
 
 @dataclass(frozen=True)
 class SensorErrors(Settings):
@@ -125,7 +127,7 @@ class EstimatorSettings(SensorErrors, Bounds):
 
 
 @dataclass(frozen=True)
-class NavigationSettings(EstimatorSettings):
+class NavigationSettings(EstimatorSettings, CaughtErrors):
     """The parameters of a NavigationNode."""
 
     latency: float = setting(

@@ -22,10 +22,10 @@ from std_srvs.srv import SetBool
 from fss_arm_bags.reader import open_bags
 from fss_arm_calib.report import Figure
 from fss_arm_model.description import Arm, load
-from fss_arm_model.held import Target
+from fss_arm_model.held import Target, hold
 from fss_arm_model.kinematics import joint_positions
 from fss_arm_msgs.action import Capture
-from fss_arm_msgs.msg import MissionState
+from fss_arm_msgs.msg import MassProperties, MissionState
 from fss_arm_ros.convert import SECOND, stamp_ns
 from fss_arm_ros.qos import LATCHED
 from fss_sim.rehearsal.domain import CONFIG, Domain
@@ -118,8 +118,8 @@ class Person(Operator):
         return self.after(answer, "the mission does not end", MAX_DURATION).result
 
 
-def start_all(nodes: Nodes, arm: Path, out: Path, seed: int, speed: float) -> None:
-    """Start test bed, recorder, and what flies the spacecraft."""
+def start_all(nodes: Nodes, arm: Path, out: Path, seed: int, speed: float, assumed: float) -> None:
+    """Start test bed, recorder, and what flies the spacecraft, told a target's mass [kg]."""
     clock, ports = {"use_sim_time": True}, nodes.domain.ports(2 * LINKS + 2)
     board, base = ports[2 * LINKS :]
     nodes.start("record", "fss_arm_bags", "record", output=out / "bag", **clock)
@@ -134,7 +134,8 @@ def start_all(nodes: Nodes, arm: Path, out: Path, seed: int, speed: float) -> No
     nodes.start("arm", "fss_arm_driver", "arm", arm=arm, rate=20.0, time_to_live=10.0, **clock)
     url = f"udp://127.0.0.1:{board}?bind={base}"
     nodes.start("base", "fss_base_driver", "base", url=url, timeout=10.0, **clock)
-    target = {"target_mass": TARGET.mass, "target_inertia": TARGET.inertia}
+    inertia = TARGET.inertia * assumed / TARGET.mass
+    target = {"target_mass": assumed, "target_inertia": inertia}
     for name in ("navigation", "control"):
         nodes.start(name, "fss_gnc", name, arm=arm, **target, **clock)
     nodes.start("guidance", "fss_gnc", "guidance", arm=arm, posture=POSTURE, **target, **clock)
@@ -155,6 +156,7 @@ class Flight(NamedTuple):
     propellant: np.ndarray
     planned: np.ndarray  # (m, 3) where the base was to be
     phases: list[tuple[float, str]]  # since when [s]
+    found: MassProperties | None  # what was held, as it was known in the end
 
 
 def read(bag: Path) -> Flight:
@@ -167,6 +169,8 @@ def read(bag: Path) -> Flight:
         truths = [message for _, _, _, message in bags.messages({"/sim/truth"})]
     with open_bags(bag) as bags:
         states = [message for _, _, _, message in bags.messages({"/mission/state"})]
+    with open_bags(bag) as bags:
+        found = [message for *_, message in bags.messages({"/target/mass_properties"})]
     if not truths:
         raise RehearsalError(f"there is no sim/truth in {bag}")
 
@@ -183,11 +187,29 @@ def read(bag: Path) -> Flight:
     return Flight(
         stamps, column("q"), column("qd"), column("target"), column("target_twist"),
         column("holds"), column("momentum"), column("impulse"), error, column("propellant"),
-        planned, phases,
+        planned, phases, found[-1] if found else None,
     )  # fmt: skip
 
 
-def accept(flight: Flight, say: Callable[[str], None]) -> list[Check]:
+def mass_off(flight: Flight, p: np.ndarray, k: int) -> tuple[float, str]:
+    """How far what is known of the target, captured at row k, is off, in its deviations at most."""
+    if flight.found is None:
+        return np.inf, "what is held was not found"
+    m = flight.found
+    values = np.array([m.mass, *m.com, m.inertia])
+    deviations = np.sqrt(m.covariance.reshape(4, 4).diagonal())
+    place = hold(p, flight.q[k], flight.target[k])
+    truth = np.array([TARGET.mass, *place[:2], TARGET.inertia])
+    names = ("mass {:.2f} +- {:.2f} kg", "x {:.3f} +- {:.3f} m", "y {:.3f} +- {:.3f} m",
+             "inertia {:.3f} +- {:.3f} kg m^2")  # fmt: skip
+    words = (
+        f"{name.format(value, deviation)} ({true:.3f})"
+        for name, value, deviation, true in zip(names, values, deviations, truth, strict=True)
+    )
+    return float((np.abs(values - truth) / deviations).max()), f"it holds {', '.join(words)}"
+
+
+def accept(flight: Flight, p: np.ndarray, say: Callable[[str], None]) -> list[Check]:
     """Say how it went, and return it."""
     caught = Check("the target is captured", "it was not", False)
     if not flight.holds.any():
@@ -208,7 +230,10 @@ def accept(flight: Flight, say: Callable[[str], None]) -> list[Check]:
     say(f"  {differ}")
     say(f"target's spin {turns}")
     say(f"propellant used {1e3 * flight.propellant[-1]:.1f} g")
+    off, known = mass_off(flight, p, k)
+    say(known)
     return [
+        Check("what is held is known within 3 deviations", known, off < 3.0),
         caught._replace(happened=when, held=True),
         Check(f"momentum before and after agree to {AGREE:g}", differ, worst < AGREE),
         Check("the target's spin is stopped", turns, abs(spin[1]) < 0.1 * abs(spin[0])),
@@ -283,6 +308,8 @@ def draw(axes: Any, arm: Arm, q: np.ndarray, target: np.ndarray, shade: float) -
 def add_options(parser: argparse.ArgumentParser) -> None:
     """What this rehearsal can be told."""
     parser.add_argument("--speed", type=float, default=1.0, help="in multiples of real time")
+    words = f"the target's mass as the nodes are told [kg]; it is {TARGET.mass:g}"
+    parser.add_argument("--assumed", type=float, default=TARGET.mass, help=words)
 
 
 def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
@@ -290,7 +317,7 @@ def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
     arm, say = load(CONFIG / "arm.yaml"), partial(console.print, soft_wrap=True, highlight=False)
     with own_domain() as domain, Nodes(out / "logs", say, domain) as nodes:
         say(f"starting simulator, drivers, recorder and guidance, in ROS domain {domain.number}")
-        start_all(nodes, CONFIG / "arm.yaml", out, options.seed, options.speed)
+        start_all(nodes, CONFIG / "arm.yaml", out, options.seed, options.speed, options.assumed)
         person = Person(domain)
         person.arm_all()
         result = person.fly()
@@ -298,7 +325,7 @@ def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
     flight = read(out / "bag")
     end, *spent = budget(result)
     checks = [
-        *accept(flight, say),
+        *accept(flight, arm.vector(), say),
         Check("the guidance says so", end.removeprefix("by the guidance: "), result.stopped),
     ]
     for line in (end, *spent):
