@@ -9,7 +9,7 @@ import json
 import math
 import operator
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import yaml
 
 from .files import ContentError, read_text, read_yaml, short, write_text
 from .layout import BASE_SIZE as BASE_SIZE
@@ -559,3 +560,35 @@ def save(arm: Arm, path: str | os.PathLike[str]) -> None:
         OSError: the file cannot be written.
     """
     write_text(path, to_yaml(arm))
+
+
+def save_links(
+    arm: Arm,
+    path: str | os.PathLike[str],
+    histories: Mapping[int, Sequence[Mapping[str, Any]]],
+) -> None:
+    """Write the description as a list of serial numbers, and the links' files beside it.
+
+    What is known of places, `known`, is left out: links move, and `histories`, by serial number,
+    goes with them. The first link keeps its file's theta_0, as theta_BJ1 has it and the mount's.
+
+    Raises:
+        OSError: a file cannot be written.
+        DescriptionError: the first link's file is wrong.
+    """
+    folder, first = Path(path).parent, arm.links[0]
+    if (file := link_file(folder, first.serial)).exists():
+        first = replace(first, theta_0=read_link(file)[0].theta_0)
+    for link in (first, *arm.links[1:]):
+        entries = {"history": [*map(dict, histories[link.serial])]}
+        history = yaml.safe_dump(entries, sort_keys=False, default_flow_style=None)
+        head = "# A physical link. SI units and radians; a calibration's: value, deviation.\n"
+        text = head + "\n".join(_lines(link, "")) + "\n" + history
+        write_text(link_file(folder, link.serial), text)
+    x, y, angle = arm.base.mount
+    base = replace(arm.base, mount=(x, y, angle - first.theta_0))
+    before, _, after = to_yaml(replace(arm, base=base, known=Known())).partition("links:\n")
+    serials = [link.serial for link in arm.links]
+    rest = [line for line in after.splitlines() if not line.startswith(" ")]
+    links = f"links: {serials}  # link_<serial>.yaml beside this file, from the base on"
+    write_text(path, "\n".join([before + links, *rest]) + "\n")
