@@ -24,6 +24,7 @@ setup(
             "experiment = fss_arm_calib.programs:experiment",
             "from_bag = fss_arm_calib.from_bag:main",
             "joint = fss_arm_calib.joint.joint_command:main",
+            "links = fss_arm_calib.links:main",
             "recompute = fss_arm_calib.programs:recompute",
         ],
     },

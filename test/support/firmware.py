@@ -81,11 +81,16 @@ class FirmwareLink:
     """A link's electronics in simulated time, a simulated drive behind them."""
 
     def __init__(
-        self, core: Core, number: int = 2, boot: int = 7, key: bytes | None = None
+        self,
+        core: Core,
+        number: int = 2,
+        boot: int = 7,
+        key: bytes | None = None,
+        serial: int = 0,
     ) -> None:
         self.core, self.key = core, key
         self.clock = 0  # [us]
-        self.tell(f"start {number} {boot} {key.hex() if key else '-'}")
+        self.tell(f"start {number} {boot} {key.hex() if key else '-'} {serial}")
 
     def tell(self, request: str) -> None:
         """Let something happen to it."""

@@ -73,8 +73,8 @@ def write(path: str | Path, kind: str, outcome: Outcome[Any, Any]) -> None:
     write_text(Path(path).with_suffix(".csv"), table(outcome))
 
 
-def arm_of(path: str | Path, kind: str) -> Arm:
-    """The arm that a result of a kind of calibration leaves, and how well it knows it.
+def passed(path: str | Path, kind: str = "") -> dict[str, Any]:
+    """What stands in a result of a kind of calibration, or of any, that has passed.
 
     Raises:
         ContentError: it is no such result, or has not passed.
@@ -85,7 +85,17 @@ def arm_of(path: str | Path, kind: str) -> Arm:
         raise FileNotFoundError(f"no such file: {path}")
     if not isinstance(found, dict) or found.get("schema") != SCHEMA:
         raise ContentError(f"{path}: schema", found and dict(found).get("schema"), SCHEMA)
-    for name, expected in (("kind", kind), ("verdict", PASS)):
+    for name, expected in (("kind", kind or str(found.get("kind"))), ("verdict", PASS)):
         if found.get(name) != expected:
             raise ContentError(f"{path}: {name}", found.get(name), expected)
-    return from_yaml(str(found.get("description")))
+    return found
+
+
+def arm_of(path: str | Path, kind: str) -> Arm:
+    """The arm that a result of a kind of calibration leaves, and how well it knows it.
+
+    Raises:
+        ContentError: it is no such result, or has not passed.
+        OSError: it cannot be read.
+    """
+    return from_yaml(str(passed(path, kind).get("description")))

@@ -88,6 +88,7 @@ class LinkNode(Node):
             settings.key(),
             settings.empty,
             self.clock.ahead,
+            settings.arm,
         )
         self.transport = transport or open_transport(settings.url, number, settings.key())
         self.name, self.lock = f"link_{number}", RLock()

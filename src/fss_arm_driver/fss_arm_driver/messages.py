@@ -21,7 +21,8 @@ REPORTED = (
     *("boot", "sequence", "clock", "position", "velocity", "current"),
     *("torque", "torque_age", "mode", "flags", "status"),
 )
-SLOW_NAMES = tuple((int(s), s.name.lower()) for s in Slow if s not in (Slow.TEMPERATURE, Slow.PATH))
+UNREPORTED = Slow.TEMPERATURE, Slow.PATH, Slow.SERIAL  # as the others are
+SLOW_NAMES = tuple((int(s), s.name.lower()) for s in Slow if s not in UNREPORTED)
 LATCHED_WORDS = {
     State.STOPPED: "the link is stopped",
     State.WATCHDOG: "its watchdog tripped",
@@ -132,6 +133,8 @@ class LinkHealth:
             return Health(ERROR, f"link_{session.number} is lost{': ' * bool(why)}{why}", values)
         if session.rival or session.faults:
             return Health(ERROR, session.rival or words, values)
+        if session.nameless:
+            return Health(WARN, f"{words}; {session.nameless}", values)
         if session.strain:
             return Health(WARN, f"{words}; {session.strain}", values)
         if (left := session.battery.time_left()) < SHORT:
@@ -163,6 +166,8 @@ class LinkHealth:
             "battery lasts [min]": session.battery.time_left() / 60.0,
             "temperature [deg C]": slow.get(Slow.TEMPERATURE, "not reported"),
             "firmware": f"{firmware >> 16}.{firmware >> 8 & 0xFF}.{firmware & 0xFF}",
+            "serial": slow.get(Slow.SERIAL, "not told yet"),
+            "expected serial": session.serial or "any",
             "signed": self.signed,
             **self.counts,
             **self.transport.counts,

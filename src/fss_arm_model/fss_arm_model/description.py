@@ -9,7 +9,7 @@ import json
 import math
 import operator
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import yaml
 
 from .files import ContentError, read_text, read_yaml, short, write_text
 from .layout import BASE_SIZE as BASE_SIZE
@@ -64,6 +65,12 @@ def _nonzero(value: Any) -> float:
 
 def _count(value: Any) -> int:
     if isinstance(value, bool) or not _number(number := operator.index(value)) > 0.0:
+        raise ValueError
+    return number
+
+
+def _serial(value: Any) -> int:
+    if isinstance(value, bool) or not 0 <= (number := operator.index(value)) < 1 << 31:
         raise ValueError
     return number
 
@@ -127,6 +134,7 @@ _EXPECTED: dict[Callable[[Any], Any], str] = {
     _positive: "a positive number",
     _nonzero: "a number other than zero",
     _count: "a positive integer",
+    _serial: "an integer from 0 to 2147483647",
     _sign: "1 or -1",
     _name: "a printable text that is not empty",
     _texts: "a list of names, each once",
@@ -203,6 +211,9 @@ class Link:
     torque_sensor: TorqueSensor = field(
         default_factory=TorqueSensor,
         metadata=_is(_instance(TorqueSensor), expected="a torque sensor"),
+    )
+    serial: int = field(
+        default=0, metadata=_is(_serial, about="number of the physical link; 0: not known")
     )
 
     def __post_init__(self) -> None:
@@ -313,6 +324,10 @@ class Arm:
                 "link 1: theta_0", self.links[0].theta_0, "0, as theta_BJ1 takes its place"
             )
 
+        serials = [link.serial for link in self.links if link.serial]
+        if len(set(serials)) < len(serials):
+            raise DescriptionError("serials of the links", serials, "each once")
+
     @property
     def n(self) -> int:
         """Number of links."""
@@ -391,8 +406,55 @@ def _read(key: str, value: Any, kind: type[Any] | None = None) -> Any:
         return _build(kind, value)
 
 
-def from_yaml(text: str) -> Arm:
-    """The arm that `text` describes.
+def link_file(folder: str | os.PathLike[str], serial: int) -> Path:
+    """Where the physical link of this serial number is described."""
+    return Path(folder) / f"link_{serial}.yaml"
+
+
+def read_link(path: Path) -> tuple[Link, list[dict[str, Any]]]:
+    """A physical link by its file, and its calibrations so far.
+
+    Raises:
+        DescriptionError: it cannot be read, or what it says cannot be right.
+    """
+    try:
+        with _within(str(path)):
+            given = read_yaml(read_text(path))
+            if not isinstance(given, dict):
+                raise DescriptionError("link", given, _entries(Link))
+            history = given.pop("history", [])
+            if not (isinstance(history, list) and all(isinstance(h, dict) for h in history)):
+                raise DescriptionError("history", history, "a list of calibrations")
+            link: Link = _build(Link, given)
+            if link_file(path.parent, link.serial) != path:
+                expected = f"that of the file's name, {path.name}"
+                raise DescriptionError("serial", link.serial, expected)
+    except OSError as error:
+        raise DescriptionError("links", path.name, f"a file: {error.strerror or error}") from None
+    return link, history
+
+
+def _mounted(given: dict[str, Any], folder: str | os.PathLike[str]) -> dict[str, Any]:
+    """An arm's entries with the files of links that are given by their serial numbers.
+
+    The first joint's angle is then the base's part and the link's, as the link may be moved.
+    """
+    links = given.get("links")
+    if not isinstance(links, list) or not any(type(link) is int for link in links):
+        return given
+    if "known" in given:
+        raise DescriptionError("known", "names by place", "none with links by serial number")
+    links = [read_link(link_file(folder, k))[0] if type(k) is int else k for k in links]
+    base = _read("base", given.get("base"))
+    if isinstance(base, Base) and type(given["links"][0]) is int:
+        x, y, angle = base.mount
+        base = replace(base, mount=(x, y, angle + links[0].theta_0))
+        links[0] = replace(links[0], theta_0=0.0)
+    return {**given, "base": base, "links": links}
+
+
+def from_yaml(text: str, folder: str | os.PathLike[str] = ".") -> Arm:
+    """The arm that `text` describes; `folder` has the files of links told by serial number.
 
     Raises:
         DescriptionError: it is not YAML, or an entry is missing, unknown, given twice or wrong.
@@ -401,7 +463,7 @@ def from_yaml(text: str) -> Arm:
         given = read_yaml(text)
     if not isinstance(given, dict):
         raise DescriptionError("arm", given, _entries(Arm))
-    arm: Arm = _build(Arm, given)
+    arm: Arm = _build(Arm, _mounted(given, folder))
     return arm
 
 
@@ -415,7 +477,7 @@ def load(path: str | os.PathLike[str]) -> Arm:
     with _within(""):
         text = read_text(path)
     with _within(str(path)):
-        return from_yaml(text)
+        return from_yaml(text, Path(path).parent)
 
 
 def described(arm: str) -> Arm:
@@ -457,7 +519,7 @@ def _lines(part: Any, indent: str) -> Iterator[str]:
     """The entries of a description's part, each with its unit and meaning as a comment."""
     for f in fields(part):
         value = getattr(part, f.name)
-        if value == Known():
+        if f.name in ("known", "serial") and value == f.default:
             continue
         if is_dataclass(value):
             yield f"{indent}{f.name}:"
@@ -498,3 +560,35 @@ def save(arm: Arm, path: str | os.PathLike[str]) -> None:
         OSError: the file cannot be written.
     """
     write_text(path, to_yaml(arm))
+
+
+def save_links(
+    arm: Arm,
+    path: str | os.PathLike[str],
+    histories: Mapping[int, Sequence[Mapping[str, Any]]],
+) -> None:
+    """Write the description as a list of serial numbers, and the links' files beside it.
+
+    What is known of places, `known`, is left out: links move, and `histories`, by serial number,
+    goes with them. The first link keeps its file's theta_0, as theta_BJ1 has it and the mount's.
+
+    Raises:
+        OSError: a file cannot be written.
+        DescriptionError: the first link's file is wrong.
+    """
+    folder, first = Path(path).parent, arm.links[0]
+    if (file := link_file(folder, first.serial)).exists():
+        first = replace(first, theta_0=read_link(file)[0].theta_0)
+    for link in (first, *arm.links[1:]):
+        entries = {"history": [*map(dict, histories[link.serial])]}
+        history = yaml.safe_dump(entries, sort_keys=False, default_flow_style=None)
+        head = "# A physical link. SI units and radians; a calibration's: value, deviation.\n"
+        text = head + "\n".join(_lines(link, "")) + "\n" + history
+        write_text(link_file(folder, link.serial), text)
+    x, y, angle = arm.base.mount
+    base = replace(arm.base, mount=(x, y, angle - first.theta_0))
+    before, _, after = to_yaml(replace(arm, base=base, known=Known())).partition("links:\n")
+    serials = [link.serial for link in arm.links]
+    rest = [line for line in after.splitlines() if not line.startswith(" ")]
+    links = f"links: {serials}  # link_<serial>.yaml beside this file, from the base on"
+    write_text(path, "\n".join([before + links, *rest]) + "\n")

@@ -212,6 +212,10 @@ class TestbedSettings(PlantSettings):
         "these parameters; empty: one vehicle",
     )  # fmt: skip
     arm: str = setting("", "file of the true arm's description; empty: the paper's arm")
+    serials: tuple[int, ...] = setting(
+        (), "serial numbers that the links tell, from the base on, 0: none; empty: as described",
+        check=between(0, 2**31 - 1),
+    )  # fmt: skip
     without_arm: bool = setting(False, "whether the described base floats without its arm")
     host: str = setting("127.0.0.1", "address that the links' ports are opened on")
     transports: tuple[str, ...] = setting(
@@ -311,6 +315,11 @@ class TestbedSettings(PlantSettings):
     def description(self) -> Arm | Base:
         """The true arm, or the base that has none."""
         arm = described(self.arm)
+        if self.serials:
+            if len(self.serials) != arm.n:
+                raise ValueError(f"serials are {len(self.serials)}, expected {arm.n}, one a link")
+            links = zip(arm.links, self.serials, strict=True)
+            arm = replace(arm, links=tuple(replace(k, serial=serial) for k, serial in links))
         return arm.base if self.without_arm else arm
 
     def noise(self) -> Noise:

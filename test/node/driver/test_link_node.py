@@ -26,6 +26,7 @@ from std_srvs.srv import SetBool, Trigger
 from fss_arm_driver.host_clock import HostClock
 from fss_arm_driver.link_node import LinkNode
 from fss_arm_driver.protocol import Mode, Order, Slow, State
+from fss_arm_model.description import paper_arm, save
 from fss_arm_msgs.msg import CommandStatus, LinkCommand, LinkPath, LinkTelemetry
 from fss_arm_ros.convert import stamp_ns, to_time
 
@@ -370,6 +371,29 @@ def test_faults_are_told_and_cleared(bench):
     assert cleared.result().success
     until(lambda: transport.link.taken.flags == Order.CLEAR_FAULTS)
     transport.link.frame = replace(transport.link.frame, slow_value=0)
+    until(lambda: not node.session.faults)
+    assert arm(user, until).success
+
+
+def test_a_link_of_another_serial_number_is_refused_and_told(spin, tmp_path):
+    arm_file = tmp_path / "arm.yaml"
+    save(replace(paper_arm(), links=(replace(paper_arm().links[0], serial=7),)), arm_file)
+    transport, user = FakeTransport(), User()
+    transport.link.frame = replace(transport.link.frame, slow_id=Slow.SERIAL, slow_value=8)
+    node = LinkNode(1, transport=transport, **options(arm=str(arm_file)))
+
+    def until(condition, timeout=10.0):
+        return spin([node, user], condition, timeout)
+
+    until(lambda: node.session.slow and user.health and user.arm.service_is_ready())
+    answer = arm(user, until)
+    assert not answer.success
+    assert "serial number 8 came where 7 is expected" in answer.message
+    assert str(arm_file) in answer.message
+    until(lambda: user.values()["serial"] == "8")
+    assert user.values()["expected serial"] == "7"
+    assert user.level() == DiagnosticStatus.ERROR
+    transport.link.frame = replace(transport.link.frame, slow_value=7)
     until(lambda: not node.session.faults)
     assert arm(user, until).success
 

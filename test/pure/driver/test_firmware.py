@@ -86,7 +86,7 @@ LATCHES = State.ARMED | State.STOPPED | State.WATCHDOG
 @pytest.fixture
 def link(core) -> FirmwareLink:
     """A link whose drive is connected, at one second."""
-    link = FirmwareLink(core)
+    link = FirmwareLink(core, serial=23)
     link.run(1.0)
     link.orders()
     return link
@@ -103,7 +103,7 @@ def moving(link, command=MOVE):
 
 
 def test_it_finds_the_drive_and_starts_disarmed_and_off(core):
-    link = FirmwareLink(core)
+    link = FirmwareLink(core, serial=23)
     frames = link.run(2.0)
     assert link.orders() == ["s r0x90 115200"]
     assert (link.joint().baud, link.joint().mode) == (115200, Mode.OFF)
@@ -122,7 +122,8 @@ def test_it_measures_five_times_a_second_whatever_arrives(link):
     slow = {Slow(frame.slow_id): frame.slow_value for frame in frames}
     assert slow == {
         Slow.FAULTS: 0, Slow.SUPPLY: 240, Slow.BATTERY: 148, Slow.TEMPERATURE: 31,
-        Slow.FIRMWARE: 0x20000, Slow.HOMINGS: 1, Slow.REFUSED: 40, Slow.PATH: 0,
+        Slow.FIRMWARE: 0x20100, Slow.HOMINGS: 1, Slow.REFUSED: 40, Slow.PATH: 0,
+        Slow.SERIAL: 23,
     }  # fmt: skip
 
 
@@ -676,7 +677,7 @@ def test_a_reset_that_is_over_at_once_is_noticed_by_its_status_bit(link, command
 @pytest.mark.parametrize("command", [MOVE, TURN, PUSH])
 def test_its_own_restart_stops_a_moving_drive(link, command):
     moving(link, command)
-    link.tell(f"restart 2 {BOOT + 1} -")
+    link.tell(f"restart 2 {BOOT + 1} - 0")
     frames = link.run(2.0)
     assert link.joint()[1:] == (0, Mode.OFF, 115200)
     assert frames[-1].boot == BOOT + 1
@@ -965,7 +966,7 @@ def test_a_segment_recorded_before_the_link_was_disarmed_is_refused(signed):
 
 def test_its_own_restart_ends_a_path(link):
     following(link)
-    link.tell(f"restart 2 {BOOT + 1} -")
+    link.tell(f"restart 2 {BOOT + 1} - 0")
     frame = link.run(2.0)[-1]
     assert not frame.flags & (PATHS | LATCHES)
     assert link.joint()[1:3] == (0, Mode.OFF)
@@ -1110,7 +1111,7 @@ def test_a_cortex_m3_agrees_with_the_vectors_and_with_this_computer(core):
         request, answer = line.split(" = ")
         assert emulated.ask(request) == answer, request
     for request in [
-        "start 2 7 -", "run 1000000", f"send {encode(QUIET).hex()}", f"send {encode(MOVE).hex()}",
+        "start 2 7 - 0", "run 1000000", f"send {encode(QUIET).hex()}", f"send {encode(MOVE).hex()}",
         "run 2500000", "joint", "orders",
     ]:  # fmt: skip
         assert emulated.ask(request) == core.ask(request)

@@ -112,6 +112,69 @@ def test_slow_fields_are_kept(heard):
     assert heard.session.slow == {Slow.TEMPERATURE: -3, Slow.SUPPLY: 240}
 
 
+NAMED = replace(LINK, serial=7)
+
+
+def named(*told, description=NAMED):
+    """A link that has told these serial numbers, at a place where another may be expected."""
+    bench = Bench(description, file="arm.yaml")
+    while bench.step() is None:
+        pass
+    for serial in told:
+        bench.step(slow_id=Slow.SERIAL, slow_value=serial)
+    return bench
+
+
+def test_a_link_is_armed_once_it_has_told_the_serial_number_expected():
+    bench = named()
+    why = "link 1 has not yet told its serial number, expected 7"
+    with pytest.raises(CommandError, match=f"^{why}$"):
+        bench.session.arm(bench.now)
+    bench.step(slow_id=Slow.SERIAL, slow_value=7)
+    bench.session.arm(bench.now)
+    bench.step()
+    bench.step()
+    assert bench.session.armed
+
+
+def test_another_link_is_not_armed_and_is_told_with_the_file_to_change():
+    bench = named(8)
+    why = (
+        "link 1 has faults: serial number 8 came where 7 is expected: "
+        "mount that link here or change the links in arm.yaml"
+    )
+    with pytest.raises(CommandError, match=f"^{why}$"):
+        bench.session.arm(bench.now)
+    assert not bench.told().flags & Order.ARM
+
+
+def test_a_link_that_is_swapped_while_armed_is_disarmed():
+    bench = named(7)
+    bench.session.arm(bench.now)
+    bench.step()
+    bench.step()
+    assert bench.session.armed
+    bench.step(slow_id=Slow.SERIAL, slow_value=8)
+    assert bench.session.arming is Arming.DISARMED
+    assert "serial number 8 came" in bench.session.dropped
+
+
+@pytest.mark.parametrize(("told", "description"), [((0,), NAMED), ((8,), LINK), ((), LINK)])
+def test_without_two_serial_numbers_to_compare_a_link_is_armed(told, description):
+    bench = named(*told, description=description)
+    assert bench.session.obstacle(bench.now) == ""
+    assert bool(bench.session.nameless) == (description is NAMED)
+
+
+def test_a_serial_number_is_told_anew_after_a_loss():
+    bench = named(7)
+    bench.now += 5 * SECOND
+    bench.session.tick(bench.now)
+    while bench.step() is None:
+        pass
+    assert "has not yet told" in bench.session.obstacle(bench.now)
+
+
 def test_a_pause_at_the_begin_is_not_taken_for_the_usual_period(bench):
     bench.step()
     bench.now += 2 * PERIOD

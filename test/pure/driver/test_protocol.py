@@ -198,7 +198,7 @@ def test_noise_with_a_good_head_and_crc_is_refused_or_encodes_to_itself(noise, k
         (patched(SAMPLE, 6, b"\0\0"), Refusal.FIELD),  # boot
         (patched(SAMPLE, 38, b"\2"), Refusal.FIELD),  # mode
         (patched(SAMPLE, 38, b"\x1f"), Refusal.FIELD),  # a path is for commands
-        (patched(SAMPLE, 39, b"\x09"), Refusal.FIELD),  # slow id
+        (patched(SAMPLE, 39, b"\x0a"), Refusal.FIELD),  # slow id
         (patched(ORDER, 5, b"\3"), Refusal.FIELD),  # arm and stop
         (patched(QUIET, 5, b"\x10"), Refusal.FIELD),  # home without arm
         (patched(ORDER, 5, b"\x21"), Refusal.FIELD),  # no such flag
@@ -229,7 +229,7 @@ def test_each_damage_has_its_reason(data, reason):
     [
         (SAMPLE, {"torque": 1 << 23}, "torque is 8388608, expected -8388608 to 8388607"),
         (SAMPLE, {"link": 256}, "link is 256, expected 0 to 255"),
-        (SAMPLE, {"slow_id": 0}, "slow_id is 0, expected 1 to 8"),
+        (SAMPLE, {"slow_id": 0}, "slow_id is 0, expected 1 to 9"),
         (SAMPLE, {"mode": 31}, r"mode is 31, expected one of \[0, 1, 11, 21\]"),
         (FOLLOW, {"set_point": 0}, "path is 0, expected 1 to 65535"),
         (PIECE, {"index": 65535}, "index is 65535, expected 0 to 65534"),

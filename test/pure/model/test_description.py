@@ -272,3 +272,61 @@ def test_cad_and_truth_differ_from_the_paper_in_kinematics():
 def test_importing_the_description_loads_no_compiler():
     code = "import sys, fss_arm_model.description; sys.exit('numba' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+# --- links by serial number -----------------------------------------------------------------------
+
+
+def filed(folder, serials, arm=None):
+    """A description by serial numbers, and the links' files beside it."""
+    arm = arm or paper_arm()
+    for i, link in enumerate(arm.links):
+        given = {
+            **{key: getattr(link, key) for key in ("a", "b", "mass", "inertia")},
+            "theta_0": 0.01 * (i + 1), "serial": i + 7, "history": [{"date": "2026-11-23"}],
+        }  # fmt: skip
+        (folder / f"link_{i + 7}.yaml").write_text(yaml.safe_dump(given))
+    base = {"mass": 10.0, "inertia": 0.25, "mount": [0.2, 0.0, 0.3]}
+    path = folder / "arm.yaml"
+    path.write_text(yaml.safe_dump({"name": "filed", "base": base, "links": serials}))
+    return path
+
+
+def test_links_by_serial_number_are_read_from_their_files(tmp_path):
+    arm = load(filed(tmp_path, [7, 8, 9, 10]))
+    assert [link.serial for link in arm.links] == [7, 8, 9, 10]
+    assert [link.a for link in arm.links] == [link.a for link in paper_arm().links]
+    assert arm.base.mount == pytest.approx((0.2, 0.0, 0.31))
+    assert [link.theta_0 for link in arm.links] == [0.0, 0.02, 0.03, 0.04]
+    assert from_yaml(to_yaml(arm)) == arm
+
+
+def test_links_that_are_moved_take_their_values_along(tmp_path):
+    """Reordering the list moves everything that is a link's own, its joint's offset as well."""
+    path = filed(tmp_path, [7, 8, 9, 10])
+    before, after = load(path), load(filed(tmp_path, [10, 8, 7, 9]))
+    offsets = {7: 0.01, 8: 0.02, 9: 0.03, 10: 0.04}
+    own = {link.serial: replace(link, theta_0=0.0) for link in before.links}
+    assert [link.serial for link in after.links] == [10, 8, 7, 9]
+    assert [replace(link, theta_0=0.0) for link in after.links] == [own[k] for k in (10, 8, 7, 9)]
+    assert [link.theta_0 for link in after.links[1:]] == [offsets[k] for k in (8, 7, 9)]
+    assert after.base.mount[2] == pytest.approx(0.3 + offsets[10])
+
+
+@pytest.mark.parametrize(
+    ("serials", "message"),
+    [
+        ([7, 8, 7], r"serials of the links is \[7, 8, 7\], expected each once"),
+        ([7, 11], r"links is 'link_11.yaml', expected a file: No such file or directory"),
+    ],
+)
+def test_serial_numbers_that_cannot_be_right_are_refused(tmp_path, serials, message):
+    with pytest.raises(DescriptionError, match=message):
+        load(filed(tmp_path, serials))
+
+
+def test_a_link_file_of_another_serial_number_is_refused(tmp_path):
+    path = filed(tmp_path, [7, 11])
+    shutil.copy(tmp_path / "link_8.yaml", tmp_path / "link_11.yaml")
+    with pytest.raises(DescriptionError, match=r"link_11\.yaml: serial is 8, expected that of"):
+        load(path)

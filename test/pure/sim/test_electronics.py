@@ -53,6 +53,12 @@ def test_it_reports_counts_of_its_own_drive_and_torque_converter():
     assert (got.clock, got.echo, got.turnaround) == (SECOND + 300, 5, 300)
 
 
+def test_it_tells_its_serial_number():
+    electronics = LinkElectronics(2, replace(LINK, serial=23), BOOT)
+    frames = [frame(electronics, t) for t in range(SECOND, 3 * SECOND, 200_000)]
+    assert {f.slow_value for f in frames if f.slow_id == Slow.SERIAL} == {23}
+
+
 def test_frames_come_at_their_rate_and_slow_fields_take_turns():
     electronics = link()
     times = [t for t in range(0, 3 * SECOND, 10_000) if electronics.telemetry(t, REST)]

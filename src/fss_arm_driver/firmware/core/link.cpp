@@ -193,6 +193,7 @@ int32_t Link::slow_value(Slow slow) const {
     case Slow::Homings: return drive_.homings();
     case Slow::Refused: return static_cast<int32_t>(gate_.refused());
     case Slow::Path: return paths_.report();
+    case Slow::Serial: return serial_;
   }
   return 0;
 }

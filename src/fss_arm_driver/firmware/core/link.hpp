@@ -14,15 +14,17 @@
 
 namespace fss {
 
-constexpr int32_t kFirmware = 0x020000;  // 2.0.0
+constexpr int32_t kFirmware = 0x020100;  // 2.1.0
 constexpr uint32_t kPeriod = 200000;    // of telemetry [us]
 
 class Link {
  public:
-  // `number` of the link, 1 beside the base; `boot` not as at the last start, never 0.
+  // `number` of the link, 1 beside the base; `boot` not as at the last start, never 0; `serial` of
+  // the physical link, wherever it is mounted, 0: it has none.
   Link(uint8_t number, uint16_t boot, const Key& key, Board& board, Computer& computer,
-       uint32_t period = kPeriod)
-      : number_(number), boot_(boot), key_(key), period_(period), board_(board),
+       int32_t serial = 0, uint32_t period = kPeriod)
+      : number_(number), boot_(boot), key_(key), serial_(serial), period_(period),
+        board_(board),
         computer_(computer), drive_(board),
         gate_(number, boot, key.size != 0) {}
 
@@ -49,6 +51,7 @@ class Link {
   const uint8_t number_;
   const uint16_t boot_;
   const Key key_;
+  const int32_t serial_;
   const uint32_t period_;
   Board& board_;
   Computer& computer_;

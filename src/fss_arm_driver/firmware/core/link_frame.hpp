@@ -23,9 +23,9 @@ constexpr uint8_t kLast = 1;
 
 // Fields that change slowly and take turns.
 enum class Slow : uint8_t {
-  Faults = 1, Supply, Battery, Temperature, Firmware, Homings, Refused, Path
+  Faults = 1, Supply, Battery, Temperature, Firmware, Homings, Refused, Path, Serial
 };
-constexpr uint8_t kSlowFields = 8;
+constexpr uint8_t kSlowFields = 9;
 
 struct Telemetry : Header {
   uint32_t echo;         // of the clock of the last command taken

@@ -16,7 +16,7 @@ static COMPUTER computer;
 static fss::DueClock the_clock;
 
 static fss::Link& firmware() {
-  static fss::Link link(kLink, fss::start_number(), kKey, board, computer);
+  static fss::Link link(kLink, fss::start_number(), kKey, board, computer, kSerial);
   return link;
 }
 

@@ -13,8 +13,9 @@
 //                               broken, and the slow field
 //   leave                       the path followed
 //
-//   start LINK BOOT KEY         a link's electronics with a drive behind them; time begins
-//   restart LINK BOOT KEY       the electronics alone
+//   start LINK BOOT KEY SERIAL  a link's electronics with a drive behind them; time begins
+//   restart LINK BOOT KEY SERIAL
+//                               the electronics alone
 //   send DATA                   a datagram arrives: `taken` or `refused`
 //   run TIME                    so much later [us], the frames sent meanwhile
 //   orders                      what the drive was told since the last call, but for readings
@@ -163,7 +164,8 @@ std::optional<World> world;
 std::string start(Words& words) {
   const auto link = number<uint8_t>(words);
   const auto boot = number<uint16_t>(words);
-  world->link.emplace(link, boot, key_of(bytes(words)), world->board, world->computer);
+  const Key key = key_of(bytes(words));
+  world->link.emplace(link, boot, key, world->board, world->computer, number<int32_t>(words));
   return "done";
 }
 

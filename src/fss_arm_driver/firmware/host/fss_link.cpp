@@ -4,6 +4,8 @@
 //   fss_link --link 1 --tcp 5001 [--keys FILE]     a byte stream, on this host's port
 //   fss_link --link 1 --pty [--keys FILE]          a serial line, at a pseudo-terminal
 //
+// `--serial NUMBER`: that the link tells; 0, the default: it has none.
+//
 // Prints one line that says where it is, and runs until it is killed.
 
 #include "bench_board.hpp"
@@ -13,6 +15,7 @@
 int main(int argc, char** argv) {
   const fss::Options options = fss::read_options(argc, argv, "fss_link", true);
   fss::BenchBoard board;
-  fss::Link link(options.link, fss::any_start(), options.key, board, *options.connection);
+  fss::Link link(options.link, fss::any_start(), options.key, board, *options.connection,
+                 options.serial);
   fss::serve("link " + std::to_string(options.link), options, board, link);
 }

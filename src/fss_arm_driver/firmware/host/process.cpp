@@ -253,13 +253,15 @@ Options read_options(int argc, char** argv, const char* name, bool numbered) {
                             {"pty", no_argument, nullptr, 'p'},
                             {"keys", required_argument, nullptr, 'k'},
                             {numbered ? "link" : nullptr, required_argument, nullptr, 'l'},
+                            {"serial", required_argument, nullptr, 's'},  // of a link only
                             {nullptr, 0, nullptr, 0}};
-  int number = 0, udp = -1, tcp = -1;
+  int number = 0, serial = 0, udp = -1, tcp = -1;
   bool pty = false, known = true;
   const char* keys = nullptr;
   for (int which; (which = getopt_long(argc, argv, "", options, nullptr)) != -1;) {
     switch (which) {
       case 'l': number = whole("link", optarg, 1, 255); break;
+      case 's': serial = whole("serial", optarg, 0, INT32_MAX); break;
       case 'u': udp = whole("udp", optarg, 0, 65535); break;
       case 't': tcp = whole("tcp", optarg, 0, 65535); break;
       case 'p': pty = true; break;
@@ -270,11 +272,12 @@ Options read_options(int argc, char** argv, const char* name, bool numbered) {
   const bool one_way = (udp >= 0) + (tcp >= 0) + pty == 1;
   if (!known || !one_way || (number == 0) == numbered || optind < argc) {
     fprintf(stderr, "usage: %s%s (--udp PORT | --tcp PORT | --pty) [--keys FILE]\n", name,
-            numbered ? " --link NUMBER" : "");
+            numbered ? " --link NUMBER [--serial NUMBER]" : "");
     exit(1);
   }
   Options read;
   read.link = static_cast<uint8_t>(number);
+  read.serial = serial;
   read.key = keys ? load_key(keys, read.link) : Key{};
   if (pty) read.connection = std::make_unique<Pty>();
   else if (udp >= 0) read.connection = std::make_unique<Udp>(static_cast<uint16_t>(udp));

@@ -22,6 +22,7 @@ class Connection : public Computer {
 
 struct Options {
   uint8_t link;
+  int32_t serial;  // of the physical link; 0: none
   Key key;
   std::unique_ptr<Connection> connection;
 };

@@ -25,7 +25,7 @@ SLOW = {
     Slow.SUPPLY: Variable.SUPPLY,
     Slow.TEMPERATURE: Variable.TEMPERATURE,
 }
-FIELDS = (*SLOW, Slow.HOMINGS, Slow.REFUSED, Slow.PATH)
+FIELDS = (*SLOW, Slow.HOMINGS, Slow.REFUSED, Slow.PATH, Slow.SERIAL)
 GOALS = {
     Mode.OFF: Goal.RELEASE,
     Mode.CURRENT: Goal.CURRENT,
@@ -136,6 +136,8 @@ class DriveLink:
             return self.drive.slow[SLOW[slow]]
         if slow is Slow.PATH:
             return self.state.paths.report
+        if slow is Slow.SERIAL:
+            return 0
         return self.drive.homings if slow is Slow.HOMINGS else self.state.gate.refused.total()
 
 

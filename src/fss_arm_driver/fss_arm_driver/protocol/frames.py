@@ -71,6 +71,7 @@ class Slow(IntEnum):
     HOMINGS = 6
     REFUSED = 7
     PATH = 8  # newest path held * 65536 + its segments without a gap from the first
+    SERIAL = 9  # of the physical link; 0: it has none
 
 
 @dataclass(frozen=True, slots=True)

@@ -83,6 +83,7 @@ class LinkSession(Session[Telemetry]):
         empty: voltage of the link's battery at which it must be switched off [V].
         epoch: what to add to the caller's clock to have the time of day [ns]: commands are
             stamped with that, once, so that they come after those of an earlier session.
+        file: of the arm's description, to name where another serial number is expected.
     """
 
     def __init__(
@@ -95,7 +96,9 @@ class LinkSession(Session[Telemetry]):
         key: bytes | None = None,
         empty: float = 12.0,
         epoch: int = 0,
+        file: str = "",
     ) -> None:
+        self.serial, self._file = description.serial, file
         self.scale = Scale(description)
         partner = Partner(
             f"link {number}",
@@ -133,7 +136,27 @@ class LinkSession(Session[Telemetry]):
     def faults(self) -> list[str]:
         """Names of the faults that forbid motion."""
         latched = self.slow.get(Slow.FAULTS, 0) & 0xFFFFFFFF
-        return blocking(self.frame.status, latched) if self.frame else []
+        names = blocking(self.frame.status, latched) if self.frame else []
+        told = self.slow.get(Slow.SERIAL)
+        if self.frame and self.serial and told and told != self.serial:
+            names.append(
+                f"serial number {told} came where {self.serial} is expected: mount that link here "
+                f"or change the links in {self._file or 'the description of the arm'}"
+            )
+        return names
+
+    @property
+    def nameless(self) -> str:
+        """That a serial number is expected and the link has told none, in words."""
+        if not self.serial or self.slow.get(Slow.SERIAL):
+            return ""
+        how = "has no" if Slow.SERIAL in self.slow else "has not yet told its"
+        return f"link {self.number} {how} serial number, expected {self.serial}"
+
+    def obstacle(self, now: int) -> str:
+        """Why the link cannot be armed, in words; empty: it can."""
+        obstacle = super().obstacle(now)
+        return obstacle or ("" if Slow.SERIAL in self.slow else self.nameless)
 
     @property
     def referenced(self) -> bool:
@@ -285,8 +308,11 @@ class LinkSession(Session[Telemetry]):
 
         Whoever waits for the measurement need not wait for them.
         """
+        lost = self.lost
         if (taken := self._take(data, now)) is None:
             return None
+        if lost:  # another may have taken its place
+            self.slow.pop(Slow.SERIAL, None)
         (frame, stamp), scale = taken, self.scale
         return Sample(
             frame=frame,

@@ -30,7 +30,7 @@ RELEASE_TIMEOUT = 3_000_000  # with a joint that does not come to rest and shall
 
 LEAD = 5000  # half the time for which a demand stands [us]
 
-FIRMWARE = 0x020000  # 2.0.0
+FIRMWARE = 0x020100  # 2.1.0
 
 
 class LinkElectronics(LinkState):
@@ -189,6 +189,7 @@ class LinkElectronics(LinkState):
             Slow.HOMINGS: self.homings,
             Slow.REFUSED: _signed(self.gate.refused.total(), 32),
             Slow.PATH: self.paths.report,
+            Slow.SERIAL: self.link.serial,
         }[slow]
 
 

@@ -1,0 +1,116 @@
+"""What is known of each physical link, by serial number, and how it has changed: `links`."""
+
+import argparse
+import sys
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from math import hypot
+from pathlib import Path
+from typing import Any
+
+from rich.table import Table
+
+from fss_arm_calib import report
+from fss_arm_calib.result import passed
+from fss_arm_model.description import Arm, from_yaml, link_file, load, read_link, save_links
+from fss_arm_model.files import ContentError
+from fss_arm_ros.command_line import USER_ERROR, Parser
+
+DESCRIPTION = f"""{__doc__} With --result, a calibration's values are written to the files of its
+links first, beside the arm's description, which becomes a list of serial numbers."""
+
+#: What calibrations find of a link, as results name it, and its unit.
+FOUND = {"a": "m", "theta_0": "rad", "m": "kg", "b": "m", "I": "kg m^2"}
+FIELDS = {"m": "mass", "I": "inertia"}  # of a Link, where these differ
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    p = Parser("links", description=DESCRIPTION)
+    p.add_argument("arm", metavar="ARM", help="file of the arm's description")
+    p.add_argument("--result", metavar="JSON", help="result of a calibration, which has passed")
+    return p
+
+
+def entry(found: Mapping[str, Any], place: int) -> dict[str, Any]:
+    """What a result adds to the history of the link at a place: values and deviations."""
+    told = zip(found["names"], found["values"], found["deviations"], strict=True)
+    known = {name: [value, deviation] for name, value, deviation in told if deviation is not None}
+    made = found["provenance"]
+    return {
+        "date": datetime.fromtimestamp(1e-9 * made["end"], UTC).isoformat(" ", "minutes")[:16],
+        "bag": made["source"],
+        "kind": found["kind"],
+        **{name: known[f"{name}_{place}"] for name in FOUND if f"{name}_{place}" in known},
+    }
+
+
+def write_back(path: Path, found: Mapping[str, Any]) -> None:
+    """Write what a result found to the files of its links; once, however often it is called.
+
+    Raises:
+        ContentError: it is not of the links of this arm, or these have no serial numbers.
+        OSError: a file cannot be written.
+    """
+    arm, calibrated = load(path), from_yaml(found["description"])
+    here, there = ([link.serial for link in one.links] for one in (arm, calibrated))
+    if 0 in here:
+        raise ContentError(f"{path}: serials of the links", here, "one for each")
+    if here != there:
+        raise ContentError("serials of the links in the result", there, f"{here}, as {path} has")
+    histories = {}
+    for place, serial in enumerate(here, 1):
+        file, new = link_file(path.parent, serial), entry(found, place)
+        before = read_link(file)[1] if file.exists() else []
+        same = [all(h.get(k) == new[k] for k in ("date", "bag", "kind")) for h in before]
+        kept = [h for h, is_same in zip(before, same, strict=True) if not is_same]
+        histories[serial] = [*kept, new]
+    save_links(calibrated, path, histories)
+
+
+def listed(folder: Path, arm: Arm) -> Table:
+    """All links that have a file in the folder, mounted or not, and their calibrations."""
+    table = Table("link", "place", "when", "from")
+    for name, unit in FOUND.items():
+        table.add_column(f"{name} [{unit}]", justify="right")
+    places = {link.serial: f"{i}" for i, link in enumerate(arm.links, 1)}
+    files = folder.glob("link_*.yaml")
+    for link, history in sorted(map(read_link, files), key=lambda known: known[0].serial):
+        now = [f"{getattr(link, FIELDS.get(name, name)):.5g}" for name in FOUND]
+        table.add_row(f"{link.serial}", places.get(link.serial, "-"), "now", "", *now)
+        before: dict[str, Sequence[float]] = {}
+        for one in history:
+            words = f"{one.get('kind', '')} {one.get('bag', '')}".strip()
+            cells = [_cell(one.get(name), before.get(name)) for name in FOUND]
+            table.add_row("", "", f"{one.get('date', '')}", words, *cells)
+            before.update({name: one[name] for name in FOUND if name in one})
+    return table
+
+
+def _cell(found: Sequence[float] | None, before: Sequence[float] | None) -> str:
+    """A value, its deviation, and the change since the one before in deviations of both."""
+    if found is None:
+        return ""
+    value, deviation = found
+    text = f"{value:.5g} ± {deviation:.1g}"
+    if before is None or not (both := hypot(deviation, before[1])):
+        return text
+    return f"{text}\n{(value - before[0]) / both:+.1f} sigma"
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run as `ros2 run fss_arm_calib links`."""
+    options = parser().parse_args(args)
+    path = Path(options.arm)
+    try:
+        if options.result:
+            write_back(path, passed(options.result))
+        report.console().print(listed(path.parent, load(path)))
+    except (ValueError, OSError) as error:
+        print(f"links: {' '.join(str(error).split())}", file=sys.stderr)
+        return USER_ERROR
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

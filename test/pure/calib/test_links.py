@@ -1,0 +1,109 @@
+"""Links by serial number: what a calibration found goes with the link, wherever it is mounted."""
+
+import json
+from dataclasses import replace
+
+import pytest
+
+from fss_arm_calib.links import main
+from fss_arm_calib.result import SCHEMA
+from fss_arm_model.description import load, paper_arm, save, to_yaml
+from fss_arm_ros.command_line import USER_ERROR
+
+SERIALS = 7, 8, 9, 10
+
+
+def named(arm, serials=SERIALS):
+    links = zip(arm.links, serials, strict=True)
+    return replace(arm, links=tuple(replace(link, serial=k) for link, k in links))
+
+
+def result(path, arm, day=1, **changes):
+    """A result of a calibration that left this arm."""
+    names = [f"{name}_{i}" for name in ("a", "b") for i in range(1, arm.n + 1)]
+    values = [link.a for link in arm.links] + [link.b for link in arm.links]
+    found = {
+        "schema": SCHEMA, "kind": "joint", "verdict": "pass", "description": to_yaml(arm),
+        "names": names, "values": values, "deviations": [1e-4] * len(names),
+        "provenance": {"end": day * 86_400 * 10**9, "source": f"bag_{day}"}, **changes,
+    }  # fmt: skip
+    path.write_text(json.dumps(found))
+    return str(path)
+
+
+@pytest.fixture
+def arm_file(tmp_path):
+    path = tmp_path / "arm.yaml"
+    save(named(paper_arm()), path)
+    return path
+
+
+def calibrated():
+    arm = named(paper_arm())
+    links = (replace(link, a=link.a + 1e-4 * i) for i, link in enumerate(arm.links, 1))
+    return replace(arm, links=tuple(links))
+
+
+def test_a_result_goes_to_the_links_files_and_leaves_the_arm_as_it_was_found(arm_file, tmp_path):
+    assert main([str(arm_file), "--result", result(tmp_path / "r.json", calibrated())]) == 0
+    assert load(arm_file) == calibrated()
+    assert "links: [7, 8, 9, 10]" in arm_file.read_text()
+
+
+def test_values_follow_a_link_to_another_place(arm_file, tmp_path):
+    main([str(arm_file), "--result", result(tmp_path / "r.json", calibrated())])
+    before = {link.serial: link for link in load(arm_file).links}
+    text = arm_file.read_text()
+    arm_file.write_text(text.replace("[7, 8, 9, 10]", "[7, 9, 8, 10]"))
+    assert list(load(arm_file).links) == [before[k] for k in (7, 9, 8, 10)]
+
+
+def test_the_first_link_keeps_its_joints_offset_when_it_is_calibrated(arm_file, tmp_path):
+    main([str(arm_file), "--result", result(tmp_path / "r.json", calibrated())])
+    text = arm_file.read_text()
+    arm_file.write_text(text.replace("[7, 8, 9, 10]", "[8, 7, 9, 10]"))
+    moved = load(arm_file)
+    found = replace(moved, base=replace(moved.base, mount=(0.2, 0.0, 0.5)))
+    main([str(arm_file), "--result", result(tmp_path / "r2.json", found, day=2)])
+    assert load(arm_file).base.mount == pytest.approx(found.base.mount, abs=1e-15)
+    assert load(arm_file).links == found.links
+    arm_file.write_text(arm_file.read_text().replace("[8, 7, 9, 10]", "[7, 8, 9, 10]"))
+    assert load(arm_file).links[1].theta_0 == paper_arm().links[1].theta_0
+
+
+def test_links_are_listed_with_how_they_have_changed(arm_file, tmp_path, capsys):
+    main([str(arm_file), "--result", result(tmp_path / "r.json", named(paper_arm()))])
+    again = result(tmp_path / "r2.json", calibrated(), day=2)
+    for _ in range(2):  # no calibration is told twice
+        capsys.readouterr()
+        assert main([str(arm_file), "--result", again]) == 0
+    out = capsys.readouterr().out
+    assert out.count("1970-01-02") == out.count("1970-01-03") == 4
+    assert "+2.1 sigma" in out
+    arm_file.write_text(arm_file.read_text().replace("[7, 8, 9, 10]", "[7, 8, 9]"))
+    main([str(arm_file)])
+    rows = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert ["10", "-"] in [[row[1], row[3]] for row in rows if len(row) > 3]
+
+
+@pytest.mark.parametrize(
+    ("serials", "changes", "message"),
+    [
+        ((7, 9, 8, 10), {}, "serials of the links in the result is [7, 9, 8, 10], expected [7, 8"),
+        (SERIALS, {"verdict": "fail"}, "verdict is 'fail', expected pass"),
+    ],
+)
+def test_what_does_not_belong_is_refused(arm_file, tmp_path, capsys, serials, changes, message):
+    before = arm_file.read_text()
+    other = result(tmp_path / "r.json", named(paper_arm(), serials), **changes)
+    assert main([str(arm_file), "--result", other]) == USER_ERROR
+    assert message in capsys.readouterr().err
+    assert arm_file.read_text() == before
+    assert not list(tmp_path.glob("link_*"))
+
+
+def test_an_arm_without_serial_numbers_is_refused(tmp_path, capsys):
+    save(paper_arm(), tmp_path / "arm.yaml")
+    found = result(tmp_path / "r.json", paper_arm())
+    assert main([str(tmp_path / "arm.yaml"), "--result", found]) == USER_ERROR
+    assert "serials of the links is [0, 0, 0, 0], expected one for each" in capsys.readouterr().err
