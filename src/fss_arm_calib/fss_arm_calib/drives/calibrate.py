@@ -56,7 +56,7 @@ class Telemetry:
         drive, sensor = link.drive, link.torque_sensor
         count = drive.direction * 2.0 * np.pi / drive.counts_per_turn
         return Samples(
-            1e-9 * (self.stamp - origin),
+            1e-9 * (self.stamp - origin).astype(np.float64),
             count * self.position,
             0.1 * count * self.velocity,
             0.01 * drive.direction * self.current,

@@ -204,7 +204,10 @@ def _turning(w: Windows, one: Samples, j: int, shown: Regression, s: DrivesSetti
     size = len(v) // joined * joined
     whole = turns[:size].reshape(-1, joined).all(axis=1)
     force = passed(w.arm, m)[1][:, j]
-    seen = np.interp(one.t, one.t - one.age, one.torque) - shown.x[CROSSTALK] * force
+    # Between samples far apart, the links swing: what is interpolated there is less than it is.
+    dense = one.period <= DENSE
+    torque = np.interp(one.t, one.t - one.age, one.torque) if dense else one.torque
+    seen = torque - shown.x[CROSSTALK] * force
     phase = s.periods * m.q[:, j]
     columns = [
         seen, np.ones(len(v)), (one.t - one.t.mean()) / 100.0, v, np.sign(v),
