@@ -287,7 +287,7 @@ def _refused(
     """Why parameters cannot be told, by name; they become NaN."""
     sigma = np.sqrt(np.diag(covariance))
     why: dict[str, str] = {}
-    for k in (KT, GAIN, VISCOUS, COULOMB):
+    for k in (KT, GAIN, VISCOUS, COULOMB, STATIC):
         if not sigma[k] <= s.max_relative * abs(values[k]):
             why[_NAME[k]] = f"{values[k]:.3g} ± {sigma[k]:.1g} (at most {s.max_relative:.0%})"
     speed = values[SPEED]
