@@ -101,6 +101,9 @@ ROOMS = {
         "fss_arm_calib.from_bag", "fss_arm_calib.dynamic.parameters",
         "fss_arm_calib.dynamic.settings",
     },
+    "fss_arm_calib.drives": {
+        "fss_arm_model", "fss_arm_bags", "fss_arm_ros", *SHARED, "fss_arm_calib.from_bag",
+    },
     "fss_gnc.navigation": {"fss_arm_model", "fss_arm_ros.image"},
     "fss_gnc.control": {"fss_arm_model", "fss_gnc.reference"},
     "fss_gnc.guidance": {
@@ -116,7 +119,7 @@ ROOMS = {
 # Where the mathematics of a package meets ROS: its nodes, their actions and topics, and these.
 EDGES = {
     *("settings", "messages", "kind", "kinds", "from_bag", "design_command", "plan_command"),
-    *("recompute", "programs", "joint_command"),
+    *("recompute", "programs", "joint_command", "drives_command"),
 }
 AT_THE_EDGE = ("_node", "_action", "_topic", "_topics")
 MATHEMATICS = ALLOWED.keys() - {"fss_arm_ros", "fss_arm_bags", "fss_sim.rehearsal"}

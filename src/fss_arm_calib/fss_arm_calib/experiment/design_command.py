@@ -29,6 +29,7 @@ from fss_arm_calib.experiment.design import (
     meets,
     to_yaml,
 )
+from fss_arm_calib.experiment.excitation import JOINT, excitation
 from fss_arm_calib.from_bag import add_settings, fed
 from fss_arm_calib.kinematic.problem import FULL, KinematicProblem, solve
 from fss_arm_model.description import Arm, described
@@ -55,7 +56,10 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument(
         "--compare", action="store_true", help="compare the kinds at equal floating time, too"
     )
-    p.add_argument("--kinds", default=" ".join(KINDS), help=f"of {', '.join(KINDS)}")
+    p.add_argument(
+        "--kinds", default=" ".join(KINDS), help=f"of {', '.join(KINDS)}; or {JOINT}: each joint "
+        "alone, to and fro in two postures, for `drives`; --repeats of all",
+    )  # fmt: skip
     add_settings(p, Conditions, CONDITIONS)
     add_settings(p, DynamicSettings)
     return p
@@ -149,6 +153,23 @@ def propose_postures(
         console.print(f"postures written to {options.output}", soft_wrap=True)
 
 
+def propose_excitation(
+    options: argparse.Namespace, arm: Arm, conditions: Conditions, console: Console
+) -> None:
+    """Moves of single joints for the estimate of drives."""
+    plan = excitation(arm, conditions.repeats, conditions, options.seed)
+    _show(console, table(plan))
+    minutes = sum(one.length + conditions.rest for one in plan) / 60.0
+    console.print(f"{len(plan)} maneuvers, {minutes:.1f} min; what they promise is not predicted")
+    if options.output:
+        _write(options.output, plan, console)
+
+
+def _write(path: str, plan: Sequence[Planned], console: Console) -> None:
+    Path(path).write_text(to_yaml(plan), encoding="utf-8")
+    console.print(f"plan written to {path}", soft_wrap=True)
+
+
 def propose(options: argparse.Namespace, console: Console) -> None:
     """Find maneuvers, say what to expect of them, and write them."""
     settings = DynamicSettings(
@@ -157,6 +178,9 @@ def propose(options: argparse.Namespace, console: Console) -> None:
     arm = described(settings.arm)
     given = {name: getattr(options, name) for name in CONDITIONS}
     given["table"] = tuple(given["table"])
+    if options.kinds == JOINT:
+        propose_excitation(options, arm, Conditions(**given), console)
+        return
     conditions = Conditions(kinds=tuple(options.kinds.split()), **given)
     if options.kinematic:
         propose_postures(options, arm, conditions, console)
@@ -188,8 +212,7 @@ def propose(options: argparse.Namespace, console: Console) -> None:
         minutes = sum(one.length + conditions.rest for one in plan) / 60.0
         console.print(f"goal {options.goal}: {words}, in {minutes:.1f} min", soft_wrap=True)
     if options.output:
-        Path(options.output).write_text(to_yaml(plan), encoding="utf-8")
-        console.print(f"plan written to {options.output}", soft_wrap=True)
+        _write(options.output, plan, console)
 
 
 def _show(console: Console, *tables: report.Table) -> None:

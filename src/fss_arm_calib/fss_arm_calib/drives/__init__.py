@@ -1,0 +1,1 @@
+"""The drives' own parameters: torque constant, friction, torque sensor, rotor."""

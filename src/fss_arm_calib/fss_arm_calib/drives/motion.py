@@ -1,0 +1,163 @@
+"""How the arm moves by its encoders, and what torque and force its joints then pass.
+
+An encoder on a harmonic drive's motor is off twice a turn of the motor, by P = 2 N periods a turn
+of the joint (Tuttle & Seering 1996):
+
+    reading = q + A sin(P q) + B cos(P q)
+
+The error is small, but P^2 of it in accelerations is not. Reported rates are the reading's own, so
+that samples far apart betray it: a joint at constant acceleration satisfies the trapezoidal rule,
+and its readings do not.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+
+from fss_arm_calib.estimation.least_squares import Floats
+from fss_arm_model.description import Arm
+from fss_arm_model.dynamics import bias, inertia_matrix
+from fss_arm_model.layout import (
+    LINK_INERTIA,
+    LINK_MASS,
+    MOUNT_ANGLE,
+    OFFSET,
+    com,
+    each,
+    reach,
+)
+
+APART = 0.2  # samples between which the trapezoidal rule is asked for, about [s]
+KNOTS = 0.05  # least time between samples that the motion is interpolated from [s]
+ROUNDS = 10  # of weighing residuals: the rule does not hold where the acceleration changes
+
+
+@dataclass(frozen=True)
+class Samples:
+    """A link's telemetry in SI units, in order of time, (k,) each."""
+
+    t: Floats  # [s]
+    q: Floats  # [rad]
+    qd: Floats  # [rad/s]
+    current: Floats  # counter-clockwise positive [A]
+    torque: Floats  # by the described gain and zero [N m]
+    age: Floats  # of the torque at t [s]
+
+    @property
+    def period(self) -> float:
+        """Between samples [s]."""
+        return float(np.median(np.diff(self.t)))
+
+
+@dataclass(frozen=True)
+class Moving:
+    """The arm at some moments."""
+
+    q: Floats  # (k, n) [rad]
+    qd: Floats  # [rad/s]
+    qdd: Floats  # [rad/s^2]
+
+
+def ripple(s: Samples, periods: float) -> tuple[float, float]:
+    """A and B of the encoder's error [rad]."""
+    step = max(1, round(APART / s.period))
+    t, q, qd = s.t[::step], s.q[::step], s.qd[::step]
+    half = 0.5 * np.diff(t)
+    phase, rate = periods * q, periods * qd
+    rows = []
+    for value, slope in ((np.sin(phase), np.cos(phase)), (np.cos(phase), -np.sin(phase))):
+        slope = slope * rate
+        rows.append(np.diff(value) - half * (slope[1:] + slope[:-1]))
+    error = np.diff(q) - half * (qd[1:] + qd[:-1])
+    keep = (half < step * s.period) & (qd[1:] != 0.0)
+    if not keep.any():
+        return 0.0, 0.0
+    A, e = np.column_stack(rows)[keep], error[keep]
+    weight = np.ones(len(e))
+    found = np.zeros(2)
+    for _ in range(ROUNDS):
+        normal = A.T @ (weight[:, None] * A) + 1e-12 * np.eye(2)
+        found = np.linalg.solve(normal, A.T @ (weight * e))
+        left = e - A @ found
+        scale = 1.48 * np.median(np.abs(left)) + 1e-9
+        weight = 1.0 / (1.0 + (left / (2.0 * scale)) ** 2)
+    return float(found[0]), float(found[1])
+
+
+def straightened(s: Samples, periods: float, of: tuple[float, float]) -> tuple[Floats, Floats]:
+    """Angles and rates without the encoder's error."""
+    q = s.q
+    for _ in range(3):
+        off = of[0] * np.sin(periods * q) + of[1] * np.cos(periods * q)
+        q = s.q - off
+    slope = periods * (of[0] * np.cos(periods * q) - of[1] * np.sin(periods * q))
+    return q, s.qd / (1.0 + slope)
+
+
+class Motion:
+    """The motion of all joints between their samples."""
+
+    def __init__(self, samples: Sequence[Samples], periods: float) -> None:
+        self._splines = []
+        for s in samples:
+            q, qd = straightened(s, periods, ripple(s, periods))
+            step = max(1, round(KNOTS / s.period))
+            self._splines.append(CubicHermiteSpline(s.t[::step], q[::step], qd[::step]))
+        self.width = [max(KNOTS, s.period) for s in samples]  # to differentiate rates over [s]
+        margin = 2.0 * max(self.width)
+        self.span = max(s.t[0] for s in samples) + margin, min(s.t[-1] for s in samples) - margin
+
+    def at(self, t: Floats) -> Moving:
+        """The motion at times (k,)."""
+        q, qd, qdd = (np.column_stack([f(t, k) for f in self._splines]) for k in range(3))
+        return Moving(q, qd, qdd)
+
+    def rates(self, t: Floats, j: int) -> Floats:
+        """The rates (k,) of joint j, counted from 0."""
+        return np.asarray(self._splines[j](t, 1))
+
+
+def passed(arm: Arm, m: Moving) -> tuple[Floats, Floats]:
+    """What the joints of the floating arm pass on, nothing acting on it from outside.
+
+        H_b a_b = -(H_bm qdd + h_b),    H_b v_b = -H_bm qd
+
+    and then, from link to link, the torque and the force that its mass and all beyond it take. A
+    tilted table pulls at all alike and does not show.
+
+    Returns:
+        torque (k, n) [N m], and the force across each link (k, n) [N].
+    """
+    p = arm.vector()
+    state = np.concatenate([np.zeros((len(m.q), 3)), m.q], axis=1)
+    H = inertia_matrix(p, state)
+    base, coupling = H[:, :3, :3], H[:, :3, 3:]
+    twist = -np.linalg.solve(base, coupling @ m.qd[..., None])[..., 0]
+    force = (coupling @ m.qdd[..., None])[..., 0]
+    force += bias(p, state, np.concatenate([twist, m.qd], axis=1))[:, :3]
+    pull = -np.linalg.solve(base, force[..., None])[..., 0]
+    offsets = np.concatenate([[p[MOUNT_ANGLE]], each(p, OFFSET)[1:]])
+    psi = np.cumsum(np.column_stack([np.zeros(len(m.q)), m.q + offsets]), axis=1)
+    turns = np.exp(1j * psi)
+    spins = np.cumsum(np.column_stack([twist[:, 2], m.qd]), axis=1)
+    gains = np.cumsum(np.column_stack([pull[:, 2], m.qdd]), axis=1)
+    turning = (1j * gains - spins**2) * turns
+    place, acceleration = np.zeros(len(m.q), complex), pull[:, 0] + 1j * pull[:, 1]
+    joints, centres, forces = [], [], []
+    for k in range(arm.n + 1):
+        if k:
+            joints.append(place)
+            centres.append(place + com(p, k) * turns[:, k])
+            forces.append(each(p, LINK_MASS)[k - 1] * (acceleration + com(p, k) * turning[:, k]))
+        place = place + reach(p, k) * turns[:, k]
+        acceleration = acceleration + reach(p, k) * turning[:, k]
+    r, c, f = (np.column_stack(part) for part in (joints, centres, forces))
+    spin = each(p, LINK_INERTIA) * gains[:, 1:]
+    torque = np.zeros_like(m.q)
+    for j in range(arm.n):
+        moment = (np.conj(c[:, j:] - r[:, j : j + 1]) * f[:, j:]).imag
+        torque[:, j] = (moment + spin[:, j:]).sum(axis=1)
+    beyond = np.cumsum(f[:, ::-1], axis=1)[:, ::-1]
+    return torque, (np.conj(1j * turns[:, 1:]) * beyond).real

@@ -1,0 +1,67 @@
+"""The report of an estimate of drives: each parameter, and which were refused, and why."""
+
+from typing import Any
+
+import numpy as np
+
+from fss_arm_calib.drives.problem import NAMES, Drive
+from fss_arm_calib.outcome import Outcome
+from fss_arm_calib.report import Report, Table
+from fss_arm_calib.report_tables import reported, text
+from fss_arm_model.description import Arm
+
+
+def drives_report(outcome: Outcome[Any, list[Drive]], truth: Arm | None = None) -> Report:
+    """The report; `truth` is the simulated arm, to compare with."""
+    title = f"Drive parameters of {outcome.arm.name}"
+    found = outcome.solution
+    tables = [_parameters(outcome, truth)]
+    if found is None:
+        return reported(title, outcome, tables)
+    return reported(title, outcome, [*tables, _refused(found)], [_data(found)])
+
+
+def _parameters(outcome: Outcome[Any, list[Drive]], truth: Arm | None) -> Table:
+    e = outcome.estimate
+    true = {}
+    for i, link in enumerate(truth.links if truth else (), 1):
+        true[f"torque_constant_{i}"] = link.drive.torque_constant
+        true[f"torque_gain_{i}"] = link.torque_sensor.gain
+    rows = []
+    for name, unit, *numbers in zip(
+        e.names, e.units, e.initial, e.values, e.deviations, strict=True
+    ):
+        if np.isnan(numbers[1]):
+            continue
+        off = (numbers[1] - true.get(name, np.nan)) / numbers[2]
+        rows.append([name, unit, *(text(x, ".4g") for x in numbers[:2]), text(numbers[2], ".2g")])
+        if truth:
+            rows[-1].append(text(off, "+.1f"))
+    head = ["parameter", "unit", "guess", "estimate", "± 1 sigma"]
+    note = "Torques are to the scale of the described masses, taken as they are."
+    return Table("Parameters", head + (["off [sigma]"] if truth else []), rows, 2, note)
+
+
+def _refused(found: list[Drive]) -> Table:
+    """Joints with the same reason in one row."""
+    joints: dict[tuple[str, str], list[str]] = {}
+    for i, one in enumerate(found, 1):
+        for name, reason in one.refused.items():
+            joints.setdefault((name, reason), []).append(str(i))
+    order = list(NAMES)
+    rows = [
+        [name, ", ".join(which), reason]
+        for (name, reason), which in sorted(
+            joints.items(), key=lambda row: (order.index(row[0][0]), row[1])
+        )
+    ]
+    return Table("Refused: what these data cannot show", ["parameter", "joints", "why"], rows, 3)
+
+
+def _data(found: list[Drive]) -> Table:
+    rows = [
+        [str(i), f"{one.moving:.1f}", *(text(1e3 * x, ".2f") for x in one.residuals)]
+        for i, one in enumerate(found, 1)
+    ]
+    head = ["joint", "turns for [s]", "torque's residual [mN m]", "current's residual [mA]"]
+    return Table("Data", head, rows)

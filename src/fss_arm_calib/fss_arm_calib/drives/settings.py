@@ -1,0 +1,34 @@
+"""The settings of an estimate of drives."""
+
+from dataclasses import dataclass
+
+from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, Settings, setting
+
+
+@dataclass(frozen=True)
+class DrivesSettings(Settings):
+    """What is known beforehand, and what a result must meet to pass.
+
+    Raises:
+        SettingError: a setting is impossible.
+    """
+
+    arm: str = setting("", "description YAML, whose masses set the scale; empty: the paper's arm")
+    gear_ratio: float = setting(30.0, "gear ratio of the harmonic drives", check=POSITIVE)
+    window: float = setting(
+        1.6, "over which torques are compared with the arm's motion", unit="s", check=POSITIVE
+    )
+    torque_noise: float = setting(
+        0.002, "white noise of a torque sensor's sample, 1 sigma", unit="N m", check=NOT_NEGATIVE
+    )
+    min_speed: float = setting(0.01, "a slower joint stands still", unit="rad/s", check=POSITIVE)
+    min_moving: float = setting(20.0, "time for which a joint must turn", unit="s", check=POSITIVE)
+    max_relative: float = setting(
+        0.1, "largest deviation of a torque constant, friction or gain, against it; what is less "
+        "certain is refused", check=NOT_NEGATIVE,
+    )  # fmt: skip
+
+    @property
+    def periods(self) -> float:
+        """Of encoder's error and torque ripple, a turn of the joint."""
+        return 2.0 * self.gear_ratio
