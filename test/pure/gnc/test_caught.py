@@ -3,13 +3,15 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+import pytest
 from scipy.integrate import solve_ivp
 from scipy.stats import chi2
 
 from fss_arm_model import layout
 from fss_arm_model.description import paper_arm
 from fss_arm_model.held import Target
-from fss_gnc.navigation import EstimatorSettings, KnownInputs
+from fss_arm_model.units import SECOND
+from fss_gnc.navigation import EstimatorSettings, KnownInputs, Navigation
 from fss_gnc.navigation.caught import (
     MOST,
     SPACING,
@@ -201,6 +203,32 @@ def test_a_payload_that_was_in_the_gripper_already_is_found_by_its_motion():
     found = replace(estimate, free=unknown).solve()
     assert (np.abs(found.values - truth) < 3.0 * found.deviations).all()
     assert found.deviations[0] < 2.0
+
+
+@pytest.mark.parametrize("truth", [(20.0, 0.05, 0.03, 0.5), (6.0, -0.03, -0.03, 0.15)])
+def test_navigation_finds_a_payload_that_no_camera_sees(truth):
+    mass, x, y, inertia = truth
+    truth = np.array([mass, PLACE[0] + x, y, inertia])
+    rng, points = np.random.default_rng(1), Points(Body(mass, complex(*truth[1:3]), inertia))
+    navigation, found = Navigation(ARM, body=Target(10.0, 0.25)), None
+
+    def rate(t, pose):
+        q, rates = joints(t, 1.0)
+        return points.base_twist(np.concatenate([pose, q]), rates, np.zeros(3))
+
+    times = np.arange(0.0, 40.0, 0.02)
+    poses = solve_ivp(rate, (0.0, 40.0), [0.1, -0.2, 0.4], t_eval=times, rtol=1e-6, atol=1e-8).y.T
+    for k, (t, pose) in enumerate(zip(times, poses, strict=True)):
+        now = round((100.0 + t) * SECOND)
+        for i, joint in enumerate(zip(*joints(t, 1.0), strict=True) if k % 5 == 0 else ()):
+            navigation.joint(i, now, *joint)
+        navigation.base.rate(now, rate(t, pose)[2] + 1e-3 * rng.standard_normal())
+        navigation.base.pose(now, *(pose + [2e-4, 2e-4, 1e-3] * rng.standard_normal(3)))
+        navigation.gripper(t >= 1.0)
+        navigation.predict(now)
+        found = navigation.observe(now) or found
+    assert (np.abs(found.values - truth) < 3.0 * found.deviations).all()
+    assert found.deviations[0] < 0.12 * mass
 
 
 def test_what_was_found_is_where_another_estimate_begins():
