@@ -84,6 +84,10 @@ def parameters() -> str:
     """All nodes' parameters, a table each."""
     parts = ["# Parameters", NOTE]
     parts += ["Each is given as `--ros-args -p NAME:=VALUE`; the node's `--help` shows them, too."]
+    parts += [
+        "A file (`--params-file`) may give some to all nodes (`/**:`): each takes those it has. "
+        "Whatever else a node does not have, it refuses."
+    ]
     parts += [f"All nodes have `{ALLOW}` (false): {ABOUT}."]
     commands = []
     for package in sorted(path.parent.name for path in ROOT.glob("src/*/setup.py")):

@@ -1,8 +1,11 @@
 """A node's parameters, declared from a frozen dataclass of settings (fss_arm_model.settings)."""
 
-from collections.abc import Callable, Iterable, Mapping
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import Field, fields
+from itertools import pairwise
 from math import inf
+from pathlib import Path
 from sys import float_info
 from typing import Any, TypeVar, get_type_hints
 
@@ -16,6 +19,7 @@ from rclpy.exceptions import InvalidParameterValueException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from fss_arm_model.files import read_yaml
 from fss_arm_model.settings import SettingError, converted, default_in, meaning, refuse
 from fss_arm_ros import alone
 
@@ -121,4 +125,26 @@ def _refuse(unknown: set[str], known: Iterable[str]) -> None:
 def _given(node: Node) -> set[str]:
     """Names of the parameters that the caller gave and that are not rclpy's own."""
     names = node._parameter_overrides  # the only place that tells a misspelt `-p` from none
-    return {n for n in names if not node.has_parameter(n) and not n.startswith("qos_overrides.")}
+    given = {n for n in names if not node.has_parameter(n) and not n.startswith("qos_overrides.")}
+    return given - _for_all(sys.argv) if given else given
+
+
+def _for_all(arguments: Sequence[str]) -> set[str]:
+    """Names that parameter files give to all nodes (`/**`), each of which takes those it has."""
+    files = [file for option, file in pairwise(arguments) if option == "--params-file"]
+    sections = [part for file in files for part in read_yaml(Path(file)).items()]
+    return {
+        name
+        for nodes, given in sections
+        if nodes.endswith("*")
+        for name in _names(given.get("ros__parameters", {}))
+    }
+
+
+def _names(given: Mapping[str, Any]) -> Iterator[str]:
+    """Of parameters, those of a group with a dot before."""
+    for name, value in given.items():
+        if isinstance(value, dict):
+            yield from (f"{name}.{inner}" for inner in _names(value))
+        else:
+            yield name

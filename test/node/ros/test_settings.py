@@ -50,6 +50,25 @@ def test_defaults_and_values_come_back_typed(ros):
     assert [type(gain) for gain in got.gains] == [float, float]
 
 
+def test_of_what_a_file_gives_to_all_nodes_each_takes_its_own(ros, monkeypatch, tmp_path):
+    shared = "/**: {ros__parameters: {rate: 7, arm: my_arm.yaml, valve_1: {stuck: 1.0}}}\n"
+    own = "/thing: {ros__parameters: {%s: 5}}\n"
+
+    def read(text):
+        (tmp_path / "shared.yaml").write_text(text)
+        arguments = ["--ros-args", "--params-file", str(tmp_path / "shared.yaml")]
+        monkeypatch.setattr("sys.argv", ["thing", *arguments])
+        node = Node("thing", cli_args=arguments)
+        try:
+            return declare(node, Thing)
+        finally:
+            node.destroy_node()
+
+    assert read(shared + own % "count") == Thing(rate=7.0, count=5)
+    with pytest.raises(SettingError, match="no parameter cuont; there are rate"):
+        read(shared + own % "cuont")
+
+
 @pytest.mark.parametrize(
     ("values", "said"),
     [
