@@ -125,7 +125,7 @@ def test_a_link_that_is_as_described_passes(tried):
         "measured current", "torque sign", "stop", "watchdog",
     ]  # fmt: skip
     assert {f.verdict for f in found.values()} == {PASS}
-    assert "firmware 2.0.0" in found["answers"].found
+    assert "firmware 2.1.0" in found["answers"].found
     assert found["direction and counts per turn"].found.startswith("240000 counts a turn")
     assert "watchdog 1.0 s" in found["watchdog"].found
     assert not bench.link.armed

@@ -14,7 +14,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
 
 from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_model.description import Arm
@@ -100,6 +99,8 @@ class Motion:
     """The motion of all joints between their samples."""
 
     def __init__(self, samples: Sequence[Samples], periods: float) -> None:
+        from scipy.interpolate import CubicHermiteSpline  # takes long, and no --help needs it
+
         self._splines = []
         for s in samples:
             q, qd = straightened(s, periods, ripple(s, periods))

@@ -25,7 +25,6 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
 
 from fss_arm_model import layout
 from fss_arm_model.dynamics import inertia_matrix
@@ -156,10 +155,10 @@ class Caught:
         scale = self.prior.scale
         covariance = self.prior.covariance / np.outer(scale, scale)
         self._root = np.zeros((UNKNOWNS, UNKNOWNS))  # of the prior's covariance
-        self._root[:OF_BODY, :OF_BODY] = cholesky(covariance, lower=True)
+        self._root[:OF_BODY, :OF_BODY] = np.linalg.cholesky(covariance)
         self._root[GAIN, GAIN] = max(self.thrust_error, 1e-9)
         self._root[BASE, BASE] = VAGUE * np.eye(3)
-        self._root[FREE, FREE] = cholesky(self.free.covariance, lower=True)
+        self._root[FREE, FREE] = np.linalg.cholesky(self.free.covariance)
         self._z = np.zeros(UNKNOWNS)  # off from what was known, in its deviations
         self._covariance: Floats = np.eye(UNKNOWNS)
 
@@ -185,37 +184,38 @@ class Caught:
     def _solve(self) -> None:
         """Gauss-Newton, damped (Levenberg and Marquardt), in deviations of what was known."""
         rows = _Rows(self.p, self.earlier, self.samples)
-        root = self._correlations(rows)
-        cost, off = self._cost(rows, root, self._z)
+        white = self._correlations(rows)
+        cost, off = self._cost(rows, white, self._z)
         damping = 1e-3
         for _ in range(ITERATIONS):
             J = np.stack([
-                (self._off(rows, root, self._z + step) - off) / STEP
+                (self._off(rows, white, self._z + step) - off) / STEP
                 for step in STEP * np.eye(UNKNOWNS)
             ], axis=1)  # fmt: skip
             information = J.T @ J + np.eye(UNKNOWNS)
             slope = J.T @ off + self._z
-            step = -cho_solve(cho_factor(information + damping * np.eye(UNKNOWNS)), slope)
-            tried, off_then = self._cost(rows, root, self._z + step)
+            step = -np.linalg.solve(information + damping * np.eye(UNKNOWNS), slope)
+            tried, off_then = self._cost(rows, white, self._z + step)
             if tried <= cost:
                 self._z, cost, off, damping = self._z + step, tried, off_then, 0.1 * damping
-                root = self._correlations(rows)
-                cost, off = self._cost(rows, root, self._z)
+                white = self._correlations(rows)
+                cost, off = self._cost(rows, white, self._z)
             else:
                 damping = max(10.0 * damping, 1e-3)
             if np.abs(step).max() < SETTLED:
                 break
         self._covariance = np.asarray(np.linalg.inv(information))
 
-    def _cost(self, rows: "_Rows", root: Floats, z: Floats) -> tuple[float, Floats]:
-        off = self._off(rows, root, z)
+    def _cost(self, rows: "_Rows", white: Floats, z: Floats) -> tuple[float, Floats]:
+        off = self._off(rows, white, z)
         return float(off @ off + z @ z), off
 
-    def _off(self, rows: "_Rows", root: Floats, z: Floats) -> Floats:
+    def _off(self, rows: "_Rows", white: Floats, z: Floats) -> Floats:
         """Twists measured less those predicted, in their deviations, (3 k,)."""
         x = self._known + self._root @ z
         apart = rows.twist - self._predicted(rows, x)[0]
-        return solve_triangular(root, apart.ravel(), lower=True)
+        found: Floats = white @ apart.ravel()
+        return found
 
     def _predicted(self, rows: "_Rows", x: Floats) -> tuple[Floats, Floats, Floats]:
         """Twists of the base (k, 3), by momentum (k, 3, 3), and by the joints' rates (k, 3, n)."""
@@ -245,7 +245,7 @@ class Caught:
         return arm, to_origin(tip[:2], body)
 
     def _correlations(self, rows: "_Rows") -> Floats:
-        """Root of the covariance of all twists (3 k, 3 k), lower triangular."""
+        """What makes the errors of all twists independent ones of 1, (3 k, 3 k)."""
         k, e = len(rows.t), self.errors
         x = self._known + self._root @ self._z
         _, to_base, by_joints = self._predicted(rows, x)
@@ -255,7 +255,7 @@ class Caught:
         found = np.einsum("aij,ab,bkj->aibk", moved, since, to_base)
         loose = by_joints * rows.loose[:, None, :]
         found[range(k), :, range(k)] += rows.covariance + loose @ loose.transpose(0, 2, 1)
-        return cholesky(found.reshape(3 * k, 3 * k), lower=True)
+        return np.linalg.inv(np.linalg.cholesky(found.reshape(3 * k, 3 * k)))
 
 
 class _Rows:
