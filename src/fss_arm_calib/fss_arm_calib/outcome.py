@@ -1,8 +1,9 @@
 """What a calibration of any kind concludes: data, estimate, checks, and where it is from."""
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, fields
+from datetime import UTC, datetime
 from math import nan
 from typing import Any, Generic, Protocol, TypeVar
 
@@ -22,6 +23,7 @@ from fss_arm_calib.acceptance import (
 from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_model.description import Arm, to_yaml
+from fss_arm_model.units import SECOND
 
 LIVE = "live"  # source of data that came by topics
 
@@ -216,10 +218,24 @@ def concluded(
         checks = [*checks, *suspected(streams)]
     elif differ := frames_differ(streams):
         checks = [*checks, Check("frames", NOT_EVALUATED, nan, nan, differ, needed=False)]
+    description = ""
+    if calibrated and passed:
+        description = to_yaml(calibrated(), list(_origin(provenance, estimate)))
     return Outcome(
         tuple(data), tuple(used), arm, settings, streams, tuple(checks), provenance, estimate,
-        solution, to_yaml(calibrated()) if calibrated and passed else "",
+        solution, description,
     )  # fmt: skip
+
+
+def _origin(provenance: Provenance, estimate: Estimate) -> Iterator[str]:
+    """What a person who finds the description wants to know of it."""
+    end = datetime.fromtimestamp(provenance.end / SECOND, UTC)
+    yield f"Calibrated by {provenance.software} from {provenance.source}, until {end:%F %R} UTC:"
+    e = estimate
+    for name, value, deviation, unit in zip(
+        e.names, e.values, e.deviations, e.units, strict=True
+    ):  # fmt: skip
+        yield f"{name} = {value:.6g} +- {deviation:.2g} {unit}"
 
 
 def _plain(value: Any) -> Any:

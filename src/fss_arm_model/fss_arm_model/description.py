@@ -547,10 +547,14 @@ def _comment(f: Field[Any], value: Any) -> str:
     return f"  # {words}" if words else ""
 
 
-def to_yaml(arm: Arm) -> str:
-    """The description as YAML, from which from_yaml makes an equal one."""
-    head = "# An arm and its base. SI units and radians; degrees in comments are not read.\n"
-    return head + "\n".join(_lines(arm, "")) + "\n"
+def to_yaml(arm: Arm, origin: Sequence[str] = ()) -> str:
+    """The description as YAML, from which from_yaml makes an equal one.
+
+    Lines that say where it is from become comments.
+    """
+    head = "An arm and its base. SI units and radians; degrees in comments are not read."
+    comments = [f"# {' '.join(line.split())}" for line in (head, *origin)]
+    return "\n".join([*comments, *_lines(arm, "")]) + "\n"
 
 
 def save(arm: Arm, path: str | os.PathLike[str]) -> None:
