@@ -54,6 +54,16 @@ def test_a_good_calibration_passes_and_gives_the_next_description(good):
     )
 
 
+def test_the_description_says_where_it_is_from(good):
+    comments = [line for line in good.description.splitlines() if line.startswith("# ")]
+    assert re.search(
+        r"Calibrated by fss_arm_calib .* from live, until \d{4}-\d\d-\d\d", comments[1]
+    )
+    k = good.names.index("I_2")
+    said = f"# I_2 = {good.values[k]:.6g} +- {good.deviations[k]:.2g} kg m^2"
+    assert said in comments
+
+
 def test_others_take_what_passed(good):
     """The description with its covariance, without the table's tilt."""
     known = Calibrated(ARM).with_message("calibration/dynamic", to_message(good, "fss"))
