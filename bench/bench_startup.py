@@ -15,6 +15,7 @@ from importlib.metadata import distribution
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from fss_arm_ros.program import Program
 from fss_sim.rehearsal.domain import reserve
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -31,7 +32,6 @@ NEEDS = {
     "fss_arm_view view": {"mode": "file", "file": "{folder}/view.rrd"},
     "fss_arm_bags record": {"output": "{folder}/bags"},
 }
-COMMANDS = {"check", "design", "doctor", "from_bag", "map", "plan", "recompute", "subjects", "urdf"}
 ENDS = {"replay"}  # by itself, for want of a bag
 
 FLOORS = {
@@ -42,10 +42,11 @@ FLOORS = {
 }
 
 
-def executables() -> list[tuple[str, str]]:
-    """Package and name of each."""
+def executables() -> list[tuple[str, str, bool]]:
+    """Package and name of each, and whether it is a node that stays."""
     packages = sorted(path.parent.name for path in ROOT.glob("src/*/setup.py"))
-    return [(p, e.name) for p in packages for e in distribution(p).entry_points]
+    entries = [(p, e) for p in packages for e in distribution(p).entry_points]
+    return [(p, e.name, type(e.load()) is Program and e.name not in ENDS) for p, e in entries]
 
 
 def least(command: list[str], runs: int) -> float:
@@ -122,12 +123,12 @@ def main() -> int:
     missed = 0
     with TemporaryDirectory(prefix="bench_startup_") as folder:
         places = {"folder": folder, "gyro": os.ttyname(os.openpty()[1])}
-        for package, name in executables():
+        for package, name, stays in executables():
             if not f"{package} {name}".startswith(options.only):
                 continue
             helped = least(["ros2", "run", package, name, "--help"], options.runs)
             row, late = f"{package + ' ' + name:32} {helped:10.2f}", helped > HELP
-            if name not in COMMANDS | ENDS:
+            if stays:
                 found = [start(package, name, places, options.idle) for _ in range(options.runs)]
                 ready, idle = (min(column) for column in zip(*found, strict=True))
                 row += f" {ready:10.2f} {idle:9.2f}"
