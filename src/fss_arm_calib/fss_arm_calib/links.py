@@ -69,13 +69,21 @@ def write_back(path: Path, found: Mapping[str, Any]) -> None:
 
 
 def listed(folder: Path, arm: Arm) -> Table:
-    """All links that have a file in the folder, mounted or not, and their calibrations."""
+    """The arm's links and those that have a file in the folder, and their calibrations.
+
+    Raises:
+        ValueError: there are none, or a file is wrong.
+    """
     table = Table("link", "place", "when", "from")
     for name, unit in FOUND.items():
         table.add_column(f"{name} [{unit}]", justify="right")
     places = {link.serial: f"{i}" for i, link in enumerate(arm.links, 1)}
-    files = folder.glob("link_*.yaml")
-    for link, history in sorted(map(read_link, files), key=lambda known: known[0].serial):
+    known = {link.serial: (link, list[dict[str, Any]]()) for link in arm.links if link.serial}
+    files = map(read_link, folder.glob("link_*.yaml"))
+    known |= {link.serial: (link, history) for link, history in files}
+    if not known:
+        raise ContentError("serials of the links", [0] * arm.n, "one at least")
+    for link, history in sorted(known.values(), key=lambda one: one[0].serial):
         now = [f"{getattr(link, FIELDS.get(name, name)):.5g}" for name in FOUND]
         table.add_row(f"{link.serial}", places.get(link.serial, "-"), "now", "", *now)
         before: dict[str, Sequence[float]] = {}
