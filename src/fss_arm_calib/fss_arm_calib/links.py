@@ -8,6 +8,7 @@ from math import hypot
 from pathlib import Path
 from typing import Any
 
+from rich.markup import escape
 from rich.table import Table
 
 from fss_arm_calib import report
@@ -76,7 +77,7 @@ def listed(folder: Path, arm: Arm) -> Table:
     """
     table = Table("link", "place", "when", "from")
     for name, unit in FOUND.items():
-        table.add_column(f"{name} [{unit}]", justify="right")
+        table.add_column(escape(f"{name} [{unit}]"), justify="right")
     places = {link.serial: f"{i}" for i, link in enumerate(arm.links, 1)}
     known = {link.serial: (link, list[dict[str, Any]]()) for link in arm.links if link.serial}
     files = map(read_link, folder.glob("link_*.yaml"))

@@ -88,7 +88,9 @@ def test_links_are_listed_with_how_they_have_changed(arm_file, tmp_path, capsys)
 
 def test_links_that_have_no_file_yet_are_listed_as_well(arm_file, tmp_path, capsys):
     assert main([str(arm_file)]) == 0
-    rows = [line.split() for line in capsys.readouterr().out.splitlines()]
+    out = capsys.readouterr().out
+    assert all(unit in out for unit in ("a [m]", "theta_0", "[rad]", "m [kg]", "I [kg"))
+    rows = [line.split() for line in out.splitlines()]
     assert ["7", "1", "now"] in [row[1:6:2] for row in rows if len(row) > 6]
     save(paper_arm(), tmp_path / "nameless.yaml")
     assert main([str(tmp_path / "nameless.yaml")]) == USER_ERROR
