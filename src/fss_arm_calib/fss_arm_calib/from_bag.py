@@ -30,7 +30,7 @@ from fss_arm_calib.settings import CalibrationSettings
 from fss_arm_model.description import Arm, described, from_yaml, load
 from fss_arm_model.settings import default_in, meaning
 from fss_arm_ros.calibrated import with_kinematics_of
-from fss_arm_ros.command_line import USER_ERROR, Parser
+from fss_arm_ros.command_line import Parser, in_one_line
 from fss_arm_ros.convert import SECOND, stamp_ns
 
 D = TypeVar("D", bound=Datum)
@@ -317,17 +317,14 @@ def told(
         console.print(f"{options.output} not written, {reason}", soft_wrap=True)
 
 
+@in_one_line("from_bag")
 def main(args: Sequence[str] | None = None) -> int:
     """Run as `ros2 run fss_arm_calib from_bag`."""
     given = sys.argv[1:] if args is None else args
     kind = asked(given)
     namespace = parser(kind).parse_args(given).namespace  # which changes the defaults
     options = parser(kind, namespace).parse_args(given)
-    try:
-        return EXIT_CODES[calibrated(kind, options, report.console()).verdict]
-    except (ValueError, OSError) as error:
-        print(f"from_bag: {' '.join(str(error).split())}", file=sys.stderr)
-        return USER_ERROR
+    return EXIT_CODES[calibrated(kind, options, report.console()).verdict]
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ from fss_arm_calib import report
 from fss_arm_calib.result import passed
 from fss_arm_model.description import Arm, from_yaml, link_file, load, read_link, save_links
 from fss_arm_model.files import ContentError
-from fss_arm_ros.command_line import USER_ERROR, Parser
+from fss_arm_ros.command_line import Parser, in_one_line
 
 DESCRIPTION = f"""{__doc__} With --result, a calibration's values are written to the files of its
 links first, beside the arm's description, which becomes a list of serial numbers."""
@@ -107,17 +107,14 @@ def _cell(found: Sequence[float] | None, before: Sequence[float] | None) -> str:
     return f"{text}\n{(value - before[0]) / both:+.1f} sigma"
 
 
+@in_one_line("links")
 def main(args: Sequence[str] | None = None) -> int:
     """Run as `ros2 run fss_arm_calib links`."""
     options = parser().parse_args(args)
     path = Path(options.arm)
-    try:
-        if options.result:
-            write_back(path, passed(options.result))
-        report.console().print(listed(path.parent, load(path)))
-    except (ValueError, OSError) as error:
-        print(f"links: {' '.join(str(error).split())}", file=sys.stderr)
-        return USER_ERROR
+    if options.result:
+        write_back(path, passed(options.result))
+    report.console().print(listed(path.parent, load(path)))
     return 0
 
 

@@ -19,7 +19,7 @@ from fss_arm_motion.kinds import KINDS, Kind
 from fss_arm_motion.limits import Limits, LimitSettings
 from fss_arm_motion.plan import NOTES, Plan, Start
 from fss_arm_motion.plan_file import written
-from fss_arm_ros.command_line import USER_ERROR, Parser
+from fss_arm_ros.command_line import Parser, in_one_line
 
 EPILOG = (
     "Angles are given in degrees, all else in SI units. Exit codes: 0 planned, 1 there is no plan."
@@ -159,23 +159,20 @@ def note(name: str, value: float) -> str:
     return f"{about}: {value:.3g} {unit}".rstrip()
 
 
+@in_one_line("plan")
 def main(args: Sequence[str] | None = None) -> int:
     """Run as `ros2 run fss_arm_motion plan`."""
     options = parser().parse_args(args)
-    try:
-        start, plan = planned(options)
-        lines = [report(plan)]
-        if options.output:
-            write_text(options.output, written(start, plan))
-            lines.append(f"path written to {options.output}")
-        if options.figure:
-            Path(options.figure).parent.mkdir(parents=True, exist_ok=True)
-            draw(start, plan, options.figure)
-            lines.append(f"figure written to {options.figure}")
-        print("\n".join(lines))
-    except (ValueError, OSError) as error:
-        print(f"plan: {' '.join(str(error).split())}", file=sys.stderr)
-        return USER_ERROR
+    start, plan = planned(options)
+    lines = [report(plan)]
+    if options.output:
+        write_text(options.output, written(start, plan))
+        lines.append(f"path written to {options.output}")
+    if options.figure:
+        Path(options.figure).parent.mkdir(parents=True, exist_ok=True)
+        draw(start, plan, options.figure)
+        lines.append(f"figure written to {options.figure}")
+    print("\n".join(lines))
     return 0
 
 

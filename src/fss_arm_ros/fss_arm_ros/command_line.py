@@ -1,7 +1,12 @@
 """What commands that are no nodes do with a wrong command line."""
 
 import argparse
-from typing import Any, NoReturn
+import sys
+from collections.abc import Callable
+from functools import wraps
+from typing import Any, NoReturn, ParamSpec
+
+P = ParamSpec("P")
 
 USER_ERROR = 1  # a verdict that is not pass has a code of its own
 
@@ -18,3 +23,20 @@ class Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Exit with USER_ERROR."""
         self.exit(USER_ERROR, f"{self.prog}: {message}\n")
+
+
+def in_one_line(command: str) -> Callable[[Callable[P, int]], Callable[P, int]]:
+    """Of a command's main: what is wrong with what it was given is told in a line (USER_ERROR)."""
+
+    def decorate(main: Callable[P, int]) -> Callable[P, int]:
+        @wraps(main)
+        def told(*args: P.args, **options: P.kwargs) -> int:
+            try:
+                return main(*args, **options)
+            except (ValueError, OSError) as error:
+                print(f"{command}: {' '.join(str(error).split())}", file=sys.stderr)
+                return USER_ERROR
+
+        return told
+
+    return decorate

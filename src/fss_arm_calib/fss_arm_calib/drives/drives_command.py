@@ -18,7 +18,7 @@ from fss_arm_calib.drives.settings import DrivesSettings
 from fss_arm_calib.from_bag import EPILOG, EXIT_CODES, add_settings, hint, outputs, source, told
 from fss_arm_calib.outcome import Outcome
 from fss_arm_model.description import described, load
-from fss_arm_ros.command_line import USER_ERROR, Parser
+from fss_arm_ros.command_line import Parser, in_one_line
 from fss_arm_ros.convert import stamp_ns
 
 TYPE = "fss_arm_msgs/msg/LinkTelemetry"
@@ -78,14 +78,11 @@ def estimated(options: argparse.Namespace, console: Console) -> Outcome[Telemetr
     return outcome
 
 
+@in_one_line("drives")
 def main(args: Sequence[str] | None = None) -> int:
     """Run as `ros2 run fss_arm_calib drives`."""
     options = parser().parse_args(args)
-    try:
-        return EXIT_CODES[estimated(options, report.console()).verdict]
-    except (ValueError, OSError) as error:
-        print(f"drives: {' '.join(str(error).split())}", file=sys.stderr)
-        return USER_ERROR
+    return EXIT_CODES[estimated(options, report.console()).verdict]
 
 
 if __name__ == "__main__":

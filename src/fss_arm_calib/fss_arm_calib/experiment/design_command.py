@@ -34,7 +34,7 @@ from fss_arm_calib.from_bag import add_settings, fed
 from fss_arm_calib.kinematic.problem import FULL, KinematicProblem, solve
 from fss_arm_model.description import Arm, described
 from fss_arm_model.kinematics import tip_in_base
-from fss_arm_ros.command_line import USER_ERROR, Parser
+from fss_arm_ros.command_line import Parser, in_one_line
 
 MANY = 1000  # maneuvers, more than time allows
 GUARD = ("table", "base_radius", "link_radius", "margin", "edge_margin")
@@ -220,14 +220,11 @@ def _show(console: Console, *tables: report.Table) -> None:
         console.print(report.shown(one))
 
 
+@in_one_line("design")
 def main(args: Sequence[str] | None = None) -> int:
     """Run as `ros2 run fss_arm_calib design`."""
     options = parser().parse_args(args)
-    try:
-        propose(options, report.console())
-    except (ValueError, OSError) as error:
-        print(f"design: {' '.join(str(error).split())}", file=sys.stderr)
-        return USER_ERROR
+    propose(options, report.console())
     return 0
 
 

@@ -29,7 +29,7 @@ from fss_arm_calib.kinds import KINDS
 from fss_arm_calib.outcome import Outcome
 from fss_arm_model.description import described, load
 from fss_arm_model.files import ContentError, read_yaml
-from fss_arm_ros.command_line import USER_ERROR, Parser
+from fss_arm_ros.command_line import Parser, in_one_line
 
 DESCRIPTION = f"""{__doc__} Each bag is a session of its own: tilt, hose and the joints' zeros may
 be others in each, and so they may after a homing within it."""
@@ -107,14 +107,11 @@ def estimated(options: argparse.Namespace, console: Console) -> Outcome[Any, Sol
     return outcome
 
 
+@in_one_line("joint")
 def main(args: Sequence[str] | None = None) -> int:
     """Run as `ros2 run fss_arm_calib joint`."""
     options = parser().parse_args(args)
-    try:
-        return EXIT_CODES[estimated(options, report.console()).verdict]
-    except (ValueError, OSError) as error:
-        print(f"joint: {' '.join(str(error).split())}", file=sys.stderr)
-        return USER_ERROR
+    return EXIT_CODES[estimated(options, report.console()).verdict]
 
 
 if __name__ == "__main__":
