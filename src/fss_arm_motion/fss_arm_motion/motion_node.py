@@ -4,7 +4,7 @@ import io
 import sys
 from collections.abc import Sequence
 from contextlib import redirect_stderr
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -28,11 +28,11 @@ from fss_arm_model.description import described
 from fss_arm_model.kernels import Floats
 from fss_arm_model.momentum import momentum
 from fss_arm_motion import plan_command
-from fss_arm_motion.base_track import BaseTrack
 from fss_arm_motion.plan import Plan, PlanError, Start, predicted
 from fss_arm_motion.plan_file import parsed
 from fss_arm_motion.programs import motion as main
 from fss_arm_motion.settings import MotionSettings
+from fss_arm_motion.track import Track
 from fss_arm_msgs.action import ExecuteMotion
 from fss_arm_msgs.msg import DynamicCalibration, KinematicCalibration, MotionReport
 from fss_arm_ros.calibrated import Calibrated
@@ -71,7 +71,7 @@ class MotionNode(Node):
         self.settings = declare(self, MotionSettings)
         self.known = Calibrated(described(self.settings.arm))
         self.joints = Joints(0, np.zeros(0), np.zeros(0))
-        self.base = BaseTrack()
+        self.base, self.readings = Track(angle=2), Track()
         self.moved = 0  # when a joint last did [ns]
         self.busy = False
         self.following: Any = None  # the trajectory that the arm's node follows for us
@@ -114,6 +114,7 @@ class MotionNode(Node):
         readings = sorted(joint_readings(message))
         q, qd = (np.array([row[k] for row in readings]) for k in (1, 2))
         self.joints = Joints(stamp_ns(message.header.stamp), q, qd)
+        self.readings.add(self.joints.t, q.tolist())
         if np.abs(qd).max(initial=0.0) > self.settings.motion_threshold:
             self.moved = self.joints.t
 
@@ -189,13 +190,18 @@ class MotionNode(Node):
         if (fast := np.abs(joints.qd)).max() > s.motion_threshold:
             i = int(fast.argmax())
             raise MotionError(f"joint {i + 1} moves with {joints.qd[i]:.3f} rad/s, expected rest")
-        drift = self.base.drift(joints.t, s.rest_window)
-        pose, twist = drift or (np.zeros(3), np.zeros(3))
-        state = np.concatenate([pose, joints.q]), np.concatenate([twist, np.zeros(n)])
-        p = self.known.arm.vector()
-        return Start(
-            self.known.arm, joints.q, pose, momentum(p, *state), covariance=self.known.covariance
-        )
+        arm, C = self.known.arm, self.known.covariance
+        start = Start(arm, joints.q, covariance=C, tracking=s.tracking)
+        base = self.base.drift(joints.t, s.rest_window)
+        settling = self.readings.drift(joints.t, s.rest_window)
+        if base is None or settling is None:
+            return start
+        # By unit rates of base and joints, which turn the base, too, as they settle.
+        by_rates = momentum(arm.vector(), np.concatenate([base.at, joints.q]), np.eye(3 + n)).T
+        C = np.zeros((6, 6))  # of pose and momentum
+        C[3:, 3:] = by_rates[:, :3] @ base.covariance @ by_rates[:, :3].T
+        P = by_rates @ np.concatenate([base.rate, settling.rate])
+        return replace(start, pose=base.at, momentum=P, state_covariance=C)
 
     def plan(self, start: Start, goal: ExecuteMotion.Goal) -> Plan:
         """The motion that a goal asks for.
@@ -255,7 +261,7 @@ class MotionNode(Node):
     def reported(self, plan: Plan, goal: ExecuteMotion.Goal, begin: int, end: int) -> MotionReport:
         """What the base was to do and did."""
         base = plan.prediction
-        moved, excursion = self.base.moved(begin, end)
+        moved, most = self.base.moved(begin, end) or (np.full(3, np.nan), np.full(3, np.nan))
         known = self.known.covariance.any()
         report = MotionReport(
             kind=plan.kind,
@@ -266,7 +272,7 @@ class MotionNode(Node):
             predicted_deviation=base.deviation[-1] if known else np.full(3, np.nan),
             measured=moved,
             predicted_excursion=base.excursion,
-            measured_excursion=excursion,
+            measured_excursion=most[2],
         )
         report.header.stamp, report.header.frame_id = to_time(begin), "world"
         return report

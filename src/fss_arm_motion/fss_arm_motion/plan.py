@@ -19,6 +19,7 @@ from fss_arm_model.clearance import body_name, links_and_base, sizes
 from fss_arm_model.description import Arm
 from fss_arm_model.extents import Extents
 from fss_arm_model.kernels import Floats
+from fss_arm_model.momentum import momentum
 from fss_arm_motion.limits import KINDS, Limits
 from fss_arm_motion.transcription import gaps
 
@@ -59,6 +60,7 @@ class Start:
     limits: Limits = None  # type: ignore[assignment]  # of the arm by default
     covariance: Floats | None = None  # of Arm.vector(); None: taken as exact
     state_covariance: Floats | None = None  # (6, 6) of pose and momentum
+    tracking: float = 0.0  # how far joints are from their path, 1 sigma [rad]
 
     def __post_init__(self) -> None:
         if self.limits is None:
@@ -212,6 +214,11 @@ def predicted(start: Start, times: Floats, q: Floats, qd: Floats) -> Prediction:
     if start.state_covariance is not None:
         by_state = J[..., size : size + 6]
         total += by_state @ start.state_covariance @ np.swapaxes(by_state, 1, 2)
+    # What a joint is off by, the base gives way to, whatever the path.
+    states = np.concatenate([poses, law(marks)[0]], axis=1)
+    M = np.swapaxes(momentum(start.bodies, states[:, None], np.eye(3 + n)), 1, 2)
+    way = np.linalg.solve(M[..., :3], M[..., 3:])
+    total += start.tracking**2 * way @ np.swapaxes(way, 1, 2)
     deviation = np.sqrt(np.diagonal(total, axis1=1, axis2=2))
     return Prediction(marks, poses, deviation)
 

@@ -1,8 +1,9 @@
 """The parameters of the node `motion`."""
 
 from dataclasses import dataclass
+from math import radians
 
-from fss_arm_model.settings import POSITIVE, Settings, between, setting
+from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, Settings, between, setting
 
 
 @dataclass(frozen=True)
@@ -23,9 +24,13 @@ class MotionSettings(Settings):
         check=POSITIVE,
     )  # fmt: skip
     rest_window: float = setting(
-        2.0, "time before a plan over which the base's drift is averaged", unit="s", check=POSITIVE
+        4.0, "time before a plan over which the base's drift is averaged", unit="s", check=POSITIVE
     )
     tolerance: float = setting(
         0.02, "farthest that a path from a file may begin from where a joint is", unit="rad",
         check=POSITIVE,
+    )  # fmt: skip
+    tracking: float = setting(
+        radians(0.04), "how far joints are from their path, 1 sigma, in what is predicted",
+        unit="rad", check=NOT_NEGATIVE,
     )  # fmt: skip

@@ -1,0 +1,71 @@
+"""What was measured in the last while: how it drifts before a motion, how it moves in it."""
+
+from collections import deque
+from collections.abc import Sequence
+from itertools import takewhile
+from typing import NamedTuple
+
+import numpy as np
+
+from fss_arm_model.kernels import Floats
+
+SECOND = 1_000_000_000
+KEPT = 900 * SECOND  # [ns]
+BLOCKS = 8  # of rows, whose means have errors that are independent, unlike those of rows
+
+
+class Drift(NamedTuple):
+    """Of k values, at rest but for that."""
+
+    at: Floats  # (k,) values at the end
+    rate: Floats  # (k,) [1/s]
+    covariance: Floats  # (k, k) of the rates
+
+
+class Track:
+    """Rows of k values by their stamps, the one at `angle` unwrapped."""
+
+    def __init__(self, angle: int | None = None) -> None:
+        self.angle = angle
+        self._rows: deque[tuple[int, Sequence[float]]] = deque()
+
+    def add(self, t: int, values: Sequence[float]) -> None:
+        """Keep values of t [ns]; where stamps go back, or k changes, forget the others."""
+        if self._rows and (t < self._rows[-1][0] or len(values) != len(self._rows[-1][1])):
+            self._rows.clear()
+        elif self._rows and t == self._rows[-1][0]:
+            self._rows.pop()  # an estimate that knows more
+        if self._rows and self.angle is not None:
+            before, values = self._rows[-1][1][self.angle], list(values)
+            turn = values[self.angle] - before
+            values[self.angle] = before + (turn + np.pi) % (2.0 * np.pi) - np.pi
+        self._rows.append((t, values))
+        while t - self._rows[0][0] > KEPT:
+            self._rows.popleft()
+
+    def between(self, begin: int, end: int) -> tuple[Floats, Floats]:
+        """Times since `begin` [s], (m,), and rows, (m, k), of what was seen from then to `end`."""
+        recent = takewhile(lambda row: row[0] >= begin, reversed(self._rows))
+        rows = [row for row in recent if row[0] <= end][::-1]
+        return np.array([(t - begin) / SECOND for t, _ in rows]), np.array([v for _, v in rows])
+
+    def drift(self, t: int, window: float) -> Drift | None:
+        """By a line through the window [s] before t [ns]; None: too few rows."""
+        times, rows = self.between(t - round(window * SECOND), t)
+        if len(times) < 2 * BLOCKS or np.ptp(times) < 0.5 * window:
+            return None
+        parts = np.array_split(np.arange(len(times)), BLOCKS)
+        x = np.array([times[part].mean() for part in parts]) - window
+        y = np.array([rows[part].mean(axis=0) for part in parts])
+        rate, at = np.polyfit(x, y, 1)
+        off = y - np.outer(x, rate) - at
+        return Drift(at, rate, off.T @ off / (BLOCKS - 2) / np.sum((x - x.mean()) ** 2))
+
+    def moved(self, begin: int, end: int) -> tuple[Floats, Floats] | None:
+        """The change of each value, and the largest on the way, (k,); None: it was not seen."""
+        times, rows = self.between(begin, end)
+        span = (end - begin) / SECOND
+        if len(times) < 2 or times[0] > 0.2 or times[-1] < span - 0.2:
+            return None
+        first, last = (np.array([np.interp(t, times, one) for one in rows.T]) for t in (0.0, span))
+        return last - first, np.abs(rows - first).max(axis=0)
