@@ -5,8 +5,8 @@ Arms of 3 and 6 unlike links, each with the description that its laboratory has,
     wrong   bags that something is wrong with, of each kind on both arms, 66 in all: how many pass
             (none may), and how many verdicts have the cause first
     good    GOOD bags (50) of each arm and kind of calibration: how many pass, how many verdicts
-            accuse, how many have a chi-square in its band (99.8 %), and the errors: NEES is the
-            error by its covariance, a parameter: 1 is honest
+            accuse, how many have a chi-square in its band (99.8 %), and the errors of those that
+            pass: NEES is the error by its covariance, a parameter: 1 is honest
 """
 
 import os
@@ -82,14 +82,15 @@ def good(count):
                 passed += outcome.verdict == PASS
                 band += low <= e.chi_square <= high
                 accused += any(check.name == CAUSE for check in outcome.checks)
+                if outcome.verdict != PASS:  # at a bound, a parameter has no covariance
+                    print(f"  bag {k}: {outcome.verdict}: {outcome.reason[:300]}", flush=True)
+                    continue
                 off, covariance = error(outcome, arm(n, seed), dynamic)
                 nees.append(float(off @ np.linalg.solve(covariance, off)) / len(off))
-                if outcome.verdict != PASS:
-                    print(f"  bag {k}: {outcome.verdict}: {outcome.reason[:300]}", flush=True)
             print(
                 f"{'dynamic' if dynamic else 'kinematic':9} {n} links  {count} good bags: "
                 f"{passed} passed, {accused} accused, chi-square in its band in {band}, "
-                f"NEES {np.mean(nees):.2f} +- {np.std(nees) / count**0.5:.2f}",
+                f"NEES {np.mean(nees):.2f} +- {np.std(nees) / len(nees) ** 0.5:.2f}",
                 flush=True,
             )
 

@@ -41,6 +41,7 @@ CONFIG = Path(__file__).parents[1] / "config"
 BENT = [-50.0, 55.0, 45.0, 40.0]  # [deg]
 LINE = [0.5 * np.cos(3.7), 0.5 * np.sin(3.7)]  # [m]
 PATIENT = {"timeout": 4.0, "watchdog": 6.0}  # of a computer that does other things, too
+SETTLED = 1.0  # after a motion [s]
 SECOND = 1_000_000_000
 
 
@@ -69,7 +70,7 @@ class Flight(Person):
             raise RuntimeError(f"{kind}: {ended.result.message}")
         report = ended.result.report
         begin = stamp_ns(report.header.stamp)
-        end = begin + round((report.duration + 0.5) * SECOND)
+        end = begin + round((report.duration + SETTLED) * SECOND)
         stamp = lambda one: stamp_ns(one.header.stamp)  # noqa: E731
         self.until(self, lambda: stamp(self.reactions[-1]) > end and stamp(self.truths[-1]) > end)
         during = [
@@ -81,10 +82,12 @@ class Flight(Person):
         return report, *during
 
 
-def turned(reactions):
-    """Headings from the motion's begin on [deg]."""
-    headings = np.array([one.measured[2] for one in reactions])
-    return np.degrees(headings - headings[0])
+def turned(report, reactions):
+    """By how much the base was turned at the end, and at most [deg]."""
+    rests = stamp_ns(report.header.stamp) + round((report.duration + 0.5 * SETTLED) * SECOND)
+    heading = np.degrees([one.measured[2] for one in reactions])
+    ended = [stamp_ns(one.header.stamp) > rests for one in reactions]
+    return heading[ended].mean() - heading[0], np.abs(heading - heading[0]).max()
 
 
 def off_line(arm, truths):
@@ -124,16 +127,16 @@ def fly(seed, degrees, say):
             flight.begin()
             report, reactions, _ = flight.motion("reorientation", "--angle", degrees)
             turn, sigma = np.degrees([report.predicted[2], report.predicted_deviation[2]])
-            seen = turned(reactions)[-10:].mean()
+            seen, _ = turned(report, reactions)
             flight.motion("point_to_point", "--goal", *BENT)
             zero, reactions, _ = flight.motion("zero_reaction", "--direction", 1, 0, 0, 0)
-            kept = np.abs(turned(reactions)).max()
+            _, kept = turned(zero, reactions)
             there = np.degrees(reactions[-1].q)
             flight.motion("point_to_point", "--goal", *BENT)
-            _, reactions, _ = flight.motion(
+            move, reactions, _ = flight.motion(
                 "point_to_point", "--goal", *there, "--duration", zero.duration
             )
-            straight = np.abs(turned(reactions)).max()
+            _, straight = turned(move, reactions)
             flight.motion("point_to_point", "--goal", *BENT)
             _, _, truths = flight.motion("tip_path", "--by", *LINE)
         finally:
