@@ -40,6 +40,7 @@ tests() {
 # the demo keeps two cores busy, and slow ones keep time. Where nodes wait for each other, a deadline
 # missed on a busy machine is given one more try, which the output shows as R.
 export OPENBLAS_NUM_THREADS=1
+unset PYTHONDONTWRITEBYTECODE   # or each of a thousand processes compiles all that it imports
 at_once=$([[ " $* " == *" --slow "* ]] && echo 0 || echo 2)
 cd "$root"
 mypy src/*/fss_*/ >"$said" 2>&1 &
