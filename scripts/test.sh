@@ -8,7 +8,8 @@ root=$(cd -- "$(dirname -- "${BASH_SOURCE[0]}")/.." && pwd -P)
 . "$root/scripts/env.sh"
 
 said=$(mktemp) other=
-trap '[[ ! $other ]] || kill -INT -- "-$other" || true; rm -f "$said"' EXIT
+trap '[[ ! $other ]] || kill -INT -- "-$other" 2>/dev/null || true; rm -f "$said"' EXIT
+trap 'exit 130' INT
 summary=() status=0
 step() {   # step NAME COMMAND...
   local name=$1 start=$SECONDS verdict=passed
@@ -52,10 +53,10 @@ ended() {
 giving_way() { renice -n 10 "$BASHPID" >/dev/null; "$@"; }   # in a subshell
 
 # A process a core, each with its own ROS domain, and one thread of linear algebra in each; the type
-# checker beside them. Nodes' tests mostly wait, as do those end to end, which run whole graphs, two
-# at once: so they go side by side, graphs before nodes. But the demo keeps two cores busy, and slow ones keep time. Where
-# nodes wait for each other, a deadline missed on a busy machine is given one more try, which the
-# output shows as R.
+# checker beside them. Tests of nodes mostly wait, as do those end to end, which run whole graphs,
+# two at once: so they go side by side, graphs first. But the demo keeps two cores busy, and slow
+# ones keep time. Where nodes wait for each other, a deadline missed on a busy machine is given one
+# more try, which the output shows as R.
 export OPENBLAS_NUM_THREADS=1
 patience=(--reruns 1 --only-rerun "not within|still running after|is silent|stood still")
 nodes=(tests test/node "${patience[@]}" --dist loadfile)
