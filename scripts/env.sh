@@ -28,6 +28,8 @@ _fss_load() {
   fi
   # A Python that was started from another venv leaves this behind; its libraries would be loaded.
   unset _ROS_WHEELS_BOOTSTRAP_COMPLETE
+  # Containers set this for their images; here each start would compile anew all that it imports.
+  unset PYTHONDONTWRITEBYTECODE
   export VIRTUAL_ENV="$_fss_root/.venv"
   if [ -f "$_fss_root/install/setup.$_fss_shell" ]; then
     export COLCON_CURRENT_PREFIX="$_fss_root/install"   # which a plain sh cannot find out

@@ -148,7 +148,8 @@ class FakeTransport:
 
     def wait(self, timeout):
         with self.arrival:
-            return self.arrival.wait_for(lambda: self.datagrams, timeout)
+            # Not as long as it may, so that whoever waits here is soon seen to be closed.
+            return self.arrival.wait_for(lambda: self.datagrams, min(timeout, 0.02))
 
     def close(self):
         pass

@@ -20,7 +20,7 @@ from fss_arm_ros.door import Door
 from rclpy._rclpy_pybind11 import RCLError, WaitSet  # isort: skip
 
 GIVE_WAY = 0.0005  # that another thread of Python may go on when a message has come [s]
-AWAKE = 200_000_000  # [ns]; so often it sees that it shall end
+AWAKE = 200_000_000  # [ns]; so often it sees that its context or the process ends
 
 
 class OutsideExecutors(CallbackGroup):
@@ -56,8 +56,10 @@ class Ear(Thread):
         self._context, self._kind, self._take = node.context, kind, take
         self._door = Door(node, kind, topic)
         self._failed = node.create_guard_condition(self._raise)
+        outside = OutsideExecutors()
+        self._ended = node.create_guard_condition(lambda: None, outside)
         self._subscription = node.create_subscription(
-            kind, topic, take, qos, callback_group=OutsideExecutors()
+            kind, topic, take, qos, callback_group=outside
         )
         self._error: Exception | None = None
         self._closing = False
@@ -67,12 +69,13 @@ class Ear(Thread):
     def run(self) -> None:
         """Wait and take, until closed."""
         try:
-            with self._subscription.handle, self._context.handle:
-                handle = self._subscription.handle
-                waiting = WaitSet(1, 0, 0, 0, 0, 0, self._context.handle)
+            ended, handle = self._ended.handle, self._subscription.handle
+            with ended, handle, self._context.handle:
+                waiting = WaitSet(1, 1, 0, 0, 0, 0, self._context.handle)
                 while self._goes_on():
                     waiting.clear_entities()
                     waiting.add_subscription(handle)
+                    waiting.add_guard_condition(ended)
                     waiting.wait(AWAKE)
                     while (taken := handle.take_message(self._kind, False)) and self._goes_on():
                         if self._door.lets_in(taken[0]):
@@ -95,4 +98,5 @@ class Ear(Thread):
     def close(self) -> None:
         """End the thread."""
         self._closing = True
+        self._ended.trigger()
         self.join()

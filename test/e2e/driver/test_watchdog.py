@@ -5,6 +5,7 @@ import signal
 import subprocess
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -25,6 +26,7 @@ from fss_arm_ros.qos import COMMAND, subscribe_sensor
 
 KEY = bytes(range(16))
 SECOND = 1_000_000
+slow = partial(pytest.param, marks=pytest.mark.slow)
 
 
 @pytest.fixture
@@ -35,7 +37,7 @@ def keys(tmp_path: Path) -> Path:
     return path
 
 
-@pytest.fixture(params=["--udp 0", "--tcp 0", "--pty"])
+@pytest.fixture
 def url(request, keys, start, tmp_path) -> Iterator[str]:
     """Where the firmware, as a process, is, or a link of the test bed."""
     if request.param.startswith("testbed"):
@@ -117,9 +119,10 @@ def begin(spin, nodes, person):
 
 
 @pytest.mark.parametrize(
-    "url", ["--udp 0", "--tcp 0", "--pty", "testbed udp", "testbed tcp", "testbed serial"],
+    "url",
+    ["--udp 0", "--tcp 0", "--pty", "testbed udp", *map(slow, ("testbed tcp", "testbed serial"))],
     indirect=True,
-)  # fmt: skip
+)
 def test_a_link_whose_driver_was_killed_stops_within_the_watchdog_time(spin, start, url, keys):
     driver = start(*arguments(url, keys))
     person = Person()
@@ -146,6 +149,7 @@ def test_a_link_whose_driver_was_killed_stops_within_the_watchdog_time(spin, sta
     assert tripped[-1].position < 50_000  # of the 57 000 counts commanded
 
 
+@pytest.mark.parametrize("url", ["--udp 0", *map(slow, ("--tcp 0", "--pty"))], indirect=True)
 def test_a_driver_that_was_stopped_and_goes_on_moves_nothing(spin, start, url, keys):
     driver = start(*arguments(url, keys))
     person = Person()
@@ -166,7 +170,10 @@ def test_a_driver_that_was_stopped_and_goes_on_moves_nothing(spin, start, url, k
     begin(spin, [person], person)
 
 
-@pytest.mark.parametrize("step", [-3600.0, 3600.0])
+@pytest.mark.parametrize(
+    ("url", "step"), [("--udp 0", -3600.0), ("--tcp 0", 3600.0), ("--pty", -3600.0)],
+    indirect=["url"],
+)  # fmt: skip
 def test_a_driver_that_starts_again_with_another_time_has_its_link_in_5_s(spin, url, keys, step):
     parameters = [Parameter("keys", value=str(keys))]
     first, person = LinkNode(1, url, parameter_overrides=parameters), Person()

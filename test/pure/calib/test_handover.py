@@ -121,7 +121,7 @@ def test_offsets_alone_are_as_uncertain_as_the_lengths_that_are_kept():
     """After a homing: lengths come from a rough calibration of before."""
     found, blind = [], []
     offsets = replace(KINEMATIC, parametrization="offsets")
-    for seed in range(30):
+    for seed in range(15):
         rng = np.random.default_rng(seed)
         truth = draw_arm(rng)
         arm, later = kinematics(rests(truth, 13, rng, s=ROUGH), s=ROUGH), rests(truth, 6, rng)

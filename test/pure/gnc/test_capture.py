@@ -63,7 +63,7 @@ def errors_of_found(flight):
     return off / found.deviations, off @ np.linalg.solve(found.covariance, off) / 4
 
 
-@pytest.mark.parametrize("mass", [5.0, 20.0])
+@pytest.mark.parametrize("mass", [5.0, pytest.param(20.0, marks=pytest.mark.slow)])
 def test_a_target_of_another_mass_than_assumed_is_weighed_and_stopped(mass):
     flight, flown = of_unknown_mass(10.0, mass)
     assert flown.well

@@ -88,11 +88,12 @@ def test_env_gives_the_workspace_to_a_bare_shell(shell: str) -> None:
     program = (
         f"{SOURCE}; {SOURCE}; command -v python; echo $PATH; "
         f"for name in {names}; do eval echo \\$$name; done; "
-        "python -c 'import rclpy, fss_arm_msgs.msg, fss_arm_model'"
+        "python -c 'import rclpy, fss_arm_msgs.msg, fss_arm_model, sys; "
+        "print(sys.dont_write_bytecode)'"
     )
-    shown = run(shell, "-c", program, env=BARE, cwd=ROOT)
+    shown = run(shell, "-c", program, env=BARE | {"PYTHONDONTWRITEBYTECODE": "1"}, cwd=ROOT)
     assert (shown.returncode, shown.stderr) == (0, "")
-    python, path, distro, reach, logs, profiles = shown.stdout.splitlines()
+    python, path, distro, reach, logs, profiles, forgets = shown.stdout.splitlines()
     assert python == f"{ROOT}/.venv/bin/python"
     folders = path.split(":")
     assert (folders[0], folders[-1]) == (f"{ROOT}/.venv/bin", f"{ROOT}/scripts/bin")
@@ -101,6 +102,7 @@ def test_env_gives_the_workspace_to_a_bare_shell(shell: str) -> None:
     assert reach == "SYSTEM_DEFAULT"
     assert logs == f"{ROOT}/log/ros"
     assert profiles == f"{ROOT}/config/fastdds.xml"
+    assert forgets == "False"  # what it compiles is kept
 
 
 def test_env_keeps_what_the_user_chose() -> None:
