@@ -1,6 +1,7 @@
 """The topics and actions of the arm's node, its links being ideal."""
 
 import re
+import time
 from dataclasses import replace
 from math import atan2, cos, nan, sin
 
@@ -15,19 +16,25 @@ from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from scipy.interpolate import CubicSpline
 from sensor_msgs.msg import JointState
 from standard_client import JOINTS, StandardClient
 from std_msgs.msg import Empty, Float64, String
 from tf2_msgs.msg import TFMessage
 from trajectory_msgs.msg import JointTrajectory
 
+from fss_arm_driver.arm.guard_topics import GuardTopics
+from fss_arm_driver.arm.trajectory import Trajectory
 from fss_arm_driver.arm_node import ArmNode
+from fss_arm_driver.settings import ArmSettings
 from fss_arm_model.description import to_yaml
 from fss_arm_model.kinematics import tip_pose
 from fss_arm_model.urdf import urdf
+from fss_arm_motion.guard import GuardError
+from fss_arm_motion.plan import Start, predicted
 from fss_arm_msgs.action import MoveArm
 from fss_arm_msgs.msg import KinematicCalibration, LinkCommand
-from fss_arm_ros.convert import SECOND, stamp_ns
+from fss_arm_ros.convert import SECOND, stamp_ns, to_time
 from fss_arm_ros.qos import LATCHED, SENSOR
 
 ENDED = FollowJointTrajectory.Result
@@ -398,10 +405,14 @@ def test_nothing_folds_the_arm_into_itself_or_the_base(bench):
     mover.destroy()
 
 
-def odometry(x, vx=0.0):
-    message = Odometry()
-    message.pose.pose.position.x, message.pose.pose.orientation.w = x, 1.0
-    message.twist.twist.linear.x = vx
+def odometry(pose=(0.0, 0.0, 0.0), twist=(0.0, 0.0, 0.0), stamp=None):
+    """Of a base with this pose and twist, in the world."""
+    message, c, s = Odometry(), cos(pose[2]), sin(pose[2])
+    message.header.stamp = to_time(stamp or time.time_ns())
+    place, turn, v = message.pose.pose.position, message.pose.pose.orientation, message.twist.twist
+    place.x, place.y, turn.z, turn.w = *map(float, pose[:2]), sin(pose[2] / 2), cos(pose[2] / 2)
+    v.linear.x, v.linear.y = c * twist[0] + s * twist[1], c * twist[1] - s * twist[0]
+    v.angular.z = float(twist[2])
     return message
 
 
@@ -409,14 +420,38 @@ def test_a_path_ends_when_the_base_drifts_to_the_edge(bench):
     base = bench.client.create_publisher(Odometry, "base/state", 10)
     bench.until(base.get_subscription_count)
     bench.client.create_timer(0.05, lambda: base.publish(odometry(**state)))
-    state = {"x": 0.0}
+    state = {}
     bench.until(lambda: bench.health.get("guarded against") == "self, edge")
     handle = bench.begin(bench.client.goal([(8.0, THERE)]))
     bench.until(lambda: bench.links.q[0] > 0.02)
-    state = {"x": -1.2, "vx": -0.3}
+    state = {"pose": (-1.2, 0.0, 0.0), "twist": (-0.3, 0.0, 0.0)}
     ended = bench.end(handle).result
     assert ended.error_string.startswith("table edge and ")
     bench.until(lambda: bench.links.last(1).mode == LinkCommand.VELOCITY)
+
+
+@pytest.mark.parametrize("late", [0.0, 0.1, 0.3])
+def test_a_path_under_way_is_judged_from_when_the_base_was_seen(ros, late):
+    """A base that gives way to joints turns quickly: what comes late is of another momentum."""
+    node = Node("guarding")
+    guard = GuardTopics(node, ARM, ArmSettings())
+    times = np.array([0.0, 1.0, 2.0, 3.0])
+    q = np.array([[0.0] * 4, [0.4, 0.2, 0.2, 0.1], [0.5, -0.2, -0.3, 0.2], [0.0] * 4])
+    qd = np.array([[0.0] * 4, [0.5, -0.1, -0.2, 0.1], [-0.3, -0.1, -0.1, 0.0], [0.0] * 4])
+    start = Start(ARM, q[0], pose=np.array([0.25, 0.0, -0.3]))
+    course = predicted(start, times, q, qd)
+    base = CubicSpline(course.times, course.pose)
+    gaps = []
+    for t in np.linspace(0.4, 2.4, 11):
+        now = guard.now()
+        stamp = now - round(late * SECOND)
+        guard.on_base(odometry(base(t - late), base(t - late, 1), stamp))
+        path = Trajectory(now - round(t * SECOND), times, q, qd)
+        with pytest.raises(GuardError) as refused:
+            guard.check_trajectory(path, now)
+        gaps.append(float(re.search(r"would be (\S+) m apart", str(refused.value))[1]))
+    np.testing.assert_allclose(gaps, gaps[0], atol=2e-3)  # seen at whatever time, the same motion
+    node.destroy_node()
 
 
 def test_one_process_hosts_the_arm_and_its_links(start, spin):

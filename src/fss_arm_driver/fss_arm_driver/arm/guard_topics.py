@@ -23,7 +23,7 @@ from fss_arm_driver.protocol import Mode
 from fss_arm_driver.settings import ArmSettings
 from fss_arm_model.description import Arm
 from fss_arm_motion.guard import Guard
-from fss_arm_ros.convert import SECOND, PoseError, planar_pose
+from fss_arm_ros.convert import SECOND, PoseError, planar_pose, stamp_ns
 from fss_arm_ros.glance import Glance
 from fss_arm_ros.pace import pace
 
@@ -42,8 +42,8 @@ class GuardTopics:
                 settings, margin=0.5 * settings.margin, edge_margin=0.5 * settings.edge_margin
             )
             self.guard, self.under_way = Guard(arm, settings), Guard(arm, half)
-        self.base: tuple[int, Floats, Floats] = 0, np.zeros(3), np.zeros(3)  # heard, pose, twist
-        self.target: tuple[int, Floats] = 0, np.zeros(3)
+        self.base: tuple[int, Floats, Floats] = 0, np.zeros(3), np.zeros(3)  # stamp, pose, twist
+        self.target: tuple[int, Floats] = 0, np.zeros(3)  # heard, pose
         self.glances = (
             Glance(node, Odometry, "base/state", self.on_base),
             Glance(node, PoseStamped, settings.target_topic, self.on_target),
@@ -64,7 +64,8 @@ class GuardTopics:
         pose = np.array(planar_pose(message.pose.pose))
         v, c, s = message.twist.twist, np.cos(pose[2]), np.sin(pose[2])
         x, y = v.linear.x, v.linear.y
-        self.base = self.now(), pose, np.array([c * x - s * y, s * x + c * y, v.angular.z])
+        twist = np.array([c * x - s * y, s * x + c * y, v.angular.z])
+        self.base = stamp_ns(message.header.stamp), pose, twist
 
     def on_target(self, message: PoseStamped) -> None:
         """Learn where the target is; nothing while it is hidden."""
@@ -73,15 +74,18 @@ class GuardTopics:
         except PoseError:
             return
 
-    def known(self) -> dict[str, Any]:
-        """Base and target, as the guard takes them, as far as they are known and not old."""
-        self.look()
-        now, oldest = self.now(), self.now() - self.settings.base_age * SECOND
-        heard, pose, twist = self.base
-        if heard <= oldest:
+    def known(self, at: int = 0) -> dict[str, Any]:
+        """Base and target as the guard takes them, as far as they are known and not old.
+
+        Args:
+            at: for when the base is told [ns]; now by default.
+        """
+        now, age = self.now(), self.settings.base_age * SECOND
+        stamp, pose, twist = self.base
+        if abs(now - stamp) >= age:
             return {}
-        found = {"base": pose + twist * ((now - heard) / SECOND), "twist": twist}
-        return found | ({"target": self.target[1]} if self.target[0] > oldest else {})
+        found = {"base": pose + twist * (((at or now) - stamp) / SECOND), "twist": twist}
+        return found | ({"target": self.target[1]} if self.target[0] > now - age else {})
 
     def words(self) -> str:
         """Against what the arm is guarded now."""
@@ -95,14 +99,17 @@ class GuardTopics:
         guard = self.under_way if now else self.guard
         if guard is None or now >= trajectory.end:
             return
-        times, q, qd = trajectory.times, trajectory.q, trajectory.qd
+        self.look()
+        times, q, qd, since = trajectory.times, trajectory.q, trajectory.qd, now
         if now > trajectory.begin:
-            times = times - (now - trajectory.begin) / SECOND
-            here = trajectory.at(now)
+            # When the base was seen: with joints as they are by now, its twist is no momentum.
+            oldest = now - round(self.settings.base_age * SECOND)
+            since = max(trajectory.begin, oldest, min(now, self.base[0]))
+            here, times = trajectory.at(since), times - (since - trajectory.begin) / SECOND
             rest = times > 0.0
             times = np.concatenate([[0.0], times[rest]])
             q, qd = np.vstack([here[0], q[rest]]), np.vstack([here[1], qd[rest]])
-        guard.check_path(times, q, qd, **self.known())
+        guard.check_path(times, q, qd, **self.known(since))
 
     def check_move(
         self, links: Mapping[int, LinkState], profiles: Sequence[Profile], until: float = inf
@@ -114,6 +121,7 @@ class GuardTopics:
         guard = self.guard if until == inf else self.under_way
         if guard is None:
             return
+        self.look()
         limits = [link.drive for link in self.arm.links]
         guard.check_command(
             *present(links),
@@ -132,6 +140,7 @@ class GuardTopics:
         """Check a message of a stream, as if none followed; joints that it does not name rest."""
         if self.guard is None or len(links) < self.arm.n:
             return
+        self.look()
         q, qd = present(links)
         velocity, position = np.zeros(self.arm.n), np.full(self.arm.n, np.nan)
         for i, mode, value in points:
