@@ -7,8 +7,14 @@ root=$(cd -- "$(dirname -- "${BASH_SOURCE[0]}")/.." && pwd -P)
 # shellcheck source=scripts/env.sh
 . "$root/scripts/env.sh"
 
-said=$(mktemp) other=
-trap '[[ ! $other ]] || kill -INT -- "-$other" 2>/dev/null || true; rm -f "$said"' EXIT
+said=$(mktemp -d)
+declare -A beside=()
+end_all() {
+  local group
+  for group in "${beside[@]}"; do kill -INT -- "-$group" 2>/dev/null || true; done
+  rm -rf "$said"
+}
+trap end_all EXIT
 trap 'exit 130' INT
 summary=() status=0
 step() {   # step NAME COMMAND...
@@ -26,7 +32,7 @@ if [[ " $* " == *" --slow "* && $(id -u) == 0 ]] && command -v apt-get >/dev/nul
   if ! dpkg -s "${tools[@]}" >/dev/null 2>&1; then
     echo "test: installing for the slow tests: ${tools[*]}" >&2
     { apt-get update && DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends \
-      "${tools[@]}"; } >"$said" 2>&1 || tail -n 3 "$said" >&2
+      "${tools[@]}"; } >"$said/apt" 2>&1 || tail -n 3 "$said/apt" >&2
   fi
 fi
 
@@ -36,45 +42,49 @@ tests() {
   python -m pytest "$@" || { local code=$?; [[ $code == 5 && $chosen ]] || return "$code"; }
 }
 
-# Begins a command beside what comes next; the step `ended` waits for it.
-beside() {
+# Begins a command beside what comes next, to which it gives way; the step `ended NAME` waits for it.
+begin() {   # begin NAME COMMAND...
+  local name=$1
+  shift
   set -m   # a process group of its own, which can be ended as one
-  "$@" >"$said" 2>&1 &
-  other=$!
+  { renice -n 10 "$BASHPID" >/dev/null; "$@"; } >"$said/$name" 2>&1 &
+  beside[$name]=$!
   set +m
 }
 ended() {
   local code=0
-  wait "$other" || code=$?
-  other=
-  cat "$said"
+  wait "${beside[$1]}" || code=$?
+  unset "beside[$1]"
+  cat "$said/$1"
   return "$code"
 }
-giving_way() { renice -n 10 "$BASHPID" >/dev/null; "$@"; }   # in a subshell
 
-# A process a core, each with its own ROS domain, and one thread of linear algebra in each; the type
-# checker beside them. Tests of nodes mostly wait, as do those end to end, which run whole graphs,
-# two at once: so they go side by side, graphs first. But the demo keeps two cores busy, and slow
-# ones keep time. Where nodes wait for each other, a deadline missed on a busy machine is given one
-# more try, which the output shows as R.
+# A process a core, each with its own ROS domain, and one thread of linear algebra in each. Tests of
+# nodes and of whole graphs mostly wait, but not long: what only computes is done beside them, with
+# what they leave of the processor. The demo keeps two cores busy, and slow tests keep time. Where
+# nodes wait for each other, a deadline missed on a busy machine is given one more try, which the
+# output shows as R.
 export OPENBLAS_NUM_THREADS=1
-patience=(--reruns 1 --only-rerun "not within|still running after|is silent|stood still")
-nodes=(tests test/node "${patience[@]}" --dist loadfile)
+patience=(--reruns 1 --only-rerun "not within|still running after")
+pure=(tests test/pure "${patience[@]}" -n "$(nproc)" --dist loadfile "$@")
+node=(tests test/node "${patience[@]}" -n "$((2 * $(nproc)))" --dist loadfile "$@")
 graphs=(tests test/e2e --ignore test/e2e/test_demo.py "${patience[@]}" --dist loadfile
-  --no-loadscope-reorder)   # as they stand, the longest files are not last
+  --no-loadscope-reorder "$@")   # as they stand, the longest files are not last
 cd "$root"
-beside mypy src/*/fss_*/
 step ruff ruff check .
 step format ruff format --check --quiet .
-step pure tests test/pure -n "$(nproc)" --dist loadfile "$@"
-step mypy ended
+begin mypy mypy src/*/fss_*/
 if [[ " $* " == *" --slow "* ]]; then
-  step node "${nodes[@]}" -n "$((2 * $(nproc)))" "$@"
-  step graphs "${graphs[@]}" -n 0 "$@"
+  step pure "${pure[@]}"
+  step mypy ended mypy
+  step node "${node[@]}"
+  step graphs "${graphs[@]}" -n 0
 else
-  beside giving_way "${nodes[@]}" -n "$(nproc)" "$@"
-  step graphs "${graphs[@]}" -n 2 "$@"
-  step node ended
+  begin pure "${pure[@]}"
+  step node "${node[@]}"
+  step graphs "${graphs[@]}" -n 2
+  step mypy ended mypy
+  step pure ended pure
 fi
 step demo tests test/e2e/test_demo.py "${patience[@]}" "$@"
 [[ " $* " != *" --slow "* ]] ||
