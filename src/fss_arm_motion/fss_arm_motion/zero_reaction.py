@@ -21,10 +21,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from fss_arm_model.description import Arm
 from fss_arm_model.kernels import Floats, helper, kernel
 from fss_arm_model.kinematics import _chain
-from fss_arm_model.momentum import _floating, generalized_jacobian
+from fss_arm_model.momentum import _floating
 from fss_arm_model.settings import FINITE, NOT_NEGATIVE, POSITIVE, SettingError, Settings, setting
 from fss_arm_motion.plan import Plan, PlanError, Start, finished
 from fss_arm_motion.point_to_point import PointToPoint, point_to_point
@@ -67,15 +66,6 @@ class ZeroReaction(Settings):
         if bool(self.direction) == bool(self.goal):
             given = "both" if self.goal else "neither"
             raise SettingError(f"direction and goal: {given} given, expected one of them")
-
-
-def angular_coupling(arm: Arm, q: npt.ArrayLike) -> Floats:
-    """G of states q (..., 3 + n), (..., n): the base's angular rate per joint rate.
-
-    Raises:
-        ValueError: shapes do not fit.
-    """
-    return np.asarray(generalized_jacobian(arm.vector(), q)[..., 2, :] - 1.0)
 
 
 @helper
