@@ -1,5 +1,6 @@
 """What every node's program does: start, spin, and an end that says what went wrong."""
 
+import faulthandler
 import signal
 import sys
 from collections.abc import Callable, Sequence
@@ -15,6 +16,8 @@ from fss_arm_ros.executor import BatchExecutor
 
 # rclpy keeps these classes in its extension and offers no public names for them.
 from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError  # isort: skip
+
+LEAVING = 5.0  # at most, once all is closed [s]
 
 
 def run(
@@ -38,7 +41,7 @@ def run(
     Returns:
         The exit code: 0 after SIGINT, SIGTERM or shutdown, but 130 if they interrupted a job; 1
         when the node cannot be made (its ValueError or OSError is printed in one line), 2 for a
-        wrong command line.
+        wrong command line. A node that cannot leave the graph is ended with 1, and says where.
     """
     argv = list(sys.argv if args is None else args)
     name = argv[0].rsplit("/", 1)[-1]
@@ -84,8 +87,12 @@ def run(
     finally:
         for node in nodes:
             getattr(node, "close", lambda: None)()
+        # Fast DDS (2.14) was seen to wait for ever, holding Python's lock, as many left at once.
+        faulthandler.dump_traceback_later(LEAVING, exit=True, file=2)
+        for node in nodes:
             node.destroy_node()
         rclpy.try_shutdown()
+        faulthandler.cancel_dump_traceback_later()
         signal.signal(signal.SIGINT, signal.default_int_handler)
     left = [words for node in nodes if (words := getattr(node, "unfinished", str)())]
     return _failed(name, f"interrupted {'; '.join(left)}", 130) if left else 0

@@ -39,6 +39,30 @@ def test_told_to_end_while_it_is_made_it_ends_well():
     assert (ended.returncode, ended.stderr) == (0, "")
 
 
+HELD = """
+import ctypes, os, signal, sys
+from rclpy.node import Node
+from fss_arm_ros import run
+
+class Held(Node):
+    def __init__(self):
+        super().__init__("held")
+        self.create_timer(0.01, lambda: os.kill(os.getpid(), signal.SIGTERM))
+
+    def destroy_node(self):
+        ctypes.PyDLL(None).sleep(60)  # with Python's lock
+
+run.LEAVING = 0.5
+sys.exit(run.run(Held))
+"""
+
+
+def test_a_node_that_cannot_leave_is_ended_and_says_where():
+    ended = subprocess.run([sys.executable, "-c", HELD], capture_output=True, text=True, timeout=30)
+    assert ended.returncode == 1
+    assert "in destroy_node" in ended.stderr
+
+
 def test_a_request_is_answered_after_all_that_came_before_it(ros):
     node, heard, answered = Node("busy"), [], []
     publisher = node.create_publisher(Empty, "much", KEEP_ALL)
