@@ -54,9 +54,7 @@ def known_beforehand(
     choice, C = Choice.of(s.estimate, n), s.covariance(arm)
     deviations = np.sqrt(np.diag(C))
     prior = choice.basis.T @ deviations / choice.basis.sum(axis=0)
-    words = s.priors.strip()
-    held = Choice.of(words, n).indices if words else np.arange(0)
-    closed = choice.basis[held].any(axis=0)
+    closed = choice.basis[s.believed(arm, s.priors)].any(axis=0)
     return DynamicProblem(
         path, poses, sigma, arm, choice,
         prior=np.where(closed, prior, inf),

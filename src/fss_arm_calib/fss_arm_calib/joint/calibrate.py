@@ -21,7 +21,6 @@ from fss_arm_calib.acceptance import (
     quiet,
 )
 from fss_arm_calib.calibration import Calibration
-from fss_arm_calib.dynamic.parameters import Choice
 from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.joint.problem import (
     MAX_CONDITION,
@@ -133,13 +132,13 @@ def problem_of(
     for data, its in zip(used, own or len(used) * [settings], strict=True):
         every = ((name, kinds[name].evidence) for name in data)
         sessions.append({name: make(data[name], arm, its[name]) for name, make in every if make})
-    n, words = arm.n, s.priors.strip()
+    n = arm.n
     size = 5 * n + 6 + s.theta_e
     prior = np.zeros((size, size))
     prior[: 5 * n + 6, : 5 * n + 6] = s.covariance(arm)
     tilt, drifting = settings["dynamic"].tilt_deviation, settings["drift"]
     return JointProblem(
-        arm, sessions, prior, Choice.of(words, n).indices if words else np.arange(0),
+        arm, sessions, prior, s.believed(arm, s.priors),
         surroundings=np.array([
             GRAVITY * tilt, GRAVITY * tilt, drifting.torque_deviation, drifting.twist_deviation,
             drifting.drag_deviation,
