@@ -103,7 +103,7 @@ class Rehearsal:
     def arm(self):
         """As a person does who sees a link that is not armed."""
         for i, link in enumerate(self.links):
-            if link.arming is Arming.DISARMED and not link.lost:
+            if link.arming is Arming.DISARMED and not link.obstacle(self.now):
                 link.arm(self.now)
                 self.arming_asked[i] += 1
 

@@ -10,7 +10,6 @@ import yaml
 
 from fss_arm_calib.acceptance import (
     FAIL,
-    NOT_EVALUATED,
     PASS,
     Check,
     at_most,
@@ -18,6 +17,8 @@ from fss_arm_calib.acceptance import (
     converged,
     count,
     determined,
+    enough,
+    joints_known,
     quiet,
 )
 from fss_arm_calib.calibration import Calibration
@@ -192,11 +193,12 @@ def calibrate(
     used = [stage.used for _, stage in found]
     names = (*parameter_names(arm.n), *(["theta_E"] if s.theta_e else []))
     kinds_seen = sorted({kind for data in used for kind in data})
-    enough = Check(
-        "data", PASS if found else NOT_EVALUATED, len(kinds_seen), 1,
-        _numbers(used, kinds) if found else "no rest, maneuver or drift can be used",
-    )  # fmt: skip
-    found_checks, solution = [enough], None
+    heard = [one for session in sessions for one in session.streams.values()]
+    odd = (one for one in heard if one.silent or one.unknown)
+    streams = next(odd, heard[0] if heard else Streams())
+    words = _numbers(used, kinds) if found else "no rest, maneuver or drift can be used"
+    found_checks = [joints_known(streams, arm), enough("data", len(kinds_seen), 1, words, streams)]
+    solution = None
     own = [stage.settings for _, stage in found]
     problem = problem_of(used, arm, s, kinds, of_kinds, own)
     estimate = Estimate(names, problem.units, problem.guess)
@@ -212,7 +214,7 @@ def calibrate(
         [one for part in parts for some in part.data.values() for one in some],
         [one for data in used for some in data.values() for one in some],
         [np.frombuffer("".join(hashes).encode(), dtype=np.uint8)],
-        arm, s, JointSettings, Streams(), source, found_checks, estimate, solution,
+        arm, s, JointSettings, streams, source, found_checks, estimate, solution,
         solution.result.calibrated if solution else None,
     )  # fmt: skip
     return replace(outcome, provenance=replace(outcome.provenance, parameters=_told(s, of_kinds)))
