@@ -227,12 +227,15 @@ def propose(options: argparse.Namespace, console: Console) -> None:
         def progress(k: int) -> None:
             bar.update(task, completed=k)
 
-        given = arm, options.count, settings, conditions
         if goal:
-            plan = to_goal(*given, goal, maneuvers, options.seed, progress)
+            plan = to_goal(
+                arm, options.count, settings, conditions, goal, maneuvers, options.seed, progress
+            )
         else:
-            chosen = options.chosen.split()
-            plan = design(*given, chosen, None, maneuvers, seed=options.seed, progress=progress)
+            plan = design(
+                arm, options.count, settings, conditions, options.chosen.split(),
+                before=maneuvers, seed=options.seed, progress=progress,
+            )  # fmt: skip
     result = expected(arm, plan, settings, conditions.rest, maneuvers)
     tables = [table(plan), outlook(result)]
     if options.compare:
