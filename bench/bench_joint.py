@@ -10,8 +10,8 @@ does, and as the paper's. NEES is the normalized squared error a parameter, 1 if
     chained    the covariance of the kinematic result handed over with its description
     along      the same, lengths and angles estimated anew with that as their prior
     joint      all in one
-    paths      the same, had the base been seen on its way, too, twice a second, by clocks that
-               agree: a bound, as `joint` does not take such poses
+    paths      the same, the base seen on its way, too, twice a second (`path_rate`), with joints
+               that do not give
     paper      the paper's own experiment: 13 rests as its own, then 8 maneuvers of one joint each,
                seen by how far the base turned, with what geometry tells of b and I
 

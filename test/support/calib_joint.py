@@ -27,6 +27,7 @@ from fss_arm_model.units import GRAVITY
 ARM = paper_arm()
 SECOND = 10**9
 BIN, FRAMES = 0.5, 50
+LOOK = 0.1  # of a pose on the base's way [s]
 PERIOD = 0.2  # of telemetry [s]
 REST = 2.0  # before and after a maneuver [s]
 
@@ -109,6 +110,9 @@ def maneuvers(arm, count, rng, acting, start=0, s=DYNAMIC, ends=None, rest=REST,
         read = [[part[:, i] for part in law(t)] for i, t in enumerate(times)]
         between = np.arange(BIN / 2, edges[-1], BIN) if along else []
         seen = np.array([*(marks - rest), *between, *(edges[-1] + marks)])
+        amid = (seen > 0.0) & (seen < edges[-1])
+        seconds = np.where(amid, LOOK, BIN)
+        looks = np.sqrt(fresh / np.where(amid, np.maximum(1.0, fresh * LOOK / BIN), fresh))
         state = np.concatenate([
             rng.uniform(-0.5, 0.5, 2), rng.uniform(-3.0, 3.0, 1),
             rng.normal(0.0, s.momentum_deviation, 2), rng.normal(0.0, s.spin_deviation, 1),
@@ -117,14 +121,14 @@ def maneuvers(arm, count, rng, acting, start=0, s=DYNAMIC, ends=None, rest=REST,
         # The solver's path is the one through the samples: what they miss is another matter.
         path = base_motion.path(*base_motion.sampled(times, *zip(*read, strict=True)), seen)
         poses = base_motion.base_poses(arm.vector(), path, state)
-        poses = poses + sigma * rng.standard_normal(poses.shape)
+        poses = poses + looks[:, None] * sigma * rng.standard_normal(poses.shape)
         at = start + k * 20 * SECOND
         found.append(
             Maneuver(
                 at, at + 10 * SECOND, tuple(tuple(t + rest) for t in times),
                 tuple(tuple(q) for q, _ in read), tuple(tuple(qd) for _, qd in read),
                 tuple(seen + rest), tuple(map(tuple, poses.tolist())), (FRAMES,) * len(seen),
-                (BIN,) * len(seen),
+                tuple(seconds.tolist()),
             )
         )  # fmt: skip
     return found

@@ -50,7 +50,8 @@ class Rehearsal:
 
     def __init__(
         self, config=None, script="", noise=None, seed=1, postures=DEFAULT, preset="paper",
-        room=None, arms=None, q=(0.0,) * 4, twist=(0.0,) * 3, tilt=(0.0,) * 2, **options,
+        room=None, arms=None, q=(0.0,) * 4, twist=(0.0,) * 3, tilt=(0.0,) * 2,
+        dynamic=DYNAMIC, **options,
     ):  # fmt: skip
         self.truth, self.guess = arms or (load(config / "truth.yaml"), load(config / "cad.yaml"))
         q, qd = np.array([[0.0, 0.0, 0.0, *q], [*twist, 0.0, 0.0, 0.0, 0.0]]).tolist()
@@ -68,7 +69,7 @@ class Rehearsal:
         )
         self.links = [LinkSession(i, k) for i, k in enumerate(self.guess.links, 1)]
         self.finder, self.observations = RestFinder(4, KinematicSettings()), []
-        self.maneuver_finder, self.maneuvers = ManeuverFinder(4, DYNAMIC), []
+        self.maneuver_finder, self.maneuvers = ManeuverFinder(4, dynamic), []
         self.postures, self.samples = list(np.asarray(postures)), [[] for _ in self.links]
         self.deviations = [[] for _ in self.links]  # of the samples' stamps [s]
         self.arming_asked = [0] * 4

@@ -74,6 +74,10 @@ class DynamicSettings(ManeuverSettings, CalibrationSettings, Knowledge):
         unit="1/s",
         check=POSITIVE,
     )
+    path_timing: float = setting(
+        0.002, "1 sigma of when the base is seen on its way, against the joints", unit="s",
+        check=NOT_NEGATIVE,
+    )  # fmt: skip
     momentum_deviation: float = setting(
         1.0, "1 sigma, about 0, of the momentum at the start of a maneuver; 0: at rest",
         unit="N s", check=NOT_NEGATIVE,
