@@ -1,5 +1,6 @@
 """Proposed maneuvers: they keep to their conditions, and tell more than others."""
 
+import re
 from dataclasses import replace
 from itertools import pairwise
 
@@ -243,7 +244,10 @@ def test_a_goal_is_kept_to_with_as_few_maneuvers_as_it_takes(capsys):
     text = capsys.readouterr().out
     assert "goal b_4 0.02: promised" in text
     assert main([*asked[:5], "b_i 0.0001", "--count", "2"]) == 0
-    assert "goal b_i 0.0001: not met by 2 maneuvers" in capsys.readouterr().out
+    text = " ".join(capsys.readouterr().out.split())
+    assert re.search(
+        r"goal b_i 0.0001: not met by 2 maneuvers: b_\d to .*, .* of it as \w+ is", text
+    )
 
 
 def test_the_last_maneuver_of_a_goal_was_needed():

@@ -2,7 +2,7 @@
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from itertools import compress
 from pathlib import Path
@@ -242,7 +242,7 @@ def propose(options: argparse.Namespace, console: Console) -> None:
         tables.append(comparison(arm, settings, conditions, options.count))
     _show(console, *tables)
     if goal:
-        words = "promised" if meets(result, goal) else f"not met by {len(plan)} maneuvers"
+        words = "promised" if meets(result, goal) else f"not met by {missing(result, plan, goal)}"
         minutes = sum(one.length + conditions.rest for one in plan) / 60.0
         console.print(f"goal {options.goal}: {words}, in {minutes:.1f} min", soft_wrap=True)
     seen = assumed(settings).deviations[:2]
@@ -252,6 +252,23 @@ def propose(options: argparse.Namespace, console: Console) -> None:
     )  # fmt: skip
     if options.output:
         _write(options.output, plan, console, result)
+
+
+def missing(result: DynamicResult, plan: Sequence[Planned], goal: Mapping[str, float]) -> str:
+    """By what a goal is missed most, and the assumption that has the largest part in it."""
+    names = result.problem.names
+    k = max(
+        (names.index(name) for name in goal), key=lambda k: result.deviations[k] / goal[names[k]]
+    )
+    words = f"{len(plan)} maneuvers: {names[k]} to {result.deviations[k]:.2g}"
+    shifts = np.abs(result.bias[k])
+    if not len(shifts):
+        return words
+    j = int(np.argmax(shifts))
+    sigma = result.assumed_deviations[j]
+    return (
+        f"{words}, {shifts[j]:.2g} of it as {result.assumed_names[j]} is known to {sigma:.2g} only"
+    )
 
 
 def _show(console: Console, *tables: report.Table) -> None:
