@@ -10,6 +10,10 @@ does, and as the paper's. NEES is the normalized squared error a parameter, 1 if
     chained    the covariance of the kinematic result handed over with its description
     along      the same, lengths and angles estimated anew with that as their prior
     joint      all in one
+    paths      the same, the base seen on its way, too, twice a second (`path_rate`), with joints
+               that do not give
+    paper      the paper's own experiment: 13 rests as its own, then 8 maneuvers of one joint each,
+               seen by how far the base turned, with what geometry tells of b and I
 
 Then the processor's time for 100 rests, 100 maneuvers and 20 drifts: of the solution alone, and of
 all that `joint` does after reading, the stages that it begins from included; of more sessions and
@@ -35,6 +39,7 @@ from calib_joint import (
     ARM,
     DYNAMIC,
     KINEMATIC,
+    PAPER,
     ROUGH,
     SETTINGS,
     SURROUNDINGS,
@@ -46,6 +51,7 @@ from calib_joint import (
     kinematics,
     maneuvers,
     nees,
+    papers,
     rests,
 )
 
@@ -65,9 +71,15 @@ JOINT = JointSettings(zero_deviation=0.02)
 PEER = 10  # the peer's share of the data, one in so many
 
 
+def joined(data, seen):
+    """The joint estimate."""
+    settings = {**SETTINGS, "kinematic": seen}
+    return solve(problem_of([data], ARM, JOINT, KINDS, settings), bounded=False)
+
+
 def ways(seed, seen):
     """NEES and deviations of NAMES by each way."""
-    rng = np.random.default_rng(seed)
+    rng, own = np.random.default_rng(seed), np.random.default_rng([1, seed])
     truth, acting = draw_arm(rng), SURROUNDINGS * rng.standard_normal(5)
     data = {
         "kinematic": rests(truth, 13, rng, s=seen),
@@ -79,8 +91,10 @@ def ways(seed, seen):
         "forgotten": dynamics(data["dynamic"], forgotten(arm)),
         "chained": dynamics(data["dynamic"], arm),
         "along": dynamics(data["dynamic"], arm, ALONG),
-        "joint": solve(
-            problem_of([data], ARM, JOINT, KINDS, {**SETTINGS, "kinematic": seen}), bounded=False
+        "joint": joined(data, seen),
+        "paths": joined({**data, "dynamic": maneuvers(truth, 16, own, acting, along=True)}, seen),
+        "paper": dynamics(
+            papers(truth, own), kinematics(rests(truth, 13, own, s=ROUGH), s=ROUGH), PAPER
         ),
     }
     judged = {}

@@ -8,7 +8,7 @@ import numpy as np
 
 from fss_arm_calib.drift.settings import DriftSettings
 from fss_arm_calib.dynamic.problem import solve as solve_dynamics
-from fss_arm_calib.dynamic.settings import DynamicSettings
+from fss_arm_calib.dynamic.settings import HEADING, DynamicSettings
 from fss_arm_calib.dynamic.solution import problem_of as dynamic_problem
 from fss_arm_calib.kinematic.problem import solve as fit_kinematics
 from fss_arm_calib.kinematic.settings import KinematicSettings
@@ -27,6 +27,7 @@ from fss_arm_model.units import GRAVITY
 ARM = paper_arm()
 SECOND = 10**9
 BIN, FRAMES = 0.5, 50
+LOOK = 0.1  # of a pose on the base's way [s]
 PERIOD = 0.2  # of telemetry [s]
 REST = 2.0  # before and after a maneuver [s]
 
@@ -86,17 +87,20 @@ def rests(arm, count, rng, start=0, s=KINEMATIC):
     ]
 
 
-def maneuvers(arm, count, rng, acting, start=0, s=DYNAMIC):
-    found, marks = [], np.arange(BIN / 2, REST, BIN)
+def maneuvers(arm, count, rng, acting, start=0, s=DYNAMIC, ends=None, rest=REST, along=False):
+    """Of all joints to two more postures each, or to given ones; `along`: seen on the way, too."""
+    found, marks = [], np.arange(BIN / 2, rest, BIN)
     fresh = min(FRAMES, s.fresh_rate * BIN)
     sigma = np.array([s.position_deviation] * 2 + [s.heading_deviation]) / np.sqrt(fresh)
-    ends = rng.choice([-1.0, 1.0], (count, 3, arm.n)) * rng.uniform(0.6, 1.4, (count, 3, arm.n))
+    if ends is None:
+        signs = rng.choice([-1.0, 1.0], (count, 3, arm.n))
+        ends = signs * rng.uniform(0.6, 1.4, (count, 3, arm.n))
     for k, way in enumerate(ends):
         spans = 1.5 * np.abs(np.diff(way, axis=0)).max(axis=1) + 0.5
         edges = np.concatenate([[0.0], np.cumsum(spans)])
 
         def law(t, way=way, edges=edges):
-            i = np.clip(np.searchsorted(edges, t, "right") - 1, 0, 1)
+            i = np.clip(np.searchsorted(edges, t, "right") - 1, 0, len(way) - 2)
             span = np.diff(edges)[i]
             x = np.clip((t - edges[i]) / span, 0.0, 1.0)[:, None]
             step = way[i + 1] - way[i]
@@ -104,7 +108,11 @@ def maneuvers(arm, count, rng, acting, start=0, s=DYNAMIC):
 
         times = [np.arange(-PERIOD * rng.random(), edges[-1] + PERIOD, PERIOD) for _ in way[0]]
         read = [[part[:, i] for part in law(t)] for i, t in enumerate(times)]
-        seen = np.array([*(marks - REST), *(edges[-1] + marks)])
+        between = np.arange(BIN / 2, edges[-1], BIN) if along else []
+        seen = np.array([*(marks - rest), *between, *(edges[-1] + marks)])
+        amid = (seen > 0.0) & (seen < edges[-1])
+        seconds = np.where(amid, LOOK, BIN)
+        looks = np.sqrt(fresh / np.where(amid, np.maximum(1.0, fresh * LOOK / BIN), fresh))
         state = np.concatenate([
             rng.uniform(-0.5, 0.5, 2), rng.uniform(-3.0, 3.0, 1),
             rng.normal(0.0, s.momentum_deviation, 2), rng.normal(0.0, s.spin_deviation, 1),
@@ -113,14 +121,14 @@ def maneuvers(arm, count, rng, acting, start=0, s=DYNAMIC):
         # The solver's path is the one through the samples: what they miss is another matter.
         path = base_motion.path(*base_motion.sampled(times, *zip(*read, strict=True)), seen)
         poses = base_motion.base_poses(arm.vector(), path, state)
-        poses = poses + sigma * rng.standard_normal(poses.shape)
+        poses = poses + looks[:, None] * sigma * rng.standard_normal(poses.shape)
         at = start + k * 20 * SECOND
         found.append(
             Maneuver(
-                at, at + 10 * SECOND, tuple(tuple(t + REST) for t in times),
+                at, at + 10 * SECOND, tuple(tuple(t + rest) for t in times),
                 tuple(tuple(q) for q, _ in read), tuple(tuple(qd) for _, qd in read),
-                tuple(seen + REST), tuple(map(tuple, poses.tolist())), (FRAMES,) * len(seen),
-                (BIN,) * len(seen),
+                tuple(seen + rest), tuple(map(tuple, poses.tolist())), (FRAMES,) * len(seen),
+                tuple(seconds.tolist()),
             )
         )  # fmt: skip
     return found
@@ -164,6 +172,28 @@ ROUGH = replace(
     position_deviation=KINEMATIC.max_position_deviation,
     heading_deviation=KINEMATIC.max_heading_deviation,
 )
+
+
+#: As the paper's maneuvers: how far the base turned, at rest before and on a level table; of b and
+#: I what geometry tells, without which they were not determined.
+PAPER = DynamicSettings(
+    residuals=HEADING, heading_deviation=radians(1.54) / 2**0.5, fresh_rate=1.0 / BIN,
+    momentum_deviation=0.0, spin_deviation=0.0, tilt_deviation=0.0,
+    priors=f"{DYNAMIC.priors} b_i I_i",
+)  # fmt: skip
+
+
+def papers(arm, rng):
+    """The paper's eight maneuvers: each joint through 60 degrees to both sides, from two postures.
+
+    A pose before and one after.
+    """
+    ends = np.repeat(np.radians(rng.uniform(-75.0, 75.0, (2, 1, arm.n))), arm.n, axis=0)
+    ends = np.repeat(ends, 2, axis=1)
+    for k, way in enumerate(ends):
+        way[:, k % arm.n] = np.radians([-60.0, 60.0]) * (1.0 if k < arm.n else -1.0)
+    s = replace(PAPER, position_deviation=ROUGH.position_deviation)
+    return maneuvers(arm, len(ends), rng, np.zeros(2), 0, s, ends, BIN)
 
 
 def errors(names, found, truth):

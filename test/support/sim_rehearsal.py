@@ -12,6 +12,7 @@ import numpy as np
 
 from fss_arm_calib.dynamic.calibrate import calibrate as calibrate_dynamics
 from fss_arm_calib.dynamic.settings import DynamicSettings
+from fss_arm_calib.experiment.experiment_node import through
 from fss_arm_calib.experiment.postures import DEFAULT
 from fss_arm_calib.kinematic.calibrate import calibrate
 from fss_arm_calib.kinematic.settings import KinematicSettings
@@ -26,6 +27,7 @@ from fss_sim.faults import read_script
 from fss_sim.noise import PRESETS
 from fss_sim.plant.joints import PRESETS as JOINTS
 from fss_sim.plant.plant import World
+from fss_sim.plant.surroundings import Surroundings
 from fss_sim.testbed import SECOND, State
 from fss_sim.vicon import Vicon
 
@@ -40,14 +42,20 @@ ROUNDS = 2  # of postures whose rest was rejected
 
 
 class Rehearsal:
-    """An experiment under a fault script, with the joints and errors of a preset."""
+    """An experiment under a fault script, with the joints and errors of a preset.
+
+    Truth and guess are those of a folder, or given; the arm begins at q, the base drifts by a
+    twist, on a tilted table.
+    """
 
     def __init__(
-        self, config, script="", noise=None, seed=1, postures=DEFAULT, preset="paper", room=None,
-        **options,
+        self, config=None, script="", noise=None, seed=1, postures=DEFAULT, preset="paper",
+        room=None, arms=None, q=(0.0,) * 4, twist=(0.0,) * 3, tilt=(0.0,) * 2,
+        dynamic=DYNAMIC, **options,
     ):  # fmt: skip
-        self.truth, self.guess = load(config / "truth.yaml"), load(config / "cad.yaml")
-        state = State(frame=0, boots=1, rests=0, q=(0.0,) * 7, qd=(0.0,) * 7)
+        self.truth, self.guess = arms or (load(config / "truth.yaml"), load(config / "cad.yaml"))
+        q, qd = np.array([[0.0, 0.0, 0.0, *q], [*twist, 0.0, 0.0, 0.0, 0.0]]).tolist()
+        state = State(frame=0, boots=1, rests=0, q=tuple(q), qd=tuple(qd))
         noise = replace(PRESETS[preset], **(noise or {}))
         self.bed = testbed.Testbed(
             self.truth,
@@ -55,13 +63,13 @@ class Rehearsal:
             seed,
             state,
             script=read_script(script),
-            world=World(JOINTS[preset]),
+            world=World(JOINTS[preset], Surroundings(tilt=tilt)),
             vicon=Vicon(noise, room, seed, [0, 1]) if room else None,
             **options,
         )
         self.links = [LinkSession(i, k) for i, k in enumerate(self.guess.links, 1)]
         self.finder, self.observations = RestFinder(4, KinematicSettings()), []
-        self.maneuver_finder, self.maneuvers = ManeuverFinder(4, DYNAMIC), []
+        self.maneuver_finder, self.maneuvers = ManeuverFinder(4, dynamic), []
         self.postures, self.samples = list(np.asarray(postures)), [[] for _ in self.links]
         self.deviations = [[] for _ in self.links]  # of the samples' stamps [s]
         self.arming_asked = [0] * 4
@@ -96,7 +104,7 @@ class Rehearsal:
     def arm(self):
         """As a person does who sees a link that is not armed."""
         for i, link in enumerate(self.links):
-            if link.arming is Arming.DISARMED and not link.lost:
+            if link.arming is Arming.DISARMED and not link.obstacle(self.now):
                 link.arm(self.now)
                 self.arming_asked[i] += 1
 
@@ -124,6 +132,24 @@ class Rehearsal:
                 if self.bed.now > done + WAIT * SECOND:
                     return False
         return False
+
+    def make(self, maneuvers, pause, timeout=20.0):
+        """Maneuvers, as the node `experiment` makes them; what comes of them."""
+        for stop in through(maneuvers, pause):
+            order, since, end = None, 0, self.bed.now + timeout * SECOND
+            while not since or self.bed.now < since + stop.pause * SECOND:
+                assert since or self.bed.now < end, "it does not arrive"
+                if self.bed.frame % COMMANDS == 0:
+                    self.arm()
+                    if all(link.armed for link in self.links):
+                        q = tuple(samples[-1].position for samples in self.samples)
+                        order = order or plan(self.guess, q, tuple(stop.q), stop.duration)
+                        self.send(order)
+                        near = np.abs(np.subtract(q, stop.q)).max() < 0.005
+                        since = since or near * self.bed.now
+                self.step()
+        self.maneuvers += self.maneuver_finder.close()
+        return self.maneuvers
 
     def send(self, order):
         for link, part in zip(self.links, order.profiles, strict=True):

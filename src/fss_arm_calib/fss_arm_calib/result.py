@@ -91,8 +91,8 @@ def passed(path: str | Path, kind: str = "") -> dict[str, Any]:
     return found
 
 
-def arm_of(path: str | Path, kind: str) -> Arm:
-    """The arm that a result of a kind of calibration leaves, and how well it knows it.
+def arm_of(path: str | Path, kind: str = "") -> Arm:
+    """The arm that a result of a kind of calibration, or of any, leaves, and how well it knows it.
 
     Raises:
         ContentError: it is no such result, or has not passed.

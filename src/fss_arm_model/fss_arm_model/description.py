@@ -9,9 +9,11 @@ import json
 import math
 import operator
 import os
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass, replace
+from itertools import dropwhile
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +28,13 @@ from .layout import kinematic_index as kinematic_index
 from .layout import kinematic_names as kinematic_names
 
 MAX_LINKS = 12
+
+#: A link's own parameter, by its place or, where links are told by serial numbers, by that.
+OF_PLACE = re.compile(r"(a|theta_0|m|b|I)_([1-9]\d*)")
+OF_SERIAL = re.compile(r"(a|theta_0|m|b|I)_#(\d+)")
+
+#: 1 sigma of an angle of which nothing is known since another link was first [rad].
+ANY_ANGLE = math.radians(5.0)
 
 #: Descriptions that come with the package, by the name that settings take.
 ARMS = {"paper": "arm.yaml", "cad": "cad.yaml", "truth": "truth.yaml"}
@@ -442,15 +451,41 @@ def _mounted(given: dict[str, Any], folder: str | os.PathLike[str]) -> dict[str,
     links = given.get("links")
     if not isinstance(links, list) or not any(type(link) is int for link in links):
         return given
-    if "known" in given:
-        raise DescriptionError("known", "names by place", "none with links by serial number")
     links = [read_link(link_file(folder, k))[0] if type(k) is int else k for k in links]
     base = _read("base", given.get("base"))
     if isinstance(base, Base) and type(given["links"][0]) is int:
         x, y, angle = base.mount
         base = replace(base, mount=(x, y, angle + links[0].theta_0))
         links[0] = replace(links[0], theta_0=0.0)
-    return {**given, "base": base, "links": links}
+    known = _read("known", given.get("known", Known()))
+    if isinstance(known, Known):
+        known = _remounted(known, links)
+    return {**given, "base": base, "links": links, "known": known}
+
+
+def _remounted(known: Known, links: Sequence[Any]) -> Known:
+    """What is known of links by serial number, by their places now.
+
+    What is known of a link goes with it, and of one that is not mounted it is left out. The first
+    link's offset is part of theta_BJ1: if another one is first now, neither is known any more.
+    """
+    if by_place := [name for name in known.names if OF_PLACE.fullmatch(name)]:
+        expected = "names by serial number as a_#7, as links are"
+        raise DescriptionError("known: names", by_place[0], expected)
+    place = {link.serial: i for i, link in enumerate(links, 1) if isinstance(link, Link)}
+    found = [OF_SERIAL.fullmatch(name) for name in known.names]
+    then = [int(m[2]) for m in found if m and m[1] == "a"]  # from the base on
+    names = [
+        f"{m[1]}_{place.get(int(m[2]), m[2] + ' is not mounted')}" if m else name
+        for m, name in zip(found, known.names, strict=True)
+    ]
+    here = [k for k in names if not k.endswith("mounted") and k != "theta_0_1"]
+    moved = Known(tuple(names), known.covariance)
+    moved = Known.of(here, moved.over(here, np.zeros(len(here))))
+    lost: list[str] = []
+    if then and place.get(then[0]) != 1:
+        lost = ["theta_BJ1", *(f"theta_0_{place[k]}" for k in then[:1] if k in place)]
+    return moved.told(lost, ANY_ANGLE**2 * np.eye(len(lost))) if lost else moved
 
 
 def from_yaml(text: str, folder: str | os.PathLike[str] = ".") -> Arm:
@@ -573,8 +608,8 @@ def save_links(
 ) -> None:
     """Write the description as a list of serial numbers, and the links' files beside it.
 
-    What is known of places, `known`, is left out: links move, and `histories`, by serial number,
-    goes with them. The first link keeps its file's theta_0, as theta_BJ1 has it and the mount's.
+    What is `known` of links is by serial number, too, as `histories`: it goes with them. The first
+    link keeps its file's theta_0, as theta_BJ1 has it and the mount's.
 
     Raises:
         OSError: a file cannot be written.
@@ -591,8 +626,13 @@ def save_links(
         write_text(link_file(folder, link.serial), text)
     x, y, angle = arm.base.mount
     base = replace(arm.base, mount=(x, y, angle - first.theta_0))
-    before, _, after = to_yaml(replace(arm, base=base, known=Known())).partition("links:\n")
     serials = [link.serial for link in arm.links]
-    rest = [line for line in after.splitlines() if not line.startswith(" ")]
+    names = [
+        f"{m[1]}_#{serials[int(m[2]) - 1]}" if (m := OF_PLACE.fullmatch(name)) else name
+        for name in arm.known.names
+    ]
+    known = Known(tuple(names), arm.known.covariance)
+    before, _, after = to_yaml(replace(arm, base=base, known=known)).partition("links:\n")
+    rest = dropwhile(lambda line: line.startswith(" "), after.splitlines())
     links = f"links: {serials}  # link_<serial>.yaml beside this file, from the base on"
     write_text(path, "\n".join([before + links, *rest]) + "\n")

@@ -3,11 +3,21 @@
 import json
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from fss_arm_calib.links import main
 from fss_arm_calib.result import SCHEMA
-from fss_arm_model.description import load, paper_arm, save, to_yaml
+from fss_arm_model.description import (
+    ANY_ANGLE,
+    DescriptionError,
+    Known,
+    load,
+    paper_arm,
+    save,
+    to_yaml,
+)
+from fss_arm_model.parameters import parameter_names
 from fss_arm_ros.command_line import USER_ERROR
 
 SERIALS = 7, 8, 9, 10
@@ -56,6 +66,44 @@ def test_values_follow_a_link_to_another_place(arm_file, tmp_path):
     text = arm_file.read_text()
     arm_file.write_text(text.replace("[7, 8, 9, 10]", "[7, 9, 8, 10]"))
     assert list(load(arm_file).links) == [before[k] for k in (7, 9, 8, 10)]
+
+
+def knowing(arm):
+    """An arm of which a calibration knows much, each value to another deviation."""
+    names = [name for name in parameter_names(arm.n) if name != "m_0"]
+    root = np.random.default_rng(3).normal(size=(len(names), len(names)))
+    return replace(arm, known=Known.of(names, 1e-8 * root @ root.T))
+
+
+def test_what_is_known_of_a_link_goes_with_it_to_another_place(arm_file, tmp_path):
+    found = knowing(calibrated())
+    main([str(arm_file), "--result", result(tmp_path / "r.json", found)])
+    assert load(arm_file) == found
+    text = arm_file.read_text()
+    arm_file.write_text(text.replace("[7, 8, 9, 10]", "[7, 9, 8, 10]"))
+    known = load(arm_file).known
+    then, now = ["a_2", "I_0", "b_3", "theta_0_2"], ["a_3", "I_0", "b_2", "theta_0_3"]
+    assert np.array_equal(known.over(now, np.zeros(4)), found.known.over(then, np.zeros(4)))
+    arm_file.write_text(text.replace("[7, 8, 9, 10]", "[7, 8, 10]"))
+    assert set(load(arm_file).known.names) == set(parameter_names(3)) - {"m_0"}
+
+
+def test_if_another_link_is_first_its_angle_and_the_mounts_are_not_known(arm_file, tmp_path):
+    found = knowing(calibrated())
+    main([str(arm_file), "--result", result(tmp_path / "r.json", found)])
+    arm_file.write_text(arm_file.read_text().replace("[7, 8, 9, 10]", "[8, 7, 10, 9]"))
+    known = load(arm_file).known
+    sigma = np.sqrt(np.diag(known.over(["theta_BJ1", "theta_0_2", "theta_0_3"], np.zeros(3))))
+    assert sigma[:2] == pytest.approx(ANY_ANGLE)
+    assert sigma[2] == found.known.over(["theta_0_4"], np.zeros(1))[0, 0] ** 0.5
+    assert "theta_0_1" not in known.names
+
+
+def test_names_by_place_do_not_go_with_links_by_serial_number(arm_file, tmp_path):
+    main([str(arm_file), "--result", result(tmp_path / "r.json", knowing(calibrated()))])
+    arm_file.write_text(arm_file.read_text().replace("a_#8", "a_2"))
+    with pytest.raises(DescriptionError, match="known: names is 'a_2', expected names by serial"):
+        load(arm_file)
 
 
 def test_the_first_link_keeps_its_joints_offset_when_it_is_calibrated(arm_file, tmp_path):

@@ -105,7 +105,8 @@ def directions(result: DynamicResult, knowledge: Knowledge) -> list[Direction]:
     if chosen := len(problem.choice.names):
         unseen = invisible(problem.arm, problem.choice, scale[:chosen])
         unseen = np.pad(unseen, ((0, 0), (0, len(scale) - chosen)))
-    N = information(problem, result.minimum.x).sum(axis=0) * np.outer(scale, scale)
+    N = information(problem, result.minimum.x).sum(axis=0)[: len(scale), : len(scale)]
+    N *= np.outer(scale, scale)
     seen = np.eye(len(scale)) - unseen.T @ unseen
     gains, vectors = np.linalg.eigh(seen @ N @ seen)
     order = np.argsort(-gains)[: len(scale) - len(unseen)]

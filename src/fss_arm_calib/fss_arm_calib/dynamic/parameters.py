@@ -29,7 +29,8 @@ GROUPS = {
 class Knowledge(Settings):
     """How well each kind of value of a description is known, 1 sigma.
 
-    Of lengths, angles and the mount, what the description itself tells counts instead.
+    Of lengths, angles and the mount, what the description itself tells counts instead; of all else
+    only if asked for.
 
     Raises:
         SettingError: a deviation is negative or not finite.
@@ -78,6 +79,12 @@ class Knowledge(Settings):
         check=NOT_NEGATIVE,
     )
 
+    told: bool = setting(
+        False,
+        "take what the description tells of masses, centres of mass and inertias as known, too: "
+        "right if it is from other data than these",
+    )
+
     def deviations(self, n: int) -> Floats:
         """(5 n + 6,) of all parameters."""
         com = self.base_com_deviation
@@ -90,13 +97,20 @@ class Knowledge(Settings):
     def covariance(self, arm: Arm) -> Floats:
         """(5 n + 6, 5 n + 6) of all parameters of an arm, as its kinematic calibration left them.
 
-        What a description tells of masses is no knowledge: it may be from the very same maneuvers.
+        What a description tells of masses is no knowledge, unless `told`: it may be from the very
+        same maneuvers.
         """
-        sigma, kinematic = self.deviations(arm.n), slice(4, 2 * arm.n + 6)
+        sigma, which = self.deviations(arm.n), slice(4, 2 * arm.n + 6)
+        which = slice(None) if self.told else which
         C = np.diag(sigma**2)
-        names = parameter_names(arm.n)[kinematic]
-        C[kinematic, kinematic] = arm.known.over(names, sigma[kinematic])
+        C[which, which] = arm.known.over(parameter_names(arm.n)[which], sigma[which])
         return C
+
+    def believed(self, arm: Arm, words: str) -> npt.NDArray[np.intp]:
+        """(k,) indices of what counts as an observation: what words name, and what is `told`."""
+        chosen = Choice.of(words, arm.n).indices if words.strip() else np.empty(0, dtype=np.intp)
+        names = arm.known.names if self.told else ()
+        return np.union1d(chosen, np.flatnonzero(np.isin(parameter_names(arm.n), names)))
 
 
 @dataclass(frozen=True)

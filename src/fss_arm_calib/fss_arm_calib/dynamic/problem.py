@@ -171,6 +171,17 @@ class DynamicProblem:
         return columns
 
     @cached_property
+    def unsure(self) -> npt.NDArray[np.intp]:
+        """(c,) indices, in parameter_names(n), of what is assumed and not known exactly."""
+        uncertain = np.diag(self.assumed) > 0.0
+        return np.flatnonzero(uncertain & ~self.choice.basis.any(axis=1))
+
+    @cached_property
+    def by_unsure(self) -> Floats:
+        """(8 + 6 n + 8, c): how these change Arm.vector() and the state."""
+        return np.pad(to_vector(self.arm.n)[:, self.unsure], ((0, 8), (0, 0)))
+
+    @cached_property
     def origin(self) -> Floats:
         """(8 + 6 n,) Arm.vector() with the estimated parameters at 0."""
         chosen = self.choice.basis.any(axis=1) * values(self.arm)
@@ -278,11 +289,10 @@ class DynamicResult:
         """(p, p) covariance by the errors of observations and priors alone."""
         return self.minimum.basis.covariance()
 
-    @cached_property
+    @property
     def assumed(self) -> npt.NDArray[np.intp]:
         """(c,) indices, in parameter_names(n), of those assumed and not known exactly."""
-        uncertain = np.diag(self.problem.assumed) > 0.0
-        return np.flatnonzero(uncertain & ~self.problem.choice.basis.any(axis=1))
+        return self.problem.unsure
 
     @property
     def assumed_names(self) -> tuple[str, ...]:
@@ -298,8 +308,7 @@ class DynamicResult:
     @cached_property
     def by_assumed(self) -> Floats:
         """(rows, c) regressor C of the assumed parameters, weighted and reduced as the others."""
-        columns = np.pad(to_vector(self.problem.arm.n)[:, self.assumed], ((0, 8), (0, 0)))
-        return self.problem.reduced(self.minimum.x, columns).regressor
+        return self.problem.reduced(self.minimum.x, self.problem.by_unsure).regressor
 
     @cached_property
     def influence(self) -> Floats:
@@ -520,9 +529,25 @@ def information(problem: DynamicProblem, unknowns: npt.ArrayLike | None = None) 
     """Phi' W Phi of the observations alone, priors left out, each maneuver's own unknowns gone.
 
     Returns:
-        (M, p, p), one for each maneuver: they add up.
+        (M, p + c, p + c), by the parameters and what is assumed, for each maneuver: they add up.
     """
     x = problem.start if unknowns is None else np.asarray(unknowns, dtype=float)
-    Phi = problem.reduced(x, problem.to_model).regressor
-    Phi = Phi.reshape(len(problem.poses), -1, len(problem.names))
+    columns = np.concatenate([problem.to_model, problem.by_unsure], axis=1)
+    Phi = problem.reduced(x, columns).regressor
+    Phi = Phi.reshape(len(problem.poses), -1, columns.shape[1])
     return np.asarray(np.swapaxes(Phi, 1, 2) @ Phi)
+
+
+def propagated(problem: DynamicProblem, total: Floats) -> Floats:
+    """Covariance (..., p, p) of what would be estimated, with the uncertainty of what is assumed.
+
+    Args:
+        problem: what is estimated, and known beforehand.
+        total: (..., p + c, p + c) information of all observations; with the priors it is regular.
+    """
+    p, rows, S = len(problem.names), problem.prior_rows, problem.unsure
+    random = np.linalg.inv(total[..., :p, :p] + rows.T @ rows)
+    influence = random @ total[..., :p, p:]
+    shared = random @ (rows.T @ problem.prior_with(S)) @ np.swapaxes(influence, -1, -2)
+    moved = influence @ problem.assumed[np.ix_(S, S)] @ np.swapaxes(influence, -1, -2)
+    return np.asarray(random + moved - shared - np.swapaxes(shared, -1, -2))

@@ -1,6 +1,7 @@
 """The report of a dynamic calibration."""
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from fss_arm_calib.report_figures import correlation, influence
 from fss_arm_calib.report_tables import difference, number, reported, shown_unit, text
 from fss_arm_calib.segments.maneuvers import Maneuver
 from fss_arm_model.description import Arm, paper_arm
+from fss_arm_model.files import read_yaml
 
 PAPER_HEADING_RESIDUAL = float(np.radians(1.54))  # section 4.2
 
@@ -63,9 +65,13 @@ def _parameters(outcome: Outcome[Maneuver, Solution], truth: Arm | None) -> Tabl
     random = np.sqrt(np.diag(r.random)) if r else np.full(p, np.nan)
     share = r.prior_share if r else np.full(p, np.nan)
     at_bound = r.at_bound if r else ()
+    plan = outcome.settings.plan
+    given = dict(read_yaml(Path(plan))).get("promised", {}) if plan else {}
+    promised = np.array([given.get(name, np.nan) for name in e.names])
     rows = []
     for k, (name, unit) in enumerate(zip(e.names, e.units, strict=True)):
-        columns = [paper, e.initial, *[true] * known, e.values, e.deviations, random]
+        columns = [paper, e.initial, *[true] * known, e.values, *[promised] * bool(plan)]
+        columns += [e.deviations, random]
         row = [f"{name}, at its bound" if name in at_bound else name, shown_unit(unit)]
         row += [number(column[k], unit) for column in columns]
         row.append(text(100.0 * share[k], ".0f"))
@@ -73,8 +79,9 @@ def _parameters(outcome: Outcome[Maneuver, Solution], truth: Arm | None) -> Tabl
             row.append(text(difference(e.values[k], true[k], unit) / e.deviations[k], "+.2f"))
         rows.append(row)
     head = [
-        "parameter", "unit", "Table 4", "guess", *["truth"] * known, "estimate", "± 1 sigma",
-        "random", "prior [%]", *["error / sigma"] * known,
+        "parameter", "unit", "Table 4", "guess", *["truth"] * known, "estimate",
+        *["promised ±"] * bool(plan), "± 1 sigma", "random", "prior [%]",
+        *["error / sigma"] * known,
     ]  # fmt: skip
     note = (
         "random: the deviation without the uncertainty of what is assumed; prior: how much of the "

@@ -36,6 +36,9 @@ class DynamicSettings(ManeuverSettings, CalibrationSettings, Knowledge):
     tip_topic: str = like(Vehicle, "tip_topic")
     gyro_topic: str = setting("fog/imu", "topic of the base's turn rates")
     max_maneuvers: int = most(100, "maneuvers")
+    plan: str = setting(
+        "", "file of `design` by which the maneuvers were made: the report has what it promised"
+    )
     estimate: str = setting(
         "b_i I_i I_0 com_0",
         "what to estimate, in words: b_i: of each link; I: one that all share; I_0 com_0 m_0: of "
@@ -71,6 +74,10 @@ class DynamicSettings(ManeuverSettings, CalibrationSettings, Knowledge):
         unit="1/s",
         check=POSITIVE,
     )
+    path_timing: float = setting(
+        0.002, "1 sigma of when the base is seen on its way, against the joints", unit="s",
+        check=NOT_NEGATIVE,
+    )  # fmt: skip
     momentum_deviation: float = setting(
         1.0, "1 sigma, about 0, of the momentum at the start of a maneuver; 0: at rest",
         unit="N s", check=NOT_NEGATIVE,

@@ -43,6 +43,10 @@ def problem_of(
         pose[: len(one.marks)] = one.poses
         fresh = np.minimum(one.frames, np.maximum(1.0, s.fresh_rate * np.array(one.seconds)))
         spread[: len(one.marks)] = deviations / np.sqrt(fresh)[:, None]
+        if (way := one.underway).any():
+            late = s.path_timing * np.gradient(np.array(one.poses), one.marks, axis=0)
+            rows = np.flatnonzero(way)
+            spread[rows] = np.hypot(spread[rows], late[rows])
     return known_beforehand(arm, s, stack([one.path for one in maneuvers]), poses, sigma)
 
 
@@ -54,9 +58,7 @@ def known_beforehand(
     choice, C = Choice.of(s.estimate, n), s.covariance(arm)
     deviations = np.sqrt(np.diag(C))
     prior = choice.basis.T @ deviations / choice.basis.sum(axis=0)
-    words = s.priors.strip()
-    held = Choice.of(words, n).indices if words else np.arange(0)
-    closed = choice.basis[held].any(axis=0)
+    closed = choice.basis[s.believed(arm, s.priors)].any(axis=0)
     return DynamicProblem(
         path, poses, sigma, arm, choice,
         prior=np.where(closed, prior, inf),

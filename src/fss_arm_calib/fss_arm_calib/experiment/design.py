@@ -3,19 +3,28 @@
 A maneuver is a sequence of straight moves in joint space, each from rest to rest with the trapezoid
 of the drives. Candidates stay within joint limits and torque, off the table's edge and the arm's
 own links, and within a time. One after the other, that one is taken which shrinks the volume of the
-chosen parameters' uncertainty most (D-optimality). Each maneuver has its start's pose and momentum
-as unknowns, and the table may be tilted: what counts is what a drifting base leaves visible.
+chosen parameters' uncertainty most for the time that it takes, rest included (D-optimality); with a
+goal, the sum of their variances by those asked for (A-optimality), which the worst rules. Errors
+of what is assumed count as well: what no maneuver can mend is not sought. Each maneuver has its
+start's pose and momentum as unknowns, and the table may be tilted: what counts is what a drifting
+base leaves visible.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import inf, nan, sqrt
 
 import numpy as np
 import yaml
 
-from fss_arm_calib.dynamic.problem import DynamicProblem, DynamicResult, information, solve
+from fss_arm_calib.dynamic.problem import (
+    DynamicProblem,
+    DynamicResult,
+    information,
+    propagated,
+    solve,
+)
 from fss_arm_calib.dynamic.settings import HEADING, DynamicSettings
 from fss_arm_calib.dynamic.solution import known_beforehand
 from fss_arm_calib.estimation.least_squares import Floats
@@ -41,6 +50,7 @@ RAMP = 1.0 / 3.0  # share of a move's time in which it accelerates, and again de
 PAUSE = 0.5  # between two moves of a maneuver, in which the arm is found to have arrived [s]
 STRENGTH = 0.7  # of the drives' torque, to leave them some to correct with
 STEP = np.radians(5.0)  # joint angles are multiples of it
+ATTEMPTS = 3  # plans for a goal, of which the shortest is taken
 
 
 @dataclass(frozen=True)
@@ -202,24 +212,45 @@ def windowed(planned: Planned, settings: DynamicSettings, rest: float) -> tuple[
 
 
 def problem(
-    arm: Arm, plan: Sequence[Planned], settings: DynamicSettings, rest: float
+    arm: Arm,
+    plan: Sequence[Planned],
+    settings: DynamicSettings,
+    rest: float,
+    before: DynamicProblem | None = None,
 ) -> DynamicProblem:
-    """What would be solved after a plan, its poses those predicted for an arm as described."""
+    """What would be solved after a plan, its poses those predicted for an arm as described.
+
+    Args:
+        arm: as far as it is known.
+        plan: the maneuvers.
+        settings: what will be estimated and what is known beforehand.
+        rest: before and after a maneuver [s].
+        before: maneuvers made already.
+    """
     paths, fresh = zip(*(windowed(one, settings, rest) for one in plan), strict=True)
     deviations = assumed(settings).deviations[[0, 0, 1]]
     if settings.residuals == HEADING:
         deviations[:2] = inf
+    sigma = [*(deviations / np.sqrt(np.array(fresh))[..., None])]
+    if before:
+        paths = (*paths, *(Path(*rows) for rows in zip(*before.path, strict=True)))
+        sigma += [*before.sigma]
     batch = stack(paths)
+    most = batch.marks.shape[1]
+    sigma = [np.pad(s, ((0, most - len(s)), (0, 0)), constant_values=inf) for s in sigma]
     poses = base_poses(arm.vector(), batch, np.zeros(8))
-    sigma = deviations / np.sqrt(np.array(fresh))[..., None]
-    return known_beforehand(arm, settings, batch, poses, sigma)
+    return known_beforehand(arm, settings, batch, poses, np.array(sigma))
 
 
 def expected(
-    arm: Arm, plan: Sequence[Planned], settings: DynamicSettings, rest: float
+    arm: Arm,
+    plan: Sequence[Planned],
+    settings: DynamicSettings,
+    rest: float,
+    before: DynamicProblem | None = None,
 ) -> DynamicResult:
-    """The result to expect of a plan if the arm is as described: its deviations are what counts."""
-    return solve(problem(arm, plan, settings, rest), bounded=False)
+    """The result to expect of a plan, as `problem` has it: its deviations are what counts."""
+    return solve(problem(arm, plan, settings, rest, before), bounded=False)
 
 
 def design(
@@ -228,9 +259,10 @@ def design(
     settings: DynamicSettings,
     conditions: Conditions | None = None,
     chosen: Sequence[str] = (),
-    known: Floats | None = None,
+    goal: Mapping[str, float] | None = None,
+    before: DynamicProblem | None = None,
     begin: Floats | None = None,
-    seed: int = 0,
+    seed: int | tuple[int, ...] = 0,
     tried: int = 200,
     progress: Callable[[int], None] = lambda _: None,
     enough: Callable[[Sequence[Planned]], bool] = lambda _: False,
@@ -243,7 +275,8 @@ def design(
         settings: what will be estimated and what is known beforehand.
         conditions: what maneuvers keep to.
         chosen: names of the parameters that matter; all that are estimated by default.
-        known: (p, p) information of maneuvers made before.
+        goal: deviations to come near to, by name; it chooses.
+        before: maneuvers made already.
         begin: (n) where the arm is [rad]; 0 by default.
         seed: of the candidates.
         tried: candidates for each maneuver.
@@ -255,9 +288,11 @@ def design(
         ValueError: a name is not estimated.
     """
     conditions, rng = conditions or Conditions(), np.random.default_rng(seed)
+    goal = goal or {}
+    chosen = list(goal) or chosen
     place = np.zeros(arm.n) if begin is None else np.asarray(begin, dtype=float)
     plan: list[Planned] = []
-    total = np.zeros(()) if known is None else known
+    total = information(before).sum(axis=0) if before else np.zeros(())
     elapsed = conditions.rest
     while len(plan) < count and not (plan and enough(plan)):
         options = candidates(arm, place, tried, conditions, rng)
@@ -271,9 +306,15 @@ def design(
         if unknown := set(chosen) - set(model.names):
             raise ValueError(f"{', '.join(sorted(unknown))} is not estimated")
         which = [k for k, name in enumerate(model.names) if not chosen or name in chosen]
+        asked = np.array([goal[model.names[k]] for k in which]) if goal else np.empty(0)
         each = information(model)
-        before = _before(model, settings)
-        best = int(np.argmin([_volume(before + total + one, which) for one in each]))
+        vague = _vague(model, settings)
+        spans = np.array([one.length + conditions.rest for one in options])
+        now, then = (
+            _size(propagated(model, vague + some)[..., which, :][..., which], asked)
+            for some in (total, total + each)
+        )
+        best = int(np.argmax((now - then) / spans))
         elapsed += options[best].length + conditions.rest
         if elapsed > conditions.total:
             break
@@ -282,6 +323,38 @@ def design(
         place = options[best].waypoints[-1]
         progress(len(plan))
     return plan
+
+
+def to_goal(
+    arm: Arm,
+    count: int,
+    settings: DynamicSettings,
+    conditions: Conditions,
+    goal: Mapping[str, float],
+    before: DynamicProblem | None = None,
+    seed: int = 0,
+    progress: Callable[[int], None] = lambda _: None,
+) -> list[Planned]:
+    """Of several plans that promise the deviations asked for, the one that takes the least time.
+
+    The first one, if none promises them. Arguments and errors are those of `design`.
+    """
+    best: list[Planned] = []
+
+    def kept(plan: Sequence[Planned]) -> bool:
+        return meets(expected(arm, plan, settings, conditions.rest, before), goal)
+
+    for k in range(ATTEMPTS):
+        plan = design(
+            arm, count, settings, conditions, goal=goal, before=before, seed=(seed, k),
+            progress=progress, enough=kept,
+        )  # fmt: skip
+        if plan and (kept(plan) or not best):
+            best = plan
+            if kept(plan):  # the next one is to be shorter
+                span = conditions.rest + sum(one.length + conditions.rest for one in plan)
+                conditions = replace(conditions, total=span)
+    return best
 
 
 def goal_of(words: str, names: Sequence[str]) -> dict[str, float]:
@@ -314,25 +387,28 @@ def meets(result: DynamicResult, goal: Mapping[str, float]) -> bool:
     return all(sigma[name] <= asked for name, asked in goal.items())
 
 
-def _before(model: DynamicProblem, settings: DynamicSettings) -> Floats:
-    """Information (p, p) of the priors, and where there are none of what is vaguely known.
+def _vague(model: DynamicProblem, settings: DynamicSettings) -> Floats:
+    """Information (p + c, p + c) of what is vaguely known where there is no prior.
 
-    Without the latter the first few maneuvers, which cannot determine all parameters, had no order.
+    Without it the first few maneuvers, which cannot determine all parameters, had no order.
     """
     basis = model.choice.basis
-    vague = basis.T @ settings.deviations(model.arm.n) / basis.sum(axis=0)
-    vague = np.concatenate([vague, model.known[len(vague) :]])
-    return np.diag(np.where(np.isfinite(model.known), model.known, vague) ** -2.0)
+    typical = basis.T @ settings.deviations(model.arm.n) / basis.sum(axis=0)
+    found = np.zeros(len(model.names) + len(model.unsure))
+    found[: len(typical)] = np.where(np.isfinite(model.prior), 0.0, typical**-2.0)
+    return np.diag(found)
 
 
-def _volume(total: Floats, which: Sequence[int]) -> float:
-    """Logarithm of the determinant of the chosen parameters' covariance."""
-    covariance = np.linalg.inv(total)
-    return float(np.linalg.slogdet(covariance[np.ix_(which, which)])[1])
+def _size(covariance: Floats, asked: Floats) -> Floats:
+    """Logarithm of the determinant, or of the sum of variances by those of what is asked for."""
+    if len(asked):
+        shares = np.diagonal(covariance, axis1=-2, axis2=-1) / asked**2
+        return np.asarray(np.log(shares.sum(axis=-1)))
+    return np.asarray(np.linalg.slogdet(covariance)[1])
 
 
-def to_yaml(plan: Sequence[Planned]) -> str:
-    """A plan as `experiment` reads it."""
+def to_yaml(plan: Sequence[Planned], promised: Mapping[str, float] | None = None) -> str:
+    """A plan as `experiment` reads it, and the deviations it promises for a report to compare."""
     rows = [
         {
             "kind": one.kind,
@@ -342,7 +418,9 @@ def to_yaml(plan: Sequence[Planned]) -> str:
         for one in plan
     ]
     head = "# Maneuvers: joint readings, the first is where it begins [rad]; times of moves [s].\n"
-    return head + yaml.safe_dump({"maneuvers": rows}, sort_keys=False, default_flow_style=None)
+    told = {"promised": {k: float(f"{x:.4g}") for k, x in promised.items()}} if promised else {}
+    given = {"maneuvers": rows, **told}
+    return head + yaml.safe_dump(given, sort_keys=False, default_flow_style=None)
 
 
 def from_yaml(text: str, n: int) -> list[Planned]:

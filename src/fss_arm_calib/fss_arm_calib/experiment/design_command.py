@@ -2,9 +2,11 @@
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
+from itertools import compress
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import yaml
@@ -14,10 +16,10 @@ from rich.progress import Progress
 from fss_arm_bags.reader import BagError, open_bags
 from fss_arm_calib import report
 from fss_arm_calib.dynamic.kind import DYNAMIC
-from fss_arm_calib.dynamic.problem import DynamicResult, information
+from fss_arm_calib.dynamic.problem import DynamicProblem, DynamicResult
 from fss_arm_calib.dynamic.settings import DynamicSettings
 from fss_arm_calib.dynamic.solution import nothing_seen, problem_of
-from fss_arm_calib.estimation.least_squares import Floats
+from fss_arm_calib.estimation.noise import assumed
 from fss_arm_calib.experiment import postures
 from fss_arm_calib.experiment.design import (
     KINDS,
@@ -27,12 +29,15 @@ from fss_arm_calib.experiment.design import (
     expected,
     goal_of,
     meets,
+    to_goal,
     to_yaml,
 )
 from fss_arm_calib.experiment.excitation import JOINT, excitation
 from fss_arm_calib.from_bag import add_settings, fed
 from fss_arm_calib.kinematic.problem import FULL, KinematicProblem, solve
-from fss_arm_model.description import Arm, described
+from fss_arm_calib.outcome import LIVE
+from fss_arm_calib.result import arm_of
+from fss_arm_model.description import Arm, described, from_yaml
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_ros.command_line import Parser, in_one_line
 
@@ -50,7 +55,15 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument(
         "--goal", default="", help="deviations at which to stop sooner, as 'b_i 0.002 I_4 0.001'"
     )
-    p.add_argument("--bag", default="", help="maneuvers made before, to add to")
+    before = p.add_mutually_exclusive_group()
+    before.add_argument(
+        "--bag", default="", help="maneuvers made before, to add to: what they tell of the arm and "
+        "of the cameras counts"
+    )  # fmt: skip
+    before.add_argument(
+        "--result", metavar="JSON", default="", help="of a calibration, to add to: its values count"
+        " as known to its deviations, with all correlations"
+    )  # fmt: skip
     p.add_argument("--output", metavar="YAML", help="write the plan, for `experiment` to run")
     p.add_argument("--seed", type=int, default=0, help="of the candidates (default: 0)")
     p.add_argument(
@@ -65,22 +78,34 @@ def parser() -> argparse.ArgumentParser:
     return p
 
 
-def known_before(bag: str, arm: Arm, settings: DynamicSettings) -> Floats | None:
-    """Information of the maneuvers in a bag.
+class Before(NamedTuple):
+    """What is known before an experiment."""
+
+    arm: Arm
+    settings: DynamicSettings  # by the noise that there is
+    maneuvers: DynamicProblem | None = None  # made already
+
+
+def made(bag: str, arm: Arm, settings: DynamicSettings) -> Before:
+    """What the maneuvers in a bag tell: the arm, if that passes, and the noise.
 
     Raises:
         BagError: it cannot be read, or none of them can be used.
     """
-    if not bag:
-        return None
     with open_bags(bag) as bags:
         finder = DYNAMIC.finder(arm.n, settings, [])
         found = fed(bags, finder, DYNAMIC.inputs(settings, arm.n), settings.horizon)
-    used = [one for one in found if one.used]
-    if not used:
+    outcome = DYNAMIC.calibrate(found, arm, settings, finder.streams(), LIVE)
+    if not outcome.used:
         why = f": {found[0].reason}" if found else ", it has none"
         raise BagError(f"no maneuver of {bag} can be used{why}")
-    return np.asarray(information(problem_of(used, arm, settings)).sum(0))
+    used = outcome.used
+    if outcome.solution:
+        position, heading = outcome.solution.noise.deviations.tolist()
+        settings = replace(settings, position_deviation=position, heading_deviation=heading)
+        used = tuple(compress(used, outcome.solution.kept))
+    arm = from_yaml(outcome.description) if outcome.description else arm
+    return Before(arm, settings, problem_of(used, arm, settings))
 
 
 def table(plan: Sequence[Planned]) -> report.Table:
@@ -165,8 +190,12 @@ def propose_excitation(
         _write(options.output, plan, console)
 
 
-def _write(path: str, plan: Sequence[Planned], console: Console) -> None:
-    Path(path).write_text(to_yaml(plan), encoding="utf-8")
+def _write(
+    path: str, plan: Sequence[Planned], console: Console, result: DynamicResult | None = None
+) -> None:
+    promised = dict(zip(result.problem.names, result.deviations, strict=True)) if result else {}
+    known = {name: x for name, x in promised.items() if np.isfinite(x)}
+    Path(path).write_text(to_yaml(plan, known), encoding="utf-8")
     console.print(f"plan written to {path}", soft_wrap=True)
 
 
@@ -185,34 +214,61 @@ def propose(options: argparse.Namespace, console: Console) -> None:
     if options.kinematic:
         propose_postures(options, arm, conditions, console)
         return
-    before = known_before(options.bag, arm, settings)
+    before = Before(arm, settings)
+    if options.bag:
+        before = made(options.bag, arm, settings)
+    elif options.result:
+        before = Before(arm_of(options.result), replace(settings, told=True))
+    arm, settings, maneuvers = before
     goal = goal_of(options.goal, nothing_seen(arm, settings).names)
     with Progress(console=console, transient=True) as bar:
         task = bar.add_task("choosing maneuvers", total=options.count)
-        plan = design(
-            arm,
-            options.count,
-            settings,
-            conditions,
-            options.chosen.split(),
-            before,
-            seed=options.seed,
-            progress=lambda k: bar.update(task, completed=k),
-            enough=lambda plan: (
-                bool(goal) and meets(expected(arm, plan, settings, conditions.rest), goal)
-            ),
-        )
-    result = expected(arm, plan, settings, conditions.rest)
+
+        def progress(k: int) -> None:
+            bar.update(task, completed=k)
+
+        if goal:
+            plan = to_goal(
+                arm, options.count, settings, conditions, goal, maneuvers, options.seed, progress
+            )
+        else:
+            plan = design(
+                arm, options.count, settings, conditions, options.chosen.split(),
+                before=maneuvers, seed=options.seed, progress=progress,
+            )  # fmt: skip
+    result = expected(arm, plan, settings, conditions.rest, maneuvers)
     tables = [table(plan), outlook(result)]
     if options.compare:
         tables.append(comparison(arm, settings, conditions, options.count))
     _show(console, *tables)
     if goal:
-        words = "promised" if meets(result, goal) else f"not met by {len(plan)} maneuvers"
+        words = "promised" if meets(result, goal) else f"not met by {missing(result, plan, goal)}"
         minutes = sum(one.length + conditions.rest for one in plan) / 60.0
         console.print(f"goal {options.goal}: {words}, in {minutes:.1f} min", soft_wrap=True)
+    seen = assumed(settings).deviations[:2]
+    console.print(
+        f"for a base seen to {1e3 * seen[0]:.2g} mm and {np.degrees(seen[1]):.2g} degrees, "
+        f"{settings.fresh_rate:g} times a second", soft_wrap=True,
+    )  # fmt: skip
     if options.output:
-        _write(options.output, plan, console)
+        _write(options.output, plan, console, result)
+
+
+def missing(result: DynamicResult, plan: Sequence[Planned], goal: Mapping[str, float]) -> str:
+    """By what a goal is missed most, and the assumption that has the largest part in it."""
+    names = result.problem.names
+    k = max(
+        (names.index(name) for name in goal), key=lambda k: result.deviations[k] / goal[names[k]]
+    )
+    words = f"{len(plan)} maneuvers: {names[k]} to {result.deviations[k]:.2g}"
+    shifts = np.abs(result.bias[k])
+    if not len(shifts):
+        return words
+    j = int(np.argmax(shifts))
+    sigma = result.assumed_deviations[j]
+    return (
+        f"{words}, {shifts[j]:.2g} of it as {result.assumed_names[j]} is known to {sigma:.2g} only"
+    )
 
 
 def _show(console: Console, *tables: report.Table) -> None:

@@ -10,7 +10,6 @@ import yaml
 
 from fss_arm_calib.acceptance import (
     FAIL,
-    NOT_EVALUATED,
     PASS,
     Check,
     at_most,
@@ -18,10 +17,11 @@ from fss_arm_calib.acceptance import (
     converged,
     count,
     determined,
+    enough,
+    joints_known,
     quiet,
 )
 from fss_arm_calib.calibration import Calibration
-from fss_arm_calib.dynamic.parameters import Choice
 from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.joint.problem import (
     MAX_CONDITION,
@@ -133,13 +133,13 @@ def problem_of(
     for data, its in zip(used, own or len(used) * [settings], strict=True):
         every = ((name, kinds[name].evidence) for name in data)
         sessions.append({name: make(data[name], arm, its[name]) for name, make in every if make})
-    n, words = arm.n, s.priors.strip()
+    n = arm.n
     size = 5 * n + 6 + s.theta_e
     prior = np.zeros((size, size))
     prior[: 5 * n + 6, : 5 * n + 6] = s.covariance(arm)
     tilt, drifting = settings["dynamic"].tilt_deviation, settings["drift"]
     return JointProblem(
-        arm, sessions, prior, Choice.of(words, n).indices if words else np.arange(0),
+        arm, sessions, prior, s.believed(arm, s.priors),
         surroundings=np.array([
             GRAVITY * tilt, GRAVITY * tilt, drifting.torque_deviation, drifting.twist_deviation,
             drifting.drag_deviation,
@@ -193,11 +193,12 @@ def calibrate(
     used = [stage.used for _, stage in found]
     names = (*parameter_names(arm.n), *(["theta_E"] if s.theta_e else []))
     kinds_seen = sorted({kind for data in used for kind in data})
-    enough = Check(
-        "data", PASS if found else NOT_EVALUATED, len(kinds_seen), 1,
-        _numbers(used, kinds) if found else "no rest, maneuver or drift can be used",
-    )  # fmt: skip
-    found_checks, solution = [enough], None
+    heard = [one for session in sessions for one in session.streams.values()]
+    odd = (one for one in heard if one.silent or one.unknown)
+    streams = next(odd, heard[0] if heard else Streams())
+    words = _numbers(used, kinds) if found else "no rest, maneuver or drift can be used"
+    found_checks = [joints_known(streams, arm), enough("data", len(kinds_seen), 1, words, streams)]
+    solution = None
     own = [stage.settings for _, stage in found]
     problem = problem_of(used, arm, s, kinds, of_kinds, own)
     estimate = Estimate(names, problem.units, problem.guess)
@@ -213,7 +214,7 @@ def calibrate(
         [one for part in parts for some in part.data.values() for one in some],
         [one for data in used for some in data.values() for one in some],
         [np.frombuffer("".join(hashes).encode(), dtype=np.uint8)],
-        arm, s, JointSettings, Streams(), source, found_checks, estimate, solution,
+        arm, s, JointSettings, streams, source, found_checks, estimate, solution,
         solution.result.calibrated if solution else None,
     )  # fmt: skip
     return replace(outcome, provenance=replace(outcome.provenance, parameters=_told(s, of_kinds)))

@@ -11,6 +11,7 @@ from rich.console import Console
 
 from fss_arm_bags.reader import open_bags
 from fss_arm_calib import report
+from fss_arm_calib.calibration import Input
 from fss_arm_calib.from_bag import (
     EPILOG,
     EXIT_CODES,
@@ -76,19 +77,22 @@ def session_of(
     """The data of all kinds in a bag, and its source in words; of what topics it lacks, none.
 
     Raises:
-        BagError: it cannot be read, or a topic is of another type.
+        BagError: it cannot be read, has not the topics of any kind, or one is of another type.
     """
-    data, streams = {}, {}
+    data, streams, missing = {}, {}, list[Input]()
     with open_bags(path) as bags:
         for kind in KINDS.values():
             s = settings[kind.name]
             inputs = kind.inputs(s, n)
             there = [one for one in inputs if name(bags, one, namespace, False) in bags.topics]
-            if any(one.needed and one not in there for one in inputs):
+            if lacking := [one for one in inputs if one.needed and one not in there]:
+                missing += lacking
                 continue
             finder = kind.finder(n, s, [])
             data[kind.name] = fed(bags, finder, there, s.horizon, namespace)
             streams[kind.name] = finder.streams()
+        if not data:
+            name(bags, missing[0], namespace)
         return Session(Path(path).name, data, streams), source(bags)
 
 

@@ -30,6 +30,7 @@ from fss_arm_calib.segments.settings import ManeuverSettings
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_model.base_motion import Path, path, sampled
 
+LOOK = SECOND // 10  # over which a pose on the base's way is averaged [ns]
 LEAST_SEEN = 1.0  # squares of the base's turns, of all frames, that the gyro is compared by [rad^2]
 
 
@@ -60,6 +61,13 @@ class Maneuver:
         """The joints' path with marks of one's own, (k,) from `start` on [s]."""
         law, edges = sampled(self.times, self.q, self.qd)
         return path(law, edges, marks)
+
+    @property
+    def underway(self) -> npt.NDArray[np.bool_]:
+        """(m,) which marks are amid the motion."""
+        ways = [t for t in self.times if len(t) > 1]
+        begin, end = (min(t[0] for t in ways), max(t[-1] for t in ways)) if ways else (inf, -inf)
+        return (np.array(self.marks) > begin) & (np.array(self.marks) < end)
 
     @property
     def moved(self) -> tuple[int, ...]:
@@ -207,6 +215,12 @@ class ManeuverFinder(Finder[Motion, Maneuver]):
             if not seen:
                 return replace(maneuver, used=False, reason=str(Gap(begin, end, BASE)))
             rows += seen
+        if rate := self.settings.path_rate:
+            way = motion.before.end, motion.after.begin - LOOK
+            for begin in range(*way, max(LOOK, round(SECOND / rate))):
+                width = LOOK / SECOND
+                rows += bins(t, poses, begin, begin + LOOK, width, maneuver.start)
+        rows.sort()
         marks, means, frames, seconds = zip(*rows, strict=True)
         return replace(maneuver, marks=marks, poses=means, frames=frames, seconds=seconds)
 

@@ -69,6 +69,10 @@ class ManeuverSettings(RestSettings):
     bin: float = setting(
         0.5, "time over which poses of a window are averaged", unit="s", check=POSITIVE
     )
+    path_rate: float = setting(
+        0.0, "poses of the base that count on its way, too, by joints that do not give; 0: none",
+        unit="1/s", check=NOT_NEGATIVE,
+    )  # fmt: skip
     min_travel: float = setting(0.05, "a smaller motion is no maneuver", unit="rad", check=POSITIVE)
     time_offset: float = setting(
         0.0,

@@ -1,0 +1,77 @@
+"""The next experiment from what is known: of a bag, of a result; and what came of its promise."""
+
+import numpy as np
+import pytest
+import yaml
+from calib_float import ARM, Float, postures, record
+
+from fss_arm_calib.experiment.design_command import main as design
+from fss_arm_calib.from_bag import main as from_bag
+from fss_arm_calib.result import passed
+from fss_arm_model.description import save
+
+SEEN = ["--position-deviation", "0.0005", "--heading-deviation", "0.001"]
+MAX = ["--max-relative", "2"]
+
+
+@pytest.fixture(scope="module")
+def monday(tmp_path_factory):
+    """A bag of ten maneuvers, the arm's description and the result."""
+    folder = tmp_path_factory.mktemp("monday")
+    save(ARM, folder / "arm.yaml")
+    rig = Float(postures(10, seed=3), noise=(0.0005, 0.001))
+    record(folder / "bags", rig.samples(rate=20))
+    told = ["--arm", str(folder / "arm.yaml"), "--result", str(folder / "result.json")]
+    assert from_bag(["--dynamic", str(folder / "bags"), *told, *SEEN, *MAX]) == 0
+    return folder
+
+
+def promised(folder, *options):
+    """By name, of two more maneuvers."""
+    plan = folder / "plan.yaml"
+    given = ["--arm", str(folder / "arm.yaml"), "--count", "2", "--kinds", "sweep", *MAX]
+    assert design([*given, "--output", str(plan), *options]) == 0
+    return yaml.safe_load(plan.read_text())["promised"]
+
+
+def test_what_was_made_before_counts_for_the_promise(monday, capsys):
+    found = passed(monday / "result.json", "dynamic")
+    now = dict(zip(found["names"], found["deviations"], strict=True))
+    capsys.readouterr()
+    for before in (["--bag", str(monday / "bags")], ["--result", str(monday / "result.json")]):
+        then = promised(monday, *before, *SEEN)
+        for i in range(1, 5):
+            assert 0.4 * now[f"b_{i}"] < then[f"b_{i}"] < now[f"b_{i}"]
+    alone = promised(monday, *SEEN)
+    assert all(alone[name] > 2.0 * now[name] for name in ("b_1", "I_1") if name in alone)
+    assert "for a base seen to 0.5 mm and 0.057 degrees" in capsys.readouterr().out
+
+
+def test_the_noise_is_that_of_the_bag(monday, capsys):
+    promised(monday)
+    assert "for a base seen to 1 mm and 0.5 degrees" in capsys.readouterr().out
+    promised(monday, "--bag", str(monday / "bags"))
+    words = capsys.readouterr().out.partition("for a base seen to ")[2].split()
+    assert float(words[0]) == pytest.approx(0.5, abs=0.2)  # of ten maneuvers
+
+
+def test_a_goal_that_is_met_already_takes_one_maneuver(monday, capsys):
+    given = ["--arm", str(monday / "arm.yaml"), "--kinds", "sweep", "--goal", "b_i 0.05", *SEEN]
+    assert design([*given, "--bag", str(monday / "bags")]) == 0
+    out = capsys.readouterr().out
+    assert "promised, in 0.1 min" in out or "promised, in 0.2 min" in out
+
+
+def test_the_report_has_promised_beside_achieved(monday, capsys):
+    goal = promised(monday, "--bag", str(monday / "bags"), *SEEN)
+    given = ["--dynamic", str(monday / "bags"), "--arm", str(monday / "arm.yaml"), *SEEN, *MAX]
+    assert from_bag([*given, "--plan", str(monday / "plan.yaml")]) == 0
+    rows = [row.split("│") for row in capsys.readouterr().out.splitlines() if "│ b_2 " in row]
+    cells = [float(x) for x in rows[0] if x.strip().replace(".", "").isdigit()]
+    assert np.isclose(cells, goal["b_2"], atol=1e-4).any()
+
+
+def test_bag_and_result_do_not_go_together(monday, capsys):
+    with pytest.raises(SystemExit):
+        design(["--bag", str(monday / "bags"), "--result", "result.json"])
+    assert "not allowed with" in capsys.readouterr().err
