@@ -1,10 +1,12 @@
 """Keep the base where it is first seen, and swing joint 1; in the place of control and guidance."""
 
+from contextlib import suppress
 from math import atan2, cos, pi, sin
 
 import rclpy
 from geometry_msgs.msg import WrenchStamped
 from nav_msgs.msg import Odometry
+from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
@@ -50,4 +52,5 @@ class OwnController(Node):
 
 if __name__ == "__main__":
     rclpy.init()
-    rclpy.spin(OwnController())
+    with suppress(KeyboardInterrupt, ExternalShutdownException):  # Ctrl-C
+        rclpy.spin(OwnController())
