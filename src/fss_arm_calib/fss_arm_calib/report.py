@@ -60,6 +60,7 @@ class Report:
     texts: Mapping[str, str] = field(default_factory=dict)  # by title, as they are
     reasons: Sequence[str] = ()  # the reason as a list
     below: Sequence[str] = ()  # the verdict: when the data are from, what to do now
+    html: str = ""  # above the figures, as it is
 
 
 def console() -> "Console":
@@ -126,6 +127,7 @@ def _section(report: Report, pictures: Mapping[str, bytes]) -> str:
         f"{escape(report.reason)}</p>",
         *(f'<p class="below">{escape(words)}</p>' for words in report.below),
         *map(_table, report.tables),
+        report.html,
     ]
     for figure in report.figures:
         data = base64.b64encode(pictures[figure.name]).decode()
