@@ -4,6 +4,7 @@ A kind of calibration gives a Report of its outcome; its layout is defined here.
 """
 
 import base64
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
@@ -152,7 +153,8 @@ def _table(table: Table) -> str:
             for kind, cell in zip(kinds, cells, strict=True)
         ]
         inner = (
-            f'<{tag} class="{k}">{escape(c)}</{tag}>' for k, c in zip(kinds, cells, strict=True)
+            f'<{tag} class="{kind}">{_symbols(escape(cell))}</{tag}>'
+            for kind, cell in zip(kinds, cells, strict=True)
         )
         return f"<tr>{''.join(inner)}</tr>"
 
@@ -163,6 +165,23 @@ def _table(table: Table) -> str:
         f"<div><table><thead>{row(table.head, 'th')}</thead>\n"
         f"<tbody>{rows}</tbody></table></div>"
     )
+
+
+#: A symbol with an index, as theta_0_2, theta_E, b_2 or x_BJ1; a power, as in kg m^2.
+SYMBOL = re.compile(r"\b(theta|[a-zA-Z])_(BJ1|0_\d+|\d+|[ijkE])\b|(?<=[a-z])\^(-?\d)\b")
+
+
+def _symbols(text: str) -> str:
+    """HTML with symbols as books set them."""
+
+    def put(found: re.Match[str]) -> str:
+        letter, index, power = found.groups()
+        if power:
+            return f"<sup>{power}</sup>"
+        letter = "&theta;" if letter == "theta" else letter
+        return f"<i>{letter}</i><sub>{index.replace('_', ',')}</sub>"
+
+    return SYMBOL.sub(put, text)
 
 
 #: What a table says that is not as it should be: red, and amber where it is weak.
@@ -200,6 +219,7 @@ th.number {{ white-space: normal; vertical-align: bottom; }}
 .pass {{ background: #2a7a3b; }}
 .fail {{ background: #b3261e; }}
 .not_evaluated {{ background: #8a6100; }}
+sub, sup {{ line-height: 0; }}
 figure {{ margin: 2rem 0 0; break-inside: avoid; }}
 figcaption {{ font-weight: 600; font-size: 1.1rem; }}
 img {{ max-width: 100%; }}

@@ -201,3 +201,14 @@ def test_a_dynamic_calibration_without_a_solution_is_told(maneuvers, tmp_path):
     assert "not evaluated: 2 maneuvers" in printed(told)
     report.write(tmp_path, told)
     assert list(tmp_path.iterdir()) == [tmp_path / "index.html"]
+
+
+def test_symbols_are_set_as_books_set_them(tmp_path):
+    rows = [["theta_0_2", "rad"], ["I_6", "kg m^2"], ["x_BJ1", "m"], ["link_1", "arm_2.yaml"]]
+    table = report.Table("Parameters", ["parameter", "unit"], rows, words=2)
+    page = report.write(tmp_path, report.Report("of <it>", "pass", "", [table], "")).read_text()
+    for cell in (
+        "<i>&theta;</i><sub>0,2</sub>", "<i>I</i><sub>6</sub>", "kg m<sup>2</sup>",
+        "<i>x</i><sub>BJ1</sub>", "link_1", "arm_2.yaml",
+    ):  # fmt: skip
+        assert f">{cell}</td>" in page
