@@ -30,6 +30,7 @@ class Table:
     rows: Sequence[Sequence[str]]
     words: int = 1
     note: str = ""
+    weak: Sequence[int] = ()  # rows that are shown in amber
 
 
 @dataclass(frozen=True)
@@ -146,7 +147,7 @@ def _section(report: Report, pictures: Mapping[str, bytes]) -> str:
 
 
 def _table(table: Table) -> str:
-    def row(cells: Sequence[str], tag: str) -> str:
+    def row(cells: Sequence[str], tag: str, mark: str = "") -> str:
         kinds = ["word" if k < table.words else "number" for k in range(len(cells))]
         kinds = [
             f"{kind} {MARKED.get(cell, '')}".strip()
@@ -156,9 +157,11 @@ def _table(table: Table) -> str:
             f'<{tag} class="{kind}">{_symbols(escape(cell))}</{tag}>'
             for kind, cell in zip(kinds, cells, strict=True)
         )
-        return f"<tr>{''.join(inner)}</tr>"
+        return f"<tr{mark}>{''.join(inner)}</tr>"
 
-    rows = "\n".join(row(cells, "td") for cells in table.rows)
+    rows = "\n".join(
+        row(cells, "td", ' class="weak"' * (k in table.weak)) for k, cells in enumerate(table.rows)
+    )
     note = f"<p>{escape(table.note)}</p>" if table.note else ""
     return (
         f"<h2>{escape(table.title)}</h2>{note}\n"
