@@ -6,6 +6,7 @@ compared. A bag that is not whole, as one whose recorder was killed, is read fro
 whole chunks in a temporary folder.
 """
 
+import re
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import ExitStack
 from hashlib import sha256
@@ -19,6 +20,8 @@ from typing import Any, NamedTuple, cast
 
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefinitionFormat, Qos
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
 from fss_arm_bags.chunks import Received, in_order, indexed
 from fss_arm_bags.inspection import Inspected, inspect
@@ -41,6 +44,45 @@ class Topic(NamedTuple):
     mixed: bool = False  # the bags hold the type in two versions
 
 
+class _Reader(Reader):
+    """rosbags' reader, without the topics of whose types a bag holds something else.
+
+    By itself rosbags refuses a bag with one such topic as a whole.
+    """
+
+    left_out: dict[str, str]  # why, by topic
+
+    def open(self) -> None:
+        """Open the bag."""
+        super().open()
+        whys = {c.topic: _why_not(c) for c in self.storage.connections}
+        self.left_out = {topic: why for topic, why in whys.items() if why}
+
+    @property
+    def connections(self) -> list[Connection]:
+        """What can be read."""
+        return [c for c in super().connections if c.topic not in self.left_out]
+
+
+def _why_not(c: Connection) -> str:
+    """Why a topic's messages cannot be told; empty: they can."""
+    if not c.digest or c.msgdef.format is MessageDefinitionFormat.NONE:
+        return ""
+    store = get_typestore(Stores.EMPTY)
+    try:
+        if c.msgdef.format is MessageDefinitionFormat.MSG:
+            store.register(get_types_from_msg(c.msgdef.data, c.msgtype))
+        else:
+            for text in c.msgdef.data.split("=" * 80 + "\n"):
+                store.register(get_types_from_idl(re.sub(r"\AIDL: .*\n", "", text)))
+        present = store.hash_rihs01(c.msgtype)
+    except Exception as error:  # rosbags parses what there is as it comes
+        return f"its definition of {c.msgtype} is not understood: {short(str(error))}"
+    if present == c.digest:
+        return ""
+    return f"its definition of {c.msgtype} has not the hash {short(c.digest)} that the bag gives it"
+
+
 class Bags:
     """Several bags read as one; made by `open_bags`, a context manager."""
 
@@ -49,6 +91,7 @@ class Bags:
         if not self.paths:
             raise BagError("no bag is given")
         self.recovered: list[Recovered] = []
+        self.left_out: list[str] = []  # topics that cannot be read, each with the reason
         self.unchecked: list[Path] = []  # bags without checksums: not all damage to them is seen
         self._stack = ExitStack()
         try:
@@ -66,11 +109,17 @@ class Bags:
             inspected = inspect(path, thorough=thorough)
             if not (inspected.checked or inspected.damage):
                 self.unchecked.append(path)
-            return self._stack.enter_context(AnyReader(self._sound(path, inspected)))
+            reader = AnyReader(self._sound(path, inspected))
+            readers = [_Reader(file) for file in reader.paths]
+            reader.readers = readers
+            self._stack.enter_context(reader)
         except BagError:
             raise
         except Exception as error:  # rosbags parses what there is as it comes
             raise BagError(f"{path}: {short(str(error))}") from None
+        for topic, why in {k: v for r in readers for k, v in r.left_out.items()}.items():
+            self.left_out.append(f"{path}: {short(topic)} is left out: {why}")
+        return reader
 
     def _sound(self, path: Path, inspected: Inspected) -> list[Path]:
         """The files to read: a bag's own, or a copy without damage."""

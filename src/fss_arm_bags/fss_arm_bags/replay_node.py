@@ -49,7 +49,7 @@ class ReplayNode(Node):
         super().__init__("replay", **options)
         self.settings = declare(self, ReplaySettings)
         self.bags = open_bags(bags)
-        for damage in self.bags.recovered:
+        for damage in [*self.bags.recovered, *self.bags.left_out]:
             self.get_logger().warning(str(damage))
         self.begin, self.end = self.bags.span
         self.begin += round(self.settings.start * SECOND)

@@ -70,6 +70,8 @@ def solve_bag(
     arm = arm or described(s.arm)
     finder = kind.finder(arm.n, s, [])
     with open_bags(paths) as bags:
+        for topic in bags.left_out:
+            print(f"from_bag: {topic}", file=sys.stderr)
         inputs = kind.inputs(s, arm.n)
         found = newest(fed(bags, finder, inputs, s.horizon, namespace), kind.most(s))
         outcome = kind.calibrate(found, arm, s, finder.streams(), source(bags))

@@ -4,6 +4,7 @@ A kind of calibration gives a Report of its outcome; its layout is defined here.
 """
 
 import base64
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
@@ -29,6 +30,7 @@ class Table:
     rows: Sequence[Sequence[str]]
     words: int = 1
     note: str = ""
+    weak: Sequence[int] = ()  # rows that are shown in amber
 
 
 @dataclass(frozen=True)
@@ -60,6 +62,7 @@ class Report:
     texts: Mapping[str, str] = field(default_factory=dict)  # by title, as they are
     reasons: Sequence[str] = ()  # the reason as a list
     below: Sequence[str] = ()  # the verdict: when the data are from, what to do now
+    html: str = ""  # above the figures, as it is
 
 
 def console() -> "Console":
@@ -126,6 +129,7 @@ def _section(report: Report, pictures: Mapping[str, bytes]) -> str:
         f"{escape(report.reason)}</p>",
         *(f'<p class="below">{escape(words)}</p>' for words in report.below),
         *map(_table, report.tables),
+        report.html,
     ]
     for figure in report.figures:
         data = base64.b64encode(pictures[figure.name]).decode()
@@ -143,24 +147,44 @@ def _section(report: Report, pictures: Mapping[str, bytes]) -> str:
 
 
 def _table(table: Table) -> str:
-    def row(cells: Sequence[str], tag: str) -> str:
+    def row(cells: Sequence[str], tag: str, mark: str = "") -> str:
         kinds = ["word" if k < table.words else "number" for k in range(len(cells))]
         kinds = [
             f"{kind} {MARKED.get(cell, '')}".strip()
             for kind, cell in zip(kinds, cells, strict=True)
         ]
         inner = (
-            f'<{tag} class="{k}">{escape(c)}</{tag}>' for k, c in zip(kinds, cells, strict=True)
+            f'<{tag} class="{kind}">{_symbols(escape(cell))}</{tag}>'
+            for kind, cell in zip(kinds, cells, strict=True)
         )
-        return f"<tr>{''.join(inner)}</tr>"
+        return f"<tr{mark}>{''.join(inner)}</tr>"
 
-    rows = "\n".join(row(cells, "td") for cells in table.rows)
+    rows = "\n".join(
+        row(cells, "td", ' class="weak"' * (k in table.weak)) for k, cells in enumerate(table.rows)
+    )
     note = f"<p>{escape(table.note)}</p>" if table.note else ""
     return (
         f"<h2>{escape(table.title)}</h2>{note}\n"
         f"<div><table><thead>{row(table.head, 'th')}</thead>\n"
         f"<tbody>{rows}</tbody></table></div>"
     )
+
+
+#: A symbol with an index, as theta_0_2, theta_E, b_2 or x_BJ1; a power, as in kg m^2.
+SYMBOL = re.compile(r"\b(theta|[a-zA-Z])_(BJ1|0_\d+|\d+|[ijkE])\b|(?<=[a-z])\^(-?\d)\b")
+
+
+def _symbols(text: str) -> str:
+    """HTML with symbols as books set them."""
+
+    def put(found: re.Match[str]) -> str:
+        letter, index, power = found.groups()
+        if power:
+            return f"<sup>{power}</sup>"
+        letter = "&theta;" if letter == "theta" else letter
+        return f"<i>{letter}</i><sub>{index.replace('_', ',')}</sub>"
+
+    return SYMBOL.sub(put, text)
 
 
 #: What a table says that is not as it should be: red, and amber where it is weak.
@@ -198,6 +222,7 @@ th.number {{ white-space: normal; vertical-align: bottom; }}
 .pass {{ background: #2a7a3b; }}
 .fail {{ background: #b3261e; }}
 .not_evaluated {{ background: #8a6100; }}
+sub, sup {{ line-height: 0; }}
 figure {{ margin: 2rem 0 0; break-inside: avoid; }}
 figcaption {{ font-weight: 600; font-size: 1.1rem; }}
 img {{ max-width: 100%; }}

@@ -15,6 +15,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import Point, PoseStamped, Transform
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.serialization import serialize_message
 from running import free_port, wait_until
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Empty, Header
@@ -23,6 +24,8 @@ from view_bench import BEGIN, Bench
 from view_flight import Flight
 from visualization_msgs.msg import Marker, MarkerArray
 
+from fss_arm_bags.recorder import Recording
+from fss_arm_bags.replay_node import ReplayNode
 from fss_arm_model.description import paper_arm
 from fss_arm_msgs.msg import (
     BaseReaction,
@@ -337,3 +340,30 @@ def test_a_viewer_that_takes_nothing_is_warned_of(ros, tmp_path):
     assert node.health().level == OK
     node.close()
     node.destroy_node()
+
+
+def test_a_recorded_mission_is_replayed_with_its_phases(spin, tmp_path):
+    """By the commands of docs/how-to/view.md."""
+    recording = Recording(tmp_path)
+    recording.add("/vicon/fss/fss", "geometry_msgs/msg/PoseStamped", [SENSOR])
+    recording.add("/mission/state", "fss_arm_msgs/msg/MissionState", [LATCHED])
+    for k in range(100):
+        t = BEGIN + k * SECOND // 50
+        pose = pose_stamped(t, "world", (0.001 * k, 0.0, 0.0))
+        recording.write("/vicon/fss/fss", t, serialize_message(pose))
+        if k % 50 == 20:
+            state = MissionState(mission="capture", phase="approach" if k < 50 else "reach")
+            recording.write("/mission/state", t, serialize_message(state))
+    recording.close()
+    file = tmp_path / "view.rrd"
+    node = ViewNode(
+        parameter_overrides=[Parameter("mode", value="file"), Parameter("file", value=str(file))],
+        cli_args=["--ros-args", "-r", "mission/state:=recorded/mission/state"],
+    )
+    wait = [Parameter("wait_for", value=["vicon/fss/fss", "recorded/mission/state"])]
+    replay = ReplayNode(str(recording.path), parameter_overrides=wait)
+    spin([node, replay], lambda: node.mission == "capture: reach")
+    replay.close()
+    drawn = written(node, file)
+    assert "capture: approach" in drawn
+    assert "capture: reach" in drawn

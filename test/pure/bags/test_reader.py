@@ -18,7 +18,8 @@ from rclpy.serialization import serialize_message
 from ros_bags import SECOND, START, STEP, fill, joint_state, make_bag, make_killed_bag, states
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability
-from rosbags.rosbag2 import Reader
+from rosbags.rosbag2 import Reader, StoragePlugin, Writer
+from std_msgs.msg import String
 
 from fss_arm_bags.definitions import definition
 from fss_arm_bags.doctor.command import main as doctor
@@ -485,3 +486,24 @@ def test_our_bags_are_laid_out_as_the_standard_ones(tmp_path):
             assert "offered_qos_profiles" in channel.metadata
         assert {s.encoding for s in reader.get_summary().schemas.values()} == {"ros2msg"}
         assert [m.name for m in reader.iter_metadata()] == ["rosbag2"]
+
+
+def test_a_topic_of_another_hash_alone_is_left_out(tmp_path, capsys):
+    """As bags of other tools have it; rosbags refuses the whole bag."""
+    bag, good, odd = tmp_path / "bag", "sensor_msgs/msg/JointState", "std_msgs/msg/String"
+    with Writer(bag, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        text, hash_ = definition(good)
+        joints = writer.add_connection("/joint_states", good, msgdef=text, rihs01=hash_)
+        hash_ = "RIHS01_" + 64 * "0"
+        said = writer.add_connection("/odd", odd, msgdef=definition(odd).text, rihs01=hash_)
+        for k in range(10):
+            writer.write(joints, START + k * STEP, serialize_message(joint_state(k)))
+            writer.write(said, START + k * STEP, serialize_message(String(data="odd")))
+    with open_bags(bag) as bags:
+        assert states(bags.messages()) == list(range(10))
+        assert set(bags.topics) == {"/joint_states"}
+        (left_out,) = bags.left_out
+    assert "/odd is left out" in left_out
+    assert "std_msgs/msg/String has not the hash RIHS01_000" in left_out
+    assert doctor([str(bag)]) == 2
+    assert "/odd is left out" in capsys.readouterr().out

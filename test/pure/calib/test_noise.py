@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fss_arm_calib.acceptance import FAIL, PASS
-from fss_arm_calib.estimation.noise import Left, estimated
+from fss_arm_calib.estimation.noise import Left, Noise, estimated
 from fss_arm_calib.estimation.statistics import as_if_known, probability
 from fss_arm_calib.experiment.postures import DEFAULT
 from fss_arm_calib.kinematic.calibrate import calibrate
@@ -113,3 +113,11 @@ def test_probabilities_allow_for_deviations_that_were_estimated():
     assert as_if_known(5.0, 3.0, np.inf) == 5.0
     assert as_if_known(5.0, 3.0, 1e9) == pytest.approx(5.0)
     assert 3.0 < as_if_known(5.0, 3.0, 10.0) < 4.0
+
+
+def test_more_than_expected_is_said_to_be_within_chance():
+    """A stranger reads it beside `pass`."""
+    noise = Noise(np.array([0.023, 0.01]), np.array([0.004, 0.0]), np.array([0.0177, 0.1]), 20.0)
+    assert str(noise) == "23 ± 4 mm (up to 17.7 expected, more within chance) and 0.57 degrees"
+    less = replace(noise, deviations=np.array([0.012, 0.01]))
+    assert str(less) == "12 ± 4 mm (up to 17.7 expected) and 0.57 degrees"

@@ -168,13 +168,18 @@ def maneuvers():
 
 
 @pytest.mark.slow
-def test_a_dynamic_calibration_is_told_as_well(maneuvers, tmp_path):
+def test_a_dynamic_calibration_is_told_as_well(maneuvers, tmp_path, monkeypatch):
     settings = DynamicSettings(position_deviation=5e-4, heading_deviation=2e-3)
-    told = dynamic_report(calibrate_dynamics(maneuvers, ARM, settings), ARM)
+    found = calibrate_dynamics(maneuvers, ARM, settings)
+    told = dynamic_report(found, ARM)
     text = printed(told)
     for words in ("b_1", "0.1910", "0.0340", "I_0", "g_x", "prior [%]", "1.540"):
         assert words in text
     page = report.write(tmp_path, told, kinematic_report(outcome())).read_text()
+    share = np.zeros(len(found.names))
+    share[[1, 3]] = 0.51
+    monkeypatch.setattr(type(found.solution.result), "prior_share", share)
+    assert dynamic_report(found).tables[0].weak == [1, 3]
     for words in (
         "Bias by what was assumed",
         "mass_deviation: 0.005",
@@ -201,3 +206,17 @@ def test_a_dynamic_calibration_without_a_solution_is_told(maneuvers, tmp_path):
     assert "not evaluated: 2 maneuvers" in printed(told)
     report.write(tmp_path, told)
     assert list(tmp_path.iterdir()) == [tmp_path / "index.html"]
+
+
+def test_symbols_are_set_as_books_set_them(tmp_path):
+    rows = [["theta_0_2", "rad"], ["I_6", "kg m^2"], ["x_BJ1", "m"], ["link_1", "arm_2.yaml"]]
+    table = report.Table("Parameters", ["parameter", "unit"], rows, words=2, weak=[1])
+    page = report.write(tmp_path, report.Report("of <it>", "pass", "", [table], "")).read_text()
+    for cell in (
+        "<i>&theta;</i><sub>0,2</sub>", "<i>I</i><sub>6</sub>", "kg m<sup>2</sup>",
+        "<i>x</i><sub>BJ1</sub>", "link_1", "arm_2.yaml",
+    ):  # fmt: skip
+        assert f">{cell}</td>" in page
+    assert (
+        page.count('<tr class="weak">') == page.count('<tr class="weak"><td class="word"><i>I') == 1
+    )

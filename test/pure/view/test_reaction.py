@@ -161,3 +161,15 @@ def test_unlike_links_and_base_centre_of_mass():
     np.testing.assert_allclose(
         found[-1].predicted, flight.pose[flight.index(found[-1].t)], rtol=0, atol=5e-6
     )
+
+
+def test_a_base_seen_at_one_time_alone_does_not_drift():
+    """As its filter says it when stamps have gone back."""
+    reaction = BaseReaction(paper_arm())
+    for t in range(0, 6_000_000_000, 200_000_000):
+        for i in range(4):
+            reaction.joint(i, t, 0.1, 0.0, 0.0)
+    for _ in range(5):
+        reaction.base(BodyState(5_000_000_000, np.zeros(3), np.zeros(3), 1e-6 * np.eye(6)))
+    reaction.resting_since = 0
+    assert reaction.advance(5_000_000_000) is None

@@ -45,6 +45,7 @@ def examine(path: Path, mend: bool, console: Console) -> bool:
         heard = streams(bags)
         console.print(table(path, bags, heard))
         wrong = [f"damaged: {damage}; doctor --repair makes it whole" for damage in bags.recovered]
+        wrong += bags.left_out
         for bag in bags.unchecked:
             said = f"{bag} has not all of it under checksums: not all damage to it can be seen"
             console.print(escape(said))

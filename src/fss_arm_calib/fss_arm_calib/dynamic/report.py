@@ -85,9 +85,10 @@ def _parameters(outcome: Outcome[Maneuver, Solution], truth: Arm | None) -> Tabl
     ]  # fmt: skip
     note = (
         "random: the deviation without the uncertainty of what is assumed; prior: how much of the "
-        "value is from what was known beforehand."
+        "value is from what was known beforehand; amber: that is most of it, or it is at its bound."
     )
-    return Table("Parameters", head, rows, words=2, note=note)
+    weak = [k for k, name in enumerate(e.names) if share[k] > 0.5 or name in at_bound]
+    return Table("Parameters", head, rows, words=2, note=note, weak=weak)
 
 
 def _combinations(outcome: Outcome[Maneuver, Solution]) -> Table:

@@ -73,8 +73,11 @@ class Noise:
         texts = []
         for k, (scale, unit) in enumerate(((1e3, "mm"), (np.degrees(1.0), "degrees"))):
             value, by = scale * self.deviations[k], scale * self.uncertainty[k]
-            most = f" (at most {scale * self.largest[k]:.3g})"
-            texts.append(f"{value:.2g} ± {by:.1g} {unit}{most}" if by else f"{value:.2g} {unit}")
+            expected = f"up to {scale * self.largest[k]:.3g} expected"
+            if value > scale * self.largest[k]:  # else they would not be believed
+                expected += ", more within chance"
+            found = f"± {by:.1g} {unit} ({expected})" if by else unit
+            texts.append(f"{value:.2g} {found}")
         return " and ".join(texts)
 
 

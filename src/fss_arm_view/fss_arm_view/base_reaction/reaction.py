@@ -138,7 +138,7 @@ class BaseReaction:
         s = self.settings
         begin = max(self.resting_since, t - int(s.max_drift_duration * _SECOND))
         drift = [state for state in self.past if begin <= state.t <= t]
-        if len(drift) < 3 or t - begin < s.min_drift_duration * _SECOND:
+        if len({state.t for state in drift}) < 3 or t - begin < s.min_drift_duration * _SECOND:
             return None
         times = np.array([(state.t - t) * 1e-9 for state in drift])
         q = np.array([joint.q[joint.last(t)] for joint in self.joints])

@@ -28,6 +28,7 @@ from fss_arm_msgs.action import Capture
 from fss_arm_msgs.msg import MassProperties, MissionState
 from fss_arm_ros.convert import SECOND, stamp_ns
 from fss_arm_ros.qos import LATCHED
+from fss_sim.rehearsal.animation import animation
 from fss_sim.rehearsal.domain import CONFIG, Domain
 from fss_sim.rehearsal.person import LINKS, Operator, own_domain
 from fss_sim.rehearsal.processes import Nodes, RehearsalError
@@ -154,6 +155,7 @@ class Flight(NamedTuple):
     impulse: np.ndarray  # of it, given from outside
     error: np.ndarray  # of the audit: momentum and energy
     propellant: np.ndarray
+    valves: np.ndarray  # which are open
     planned: np.ndarray  # (m, 3) where the base was to be
     phases: list[tuple[float, str]]  # since when [s]
     found: MassProperties | None  # what was held, as it was known in the end
@@ -187,7 +189,7 @@ def read(bag: Path) -> Flight:
     return Flight(
         stamps, column("q"), column("qd"), column("target"), column("target_twist"),
         column("holds"), column("momentum"), column("impulse"), error, column("propellant"),
-        planned, phases, found[-1] if found else None,
+        column("valves"), planned, phases, found[-1] if found else None,
     )  # fmt: skip
 
 
@@ -331,8 +333,12 @@ def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
     for line in (end, *spent):
         say(line)
     figure = Figure("mission", "From above, and how it went", partial(plot, arm, flight))
+    film = animation(
+        arm, flight.time, flight.q, flight.target, flight.holds, flight.valves, flight.phases,
+        TARGET.fixture,
+    )  # fmt: skip
     files = {"bag": "recording", "report/mission.png": "drawing", "logs": "of the nodes"}
-    return Rehearsed(checks, [figure], files=files)
+    return Rehearsed(checks, [figure], files=files, html=film)
 
 
 def budget(result: Capture.Result) -> list[str]:

@@ -23,6 +23,7 @@ class Rehearsed:
     figures: Sequence[Figure] = ()
     reports: Sequence[Report] = ()  # of calibrations in it
     files: Mapping[str, str] = field(default_factory=dict)  # what is in which, in its folder
+    html: str = ""  # above the figures, as it is
 
     @property
     def held(self) -> bool:
@@ -40,4 +41,5 @@ class Rehearsed:
             [Table("", ("expected", "happened", "held"), rows, words=3)],
             about,
             self.figures,
+            html=self.html,
         )
