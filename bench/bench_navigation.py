@@ -1,8 +1,8 @@
 """What the node `navigation` takes of a core, beside a node that only listens.
 
 Poses of base and target and the gyro at 100 Hz, readings of four joints at 5 Hz each, what is
-planned for them at 20 Hz, pulses of the thrusters at 10 Hz. The peer has the same subscriptions
-and does nothing with what it hears.
+planned for them at 20 Hz, pulses of the thrusters at 10 Hz. The peer has the same subscriptions,
+in rclpy's own executor, and does nothing with what it hears.
 """
 
 import argparse
@@ -18,14 +18,13 @@ import numpy as np
 import rclpy
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
-from rclpy.executors import ExternalShutdownException
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from sensor_msgs.msg import Imu, JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from fss_arm_msgs.msg import GripperState, ThrusterCommand
 from fss_arm_ros.convert import pose_stamped, to_time
-from fss_arm_ros.executor import BatchExecutor
 from fss_arm_ros.qos import SENSOR, sensor, subscribe_sensor
 
 TOPICS = (
@@ -53,7 +52,7 @@ class Listener(Node):
 def listen() -> None:
     """Be the peer, until terminated."""
     rclpy.init()
-    spinner = BatchExecutor()
+    spinner = SingleThreadedExecutor()
     spinner.add_node(Listener())
     with suppress(ExternalShutdownException):
         spinner.spin()
