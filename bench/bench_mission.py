@@ -1,6 +1,7 @@
 """The capture by nodes alone, on the simulated test bed with its default errors.
 
     . scripts/env.sh; python bench/bench_mission.py --runs 20    # of the grid of bench_capture.py
+    python bench/bench_mission.py --runs 280 --out out/missions.jsonl  # goes on where it was ended
     python bench/bench_mission.py --kill                         # each node, in each phase, SIGKILL
 
 Each run is a graph of its own. With --kill it prints when the last valve was open and the last
@@ -10,6 +11,7 @@ after it. Exits with 1 if bodies touched, or if what was killed left a valve ope
 """
 
 import argparse
+import json
 import sys
 from itertools import product
 from pathlib import Path
@@ -155,8 +157,13 @@ def kills(logs: Path, given: argparse.Namespace) -> bool:
 
 def missions(logs: Path, given: argparse.Namespace) -> bool:
     """Runs of the grid; whether all ended without contact."""
-    captured, safe = 0, True
+    rows = []
+    if given.out and given.out.exists():
+        rows = [json.loads(line) for line in given.out.read_text().splitlines()]
+    flown = [row["case"] for row in rows]
     for k, case in zip(range(given.runs), grid(), strict=False):
+        if (name := f"{case.spin:+.2f}, heading {case.heading:.2f}, seed {case.seed}") in flown:
+            continue
         with Nodes(logs / str(k), print, OWN) as nodes:
             run = Run(nodes, case, given.speed)
             try:
@@ -167,23 +174,36 @@ def missions(logs: Path, given: argparse.Namespace) -> bool:
                 least = min(min(t.edge_clearance, t.clearance, run.apart(t)) for t in truths)
             finally:
                 run.close()
-        captured += result.stopped
-        safe &= least > 0.0
-        print(
-            f"{k + 1:3}: spin {case.spin:+.2f}  {'captured and stopped' if result.stopped else ''}"
-            f"{'' if result.stopped else result.phase + ': ' + result.message}  "
-            f"{result.duration:.1f} s  {1e3 * result.propellant:.1f} g  "
-            f"{result.largest_torque:.2f} N m  least gap {least:.3f} m",
-            flush=True,
-        )
-    print(f"{captured} of {given.runs} captured and stopped")
-    return safe
+        rows.append(
+            {"case": name, "spin": abs(case.spin), "stopped": result.stopped, "least": least,
+             "ended": f"{result.phase}: {result.message}", "time": result.duration,
+             "propellant": 1e3 * result.propellant, "torque": result.largest_torque}
+        )  # fmt: skip
+        print(f"{k + 1:3}: {rows[-1]}", flush=True)
+        if given.out:
+            with given.out.open("a") as file:
+                print(json.dumps(rows[-1]), file=file)
+    print("| spin [rad/s] | runs | captured and stopped | time [s] | propellant [g] "
+          "| torque [N m] | least gap [m] |")  # fmt: skip
+    print("|---:|---:|---:|---:|---:|---:|---:|")
+    for spin in sorted({row["spin"] for row in rows}):
+        some = [row for row in rows if row["spin"] == spin]
+        good = [row for row in some if row["stopped"]]
+        cells = [f"{spin:.2f}", str(len(some)), f"{len(good)}"]
+        for name in ("time", "propellant"):
+            values = [row[name] for row in good] or [np.nan]
+            cells.append(f"{np.median(values):.0f} (to {max(values):.0f})")
+        cells.append(f"{max((row['torque'] for row in good), default=np.nan):.2f}")
+        cells.append(f"{min(row['least'] for row in some):.3f}")
+        print("| " + " | ".join(cells) + " |")
+    return all(row["least"] > 0.0 for row in rows)
 
 
 def main() -> int:
     """Fly."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--runs", type=int, default=20)
+    parser.add_argument("--out", type=Path, help="JSON lines; what is there is not flown again")
     parser.add_argument("--kill", action="store_true")
     parser.add_argument("--phases", nargs="+", default=PHASES, choices=PHASES)
     parser.add_argument("--nodes", nargs="+", default=NODES, choices=NODES)
