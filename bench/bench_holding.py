@@ -25,7 +25,9 @@ from fss_arm_calib.experiment.postures import default
 from fss_arm_model.description import paper_arm
 from fss_sim.rehearsal.processes import Nodes
 
-PATIENT = {"timeout": 4.0, "watchdog": 4.0}  # of a computer that does other things, too
+# Of a computer that does other things, too.
+PATIENT = {"timeout": 4.0, "watchdog": 4.0}
+AGE = {"max_age": 2.0}
 
 
 def fly(flyer: Flyer, duration: float, rest: float, count: int) -> bool:
@@ -69,7 +71,8 @@ def main() -> int:
     rclpy.init()
     logs = Path(mkdtemp(prefix="bench_holding_"))
     with Nodes(logs, print, OWN) as nodes:
-        start(nodes, given.speed, base=PATIENT, control={"feed_forward": not given.no_feed_forward})
+        control = {"feed_forward": not given.no_feed_forward, **AGE}
+        start(nodes, given.speed, base=PATIENT, control=control, guidance=AGE)
         flyer = Flyer(nodes)
         try:
             held = fly(flyer, given.duration, given.rest, given.postures)
