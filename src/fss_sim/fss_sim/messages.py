@@ -70,7 +70,8 @@ def truth(
     bed = plant.bed
     audit, error = bed.audit, bed.imbalance.tolist()
     pose, twist = (bed.targets[0].state if bed.targets else np.zeros((2, 3))).tolist()
-    near = nearest(plant)
+    near = clearances(plant)
+    gaps = [pair.gap for pair in near]
     message = SimTruth(
         q=plant.q.tolist(),
         qd=plant.qd.tolist(),
@@ -81,8 +82,9 @@ def truth(
         work=audit.work,
         momentum_error=error[:3],
         energy_error=error[3],
-        clearance=near.gap,
-        nearest=[near.one, near.other],
+        pairs=[f"{pair.one}, {pair.other}" for pair in near],
+        gaps=gaps,
+        clearance=min(gaps, default=inf),
         edge_clearance=plant.edge_clearance,
         valves=plant.valves,
         pressure=plant.thrusters.pressure,
@@ -98,13 +100,12 @@ def truth(
     return message
 
 
-def nearest(plant: Vehicle) -> Clearance:
-    """The two parts with the least gap of which one, at least, is the vehicle's."""
+def clearances(plant: Vehicle) -> list[Clearance]:
+    """All two parts of which one, at least, is the vehicle's, and that are not neighbours."""
     its, found = f"{plant.name} " if plant.name else "", plant.bed.clearances()
-    own = [
+    return [
         c for c in found if c.other != EDGE and (c.one.startswith(its) or c.other.startswith(its))
     ]
-    return min(own, key=lambda c: c.gap, default=Clearance("", "", inf))
 
 
 def gripper_state(stamp: int, frame_id: str, plant: Vehicle) -> GripperState:

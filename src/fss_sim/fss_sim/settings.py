@@ -231,9 +231,15 @@ class TestbedSettings(PlantSettings):
     )
     board_port: int = setting(
         0,
-        "UDP port of the base's board, for the node base; 0: none, the test bed takes "
+        "UDP or TCP port of the base's board, for the node base; 0: none, the test bed takes "
         "thrusters/command and gripper/command itself, and publishes fog/imu and gripper/state",
         check=between(0, 65535),
+    )
+    board_transport: str = setting(
+        "udp", "what reaches the base's board at its port: udp or tcp", check=one_of("udp", "tcp")
+    )
+    board_terminal: str = setting(
+        "", "path of the board's pseudo-terminal, as RS-232, if that reaches it and no port"
     )
     board_rate: float = setting(
         20.0, "rate of the board's telemetry frames", unit="1/s", check=above(0.0, RATE)
@@ -356,19 +362,24 @@ class TestbedSettings(PlantSettings):
         paths, ports, opened = self.terminals or n * ("",), self.link_ports(n), list[Wire]()
         try:
             for kind, port, path in zip(kinds, ports, paths, strict=True):
-                if kind == "serial":
-                    opened.append(LinkTerminal(path))
-                else:
-                    opened.append((LinkListener if kind == "tcp" else LinkSocket)(self.host, port))
+                opened.append(self._wire(kind, port, path))
         except OSError:
             for wire in opened:
                 wire.close()
             raise
         return opened
 
-    def board_wire(self) -> LinkSocket | None:
+    def board_wire(self) -> Wire | None:
         """Open what the base's board is reached by, if there is one."""
-        return LinkSocket(self.host, self.board_port) if self.board_port else None
+        if not (self.board_port or self.board_terminal):
+            return None
+        kind = "serial" if self.board_terminal else self.board_transport
+        return self._wire(kind, self.board_port, self.board_terminal)
+
+    def _wire(self, kind: str, port: int, path: str) -> Wire:
+        if kind == "serial":
+            return LinkTerminal(path)
+        return (LinkListener if kind == "tcp" else LinkSocket)(self.host, port)
 
     def link_ports(self, n: int) -> tuple[int, ...]:
         """One port for each link."""

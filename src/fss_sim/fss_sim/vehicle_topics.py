@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from math import inf
 from pathlib import Path
 from threading import RLock
 from typing import Any
@@ -19,7 +20,7 @@ from fss_arm_ros.door import subscribe
 from fss_arm_ros.qos import COMMAND, LATCHED, SENSOR
 from fss_sim.faults import kinds, read_script
 from fss_sim.link.radio import Air
-from fss_sim.messages import GyroImage, PoseImage, gripper_state, nearest, truth
+from fss_sim.messages import GyroImage, PoseImage, clearances, gripper_state, truth
 from fss_sim.plant.plant import Vehicle
 from fss_sim.sensors import RATE, Sight
 from fss_sim.settings import TestbedSettings
@@ -203,15 +204,18 @@ class VehicleTopics:
 
     def touches(self) -> bool:
         """Whether its bodies touch each other or the table's border."""
-        plant = self.testbed.plant
-        return min(nearest(plant).gap, plant.edge_clearance) < TOUCH
+        return min(self.gap(), self.testbed.plant.edge_clearance) < TOUCH
+
+    def gap(self) -> float:
+        """The least between two bodies [m]."""
+        return min((pair.gap for pair in clearances(self.testbed.plant)), default=inf)
 
     def values(self) -> dict[str, Any]:
         """What it is like, for diagnostics."""
         plant = self.testbed.plant
         values: dict[str, Any] = {
             "momentum and energy from nothing [N s, N m s, J]": abs(plant.bed.imbalance).max(),
-            "gap between bodies [m]": nearest(plant).gap,
+            "gap between bodies [m]": self.gap(),
             "gap to the table's edge [m]": plant.edge_clearance,
             "propellant used [kg]": plant.thrusters.used,
             "rests": self.testbed.sensors.rests,

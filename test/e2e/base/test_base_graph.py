@@ -51,18 +51,22 @@ class User(Node):
 
 
 class Graph:
-    def __init__(self, spin, start, tmp_path):
-        port = free_port()
+    def __init__(self, spin, start, tmp_path, by="udp"):
+        port, line = free_port(), tmp_path / "board"
         keys = tmp_path / "keys"
         keys.write_text("".join(f"{i} {i:02x}{'5a' * 19}\n" for i in range(5)))
         keys.chmod(0o600)
         settings = {"ports": [0, 0, 0, 0], "board_port": port, "keys": str(keys)}
         settings |= {"preset": "ideal", "table": [8.0, 8.0]}
+        settings |= {"serial": {"board_terminal": str(line)}, "tcp": {"board_transport": by}}.get(
+            by, {}
+        )
+        there = {"serial": line, "tcp": f"127.0.0.1:{port}"}.get(by, f"127.0.0.1:{port}?bind=0")
         overrides = [Parameter(name, value=value) for name, value in settings.items()]
         self.bed, self.user = TestbedNode(parameter_overrides=overrides), User()
         self.spin, self.start = spin, start
         self.options = [
-            "--ros-args", "-p", f"url:=udp://127.0.0.1:{port}?bind=0", "-p", f"keys:={keys}",
+            "--ros-args", "-p", f"url:={by}://{there}", "-p", f"keys:={keys}",
             "-p", f"watchdog:={WATCHDOG}",
         ]  # fmt: skip
         self.driver = self.begin()
@@ -133,6 +137,14 @@ def test_what_is_asked_for_moves_the_base_as_predicted(graph):
     graph.until(lambda: abs(user.imu[-1].angular_velocity.z - graph.plant.qd[2]) < 1e-3)
     user.grip.publish(Bool(data=True))
     graph.until(lambda: graph.plant.closed and user.gripper[-1].closed)
+
+
+@pytest.mark.parametrize("by", ["tcp", "serial"])
+def test_the_board_is_reached_by_other_lines(spin, start, tmp_path, by):
+    graph = Graph(spin, start, tmp_path, by).arm()
+    graph.user.thrust.publish(graph.user.command(0.2))
+    graph.until(lambda: graph.board.opened[0] == 200_000)
+    assert graph.board.opened[1:] == 7 * [0]
 
 
 def test_a_killed_node_leaves_valves_that_close(graph):

@@ -121,7 +121,14 @@ def test_vehicles_share_a_table_and_a_target(spin, bed):
         assert message.target_present
         np.testing.assert_allclose(message.target, pose, atol=1e-6)
     assert len(truths["fss3"].q) == 3
-    assert {name.split()[0] for name in truths["fss3"].nearest} & {"fss3"}
+    alone, other = truths["fss3"], next(m for name, m in truths.items() if name != "fss3")
+    assert alone.pairs
+    assert all("fss3 base" in pair for pair in alone.pairs)
+    assert {"fss3 base, target", "target, fss3 base"} & set(alone.pairs)
+    assert len(other.pairs) > len(alone.pairs)
+    for message in truths.values():
+        assert message.clearance == min(message.gaps)
+        assert len(message.gaps) == len(set(message.pairs)) == len(message.pairs)
 
 
 def test_vehicles_share_a_vicon_and_a_radio_channel(spin, bed):
