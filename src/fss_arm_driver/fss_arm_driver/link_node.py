@@ -353,12 +353,13 @@ def make_nodes(kind: type[LinkSettings] = LinkSettings) -> list[LinkNode]:
     """
     probe = Node("link", enable_rosout=False, start_parameter_services=False)
     try:
-        settings = declare(probe, kind)
+        s = declare(probe, kind)
+        links = enumerate(s.urls, 1) if s.urls else [(s.link, s.url)]
+        return [LinkNode(number, url, kind=kind) for number, url in links]
     finally:
+        # Not earlier: were it the last of the process, Fast DDS (2.14) would end its participant,
+        # and was seen to wait for ever in that as other nodes were just being discovered.
         probe.destroy_node()
-    if not settings.urls:
-        return [LinkNode(settings.link, settings.url, kind=kind)]
-    return [LinkNode(number, url, kind=kind) for number, url in enumerate(settings.urls, 1)]
 
 
 if __name__ == "__main__":
