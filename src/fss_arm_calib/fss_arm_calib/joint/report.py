@@ -47,7 +47,7 @@ def _parameters(outcome: Outcome[Any, Solution], found: Solution, truth: Arm | N
     before = np.full(len(e.names), np.inf)
     believed = r.problem.believed
     before[believed] = np.sqrt(np.diag(r.problem.prior)[believed])
-    weak = list(np.flatnonzero(~(2.0 * e.deviations**2 < before**2)))
+    weak = np.flatnonzero(~(2.0 * e.deviations**2 < before**2)).tolist()
     weak += [e.names.index(name) for name in r.at_bound]
     head += ["off [sigma]"] if truth else []
     return Table("Parameters", head, rows, words=2, note=note, weak=weak)
