@@ -729,9 +729,21 @@ def test_a_stop_passes_an_executor_that_is_busy(bench):
 
 def test_the_process_stays_in_the_graph_from_its_first_node_on(spin, monkeypatch):
     """Fast DDS may wait for ever if the last node goes as others are being discovered."""
-    nodes, left = [], []
-    monkeypatch.setattr(link_node, "LinkNode", lambda *_, **__: nodes.append(1) or 1)
-    destroy = Node.destroy_node
-    monkeypatch.setattr(Node, "destroy_node", lambda self: left.append(len(nodes)) or destroy(self))
+    alive, left = [], []
+    make, destroy = Node.__init__, Node.destroy_node
+
+    def on_make(self, *args, **options):
+        alive.append(self)
+        make(self, *args, **options)
+
+    def on_destroy(self):
+        alive.remove(self)
+        left.append(len(alive))
+        destroy(self)
+
+    monkeypatch.setattr(Node, "__init__", on_make)
+    monkeypatch.setattr(Node, "destroy_node", on_destroy)
+    monkeypatch.setattr(link_node, "LinkNode", lambda *_, **__: alive.append(1) or 1)
     assert link_node.make_nodes() == [1]
-    assert left == [1]
+    assert left == [1, 1]
+    assert alive == [1]
