@@ -6,6 +6,7 @@ arm, disarm: all links (arm/enable). stop: all links of all vehicles at once, or
 those that are on hold, under power, until disarmed or armed anew (arm/stop); it fails unless each
 link, and each base's board, says that it has stopped. home: each armed link without a reference
 finds it, one after the other. clear: all links disarm and clear their drives' latched faults.
+valves: those of the base may open (base/arm), until stop.
 solve: each calibration that runs closes its present datum and solves. forget: they drop
 all that they have observed.
 """
@@ -42,7 +43,7 @@ from fss_base_driver.protocol import BaseState
 ANSWER_TIMEOUT = 10.0  # [s]
 SETTLED = 1.0  # without a new one, all are known [s]
 LINKS = range(1, 13)  # numbers that a link may have
-WORDS = ("move", "arm", "disarm", "stop", "home", "clear", "solve", "forget")
+WORDS = ("move", "arm", "disarm", "stop", "home", "clear", "valves", "solve", "forget")
 CALIBRATIONS = ("kinematic", "dynamic", "drift")
 REPEAT = 0.05  # from one stop to the next [s]
 GRAPH = 0.5  # by then a program that has begun knows who is there [s]
@@ -343,6 +344,8 @@ def order(node: Node, options: argparse.Namespace) -> Answer:
         return home(node, wait, options.within)
     if what in ("arm", "disarm"):
         return call(node, SetBool, "arm/enable", SetBool.Request(data=what == "arm"), wait)
+    if what == "valves":
+        return call(node, SetBool, "base/arm", SetBool.Request(data=True), wait)
     if what == "clear":
         return clear(node, wait)
     return calibrations(node, what, wait)

@@ -1,6 +1,6 @@
 #!/bin/sh
 # What a person tells the arm; by the ROS domain and the network of this shell, or of a configuration.
-# usage: fss_arm.sh [--vehicle NAME] move | arm | disarm | stop | home | clear | solve | forget [CONFIG] [ANGLE...] [OPTION...]
+# usage: fss_arm.sh [--vehicle NAME] move | arm | disarm | stop | home | clear | valves | solve | forget [CONFIG] [ANGLE...] [OPTION...]
 set -eu
 fss_scripts=$(CDPATH='' cd -- "$(dirname -- "$0")" && pwd -P)
 named=

@@ -408,6 +408,20 @@ def test_faults_of_all_links_are_cleared(spin, bench, telling):
         assert transport.link.taken.flags & Order.CLEAR_FAULTS
 
 
+def test_the_valves_are_armed(ros, telling):
+    node, asked = Node("base"), []
+
+    def on_arm(request, response):
+        asked.append(request.data)
+        response.success, response.message = True, "the base's board is armed"
+        return response
+
+    node.create_service(SetBool, "base/arm", on_arm)
+    said = "the base's board is armed\n"
+    assert telling([node], (sys.executable, SCRIPT, "valves")) == (0, said, "")
+    assert asked == [True]
+
+
 def test_all_calibrations_that_run_solve_in_the_domain_of_the_configuration(ros, telling, tmp_path):
     node, answers = Node("calibrations"), {"kinematic": "pass: fits", "drift": "fail: a push"}
 

@@ -9,7 +9,7 @@ import numpy as np
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
-from fss_arm_calib.acceptance import PASS, clocks_kept, count
+from fss_arm_calib.acceptance import FAIL, PASS, clocks_kept, count
 from fss_arm_calib.calibration import Calibration
 from fss_arm_calib.messages import common
 from fss_arm_calib.node_settings import node_settings
@@ -106,6 +106,8 @@ class CalibrationNode(Node):
             self.writes(lambda: write(folder, self.kind.report_of(self.outcome)))
         response.success = self.outcome.verdict == PASS
         response.message = f"{self.outcome.verdict}: {self.outcome.reason}"
+        if self.outcome.verdict == FAIL:
+            response.message += "; from_bag, on a recording of this, looks for the cause"
         return response
 
     def on_forget(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:

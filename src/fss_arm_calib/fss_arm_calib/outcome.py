@@ -230,8 +230,9 @@ def concluded(
 def _origin(provenance: Provenance, estimate: Estimate) -> Iterator[str]:
     """What a person who finds the description wants to know of it."""
     end = datetime.fromtimestamp(provenance.end / SECOND, UTC)
-    yield f"Calibrated by {provenance.software} from {provenance.source}, until {end:%F %R} UTC:"
     e = estimate
+    yield f"Calibrated by {provenance.software} from {provenance.source}, until {end:%F %R} UTC:"
+    yield f"pass, chi-square {e.chi_square:.4g} for {e.degrees_of_freedom} degrees of freedom"
     for name, value, deviation, unit in zip(
         e.names, e.values, e.deviations, e.units, strict=True
     ):  # fmt: skip

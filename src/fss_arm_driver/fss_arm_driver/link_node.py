@@ -351,14 +351,18 @@ def make_nodes(kind: type[LinkSettings] = LinkSettings) -> list[LinkNode]:
 
     One node for the link of `url`, or one for each of `urls`.
     """
-    probe = Node("link", enable_rosout=False, start_parameter_services=False)
+    quiet = {"enable_rosout": False, "start_parameter_services": False}
+    # With the last node of a process Fast DDS (2.14) ends its participant, and was seen to wait for
+    # ever in that as other nodes were just being discovered: one stays until the links are there.
+    stays = Node("_begins", use_global_arguments=False, **quiet)
+    probe = Node("link", **quiet)
     try:
-        settings = declare(probe, kind)
+        s = declare(probe, kind)
+        probe.destroy_node()  # the links' name, if `__node` gives one, is its name, too
+        links = enumerate(s.urls, 1) if s.urls else [(s.link, s.url)]
+        return [LinkNode(number, url, kind=kind) for number, url in links]
     finally:
-        probe.destroy_node()
-    if not settings.urls:
-        return [LinkNode(settings.link, settings.url, kind=kind)]
-    return [LinkNode(number, url, kind=kind) for number, url in enumerate(settings.urls, 1)]
+        stays.destroy_node()
 
 
 if __name__ == "__main__":

@@ -3,10 +3,11 @@
 import sys
 from collections import defaultdict
 from functools import partial
-from math import isfinite
+from math import inf, isfinite, nan
 from time import monotonic
 from typing import Any
 
+import numpy as np
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
@@ -15,7 +16,7 @@ from tf2_msgs.msg import TFMessage
 
 from fss_arm_model.description import described
 from fss_arm_msgs.msg import BaseReaction as BaseReactionMessage
-from fss_arm_msgs.msg import DynamicCalibration, KinematicCalibration
+from fss_arm_msgs.msg import DynamicCalibration, KinematicCalibration, ThrusterCommand
 from fss_arm_ros.calibrated import Calibrated
 from fss_arm_ros.convert import (
     SECOND,
@@ -28,7 +29,7 @@ from fss_arm_ros.convert import (
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.door import subscribe
 from fss_arm_ros.parameters import declare
-from fss_arm_ros.qos import LATCHED, SENSOR, subscribe_sensor
+from fss_arm_ros.qos import LATCHED, SENSOR, sensor, subscribe_sensor
 from fss_arm_ros.stamps import Stamps
 from fss_gnc.navigation import BodyFilter
 from fss_gnc.navigation.messages import StateImage, TransformImage
@@ -68,6 +69,8 @@ class BaseReactionNode(Node):
         subscribe_sensor(self, JointState, s.joints_topic, self.on_joints)
         subscribe_sensor(self, PoseStamped, s.base_topic, self.on_pose)
         subscribe_sensor(self, Imu, s.gyro_topic, self.on_gyro)
+        for topic in ("thrusters/command", "thrusters/pulses"):
+            subscribe(self, ThrusterCommand, topic, self.on_thrust, sensor(best_effort=True))
         for kind, topic in (
             (KinematicCalibration, KINEMATIC),
             (DynamicCalibration, DYNAMIC),
@@ -81,6 +84,7 @@ class BaseReactionNode(Node):
         self.filter = BodyFilter(self.settings)
         self.reaction = BaseReaction(self.known.arm, self.known.covariance, self.settings)
         self.pose: tuple[float, float, float] | None = None  # the last one
+        self.fired = -inf  # until when a thruster did [ns]
 
     def stamp(self, topic: str, message: Any) -> int:
         """A message's stamp [ns]; where a topic's are set back, all begins anew."""
@@ -118,6 +122,12 @@ class BaseReactionNode(Node):
         """A sample of the base's rate."""
         t = self.stamp(self.settings.gyro_topic, message) - self.offsets.get(DYNAMIC, 0)
         self.filter.rate(t, message.angular_velocity.z)
+
+    def on_thrust(self, message: ThrusterCommand) -> None:
+        """Thrusters fire, which no prediction from the joints knows of."""
+        if (longest := max(message.on_time)) > 0.0:
+            until = stamp_ns(message.header.stamp) + round(longest * SECOND)
+            self.fired = max(self.fired, until)
 
     def on_calibration(self, topic: str, message: Any) -> None:
         """Predict with it from the next rest on, if it passed."""
@@ -157,7 +167,11 @@ class BaseReactionNode(Node):
         found = self.reaction.advance(t)
         if found:
             self.published = monotonic()
-            self.reacted.publish(to_message(found, self.known.arm.name, self.settings.world_frame))
+            message = to_message(found, self.known.arm.name, self.settings.world_frame)
+            drifts = found.anchor - round(self.settings.max_drift_duration * SECOND)
+            if self.fired > drifts:  # nothing of the arm alone
+                message.difference = np.full(3, nan)
+            self.reacted.publish(message)
 
     def health(self) -> Health:
         """For diagnostics."""

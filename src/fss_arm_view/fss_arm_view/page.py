@@ -20,13 +20,16 @@ SCRIPT = """
   #fss_age { position: fixed; top: 46px; left: 0; right: 0; z-index: 10; display: none;
     cursor: pointer; padding: 10px; background: #c81e1e; color: #fff; text-align: center;
     font: bold 34px sans-serif; }
+  #fss_wait { position: fixed; top: 46px; left: 0; right: 0; bottom: 0; z-index: 8; color: #777;
+    background: #fff; font: 19px sans-serif; display: grid; place-items: center; }
 </style>
-<div id="fss"></div><div id="fss_age" title="load the page anew, the newest first"></div>
+<div id="fss"></div><div id="fss_wait">the drawings are on their way</div>
+<div id="fss_age" title="load the page anew, the newest first"></div>
 <script>
 (() => {
   const OLD = 3, FAR = 20, AGAIN = 90;  // [s]: said; loaded anew; but not as often, at first
   const age = document.getElementById("fss_age"), strip = document.getElementById("fss");
-  const began = Date.now();
+  const began = Date.now(), wait = document.getElementById("fss_wait");
   let far = 0, first = 0;  // how often it was far behind in a row; when rerun drew first
   const tries = Number(sessionStorage.fss_tries || 0);  // which did not help: a slow computer
   age.onclick = () => location.reload();
@@ -76,21 +79,21 @@ SCRIPT = """
   }
 
   async function look() {
-    let words = "";
+    let words = "", shown;
+    try { shown = times(); } catch { /* rerun has drawn nothing yet, or is of another version */ }
+    first ||= shown ? Date.now() : 0;
+    if (first || Date.now() - began > 6e4) wait.style.display = "none";
     try {
       const {age: since, said: now} = await (await fetch("NOW", {cache: "no-store"})).json();
       const newest = BigInt(now.newest), silent = now.silent + since;
       strip.replaceChildren();
       for (const vehicle of now.vehicles) show(vehicle.items, vehicle.name);
       show([["time here", new Date().toLocaleTimeString("en-GB"), "last"]]);
-      let shown;
-      try { shown = times(); } catch { /* rerun has drawn nothing yet, or is of another version */ }
       if (newest && silent > OLD) words = `NO DATA FOR ${Math.round(silent)} s`;
       else if (newest && shown) {
         const old = Number(newest - shown[0]) / 1e9, lag = Number(newest - shown[1]) / 1e9;
         if (old > OLD) words = `DATA ${Math.round(old)} s OLD`;
         far = lag > FAR ? far + 1 : 0;
-        first ||= Date.now();
         if (lag < OLD) sessionStorage.fss_tries = 0;
         if (far > 5 && Date.now() - first > 1e3 * AGAIN * 2 ** tries) {
           sessionStorage.fss_tries = tries + 1;

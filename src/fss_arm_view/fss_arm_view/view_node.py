@@ -282,7 +282,8 @@ class ViewNode(Node):
         self.strip.turn = float(message.difference[2]), float(message.predicted_deviation[2])
         if self.sink.due("reaction"):
             # Telemetry is older than the base's poses: its ghost is drawn beside it as it is now.
-            self.difference = np.array(message.difference)
+            known = np.isfinite(message.difference).all()  # not once thrusters have fired
+            self.difference = np.array(message.difference) if known else None
             t = stamp_ns(message.header.stamp)
             self.differs_until = t + OLD
             self.sink.put(t, scene.reaction(message))
@@ -397,7 +398,7 @@ def make_nodes() -> list[ViewNode]:
     """Shows joints, base, end effector, base reaction, verdicts and faults.
 
     It subscribes best effort and never waits for the viewer, so that it holds nobody up. In mode
-    web, open http://127.0.0.1:9090/?url=rerun%2Bhttp://127.0.0.1:9876/proxy in a browser.
+    web, open the address that it prints in a browser.
     """
     # With its viewer it has only the time that nothing else wants: drivers never wait for it.
     with suppress(OSError):  # a container may forbid it

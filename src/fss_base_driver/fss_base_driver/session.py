@@ -94,7 +94,7 @@ class BoardSession(Session[BaseTelemetry]):
     ) -> None:
         partner = Partner(
             NAME, BOARD, BaseTelemetry, decode, Anything(), LATCHES, BaseSlow.BATTERY,
-            BaseSlow.REFUSED, 'ros2 service call /base/arm std_srvs/srv/SetBool "{data: true}"',
+            BaseSlow.REFUSED, "scripts/fss_arm.sh valves",
         )  # fmt: skip
         super().__init__(partner, timeout, watchdog, resolution, key, empty, epoch)
         self.pulse = NO_PULSE  # in force

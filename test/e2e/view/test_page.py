@@ -96,6 +96,12 @@ def test_the_page_says_how_old_its_data_are_and_that_none_come(start, spin, doma
         def says(element, words):
             return spin([source], lambda: words in page.text(element), 120.0)
 
+        hides = "document.getElementById('fss_wait').style.display === 'none'"  # once it draws
+        spin(
+            [source],
+            lambda: page.ask("Runtime.evaluate", expression=hides)["result"].get("value"),
+            120.0,
+        )
         says("fss", "1 of 1 armed")
         says("fss", "16.5 V, link 1")
         sends[0] = False

@@ -75,6 +75,9 @@ def test_a_pushed_drift_is_rejected_by_choice(samples):
     assert found.estimate.reasons[1].startswith("error ")
     without = calibrate([drifts[0], drifts[2]], ARM)
     np.testing.assert_array_equal(found.values, without.values)
+    table = DRIFT.report_of(found).tables[0]
+    for k, (*_, value, sigma) in enumerate(table.rows):
+        assert (k in table.weak) == (abs(float(value)) <= 2.0 * float(sigma))
     robust = calibrate([drifts[0], pushed, drifts[2]], ARM, DriftSettings(loss="cauchy"))
     assert robust.estimate.weights[1] < 0.5
 

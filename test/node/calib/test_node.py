@@ -8,8 +8,10 @@ import pytest
 from calib_kinds import CASES, Bed, ask, kind_of, make_node, play, serialized
 from calib_toy import TOY
 from rclpy.parameter import Parameter
+from std_srvs.srv import Trigger
 
 from fss_arm_bags.recorder import Recording
+from fss_arm_calib.acceptance import FAIL, Check
 from fss_arm_calib.from_bag import main as from_bag
 from fss_arm_calib.from_bag import parser, solve_bag
 from fss_arm_calib.kinds import KINDS
@@ -110,6 +112,17 @@ def test_live_is_what_the_bag_says_and_can_be_recomputed(spin, made, tmp_path):
     for what, why in kind.lacks.items():
         assert what in page
         assert why in page
+
+
+def test_one_that_fails_says_where_its_cause_is_looked_for(kept, made):
+    node = kept(made)
+    failed = Check("fit", FAIL, 9.0, 1.0, "too large")
+    node.solved = lambda: replace(made.outcome, checks=(failed,))
+    response = node.on_solve(Trigger.Request(), Trigger.Response())
+    assert not response.success
+    assert (
+        response.message == "fail: too large; from_bag, on a recording of this, looks for the cause"
+    )
 
 
 def test_each_datum_comes_back_from_its_message(made):

@@ -23,6 +23,7 @@ from sensor_msgs.msg import BatteryState, JointState
 from std_msgs.msg import Empty
 from std_srvs.srv import SetBool, Trigger
 
+from fss_arm_driver import link_node
 from fss_arm_driver.host_clock import HostClock
 from fss_arm_driver.link_node import LinkNode
 from fss_arm_driver.protocol import Mode, Order, Slow, State
@@ -724,3 +725,25 @@ def test_a_stop_passes_an_executor_that_is_busy(bench):
     user.stop.publish(Empty())
     wait_until(lambda: transport.link.flags & State.STOPPED, 5.0, lambda: time.sleep(0.01))
     assert not node.session.armed
+
+
+def test_the_process_stays_in_the_graph_from_its_first_node_on(spin, monkeypatch):
+    """Fast DDS may wait for ever if the last node goes as others are being discovered."""
+    alive, left = [], []
+    make, destroy = Node.__init__, Node.destroy_node
+
+    def on_make(self, *args, **options):
+        alive.append(self)
+        make(self, *args, **options)
+
+    def on_destroy(self):
+        alive.remove(self)
+        left.append(len(alive))
+        destroy(self)
+
+    monkeypatch.setattr(Node, "__init__", on_make)
+    monkeypatch.setattr(Node, "destroy_node", on_destroy)
+    monkeypatch.setattr(link_node, "LinkNode", lambda *_, **__: alive.append(1) or 1)
+    assert link_node.make_nodes() == [1]
+    assert left == [1, 1]
+    assert alive == [1]

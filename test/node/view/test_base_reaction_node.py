@@ -12,7 +12,7 @@ from view_bench import BEGIN, Bench
 from view_flight import paper_flight
 
 from fss_arm_model.description import load, paper_arm, to_yaml
-from fss_arm_msgs.msg import Calibration, DynamicCalibration, KinematicCalibration
+from fss_arm_msgs.msg import Calibration, DynamicCalibration, KinematicCalibration, ThrusterCommand
 from fss_arm_ros.convert import SECOND, pose_stamped, stamp_ns, to_time
 from fss_arm_ros.diagnostics import OK
 from fss_arm_view.base_reaction_node import DYNAMIC, KINEMATIC, BaseReactionNode
@@ -63,6 +63,18 @@ def test_prediction_and_measurement_agree_on_topics(run, spin, flight):
     steps = np.diff([stamp_ns(m.header.stamp) for m in bench.reactions])
     assert set(steps.tolist()) == {100_000_000}
     assert max(abs(m.torque) for m in bench.reactions) > 0.05
+
+
+@pytest.mark.parametrize(("fired", "known"), [(-10.0, True), (2.6, False)])
+def test_where_thrusters_fired_nothing_is_compared(run, spin, fired, known):
+    node, bench = run()
+    thrust = ThrusterCommand(on_time=[0.0, 0.2, *[0.0] * 6])
+    thrust.header.stamp = to_time(BEGIN + int(fired * SECOND))
+    node.on_thrust(thrust)
+    play_all(spin, node, bench)
+    spin([node, bench], lambda: len(bench.reactions) > 60)
+    assert np.isfinite(bench.reactions[-1].difference).all() == known
+    assert np.isfinite(bench.reactions[-1].predicted).all()
 
 
 def test_the_base_s_state_is_in_its_own_axes_and_on_tf(run, spin, flight):

@@ -102,7 +102,10 @@ def test_what_cannot_be_seen_is_refused_by_name() -> None:
     found = calibrate([synthetic(0)], PAIR, DrivesSettings())
     assert found.verdict == PASS
     assert {"dead_band_1", "stiffness_1", "rotor_inertia_1"} <= set(found.estimate.undetermined)
-    refused = drives_report(found).tables[1].rows
+    parameters, other, *_ = drives_report(found).tables
+    refused = other.rows
+    for k, (*_, value, sigma) in enumerate(parameters.rows):
+        assert (k in parameters.weak) == (abs(float(value)) <= 2.0 * float(sigma))
     assert any(row[0] == "dead_band" and "the encoder" in row[2] for row in refused)
     assert np.isnan(found.values[found.names.index("dead_band_1")])
 

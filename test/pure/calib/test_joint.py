@@ -194,6 +194,9 @@ def test_rests_alone_leave_masses_undetermined(two):
     a = outcome.names.index("a_1")
     assert 0.0 < outcome.deviations[a] < 0.01
     assert outcome.description == ""
+    table = joint_report(outcome).tables[0]
+    assert {table.rows[k][0] for k in table.weak} >= set(outcome.estimate.undetermined)
+    assert a not in table.weak
 
 
 def test_no_data_are_not_evaluated():

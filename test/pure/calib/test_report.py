@@ -208,6 +208,15 @@ def test_a_dynamic_calibration_without_a_solution_is_told(maneuvers, tmp_path):
     assert list(tmp_path.iterdir()) == [tmp_path / "index.html"]
 
 
+def test_what_is_hardly_known_is_amber():
+    found = outcome()
+    assert kinematic_report(found).tables[0].weak == []
+    deviations = found.estimate.deviations.copy()
+    deviations[2] = 3.1 * HEADING_DEVIATION
+    found = replace(found, estimate=replace(found.estimate, deviations=deviations))
+    assert kinematic_report(found).tables[0].weak == [2]
+
+
 def test_symbols_are_set_as_books_set_them(tmp_path):
     rows = [["theta_0_2", "rad"], ["I_6", "kg m^2"], ["x_BJ1", "m"], ["link_1", "arm_2.yaml"]]
     table = report.Table("Parameters", ["parameter", "unit"], rows, words=2, weak=[1])

@@ -30,16 +30,17 @@ def drift_report(outcome: Outcome[Drift, Solution], _: Arm | None = None) -> Rep
 
 def _parameters(outcome: Outcome[Drift, Solution]) -> Table:
     e, found = outcome.estimate, outcome.solution
-    rows = [
-        [f"tilt along {axis}", "deg", *_pair(*np.degrees([e.values[k], e.deviations[k]]) / GRAVITY)]
+    torque = found.result.hose_torque if found else (np.nan, np.nan)
+    acting = [
+        (f"tilt along {axis}", "deg", *np.degrees([e.values[k], e.deviations[k]]) / GRAVITY)
         for k, axis in enumerate("xy")
     ]
-    torque = found.result.hose_torque if found else (np.nan, np.nan)
-    rows.append(["mean torque of the hose", "N m", *_pair(*torque)])
-    for k in (2, 3, 4):
-        rows.append([WORDS[k], e.units[k], *_pair(e.values[k], e.deviations[k])])
-    head = ["", "unit", "estimate", "± 1 sigma"]
-    return Table("What acts on the base", head, rows, words=2)
+    acting.append(("mean torque of the hose", "N m", *torque))
+    acting += [(WORDS[k], e.units[k], e.values[k], e.deviations[k]) for k in (2, 3, 4)]
+    rows = [[name, unit, *_pair(value, sigma)] for name, unit, value, sigma in acting]
+    weak = [k for k, (*_, value, sigma) in enumerate(acting) if abs(value) <= 2.0 * sigma]
+    head, note = ["", "unit", "estimate", "± 1 sigma"], "amber: within two deviations of none."
+    return Table("What acts on the base", head, rows, words=2, note=note, weak=weak)
 
 
 def _momenta(outcome: Outcome[Drift, Solution]) -> Table:

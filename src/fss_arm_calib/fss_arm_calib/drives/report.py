@@ -27,7 +27,8 @@ def _parameters(outcome: Outcome[Any, list[Drive]], truth: Arm | None) -> Table:
     for i, link in enumerate(truth.links if truth else (), 1):
         true[f"torque_constant_{i}"] = link.drive.torque_constant
         true[f"torque_gain_{i}"] = link.torque_sensor.gain
-    rows = []
+    rows: list[list[str]] = []
+    weak: list[int] = []
     for name, unit, *numbers in zip(
         e.names, e.units, e.initial, e.values, e.deviations, strict=True
     ):
@@ -35,11 +36,16 @@ def _parameters(outcome: Outcome[Any, list[Drive]], truth: Arm | None) -> Table:
             continue
         off = (numbers[1] - true.get(name, np.nan)) / numbers[2]
         rows.append([name, unit, *(text(x, ".4g") for x in numbers[:2]), text(numbers[2], ".2g")])
+        if abs(numbers[1]) <= 2.0 * numbers[2]:
+            weak.append(len(rows) - 1)
         if truth:
             rows[-1].append(text(off, "+.1f"))
     head = ["parameter", "unit", "guess", "estimate", "± 1 sigma"]
-    note = "Torques are to the scale of the described masses, taken as they are."
-    return Table("Parameters", head + (["off [sigma]"] if truth else []), rows, 2, note)
+    note = (
+        "Torques are to the scale of the described masses, taken as they are; "
+        "amber: within two deviations of none."
+    )
+    return Table("Parameters", head + (["off [sigma]"] if truth else []), rows, 2, note, weak)
 
 
 def _refused(found: list[Drive]) -> Table:

@@ -27,19 +27,30 @@ def _parameters(outcome: Outcome[Any, Solution], found: Solution, truth: Arm | N
     """Guess, estimate, and how much larger its deviation were without the data of a kind."""
     r, e = found.result, outcome.estimate
     without = r.without
+    with np.errstate(invalid="ignore"):  # inf: nothing determines it
+        grown = [sigma / e.deviations for sigma in without.values()]
     rows = []
     for k, name in enumerate(e.names):
         row = [name, shown_unit(e.units[k])]
         row += [number(x[k], e.units[k]) for x in (e.initial, e.values, e.deviations)]
-        row += [text(sigma[k] / e.deviations[k], ".2f") for sigma in without.values()]
+        row += [text(x[k], ".2f") for x in grown]
         if truth:
             true = np.array([*values(truth), truth.theta_E])[k]
             row.append(text((e.values[k] - true) / e.deviations[k], "+.1f"))
         rows.append(row)
     head = ["parameter", "unit", "guess", "estimate", "± 1 sigma"]
     head += [f"x without {kind}" for kind in without]
-    note = "x: by how much the deviation grows without data of a kind; -: they alone determine it"
-    return Table("Parameters", head + (["off [sigma]"] if truth else []), rows, words=2, note=note)
+    note = (
+        "x: by how much the deviation grows without data of a kind; -: they alone determine it; "
+        "amber: the guess says as much of it as all data do, or it is at its bound."
+    )
+    before = np.full(len(e.names), np.inf)
+    believed = r.problem.believed
+    before[believed] = np.sqrt(np.diag(r.problem.prior)[believed])
+    weak = np.flatnonzero(~(2.0 * e.deviations**2 < before**2)).tolist()
+    weak += [e.names.index(name) for name in r.at_bound]
+    head += ["off [sigma]"] if truth else []
+    return Table("Parameters", head, rows, words=2, note=note, weak=weak)
 
 
 def _fits(found: Solution) -> Table:

@@ -58,7 +58,13 @@ def _parameters(outcome: Outcome[Observation, Solution], truth: Arm | None) -> T
             row.append(text(difference(e.values[k], true[k], unit) / e.deviations[k], "+.2f"))
         rows.append(row)
     head = ["parameter", "unit", "Tables 2-3", "guess", *["truth"] * known, "estimate", "± 1 sigma"]
-    return Table("Parameters", [*head, *["error / sigma"] * known], rows, words=2)
+    head += ["error / sigma"] * known
+    note, weak = "", list[int]()
+    if found := outcome.solution:
+        note = "amber: three times less known than the end effector by a single observation."
+        one = dict(zip(("m", "rad"), found.noise.deviations, strict=True))
+        weak = [k for k, unit in enumerate(e.units) if not e.deviations[k] < 3 * one[unit]]
+    return Table("Parameters", head, rows, words=2, note=note, weak=weak)
 
 
 def _residuals(outcome: Outcome[Observation, Solution]) -> Table:

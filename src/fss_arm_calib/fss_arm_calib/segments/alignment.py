@@ -119,11 +119,15 @@ class Alignment:
 
 
 def mean_offset(moves: Collection[Offset]) -> Offset:
-    """The mean weighted by deviations; the scatter of ENOUGH moves gives its deviation."""
+    """The mean weighted by deviations; the scatter of ENOUGH moves gives its deviation.
+
+    The error over what a scatter of n moves gives is distributed as Student's t with n - 1 degrees
+    of freedom, of variance (n - 1) / (n - 3).
+    """
     values = np.array([move.value for move in moves])
     weights = np.array([move.deviation for move in moves]) ** -2.0
     mean = float(weights @ values / np.sum(weights))
-    scatter = float(weights @ (values - mean) ** 2) / max(len(moves) - 1, 1)
+    scatter = float(weights @ (values - mean) ** 2) / max(len(moves) - 3, 1)
     if len(moves) < ENOUGH:
         scatter = max(scatter, 1.0)
     return Offset(mean, sqrt(scatter / float(np.sum(weights))))
