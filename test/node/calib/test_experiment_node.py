@@ -14,7 +14,14 @@ from unique_identifier_msgs.msg import UUID
 
 from fss_arm_calib.experiment.experiment_node import ExperimentNode
 from fss_arm_msgs.action import MoveArm
-from fss_arm_msgs.msg import KinematicObservation, KinematicObservations, Maneuver, Maneuvers
+from fss_arm_msgs.msg import (
+    Calibration,
+    DynamicCalibration,
+    KinematicObservation,
+    KinematicObservations,
+    Maneuver,
+    Maneuvers,
+)
 from fss_arm_ros.qos import LATCHED
 
 POSTURES = [0.1, 0.2, 0.3, 0.4, -0.5, 0.0, 0.5, 0.1, 0.9, -0.9, 0.0, 0.2]
@@ -264,12 +271,56 @@ class FakeDynamic(Node):
         super().__init__("dynamic")
         self.message = Maneuvers()
         self.output = self.create_publisher(Maneuvers, "calibration/maneuvers", LATCHED)
+        self.results = self.create_publisher(DynamicCalibration, "calibration/dynamic", LATCHED)
 
     def observe(self, reason=""):
         one = Maneuver(used=not reason, reason=reason)
         one.end = self.get_clock().now().to_msg()
         self.message.maneuvers.append(one)
         self.output.publish(self.message)
+
+    def conclude(self, verdict, *deviations):
+        names = [f"b_{i}" for i in range(1, 1 + len(deviations))]
+        one = Calibration(verdict=verdict, names=names, deviations=deviations)
+        self.results.publish(DynamicCalibration(calibration=one))
+
+
+@pytest.mark.parametrize("met", [True, False])
+def test_maneuvers_end_when_the_goal_is_met_and_fail_if_it_is_not(
+    spin, spin_to_the_end, tmp_path, met
+):
+    (tmp_path / "plan.yaml").write_text(PLAN + "promised: {b_1: 0.0015}\n")
+    arm, dynamic = FakeArm(), FakeDynamic()
+    experiment = make_node(maneuvers=str(tmp_path / "plan.yaml"), pause=0.2, goal="b_i 0.002")
+    nodes = (arm, dynamic, experiment)
+    for so_far, verdict, second in ((2, "pass", 0.003), (3, "pass" if met else "fail", 0.001)):
+        spin(nodes, lambda n=so_far: len(arm.goals) == n)
+        dynamic.conclude(verdict, 0.001, second)
+        spin(nodes, lambda x=second, v=verdict: experiment.reached.startswith(v)
+             and f"{x:.2g} (asked" in experiment.reached.split(", b_2")[1])  # fmt: skip
+        if so_far == 3:
+            dynamic.observe()
+    if not met:
+        spin(nodes, lambda: len(arm.goals) == 4)
+        dynamic.observe()
+    told = "b_1 ± 0.001 (asked 0.002, promised 0.0015), b_2 ± 0.001 (asked 0.002)"
+    code = spin_to_the_end(*nodes)
+    if met:
+        assert code == 0
+        assert experiment.log[-1] == f"goal met after 3 of 4 postures: pass, {told}"
+        assert len(arm.goals) == 3
+    else:
+        assert code == f"goal not met: fail, {told}"
+
+
+def test_a_goal_of_what_is_not_estimated_is_refused(spin, spin_to_the_end, tmp_path):
+    (tmp_path / "plan.yaml").write_text(PLAN)
+    dynamic = FakeDynamic()
+    experiment = make_node(maneuvers=str(tmp_path / "plan.yaml"), goal="c_1 0.002")
+    dynamic.conclude("pass", 0.001)
+    assert spin_to_the_end(dynamic, experiment).startswith(
+        "goal has 'c_1' '0.002', expected a name"
+    )
 
 
 def test_a_maneuver_that_a_gap_spoiled_is_repeated(spin, spin_to_the_end, tmp_path):

@@ -219,7 +219,7 @@ def _turning(w: Windows, one: Samples, j: int, shown: Regression, s: DrivesSetti
 
     return Turning(
         means(one.t), means(v), means(one.current), np.column_stack([means(x) for x in columns]),
-        v[:size].reshape(-1, joined)[whole], s.torque_noise / np.sqrt(joined),
+        v[:size].reshape(-1, joined)[whole], s.torque_noise * abs(shown.x[SCALE]) / np.sqrt(joined),
     )  # fmt: skip
 
 

@@ -17,16 +17,24 @@ from rclpy.task import Future
 from unique_identifier_msgs.msg import UUID
 
 from fss_arm_calib import state
+from fss_arm_calib.acceptance import PASS
 from fss_arm_calib.estimation.least_squares import Floats
-from fss_arm_calib.experiment.design import Planned, from_yaml
+from fss_arm_calib.experiment.design import Planned, from_yaml, goal_of
 from fss_arm_calib.experiment.postures import default
 from fss_arm_calib.experiment.settings import ExperimentSettings
+from fss_arm_calib.messages import common
 from fss_arm_calib.programs import experiment as main
 from fss_arm_model.description import Arm, described
+from fss_arm_model.files import read_yaml
 from fss_arm_motion.guard import Guard, GuardError
 from fss_arm_motion.guard_settings import GuardSettings
 from fss_arm_msgs.action import MoveArm
-from fss_arm_msgs.msg import KinematicObservations, Maneuvers
+from fss_arm_msgs.msg import (
+    DynamicCalibration,
+    KinematicCalibration,
+    KinematicObservations,
+    Maneuvers,
+)
 from fss_arm_ros.convert import SECOND, stamp_ns
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.door import subscribe
@@ -58,7 +66,9 @@ class ExperimentNode(Node):
 
     Each posture is left when it has been observed, or after a rest if nobody observes; a maneuver
     goes from one posture to the next at once, and ends with a pause. If somebody observes, what
-    is rejected for a gap is repeated; a maneuver after going back the way it came. It never arms a
+    is rejected for a gap is repeated; a maneuver after going back the way it came. With a `goal` it
+    ends sooner, as soon as a calibration that passes knows what is asked for; and if none does at
+    its end, it fails. It never arms a
     link: until somebody has, as after any failed or lost move, it asks for the move again. It ends
     if its process stood still, as the arm has stopped then, and nobody may expect it to move on.
     """
@@ -67,6 +77,8 @@ class ExperimentNode(Node):
         super().__init__("experiment", **options)
         s = self.settings = declare(self, ExperimentSettings)
         self.stops = stops(s)
+        plan: Any = read_yaml(Path(s.maneuvers)) if s.maneuvers else {}
+        self.promised = plan.get("promised", {})  # deviations, by name
         self.writes = state.Writes(self.get_logger())
         self.progress = self.restore()
         self.progress.done = min(self.progress.done, len(self.stops))  # less what was repeated
@@ -79,11 +91,17 @@ class ExperimentNode(Node):
         self.observer = False  # somebody observes
         self.seen: list[tuple[int, str]] = []  # maneuvers' ends [ns], and why rejected
         self.departed = 0  # end of the last pause, or when it began [ns]
+        self.reached = ""  # how well the goal's parameters are known
+        self.met = False  # as well as asked for
         self.way_back: deque[Stop] = deque()  # to where a maneuver began that is to be repeated
         subscribe(
             self, KinematicObservations, "calibration/observations", self.on_observations, LATCHED
         )
         subscribe(self, Maneuvers, "calibration/maneuvers", self.on_maneuvers, LATCHED)
+        if s.goal:
+            kind = DynamicCalibration if s.maneuvers else KinematicCalibration
+            topic = f"calibration/{'dynamic' if s.maneuvers else 'kinematic'}"
+            subscribe(self, kind, topic, self.on_result, LATCHED)
         self.phase: Callable[[int], None] = self.go
         self.since = 0  # start of the phase, or of the last sign of life in it [ns]
         self.goal, self.outcome = Future(), Future()
@@ -121,6 +139,21 @@ class ExperimentNode(Node):
         """What has been observed so far of maneuvers."""
         self.seen = [(stamp_ns(m.end), "" if m.used else m.reason) for m in message.maneuvers]
 
+    def on_result(self, message: Any) -> None:
+        """How well the calibration knows what the goal asks for."""
+        result = common(message)
+        try:
+            goal = goal_of(self.settings.goal, result.names)
+        except ValueError as error:
+            raise SystemExit(str(error)) from None
+        known = dict(zip(result.names, result.deviations, strict=False))
+        self.met = result.verdict == PASS and all(known[k] <= x for k, x in goal.items())
+        self.reached = f"{result.verdict}, " + ", ".join(
+            f"{name} ± {known[name]:.2g} (asked {asked:.2g}"
+            + (f", promised {self.promised[name]:.2g})" if name in self.promised else ")")
+            for name, asked in goal.items()
+        )
+
     @property
     def stop(self) -> Stop:
         """Where it goes, or is."""
@@ -138,11 +171,22 @@ class ExperimentNode(Node):
         self.departed = self.departed or now
         topic = "maneuvers" if self.settings.maneuvers else "observations"
         self.observer = self.observer or bool(self.count_publishers(f"calibration/{topic}"))
+        done = f"{self.progress.done} of {len(self.stops)} postures"
+        if self.met and self.at_rest:
+            self.get_logger().info(f"goal met after {done}: {self.reached}")
+            raise SystemExit(0)
         if self.progress.done < len(self.stops):
             self.phase(now)
         elif not self.repeat():
             self.get_logger().info(f"all {len(self.stops)} postures done")
-            raise SystemExit(0)
+            missed = f"goal not met: {self.reached or 'no calibration told its deviations'}"
+            raise SystemExit(missed if self.settings.goal else 0)
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether nothing is under way: neither a move nor the rest of a maneuver."""
+        before = self.stops[self.progress.done - 1] if self.progress.done else None
+        return self.phase == self.go and not self.way_back and (not before or before.pause != 0.0)
 
     def show_life(self) -> None:
         """Keep the move under way alive, unless this process has stood still."""

@@ -18,6 +18,10 @@ class ExperimentSettings(Settings):
     maneuvers: str = setting(
         "", "file of maneuvers to make instead, as `design` writes it; empty: postures"
     )
+    goal: str = setting(
+        "", "deviations at which to stop sooner, as 'b_i 0.002 I_4 0.001' of calibration/dynamic "
+        "for maneuvers or of calibration/kinematic for postures, in SI units; empty: none",
+    )  # fmt: skip
     pause: float = setting(5.2, "rest before and after a maneuver", unit="s", check=POSITIVE)
     tolerance: float = setting(
         0.0175, "a posture observed this close is the one wanted", unit="rad", check=POSITIVE
