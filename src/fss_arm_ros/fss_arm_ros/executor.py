@@ -216,7 +216,7 @@ class BatchExecutor(SingleThreadedExecutor):
 
     def _call(self, callback: Callable[..., Any], *args: Any) -> None:
         answer = callback(*args)
-        if iscoroutine(answer):
+        if answer is not None and iscoroutine(answer):
             self.create_task(answer)
 
     def _take_service(self, service: Any) -> Callable[[], Coroutine[Any, Any, None]]:

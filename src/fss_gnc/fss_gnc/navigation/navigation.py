@@ -154,11 +154,12 @@ class Navigation:
         if t > self._given_until + GAP:
             self._given_until, self.caught = t - BEFORE, None
             self._seen.clear()
+        if not self.holds and self._seen and t < self._seen[-1][0] + BEFORE:
+            return None
         sample = self._sample(t)
         if not self.holds:
             free = self.target.events and not self.target.lost(t)
-            if not self._seen or t >= self._seen[-1][0] + BEFORE:
-                self._seen.append((t, sample, self.target.state().at(t) if free else None))
+            self._seen.append((t, sample, self.target.state().at(t) if free else None))
             return None
         if self.caught is None:
             self.caught = self._begin(t, sample)
