@@ -156,8 +156,8 @@ def test_all_go_on_together_from_their_state_files(spin, bed, tmp_path):
         "bed_fss1.json", "bed_fss2.json", "bed_fss3.json"
     }  # fmt: skip
     again = bed(state_file=str(tmp_path / "bed.json"))
-    frames = {vehicle.testbed.frame for vehicle in again.vehicles}
-    assert len(frames) == 1
+    frames = [vehicle.testbed.frame for vehicle in again.vehicles]
+    assert max(frames) - min(frames) <= 1  # they go on already, one after the other
     assert frames.pop() > frame
     again.close()
 
