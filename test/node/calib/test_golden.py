@@ -69,8 +69,14 @@ def bag(tmp_path_factory):
     return get
 
 
-def check(name, outcome):
-    """Within rounding, of which linear algebra makes more or less by its number of threads."""
+#: In deviations. Linear algebra rounds otherwise on another processor, or with other threads. A
+#: drift's derivatives are differences over 1e-5, and its regressor's condition may be 1e6.
+ROUNDING = {"kinematic": 1e-10, "dynamic": 1e-10, "drift": 1e-16 / 1e-5 * 1e6}
+
+
+def check(name, kind, outcome):
+    """Nothing has moved but by rounding."""
+    most = ROUNDING[kind]
     then, p = GOLDEN[name], len(outcome.names)
     assert (outcome.verdict, list(outcome.names)) == (then["verdict"], then["names"])
     if np.isnan(then["values"]).all():
@@ -79,25 +85,25 @@ def check(name, outcome):
         return
     covariance = np.reshape(then["covariance"], (p, p))
     deviations = np.sqrt(np.diag(covariance))
-    assert (np.abs(outcome.values - then["values"]) <= 1e-12 + 1e-10 * deviations).all()
+    assert (np.abs(outcome.values - then["values"]) <= 1e-12 + most * deviations).all()
     known = deviations < 1e-12  # beforehand: what is left of their covariance is rounding
     deviations[known] = np.inf
-    rounding = 1e-10 * np.outer(deviations, deviations)
+    rounding = most * np.outer(deviations, deviations)
     assert (np.abs(outcome.covariance - covariance) <= rounding).all()
-    assert outcome.estimate.chi_square == pytest.approx(then["chi_square"], rel=1e-10)
+    assert outcome.estimate.chi_square == pytest.approx(then["chi_square"], rel=most)
 
 
 @pytest.mark.parametrize("name", CASES)
 def test_the_numbers_are_those_found_then(name, bag):
     source, kind, settings = CASES[name]
-    kind = KINDS[kind]
-    check(name, solve_bag(kind, bag(source), kind.settings(**settings)))
+    record = KINDS[kind]
+    check(name, kind, solve_bag(record, bag(source), record.settings(**settings)))
 
 
 def test_the_drifts_of_a_simulated_base():
     found, _ = calib_drift.drifts(11)
     outcome = KINDS["drift"].calibrate(found, calib_drift.ARM)
-    check("drifts", outcome)
+    check("drifts", "drift", outcome)
 
 
 def test_no_case_is_forgotten():
