@@ -42,7 +42,7 @@ SEEDS = range(1, 6)
 DISTANCES = (1.4, 1.6, 1.8)  # [m]
 PHASES = ("approach", "reach", "grip", "detumble")
 FAULTS = (
-    *((fault, 0.0) for fault in ("link", "open", "closed", "gyro")),
+    *((fault, 0.0) for fault in ("link", "gripper", "open", "closed", "gyro")),
     *(("outage", lasts) for lasts in (10.0, 3.0, 1.0)),
 )
 

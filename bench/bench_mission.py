@@ -5,9 +5,9 @@
     python bench/bench_mission.py --kill                         # each node, in each phase, SIGKILL
 
 Each run is a graph of its own. With --kill it prints when the last valve was open and the last
-joint moving after the kill, and the least gaps of bodies to the target and to the edge in the time
-after it. Exits with 1 if bodies touched, or if what was killed left a valve open for longer than
---shut.
+joint moving after the kill, and the least gaps of bodies, gripper and target aside, and to the edge
+in the time after it. Exits with 1 if bodies touched, or if what was killed left a valve open for
+longer than --shut.
 """
 
 import argparse
@@ -26,10 +26,8 @@ import rclpy  # isort: skip
 from rclpy.action import ActionClient  # isort: skip
 from flight import Flyer, start  # isort: skip
 from bench_capture import PHASES, grid  # isort: skip
-from capturing import DEPTH, POSTURE, SETTINGS, Case  # isort: skip
+from capturing import POSTURE, SETTINGS, Case  # isort: skip
 
-from fss_arm_model.clearance import gaps, sizes, with_target
-from fss_arm_model.description import paper_arm
 from fss_arm_msgs.action import Capture
 from fss_arm_msgs.msg import SimTruth
 from fss_arm_ros.convert import stamp_ns
@@ -38,6 +36,8 @@ from fss_sim.rehearsal.processes import Nodes
 NODES = "navigation", "control", "guidance", "base", "arm", "links"
 #: Whose death leaves nobody who may open a valve on purpose.
 LAST = "navigation", "control", "guidance", "base"
+INTO = {"approach": 2.0, "reach": 0.5, "grip": 0.0, "detumble": 1.0}  # the phase, at the kill [s]
+MEETING = "gripper, target"
 STILL = 0.02  # of a joint [rad/s]
 AFTER = 30.0  # for which it is looked at what comes of a kill [s]
 TARGET = {"target_mass": SETTINGS.target_mass, "target_inertia": SETTINGS.target_inertia}
@@ -61,7 +61,7 @@ class Run:
     """One mission on one graph."""
 
     def __init__(self, nodes: Nodes, case: Case, speed: float) -> None:
-        self.nodes, self.arm = nodes, paper_arm()
+        self.nodes = nodes
         known = dict.fromkeys(("navigation", "control"), TARGET)
         guidance = {**TARGET, "posture": list(POSTURE)}
         start(nodes, speed, testbed=testbed(case), guidance=guidance, **known)
@@ -90,8 +90,7 @@ class Run:
         )
         if self.answer.done():
             raise TimeoutError(f"the mission ended before {phase}: {self.answer.result().result}")
-        if phase in ("approach", "reach"):
-            flyer.pass_time(2.0)
+        flyer.pass_time(INTO[phase])
         since = flyer.t
         self.nodes.processes[name].kill()
         flyer.pass_time(AFTER, timeout=600.0)
@@ -102,23 +101,10 @@ class Run:
         return {
             "shut": float(times[is_open].max(initial=0.0)),
             "still": float(times[moving].max(initial=0.0)),
-            "target": min(self.apart(t) for t in rows),
+            "apart": min(map(apart, rows)),
             "edge": min(t.edge_clearance for t in rows),
-            "itself": min(t.clearance for t in rows),
             "holds": float(rows[-1].holds),
         }
-
-    def apart(self, truth: SimTruth) -> float:
-        """Least gap of base and links to the target, of the gripper but for its depth [m]."""
-        if truth.holds:
-            return np.inf
-        around = sizes(SETTINGS, SETTINGS.target_radius, SETTINGS.gripper_length)
-        found = gaps(
-            self.arm.vector(), np.array(truth.q), list(with_target(self.arm.n)), around,
-            np.array(truth.target[:2]),
-        )  # fmt: skip
-        found[-1] += DEPTH
-        return float(found.min())
 
     def close(self) -> None:
         """Let go."""
@@ -126,9 +112,15 @@ class Run:
         self.flyer.close()
 
 
+def apart(truth: SimTruth) -> float:
+    """Least gap of bodies but gripper and target, which are to meet [m]."""
+    pairs = zip(truth.pairs, truth.gaps, strict=True)
+    return min((gap for pair, gap in pairs if pair != MEETING), default=np.inf)
+
+
 def kills(logs: Path, given: argparse.Namespace) -> bool:
     """The table; whether all is safe."""
-    print("| phase | killed | last valve shut [s] | joints at rest [s] | least gap to target [m] "
+    print("| phase | killed | last valve shut [s] | joints at rest [s] | least gap of bodies [m] "
           "| to the edge [m] | holds |")  # fmt: skip
     print("|---|---|---:|---:|---:|---:|---|")
     safe = True
@@ -144,11 +136,11 @@ def kills(logs: Path, given: argparse.Namespace) -> bool:
                 continue
             finally:
                 run.close()
-        fine = min(r["target"], r["edge"], r["itself"]) > 0.0
+        fine = min(r["apart"], r["edge"]) > 0.0
         fine &= r["shut"] < given.shut or name not in LAST
         safe &= fine
         print(
-            f"| {phase} | {name} | {r['shut']:.2f} | {r['still']:.2f} | {r['target']:.3f} | "
+            f"| {phase} | {name} | {r['shut']:.2f} | {r['still']:.2f} | {r['apart']:.3f} | "
             f"{r['edge']:.2f} | {'yes' if r['holds'] else 'no'} |{'' if fine else ' UNSAFE'}",
             flush=True,
         )
@@ -171,7 +163,7 @@ def missions(logs: Path, given: argparse.Namespace) -> bool:
                 result = run.end()
                 run.flyer.pass_time(1.0)
                 truths = run.flyer.truths[::5]
-                least = min(min(t.edge_clearance, t.clearance, run.apart(t)) for t in truths)
+                least = min(min(t.edge_clearance, apart(t)) for t in truths)
             finally:
                 run.close()
         rows.append(

@@ -43,7 +43,7 @@ class Case:
     distance: float = 1.6  # of the base from it [m]
     seed: int = 1
     drift: tuple[float, float] = (-0.006, 0.004)  # of it [m/s]
-    fault: str = ""  # outage, open, closed, gyro, link
+    fault: str = ""  # outage, open, closed, gyro, link, gripper
     phase: str = ""  # at whose begin it happens
     lasts: float = 0.0  # of an outage [s]
     solid: bool = True  # whether bodies keep each other out
@@ -160,7 +160,8 @@ class Flight:
         left = self.plant.thrusters.tank - self.plant.thrusters.used
         last = self.heard[0] if self.heard else None
         held = self.measured if self.plant.holds else None
-        return Seen(self.t, *known, q, qd, effort, self.plant.holds, left, last, held)
+        holds = None if self.struck("gripper") else self.plant.holds
+        return Seen(self.t, *known, q, qd, effort, holds, left, last, held)
 
     def order(self):
         self.now = seen = self.seen()
@@ -182,7 +183,7 @@ class Flight:
             )
             times = self.share(wrench)
         self.command(times)
-        if orders.close is not None:
+        if orders.close is not None and not self.struck("gripper"):
             self.plant.closed = bool(orders.close)
         if orders.rates is not None:
             self.demands.append((self.frame + LATE, orders.rates))

@@ -50,7 +50,7 @@ from fss_gnc.reference import Body
 
 STEP = 0.25  # between points of base/trajectory [s]
 PICTURED = 32  # most poses of a path in mission/state
-FORGETFUL = 5.0  # age at which gripper and tank are not known any more [s]
+FORGETFUL = 2.0  # age at which gripper and tank are not known any more [s]
 
 
 @dataclass

@@ -107,6 +107,14 @@ def test_what_fails_ends_the_mission_safely(fault, phase):
     assert flown.safe
 
 
+@pytest.mark.parametrize("phase", ["reach", "grip"])
+def test_who_does_not_hear_the_gripper_reaches_no_further(phase):
+    flown = Flight(Case(spin=0.1, distance=1.4, fault="gripper", phase=phase)).fly()
+    assert flown.phases[-2:] == [phase, "abort"]
+    assert flown.message == "gripper/state is not known"
+    assert flown.safe
+
+
 def test_a_way_ends_before_the_fixture_and_meets_nothing_whenever_thrust_ends():
     planner, q, target = Planner(P, SETTINGS), at(-1.0, -1.0, -1.4), state()
     way = planner.find(q, AT_REST, target, SETTINGS.lead)

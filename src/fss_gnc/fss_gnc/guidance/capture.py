@@ -113,6 +113,8 @@ class Capture:
         }  # fmt: skip
         if seen.target is None and self.phase != "wait" and not seen.holds:
             return "target/state is not known"
+        if seen.holds is None and self.phase in ("reach", "grip"):
+            return "gripper/state is not known"
         if self.phase == "wait" and (seen.base is None or seen.q is None or seen.target is None):
             late = seen.t - self.since > s.wait_timeout
             return "base, arm or target are not known" if late else ""
