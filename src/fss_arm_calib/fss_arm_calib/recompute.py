@@ -16,7 +16,7 @@ from fss_arm_calib.outcome import LIVE, Outcome, settings_of
 from fss_arm_calib.recompute_options import parser
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_model.description import from_yaml
-from fss_arm_ros.command_line import USER_ERROR
+from fss_arm_ros.command_line import in_one_line
 from fss_arm_ros.convert import stamp_ns
 
 LARGEST = 1e-9  # difference of any number, in its unit
@@ -107,15 +107,12 @@ def comparisons(bags: Bags, namespace: str = "") -> list[Comparison]:
     return found
 
 
+@in_one_line("recompute")
 def main(args: Sequence[str] | None = None) -> int:
     """Run as `ros2 run fss_arm_calib recompute`."""
     options = parser().parse_args(args)
-    try:
-        with open_bags(options.bags) as bags:
-            found = comparisons(bags, options.namespace)
-    except (ValueError, OSError) as error:
-        print(f"recompute: {' '.join(str(error).split())}", file=sys.stderr)
-        return USER_ERROR
+    with open_bags(options.bags) as bags:
+        found = comparisons(bags, options.namespace)
     print(*found, sep="\n")
     return SAME if all(one.same for one in found) else OTHER
 

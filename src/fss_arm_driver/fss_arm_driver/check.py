@@ -13,7 +13,7 @@ from fss_arm_driver.protocol import load_keys
 from fss_arm_driver.transport import open_transport
 from fss_arm_driver.trials import COMPLETE, FAIL, NOT_TRIED, PASS, Finding, Rig, trials
 from fss_arm_model.description import Arm, described
-from fss_arm_ros.command_line import Parser
+from fss_arm_ros.command_line import Parser, in_one_line
 
 SEARCH = 3.0  # for each link's number at a URL [s]
 EXIT_CODES = {PASS: 0, FAIL: 2, NOT_TRIED: 3}
@@ -58,17 +58,14 @@ def parser() -> argparse.ArgumentParser:
     return p
 
 
+@in_one_line("check")
 def main() -> int:
     """Run as `ros2 run fss_arm_driver check`."""
     command = parser()
     given = command.parse_args()
     if not 0.0 < given.current <= 0.5:
         command.error(f"--current is {given.current} A, expected above 0 to 0.5")
-    try:
-        return run(given)
-    except (ValueError, OSError) as error:
-        print(f"check: {error}", file=sys.stderr)
-        return 1
+    return run(given)
 
 
 def run(given: argparse.Namespace) -> int:

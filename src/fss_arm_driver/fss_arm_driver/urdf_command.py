@@ -6,7 +6,7 @@ import sys
 from fss_arm_model.description import described
 from fss_arm_model.files import write_text
 from fss_arm_model.urdf import urdf
-from fss_arm_ros.command_line import Parser
+from fss_arm_ros.command_line import Parser, in_one_line
 
 
 def parser() -> argparse.ArgumentParser:
@@ -17,18 +17,15 @@ def parser() -> argparse.ArgumentParser:
     return p
 
 
+@in_one_line("urdf")
 def main() -> int:
     """Run as `ros2 run fss_arm_driver urdf`."""
     given = parser().parse_args()
-    try:
-        text = urdf(described(given.arm))
-        if given.output:
-            write_text(given.output, text)
-        else:
-            print(text, end="")
-    except (ValueError, OSError) as error:
-        print(f"urdf: {error}", file=sys.stderr)
-        return 1
+    text = urdf(described(given.arm))
+    if given.output:
+        write_text(given.output, text)
+    else:
+        print(text, end="")
     return 0
 
 

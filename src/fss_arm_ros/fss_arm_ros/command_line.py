@@ -34,9 +34,16 @@ def in_one_line(command: str) -> Callable[[Callable[P, int]], Callable[P, int]]:
             try:
                 return main(*args, **options)
             except (ValueError, OSError) as error:
-                print(f"{command}: {' '.join(str(error).split())}", file=sys.stderr)
+                print(f"{command}: {_words(error)}", file=sys.stderr)
                 return USER_ERROR
 
         return told
 
     return decorate
+
+
+def _words(error: ValueError | OSError) -> str:
+    """What is wrong, on one line, and of which file."""
+    if isinstance(error, OSError) and error.filename is not None:
+        return f"{error.filename}: {error.strerror}"
+    return " ".join(str(error).split())

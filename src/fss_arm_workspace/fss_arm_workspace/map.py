@@ -12,6 +12,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from fss_arm_bags.reader import BagError, open_bags
 from fss_arm_model.description import load, paper_arm
 from fss_arm_ros.calibrated import TOPICS, Calibrated
+from fss_arm_ros.command_line import in_one_line
 from fss_arm_workspace.analysis import Analysis, AnalysisSettings, analyse, straight_workspaces
 from fss_arm_workspace.figures import draw, save
 from fss_arm_workspace.map_options import parser
@@ -117,13 +118,10 @@ def run(options: argparse.Namespace, console: Console) -> None:
     console.print(f"written to {folder}: {names}", soft_wrap=True)
 
 
+@in_one_line("map")
 def main(args: Sequence[str] | None = None) -> int:
     """Run as `ros2 run fss_arm_workspace map`."""
-    try:
-        run(parser().parse_args(args), Console(soft_wrap=True))
-    except (ValueError, OSError) as error:
-        print(f"map: {' '.join(str(error).split())}", file=sys.stderr)
-        return 1
+    run(parser().parse_args(args), Console(soft_wrap=True))
     return 0
 
 

@@ -13,12 +13,14 @@ from rich.table import Table
 from fss_arm_bags.doctor.health import Stream, findings, remark, streams
 from fss_arm_bags.doctor.options import parser
 from fss_arm_bags.doctor.repair import repair
-from fss_arm_bags.reader import BagError, Bags, find, open_bags
+from fss_arm_bags.reader import Bags, find, open_bags
+from fss_arm_ros.command_line import in_one_line
 from fss_arm_ros.convert import seconds
 
-HEALTHY, UNREADABLE, ILL = 0, 1, 2
+HEALTHY, ILL = 0, 2
 
 
+@in_one_line("doctor")
 def main(args: Sequence[str] | None = None) -> int:
     """Entry point.
 
@@ -28,12 +30,8 @@ def main(args: Sequence[str] | None = None) -> int:
     """
     options = parser().parse_args(args)
     console = Console(highlight=False, soft_wrap=True, width=None if sys.stdout.isatty() else 120)
-    try:
-        healthy = [examine(path, options.repair, console) for path in options.bags]
-        return HEALTHY if all(healthy) else ILL
-    except (BagError, OSError) as error:
-        print(f"doctor: {error}", file=sys.stderr)
-        return UNREADABLE
+    healthy = [examine(path, options.repair, console) for path in options.bags]
+    return HEALTHY if all(healthy) else ILL
 
 
 def examine(path: Path, mend: bool, console: Console) -> bool:
