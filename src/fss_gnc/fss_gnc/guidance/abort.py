@@ -2,6 +2,7 @@
 
 The thrusters are used for one thing only: if base and arm as they drift would meet the target or
 the table's edge within the horizon, a short push gives them the least other motion that does not.
+As the joints come to rest they change that drift, so they do so first.
 Without knowledge of the base, they are not used at all; once it is known again, they may be. Joints
 that are not heard any more are taken to rest where they were last, as links hold when nobody
 commands them, unless a target is held, too; those that are heard slow down within their torques. A
@@ -27,6 +28,7 @@ Floats = npt.NDArray[np.float64]
 QUIET = 3.0  # for which the drift must be safe, joints at rest, before it is over [s]
 PATIENCE = 30.0  # without knowing the base [s]
 STILL = 0.01  # of a joint [rad/s]
+LATE = 2.0  # that joints may take longer to rest than they should, until all is judged as it is [s]
 EMPTY = 5e-4  # of propellant, with which the valves move nothing any more [kg]
 HOLD = 60.0  # at a place with room, until it is tried again whether a valve leaks [s]
 
@@ -98,6 +100,8 @@ class Abort:
                 self._make_room(drifting, seen.t, q, target)
             self._quiet = seen.t
             return self._push
+        if np.abs(qd_m).max() > STILL and seen.t < self.joints.end + LATE:
+            return None
         self.drift, self._push = drifting.as_is(q, qd, target), None
         self._leaks = seen.q is not None and self.leak.pushes(seen.t, self.p, q, qd)
         if self._leaks:
@@ -140,6 +144,11 @@ class Stopping:
     def __init__(self, torques: Floats) -> None:
         self.torques = torques
         self._from: tuple[float, float, Floats] | None = None  # when, how long, rates then
+
+    @property
+    def end(self) -> float:
+        """When they rest [s]; infinite: they have not begun to slow down."""
+        return np.inf if self._from is None else self._from[0] + self._from[1]
 
     def rates(self, p: Floats, seen: Seen) -> Floats:
         """Of the joints now [rad/s]."""
