@@ -214,6 +214,15 @@ def pushed(force, torque, seconds, noise=0.0):
     return found
 
 
+def test_the_last_pulse_is_no_leak():
+    leak, none = Leak(), np.zeros(4)
+    given = [0.0, 0.02, 0.02, 0.02, 0.02, 0.02, 0.02, 0.02]  # by what was still under way [m/s]
+    leak.forget(-0.1)
+    for k, speed in enumerate(given):
+        qd = np.concatenate([[speed, 0.0, 0.0], none])
+        assert not leak.pushes(0.1 * k, P, at(0.0, 0.0, 0.0), qd)
+
+
 def test_a_leak_is_what_pushes_and_not_noise_nor_a_sloping_table():
     assert not any(pushed(0.02, 0.0, 60.0, noise=1e-3))
     assert any(pushed(0.16, 0.0, 3.0))

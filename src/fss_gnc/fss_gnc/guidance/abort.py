@@ -63,6 +63,7 @@ class Abort:
         """Orders now."""
         if np.isnan(self._known):
             self._known = self._quiet = seen.t
+            self.leak.forget(seen.t)
         rates = self.joints.rates(self.p, seen)
         close = None if seen.holds is None else bool(seen.holds)
         return Orders("abort", self._path(seen), rates, close, ended=self._end(seen))
@@ -87,6 +88,8 @@ class Abort:
             self._push = None
             return None
         self._known = seen.t
+        if self._push is not None or seen.q is None:
+            self.leak.forget(seen.t)
         qd_m = np.zeros(q_m.size) if seen.qd is None else seen.qd
         q, qd = np.concatenate([seen.base.pose, q_m]), np.concatenate([seen.base.twist, qd_m])
         if seen.holds and seen.target is not None and not self._held:
@@ -114,8 +117,6 @@ class Abort:
                 self._busy = self._push.end
         if self._push is not None:
             self._quiet = seen.t
-        if self._push is not None or seen.q is None:
-            self.leak.forget()
         return self._push
 
     def _make_room(self, drifting: Drifting, t: float, q: Floats, target: Body | None) -> None:

@@ -18,7 +18,7 @@ Floats = npt.NDArray[np.float64]
 
 ARM_STILL = 0.01  # rate of a joint below which the base is slowed down [rad/s]
 CALM = 2.0  # for which all must be still [s]
-LEFT = 2.0  # alone, valves closed, then [s]
+LEFT = 2.5  # alone, valves closed, then [s]
 
 
 class Detumble:
@@ -76,6 +76,7 @@ class Detumble:
         if self._path is not None and seen.t - max(self._moving, self._path.end) >= CALM:
             self._left = min(self._left, seen.t)
         if seen.t < self._left:
+            self.leak.forget(seen.t)
             return Orders("detumble", self._path, rates)
         if self.leak.pushes(seen.t, self.p, q, qd):
             self.cancel("a valve does not close")
