@@ -287,5 +287,5 @@ def test_a_detumble_that_is_cancelled_is_aborted():
 def test_what_rests_is_detumbled_at_once():
     q, mission = at(0.0, 0.0, 0.0), Detumble(CRAFT)
     seen = Seen(0.0, Body(q[:3], np.zeros(3)), None, q[3:], np.zeros(4), holds=True)
-    ends = [mission.step(replace(seen, t=0.5 * k)).ended for k in range(10)]
+    ends = [mission.step(replace(seen, t=0.5 * k)).ended for k in range(12)]
     assert next(end for end in ends if end).well
