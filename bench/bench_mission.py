@@ -4,7 +4,7 @@
     python bench/bench_mission.py --runs 280 --out out/missions.jsonl  # goes on where it was ended
     python bench/bench_mission.py --kill                         # each node, in each phase, SIGKILL
 
-Each run is a graph of its own. With --kill it prints when the last valve was open and the last
+Each run is a graph of its own; --part 1 2 and --part 2 2 fly beside each other. With --kill it prints when the last valve was open and the last
 joint moving after the kill, and the least gaps of bodies, gripper and target aside, and to the edge
 in the time after it. Exits with 1 if bodies touched, or if what was killed left a valve open for
 longer than --shut.
@@ -13,7 +13,7 @@ longer than --shut.
 import argparse
 import json
 import sys
-from itertools import product
+from itertools import islice, product
 from pathlib import Path
 from tempfile import mkdtemp
 
@@ -153,7 +153,8 @@ def missions(logs: Path, given: argparse.Namespace) -> bool:
     if given.out and given.out.exists():
         rows = [json.loads(line) for line in given.out.read_text().splitlines()]
     flown = [row["case"] for row in rows]
-    for k, case in zip(range(given.runs), grid(), strict=False):
+    part, parts = given.part
+    for k, case in islice(enumerate(grid()), part - 1, given.runs, parts):
         if (name := f"{case.spin:+.2f}, heading {case.heading:.2f}, seed {case.seed}") in flown:
             continue
         with Nodes(logs / str(k), print, OWN) as nodes:
@@ -196,6 +197,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--runs", type=int, default=20)
     parser.add_argument("--out", type=Path, help="JSON lines; what is there is not flown again")
+    parser.add_argument("--part", type=int, nargs=2, default=(1, 1), metavar=("K", "N"))
     parser.add_argument("--kill", action="store_true")
     parser.add_argument("--phases", nargs="+", default=PHASES, choices=PHASES)
     parser.add_argument("--nodes", nargs="+", default=NODES, choices=NODES)
