@@ -4,10 +4,10 @@
     python bench/bench_mission.py --runs 280 --out out/missions.jsonl  # goes on where it was ended
     python bench/bench_mission.py --kill                         # each node, in each phase, SIGKILL
 
-Each run is a graph of its own; --part 1 2 and --part 2 2 fly beside each other. With --kill it prints when the last valve was open and the last
-joint moving after the kill, and the least gaps of bodies, gripper and target aside, and to the edge
-in the time after it. Exits with 1 if bodies touched, or if what was killed left a valve open for
-longer than --shut.
+Each run is a graph of its own; --part 1 2 and --part 2 2 fly beside each other. With --kill it
+prints when the last valve was open and the last joint moving after the kill, and the least gaps of
+bodies, gripper and target aside, and to the edge in the time after it. Exits with 1 if bodies
+touched, or if what was killed left a valve open for longer than --shut.
 """
 
 import argparse
