@@ -25,6 +25,15 @@ def test_whatever_is_told_late_the_sum_over_periods_is_the_change_of_the_rates()
     np.testing.assert_allclose(total, rates(4.0) - rates(0.1), atol=0.01)
 
 
+def test_what_joints_do_without_a_plan_is_not_balanced_but_a_plan_from_there_is():
+    plan = PlannedRates()
+    for k, rate in enumerate([0.001, -0.001, 0.001]):
+        plan.take(k * SECOND // 10, np.zeros(1), np.array([[rate]]))
+        assert plan.accelerations(k * SECOND // 10, 0.1) == [0.0]
+    plan.take(3 * SECOND // 10, AHEAD, np.full((6, 1), 0.101))
+    assert plan.accelerations(3 * SECOND // 10, 0.1) == pytest.approx([1.0])
+
+
 def test_after_a_pause_nothing_is_made_up_for():
     plan = PlannedRates()
     plan.take(0, AHEAD, np.zeros((6, 1)))

@@ -3,6 +3,9 @@
 What the wrench must balance over periods is the change of the joints' rates. The mean acceleration
 of a period is therefore from the rates that were reached before to those planned for its end: a
 plan that is told late, or a rate that jumps, is made up for in the next period.
+
+Rates for one time are no plan but what the joints do. To balance their noise would shake the base,
+which they feel, and with a heavy target at the end of the arm more at each period.
 """
 
 import numpy as np
@@ -32,7 +35,7 @@ class PlannedRates:
         end = self._at((now - self._stamp) / SECOND + period)
         begin = end if self._reached is None else self._reached
         self._reached = end
-        return (end - begin) / period
+        return (end - begin) / period if len(self._ahead) > 1 else np.zeros(end.size)
 
     def reset(self) -> None:
         """Nothing was balanced in the last period."""
