@@ -274,6 +274,22 @@ def test_a_stream_takes_the_turn_of_a_trajectory_and_the_rest_of_the_joints_rest
     assert [bench.links.last(i).set_point for i in (2, 3, 4)] == [0.0, 0.0, 0.0]
 
 
+def test_rates_are_planned_for_as_long_as_their_stream_lives(bench):
+    heard = planned(bench)
+    bench.client.command(("joint_3",), velocity=(0.1,))
+    bench.until(lambda: moving(heard[-1]))
+    rates = np.array([point.velocities for point in heard[-1].points])
+    np.testing.assert_allclose(rates, np.tile([0.0, 0.0, 0.1, 0.0], (len(rates), 1)))
+    told = [point.positions[2] for point in heard[-1].points]
+    ahead = [1e-9 * stamp_ns(point.time_from_start) for point in heard[-1].points]
+    np.testing.assert_allclose(np.diff(told), 0.1 * np.diff(ahead), atol=1e-12)
+    bench.until(lambda: len(heard[-1].points) == 1)
+    bench.client.command(("joint_3",), position=(0.0,))
+    count, taken = len(heard), len(bench.links.taken)
+    bench.until(lambda: len(heard) > count + 2 and len(bench.links.taken) > taken)
+    assert len(heard[-1].points) == 1
+
+
 def test_a_move_is_refused_while_a_stream_has_the_turn(bench):
     mover = standard_action(bench)
     bench.client.command(("joint_1",), velocity=(0.1,))

@@ -6,7 +6,7 @@ from sensor_msgs.msg import JointState
 from fss_arm_driver.arm.guard_topics import GuardTopics
 from fss_arm_driver.arm.link_topics import LinkTopics, in_words
 from fss_arm_driver.arm.stream import SetPoint, Stream, StreamError
-from fss_arm_driver.arm.turn import Motion
+from fss_arm_driver.arm.turn import Motion, Plan
 from fss_arm_driver.protocol import Mode
 from fss_arm_motion.guard import GuardError
 from fss_arm_msgs.msg import LinkCommand
@@ -45,7 +45,9 @@ class StreamTopic:
             self.commands[i].mode, self.commands[i].set_point = int(mode), value
         commands = {point.link: self.commands[point.link] for point in points}
         with self.links.turn.lock:
-            self.links.send(commands, given, self.take_turn(points, given, now), self.lives)
+            motion = self.take_turn(points, given, now)
+            motion.plan = self.plan(points)
+            self.links.send(commands, given, motion, self.lives)
 
     def check(self, points: list[SetPoint]) -> None:
         """Raise StreamError if the joints cannot move, or shall not."""
@@ -58,6 +60,22 @@ class StreamTopic:
             self.guard.check_stream(self.links.states, points)
         except GuardError as error:
             raise StreamError("guard", str(error)) from None
+
+    def plan(self, points: list[SetPoint]) -> Plan | None:
+        """What rates do as long as the stream lives, all other joints at rest.
+
+        Angles and currents are no plan: how the joints get there is the drives' business.
+        """
+        if any(point.mode != Mode.VELOCITY for point in points):
+            return None
+        rates = dict.fromkeys(self.links.numbers, 0.0) | {p.link: p.value for p in points}
+
+        def at(t: int) -> tuple[list[float], list[float]]:
+            heard = [(self.links.states[i], rate) for i, rate in rates.items()]
+            q = [one.q + (t - one.measured) / SECOND * rate for one, rate in heard]
+            return q, list(rates.values())
+
+        return at
 
     def take_turn(self, points: list[SetPoint], given: int, now: int) -> Motion:
         """Prolong the stream, or begin one: what moved before ends, all other joints rest."""

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from threading import RLock
 from typing import Any
 
+Plan = Callable[[int], tuple[Any, Any]]  # angles and rates (n) at a time [ns]
+
 
 @dataclass(eq=False)
 class Motion:
@@ -17,7 +19,7 @@ class Motion:
     name: str
     until: int | None = None  # it is over by itself then [ns]
     ended: str = ""  # why it must end, in words
-    plan: Callable[[int], tuple[Any, Any]] | None = None  # angles and rates (n) at a time [ns]
+    plan: Plan | None = None
 
 
 class Turn:
@@ -36,7 +38,7 @@ class Turn:
         over = motion is None or (motion.until is not None and now > motion.until)
         return "" if motion is None or over or motion.ended else motion.name
 
-    def planned(self, now: int) -> Callable[[int], tuple[Any, Any]] | None:
+    def planned(self, now: int) -> Plan | None:
         """The plan of the motion under way; None: there is none."""
         motion = self._motion
         return motion.plan if motion and self.holder(now) else None
