@@ -261,7 +261,7 @@ def test_a_detumble_does_not_end_well_where_a_valve_leaks():
         base = Body(q[:3], np.array([rate, 0.0, 0.0]))
         orders.append(mission.step(Seen(t, base, None, q[3:], np.zeros(4), holds=True)))
     assert orders[-1].phase == "abort"
-    assert mission.abort.reason == "a valve does not close"
+    assert mission.abort.reason.startswith("a valve does not close: ")
 
 
 def test_an_abort_that_is_asked_for_ends_well_when_the_drift_is_safe():

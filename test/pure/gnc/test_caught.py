@@ -110,11 +110,13 @@ def wrench(t):
     return np.array([[0.2, 0.0, 0.03], [0.0, 0.2, -0.03], [-0.2, 0.0, 0.02]])[int(t / 2.0) % 3]
 
 
-def caught_of(truth, rng, gain=1.0, last=20, still=False):
+def caught_of(truth, rng, gain=1.0, last=20, still=False, leak=(0.0, 0.0, 0.0)):
     """An estimate that has seen a body (4,) caught, and `last` seconds of what came then.
 
-    Nothing turns or is pushed if all is still, but for the noise of what is measured.
+    Nothing turns or is pushed if all is still, but for the noise of what is measured. A leak, in
+    the world's axes [N, N, N m], pushes without its knowledge.
     """
+    leak = np.array(leak)
     mass, x, y, inertia = truth
     points, moving = Points(Body(mass, complex(x, y), inertia)), 0.0 if still else 1.0
     q = np.array([*rng.uniform(-0.5, 0.5, 2), 0.4, *POSTURE])
@@ -143,7 +145,7 @@ def caught_of(truth, rng, gain=1.0, last=20, still=False):
         force = moving * wrench(t)
         pushed = complex(force[0], force[1]) * np.exp(1j * y[2])
         about = force[2] + y[0] * pushed.imag - y[1] * pushed.real
-        twist = points.base_twist(state, rates, start + gain * y[3:])
+        twist = points.base_twist(state, rates, start + gain * y[3:] + leak * t)
         return np.concatenate([twist, [pushed.real, pushed.imag, about]])
 
     y = np.concatenate([q[:3], np.zeros(3)])
@@ -151,7 +153,7 @@ def caught_of(truth, rng, gain=1.0, last=20, still=False):
         y = solve_ivp(rate, (t - 1.0, t), y, rtol=1e-6, atol=1e-8).y[:, -1]
         q_m, rates = joints(t, moving)
         state = np.concatenate([y[:3], q_m])
-        twist = points.base_twist(state, rates, start + gain * y[3:])
+        twist = points.base_twist(state, rates, start + gain * y[3:] + leak * t)
         estimate.take(sample(t, state, np.append(twist, rates), y[3:].copy()))
     return estimate
 
@@ -169,7 +171,9 @@ def test_targets_are_found_within_their_deviations(targets):
     for seed in range(targets):
         rng = np.random.default_rng(seed)
         truth = drawn(rng)
-        found = caught_of(truth, rng, 1.0 + THRUST * rng.standard_normal()).solve()
+        estimate = caught_of(truth, rng, 1.0 + THRUST * rng.standard_normal())
+        found = estimate.solve()
+        assert estimate.explained
         apart = found.values - truth
         off.append(apart / found.deviations)
         nees.append(apart @ np.linalg.solve(found.covariance, apart) / 4)
@@ -178,6 +182,13 @@ def test_targets_are_found_within_their_deviations(targets):
     assert low < np.mean(nees) < high
     assert np.abs(off).max() < 3.0
     assert (np.median(shares, axis=0) < [0.05, 0.01, 0.01, 0.3]).all()
+
+
+def test_what_a_leaking_valve_gives_is_not_explained_by_any_mass():
+    truth = [10.0, *PLACE[:2], 0.25]
+    estimate = caught_of(truth, np.random.default_rng(4), last=8, leak=(0.1, 0.1, 0.0))
+    estimate.solve()
+    assert not estimate.explained
 
 
 def test_what_nothing_has_shown_yet_keeps_its_deviation():

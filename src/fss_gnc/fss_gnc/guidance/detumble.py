@@ -79,7 +79,7 @@ class Detumble:
             self.leak.forget(seen.t)
             return Orders("detumble", self._path, rates)
         if self.leak.pushes(seen.t, self.p, q, qd):
-            self.cancel("a valve does not close")
+            self.cancel(f"a valve does not close: {self.leak.words}")
         over = seen.t - self._left >= LEFT
         return Orders("detumble", None, rates, ended=Ended(True) if over else None)
 

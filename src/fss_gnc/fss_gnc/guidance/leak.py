@@ -19,6 +19,7 @@ class Leak:
 
     def __init__(self) -> None:
         self._shut, self._since, self._had = -np.inf, np.inf, np.zeros(3)
+        self.words = ""  # of what was given at the last look
 
     def forget(self, t: float) -> None:
         """Valves may be opened at t [s]."""
@@ -39,4 +40,6 @@ class Leak:
         if not 0.0 <= t - self._since <= WINDOW:
             self._since, self._had = t, has
         given = np.abs(has - self._had)
-        return bool(np.hypot(*given[:2]) > IMPULSE or given[2] > TURNING)
+        force, turn = float(np.hypot(*given[:2])), float(given[2])
+        self.words = f"{force:.2f} N s and {turn:.3f} N m s in {t - self._since:.1f} s"
+        return force > IMPULSE or turn > TURNING

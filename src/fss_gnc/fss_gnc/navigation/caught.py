@@ -18,7 +18,8 @@ are
 
 each with what is known of it beforehand. As measurements enter on one side only, noise makes
 nothing visible: what no motion has shown yet keeps its prior's deviation. What else pushes is a
-random walk of momentum, whose effect on all predictions is correlated.
+random walk of momentum, whose effect on all predictions is correlated. More than that, as a valve
+that leaks, would pass for mass: the sum of squares tells (Bar-Shalom, Li, Kirubarajan 2001, 5.4).
 """
 
 from dataclasses import dataclass, field
@@ -39,6 +40,7 @@ SPACING = 1.0  # of samples at first; errors of a filtered twist last a quarter 
 MOST = 60  # samples that are kept; of more, every other one is
 ITERATIONS, SETTLED = 20, 1e-3  # of the solution; in deviations, when it ends
 VAGUE = 1.0  # what is known of the base's twist but by the samples [m/s, m/s, rad/s]
+CHANCE = 5.0  # deviations of a Gaussian that are as unlikely as a sum of squares that is believed
 STEP = 1e-5  # of differences, in deviations of what was known before
 
 
@@ -161,6 +163,7 @@ class Caught:
         self._root[FREE, FREE] = np.linalg.cholesky(self.free.covariance)
         self._z = np.zeros(UNKNOWNS)  # off from what was known, in its deviations
         self._covariance: Floats = np.eye(UNKNOWNS)
+        self._squares = 0.0  # of all that is off, in its deviations
 
     def take(self, sample: Sample) -> None:
         """Take what is measured while the body is held, errors independent of samples before."""
@@ -171,6 +174,13 @@ class Caught:
     def is_due(self, t: float) -> bool:
         """Whether another sample is to be taken at a time [s]."""
         return t >= (self.samples or self.earlier)[-1].t + self.spacing
+
+    @property
+    def explained(self) -> bool:
+        """Whether the solution explains the samples, by chance: Wilson and Hilferty's quantile."""
+        free = 3.0 * len(self.earlier + self.samples)
+        spread = 2.0 / (9.0 * free)
+        return bool(self._squares < free * (1.0 - spread + CHANCE * spread**0.5) ** 3)
 
     def solve(self) -> MassProperties:
         """By all samples, begun from the last solution."""
@@ -204,7 +214,7 @@ class Caught:
                 damping = max(10.0 * damping, 1e-3)
             if np.abs(step).max() < SETTLED:
                 break
-        self._covariance = np.asarray(np.linalg.inv(information))
+        self._squares, self._covariance = cost, np.asarray(np.linalg.inv(information))
 
     def _cost(self, rows: "_Rows", white: Floats, z: Floats) -> tuple[float, Floats]:
         off = self._off(rows, white, z)

@@ -166,7 +166,10 @@ class Navigation:
         if not self.caught.is_due(sample.t):
             return None
         self.caught.take(sample)
-        self.found = self.caught.solve()
+        found = self.caught.solve()
+        if not self.caught.explained:  # by any mass: what was found before stays
+            return None
+        self.found = found
         self._weigh()
         return self.found
 
