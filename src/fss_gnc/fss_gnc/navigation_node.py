@@ -258,6 +258,8 @@ class NavigationNode(Node):
             words.append("no gyro: by motion capture alone")
         if not n.inputs.heard_at(now):
             words.append("not every joint is heard: the arm's motion is not known")
+        if n.caught and not n.caught.explained:
+            words.append("something pushes that no mass of what is held explains")
         words += [f"{name} is seen where {of}" for name, of in n.confused(now)]
         return "; ".join(words)
 
