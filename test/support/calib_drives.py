@@ -59,6 +59,7 @@ def fly(arm: Arm, moves: Sequence[Move], seed: int, rate: float = 5.0) -> Flown:
     phases = np.random.default_rng(seed).integers(0, step, arm.n)
     rows: list[list[tuple[float, ...]]] = [[] for _ in arm.links]
     before, frame = carried(plant.p, plant.q, plant.qd), 0
+    sampled = [0] * arm.n
     for goal, time in moves:
         ways = np.abs(np.asarray(goal) - plant.q[3:])
         for i, way in enumerate(ways.tolist()):
@@ -73,6 +74,8 @@ def fly(arm: Arm, moves: Sequence[Move], seed: int, rate: float = 5.0) -> Flown:
             for i, motion in enumerate(plant.motions()):
                 of, drive = instruments[i], arm.links[i].drive
                 of.torque.sample(clock, motion.torque, float(shear[i]))
+                if of.torque.age(clock) < 1e6 * FRAME:
+                    sampled[i] = clock  # a converter's own clock would have done so a little before
                 if (frame + phases[i]) % step:
                     continue
                 count = drive.direction * 2.0 * np.pi / drive.counts_per_turn
@@ -83,7 +86,7 @@ def fly(arm: Arm, moves: Sequence[Move], seed: int, rate: float = 5.0) -> Flown:
                         round(10.0 * of.encoder.rate(motion.q, motion.qd) / count),
                         round(100.0 * drive.direction * motion.current),
                         of.torque.counts,
-                        of.torque.age(clock) // 1000,
+                        (clock - sampled[i]) // 1000,
                     )
                 )
     return Flown([_telemetry(one) for one in rows], instruments)

@@ -9,17 +9,25 @@ their gears takes, which phi'' leaves little of (modulating functions, Shinbrot 
 with g = described / true gain, the crosstalk X of the force f across the link, the reduced inertia
 M, and c a compliance that is fitted for the sake of the others: backlash is in it as well.
 
-The drive's current then tells its torque constant K, the friction and the rotor's inertia J:
+The drive's current then tells its torque constant K and the friction while the joint turns:
 
-    K i = s + viscous v + (coulomb + more exp(-(v / v_s)^2)) sign v + J v' + ripple(q)
+    K i = s + J v' + viscous v + (coulomb + more exp(-(v / v_s)^2)) sign v + ripple(q)
 
-with s = seen / g - zero - drift t - X f, a ripple of P periods a turn, while the joint turns.
-Deviations are robust ones, of residuals that belong together for BLOCK seconds (Liang & Zeger
-1986): swinging links are no white noise.
+with s = seen / g - zero - drift t - X f and a ripple of P periods a turn. Its solution has Z' (i -
+A x) = 0. Frames close together tell the rotor's inertia J by how the links swing, and Z is A.
+Between frames far apart J is taken as known, and nobody knows how the links have swung from when a
+torque was sampled to when a current was: least squares would find 1 / K too small by some percent.
+What the rigid arm passes is not in that error and stands for s in Z (instrumental variables: Young
+1970; Janot, Vandanjon & Gautier 2014).
+
+Swinging links are no white noise: residuals belong together for BLOCK seconds. Deviations are the
+jackknife's, of both regressions without each block (Bell & McCaffrey 2002; MacKinnon, Nielsen &
+Webb 2023), so that what the second has from the first, and blocks that tell more than others, are
+in them. Their number makes them Student's.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -35,6 +43,7 @@ BLOCK = 4.0  # in which residuals may depend on each other [s]
 SPEEDS = np.geomspace(0.01, 0.3, 18)  # among which Stribeck's is looked for [rad/s]
 
 SCALE, DRIFT, CROSSTALK, COMPLIANCE = range(1, 5)  # of the sensor's regression; 0: its zero
+MORE, STEP, INERTIA = range(7, 10)  # of the drive's
 
 #: Of each joint, in this order, with units.
 NAMES = {
@@ -56,18 +65,10 @@ KT, GAIN, ZERO, CROSS, VISCOUS, COULOMB, STATIC, SPEED, ROTOR, STIFFNESS, BAND =
 _NAME = tuple(NAMES)
 JOINED = 0.2  # samples that are taken together where they are dense [s]
 STEPS = 8
-DENSE = 0.05  # time between frames by which a rotor's inertia is told [s]
+DENSE = 0.015  # time between frames that tell how links swing [s]
+ROTOR_KNOWN = 0.1  # deviation of a rotor's inertia by its data sheet, against it
 SURE = 3.0  # deviations by which something differs from nothing
 CROSSTALK_KNOWN = 0.003  # largest deviation of a crosstalk that is told [m]
-
-
-class Regression(NamedTuple):
-    """Linear least squares with robust deviations."""
-
-    x: Floats  # (p,)
-    covariance: Floats  # (p, p)
-    residuals: Floats  # (k,)
-    blocks: int
 
 
 @dataclass(frozen=True)
@@ -81,28 +82,10 @@ class Drive:
     residuals: tuple[float, float]  # root mean square of the sensor's [N m] and the drive's [A]
 
 
-def regression(A: Floats, y: Floats, t: Floats, noise: float = 0.0) -> Regression:
-    """Least squares of A x = y, whose errors may depend on each other for BLOCK seconds.
-
-    Noise of a known deviation in the first column, which would draw its x to 0, is taken off the
-    normal equations (Fuller 1987).
-    """
-    scale = np.linalg.norm(A, axis=0)
-    scale[scale == 0.0] = 1.0
-    noisy = np.zeros(A.shape[1])
-    noisy[0] = noise**2
-    normal = A.T @ A - len(A) * np.diag(noisy)
-    P = np.linalg.pinv(normal / scale / scale[:, None], rcond=1e-10, hermitian=True)
-    P = P / scale / scale[:, None]
-    x = P @ (A.T @ y)
-    left = y - A @ x
-    _, of = np.unique(t // BLOCK, return_inverse=True)
-    blocks = int(of.max()) + 1
-    sums = np.zeros((blocks, A.shape[1]))
-    np.add.at(sums, of, A * left[:, None] + noisy * x)
-    # As many degrees of freedom are left as there are blocks less what is fitted.
-    more = blocks / max(blocks - A.shape[1], 1)
-    return Regression(x, more * P @ (sums.T @ sums) @ P, left, blocks)
+def regression(A: Floats, y: Floats, Z: Floats) -> Floats:
+    """The x of Z' (y - A x) = 0, 0 in columns of nothing; with Z = A, that of least squares."""
+    a, z = (np.where(norm, norm, 1.0) for norm in np.linalg.norm([A, Z], axis=1))
+    return np.asarray(np.linalg.pinv((Z / z).T @ (A / a), rcond=1e-10) @ ((Z / z).T @ y) / a)
 
 
 class Windows:
@@ -154,7 +137,21 @@ def _reduced(arm: Arm, q: Floats) -> Floats:
     return np.asarray(H[:, 3:, 3:] - np.swapaxes(H[:, :3, 3:], 1, 2) @ free)
 
 
-def sensor(w: Windows, one: Samples, j: int) -> Regression:
+class Equations(NamedTuple):
+    """A x = y, of which Z' (y - A x) = 0 is solved."""
+
+    A: Floats  # (k, p)
+    y: Floats  # (k,)
+    t: Floats  # (k,) [s]
+    Z: Floats  # (k, p)
+
+    def solved(self, without: float = -1.0) -> Floats:
+        """The x (p,) of all blocks but one."""
+        keep = self.t // BLOCK != without
+        return regression(self.A[keep], self.y[keep], self.Z[keep])
+
+
+def sensor(w: Windows, one: Samples, j: int) -> Equations:
     """What a torque sensor shows against what the arm passes: zero, scale, drift, X, c."""
     seen, counts = w.seen(one)
     keep = counts >= 0.7 * w.length / one.period
@@ -163,7 +160,8 @@ def sensor(w: Windows, one: Samples, j: int) -> Regression:
         np.ones(len(t)), w.torque[keep, j], (t - t.mean()) / 100.0, w.force[keep, j],
         -w.swing[keep, j],
     ]  # fmt: skip
-    return regression(np.column_stack(columns), seen[keep], t)
+    A = np.column_stack(columns)
+    return Equations(A, seen[keep], t, A)
 
 
 @dataclass(frozen=True)
@@ -173,26 +171,41 @@ class Turning:
     t: Floats  # (k,) [s]
     v: Floats  # (k,) [rad/s]
     current: Floats  # (k,) [A]
-    columns: Floats  # (k, 8) of the regression
+    torque: Floats  # (k,) as its sensor shows it [N m]
+    passed: Floats  # (k,) by the rigid arm [N m]
+    force: Floats  # (k,) [N]
+    gain: Floats  # (k,) of the rate [rad/s^2]
+    others: Floats  # (k, 6) of the regression: zero, drift, friction, ripple
     every: Floats  # (k, joined) all rates [rad/s]
-    noise: float  # of the sensor's column [N m]
+    rotor: float | None  # its inertia; None: it is told [kg m^2]
 
     @property
     def joined(self) -> int:
         """How many samples are one."""
         return self.every.shape[1]
 
-    def fit(self, speed: float, more: float = 0.0) -> Regression:
-        """The regression with a curve of Stribeck's; with its height, for a step of its speed."""
+    def equations(self, shown: Floats, speed: float, more: float = 0.0) -> Equations:
+        """Those of the current, with a curve of Stribeck's.
+
+        Args:
+            shown: (5,) what `sensor` says.
+            speed: of the curve [rad/s].
+            more: its height [A], for a step of its speed; 0: the step is none.
+        """
+        torque = self.torque - shown[CROSSTALK] * self.force
         bell = np.sign(self.every) * np.exp(-((self.every / speed) ** 2))
-        columns = [self.columns, bell.mean(axis=1)[:, None]]
-        if more:
-            slope = more * 2.0 * self.every**2 / speed**3 * bell
-            columns.append(slope.mean(axis=1)[:, None])
-        return regression(np.column_stack(columns), self.current, self.t, self.noise)
+        slope = more * 2.0 * self.every**2 / speed**3 * bell
+        curve = bell.mean(axis=1), slope.mean(axis=1)
+        if self.rotor is None:
+            A = Z = np.column_stack([torque, self.others, *curve, self.gain])
+        else:
+            torque += shown[SCALE] * self.rotor * self.gain
+            A = np.column_stack([torque, self.others, *curve])
+            Z = np.column_stack([self.passed, A[:, 1:]])
+        return Equations(A, self.current, self.t, Z)
 
 
-def _turning(w: Windows, one: Samples, j: int, shown: Regression, s: DrivesSettings) -> Turning:
+def _turning(w: Windows, one: Samples, j: int, s: DrivesSettings) -> Turning:
     """What the drive of a joint shows while it turns."""
     (begin, end), gap = w.motion.span, w.motion.width[j]
     m = w.motion.at(np.clip(one.t, begin, end))
@@ -204,23 +217,34 @@ def _turning(w: Windows, one: Samples, j: int, shown: Regression, s: DrivesSetti
     size = len(v) // joined * joined
     whole = turns[:size].reshape(-1, joined).all(axis=1)
     force = passed(w.arm, m)[1][:, j]
-    # Between samples far apart, the links swing: what is interpolated there is less than it is.
+    # An instrument halfway has as much in common with a torque before as with a current after it.
+    torque = passed(w.arm, w.motion.at(np.clip(one.t - 0.5 * one.age, begin, end)))[0][:, j]
     dense = one.period <= DENSE
-    torque = np.interp(one.t, one.t - one.age, one.torque) if dense else one.torque
-    seen = torque - shown.x[CROSSTALK] * force
+    seen = _now(one) if dense else one.torque
     phase = s.periods * m.q[:, j]
-    columns = [
-        seen, np.ones(len(v)), (one.t - one.t.mean()) / 100.0, v, np.sign(v),
-        (after - before) / (2.0 * gap), np.sin(phase), np.cos(phase),
+    others = [
+        np.ones(len(v)), (one.t - one.t.mean()) / 100.0, v, np.sign(v), np.sin(phase),
+        np.cos(phase),
     ]  # fmt: skip
 
     def means(x: Floats) -> Floats:
         return np.asarray(x[:size].reshape(-1, joined).mean(axis=1)[whole])
 
     return Turning(
-        means(one.t), means(v), means(one.current), np.column_stack([means(x) for x in columns]),
-        v[:size].reshape(-1, joined)[whole], s.torque_noise * abs(shown.x[SCALE]) / np.sqrt(joined),
+        means(one.t), means(v), means(one.current), means(seen), means(torque), means(force),
+        means((after - before) / (2.0 * gap)), np.column_stack([means(x) for x in others]),
+        v[:size].reshape(-1, joined)[whole], None if dense else s.rotor_inertia,
     )  # fmt: skip
+
+
+def _now(one: Samples) -> Floats:
+    """Torques at the frames' own times; lines between samples would flatten what swings."""
+    from scipy.interpolate import CubicSpline  # takes long, and no --help needs it
+
+    fresh = np.diff(one.torque, prepend=np.nan) != 0.0  # else the sample before is reported again
+    fresh[-1] = True
+    t, which = np.unique((one.t - one.age)[fresh], return_index=True)
+    return np.asarray(CubicSpline(t, one.torque[fresh][which])(one.t))
 
 
 def solve(arm: Arm, samples: Sequence[Samples], s: DrivesSettings) -> list[Drive]:
@@ -236,48 +260,62 @@ def solve(arm: Arm, samples: Sequence[Samples], s: DrivesSettings) -> list[Drive
 
 
 def _drive(w: Windows, arm: Arm, one: Samples, j: int, s: DrivesSettings) -> Drive:
-    shown = sensor(w, one, j)
-    rows = _turning(w, one, j, shown, s)
+    rows = _turning(w, one, j, s)
     moving = one.period * rows.joined * len(rows.t)
     if moving < s.min_moving:
         reason = f"joint {j + 1} turns for {moving:.1f} s (at least {s.min_moving:g})"
         nothing = np.full((len(NAMES),) * 2, np.nan)
         return Drive(nothing[0], nothing, dict.fromkeys(NAMES, reason), moving, (np.nan, np.nan))
-    fits = [rows.fit(speed) for speed in SPEEDS]
-    best = int(np.argmin([fit.residuals @ fit.residuals for fit in fits]))
-    speed, more = float(SPEEDS[best]), fits[best].x[8]
-    for _ in range(STEPS):  # Gauss and Newton's, from there
-        fit = rows.fit(speed, more)
-        more = fit.x[8]
-        speed += float(np.clip(fit.x[9], -0.3 * speed, 0.4 * speed))
-        speed = float(np.clip(speed, SPEEDS[0], SPEEDS[-1]))
-    x = np.concatenate([shown.x, fit.x])
-    x[-1] = speed
-    C = np.zeros((len(x), len(x)))
-    C[:5, :5], C[5:, 5:] = shown.covariance, fit.covariance
-    values = _parameters(x, arm, j)
-    steps = np.sqrt(np.diag(C)) * 1e-3 + 1e-15
-    jacobian = np.column_stack(
-        [
-            (_parameters(x + h, arm, j) - _parameters(x - h, arm, j)) / (2.0 * h.sum())
-            for h in np.diag(steps)
-        ]
-    )
-    covariance = jacobian @ C @ jacobian.T
-    rms = tuple(float(np.sqrt(np.mean(r.residuals**2))) for r in (shown, fit))
+    windows = sensor(w, one, j)
+    shown = windows.solved()
+
+    def squares(speed: float) -> float:
+        left = _left(rows.equations(shown, speed))
+        return float(left @ left)
+
+    speed, more = min(SPEEDS.tolist(), key=squares), 0.0
+    for k in range(STEPS):  # Gauss and Newton's, from there
+        fit = rows.equations(shown, speed, more).solved()
+        more = fit[MORE]
+        if k:
+            speed += float(np.clip(fit[STEP], -0.3 * speed, 0.4 * speed))
+            speed = float(np.clip(speed, SPEEDS[0], SPEEDS[-1]))
+
+    def found(without: float = -1.0, rows: Turning = rows) -> Floats:
+        first = windows.solved(without)
+        second = rows.equations(first, speed, more).solved(without)
+        return _parameters(first, second, speed, arm, j)
+
+    values, turning = found(), np.unique(rows.t // BLOCK)
+    blocks = np.unique(np.concatenate([windows.t // BLOCK, turning]))
+    shifts = np.array([found(block) for block in blocks]) - values
+    freedom = len(turning) - 1
+    student = freedom / max(freedom - 2, 1)  # his variance, where a normal one's is 1
+    covariance = student * freedom / len(turning) * shifts.T @ shifts
+    if rows.rotor is not None:
+        other = found(rows=replace(rows, rotor=(1.0 + ROTOR_KNOWN) * rows.rotor)) - values
+        covariance += np.outer(other, other)
+    left = _left(windows), _left(rows.equations(shown, speed, more))
+    torque, current = (float(np.sqrt(np.mean(each**2))) for each in left)
     refused = _refused(values, covariance, rows, one, s)
-    return Drive(values, covariance, refused, moving, (rms[0], rms[1]))
+    return Drive(values, covariance, refused, moving, (torque, current))
 
 
-def _parameters(x: Floats, arm: Arm, j: int) -> Floats:
-    """(11,) from what the regressions of a joint found."""
-    g, current = x[SCALE], x[5:]
-    K = 1.0 / (g * current[0])
+def _left(e: Equations) -> Floats:
+    """Residuals (k,)."""
+    return e.y - e.A @ e.solved()
+
+
+def _parameters(shown: Floats, x: Floats, speed: float, arm: Arm, j: int) -> Floats:
+    """(11,) from what the regressions of a joint found, with a curve of a speed."""
+    g = shown[SCALE]
+    K = 1.0 / (g * x[0])
     found = np.full(len(NAMES), np.nan)
     found[KT], found[GAIN] = K, arm.links[j].torque_sensor.gain / g
-    found[ZERO], found[CROSS] = x[0] / g, x[CROSSTALK] / g
-    found[VISCOUS], found[COULOMB], found[ROTOR] = K * current[3:6]
-    found[STATIC], found[SPEED] = K * (current[4] + current[8]), current[9]
+    found[ZERO], found[CROSS] = shown[0] / g, shown[CROSSTALK] / g
+    found[VISCOUS], found[COULOMB] = K * x[3:5]
+    found[STATIC], found[SPEED] = K * (x[4] + x[MORE]), speed + x[STEP]
+    found[ROTOR] = K * x[INERTIA] if len(x) > INERTIA else np.nan
     return found
 
 
@@ -301,8 +339,8 @@ def _refused(
         why["static"] = why["stribeck_speed"] = words
     if one.period > DENSE:
         why["rotor_inertia"] = (
-            f"frames {1e3 * one.period:.0f} ms apart (at most {1e3 * DENSE:.0f}) do not tell "
-            "accelerations well enough"
+            f"frames {1e3 * one.period:.0f} ms apart (at most {1e3 * DENSE:.0f}) do not tell how "
+            f"links swing; taken as {rows.rotor:g} kg m^2"
         )
     elif not values[ROTOR] > SURE * sigma[ROTOR]:
         why["rotor_inertia"] = f"{values[ROTOR]:.2g} ± {sigma[ROTOR]:.1g} kg m^2 may be none"

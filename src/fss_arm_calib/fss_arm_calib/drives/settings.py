@@ -18,9 +18,10 @@ class DrivesSettings(Settings):
     window: float = setting(
         1.6, "over which torques are compared with the arm's motion", unit="s", check=POSITIVE
     )
-    torque_noise: float = setting(
-        0.002, "white noise of a torque sensor's sample, 1 sigma", unit="N m", check=NOT_NEGATIVE
-    )
+    rotor_inertia: float = setting(
+        0.0026, "inertia of each motor, felt at its joint, by its data sheet; taken as it is where "
+        "frames do not tell", unit="kg m^2", check=NOT_NEGATIVE,
+    )  # fmt: skip
     min_speed: float = setting(0.01, "a slower joint stands still", unit="rad/s", check=POSITIVE)
     min_moving: float = setting(20.0, "time for which a joint must turn", unit="s", check=POSITIVE)
     max_relative: float = setting(
