@@ -82,16 +82,17 @@ def moves(waypoints: Floats, durations: Floats) -> tuple[Law, Floats]:
     way, real = np.diff(waypoints, axis=-2), np.isfinite(durations)
     begins = np.cumsum(durations + PAUSE, axis=-1)
     begins = np.concatenate([np.zeros_like(begins[..., :1]), begins[..., :-1]], axis=-1)
+    n, first = way.shape[-1], np.arange(durations[..., 0].size).reshape(*durations.shape[:-1], 1)
 
     def law(t: Floats) -> tuple[Floats, Floats]:
-        k = np.zeros(t.shape, dtype=np.intp)  # which move is on
+        k = first * durations.shape[-1]  # which move is on, of all in the batch
         for begin in np.moveaxis(begins[..., 1:], -1, 0):
-            k += t >= begin[..., None]
-        begin, duration = (np.take_along_axis(x, k, axis=-1) for x in (begins, durations))
-        s, rate, _ = profile((t - begin) / duration)
-        step = np.take_along_axis(way, k[..., None], axis=-2)
+            k = k + (t >= begin[..., None])
+        k = np.broadcast_to(k, t.shape)
+        duration, step = durations.ravel()[k], way.reshape(-1, n)[k]
+        s, rate, _ = profile((t - begins.ravel()[k]) / duration)
         rate = rate / duration
-        place = np.take_along_axis(waypoints, k[..., None], axis=-2)
+        place = waypoints.reshape(-1, n)[k + first]
         return place + step * s[..., None], step * rate[..., None]
 
     corners = np.array([0.0, RAMP, 1.0 - RAMP, 1.0])
@@ -200,8 +201,8 @@ def candidates(
             joint = rng.integers(arm.n)
             ways = np.where(np.arange(arm.n) == joint, ways[:1], begin)
         elif kind == LOOP:
-            corners = np.concatenate([ways[:2], begin[None]])
-            ways = np.tile(corners, (int(rng.integers(1, conditions.repeats + 1)), 1))
+            repeats = int(rng.integers(1, conditions.repeats + 1))
+            ways = np.concatenate([ways[:2], begin[None]] * repeats)
         return kind, np.concatenate([begin[None], ways])
 
     while left and len(found) < count:
