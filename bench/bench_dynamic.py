@@ -7,9 +7,14 @@ conservation, with the inertia matrix from a compiled kernel, to 1e-8. One core.
 prediction with its sensitivities is the time of its multiplications and additions at the core's
 peak, measured in the same run; those of a node of the paths are counted from base_motion.
 
-    OPENBLAS_NUM_THREADS=1 python bench/bench_dynamic.py
+Then a Monte Carlo: calibrations of all b and I from headings with other noise each, side by side
+and, of some, one after the other. The floor of one is that of the predictions that it takes. All
+times are the processor's.
+
+    OPENBLAS_NUM_THREADS=1 python bench/bench_dynamic.py [DRAWS]
 """
 
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -21,13 +26,14 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
 from fss_arm_calib.dynamic.parameters import Choice
-from fss_arm_calib.dynamic.problem import DynamicProblem, solve
+from fss_arm_calib.dynamic.problem import DynamicProblem, solve, solve_all
 from fss_arm_model import base_motion, dynamics
 from fss_arm_model.description import paper_arm
 
 ARM, N = paper_arm(), 4
 NOISE = np.radians(1.54)  # of the base's turn
 OPERATIONS = 93 * (N + 1)  # of a node
+DRAWS, SINGLE = 10_000, 200  # of the Monte Carlo, and of these one after the other
 PRIOR = {"b": 0.02, "I": 0.02}
 
 
@@ -90,14 +96,35 @@ def by_ode(known: DynamicProblem, samples: list[tuple[list, list, list]]) -> np.
 
 
 def timed(work: Callable[[], object], repeats: int) -> float:
-    """Median of the time of a call [s]."""
+    """Median of the processor time of a call [s]."""
     work()
     spans = []
     for _ in range(repeats):
-        begin = time.perf_counter()
+        begin = time.process_time()
         work()
-        spans.append(time.perf_counter() - begin)
+        spans.append(time.process_time() - begin)
     return median(spans)
+
+
+def monte_carlo(known: DynamicProblem, path: base_motion.Path, draws: int, floor: float) -> None:
+    """Print what a calibration takes of many, of which `floor` [s] is for each prediction."""
+    poses = np.tile(base_motion.base_poses(ARM.vector(), path, np.zeros(8)), (draws, 1, 1, 1))
+    poses[:, :, 1, 2] += NOISE * np.random.default_rng(2).standard_normal((draws, 8))
+    solve_all(known, poses[:10])
+    begin = time.process_time()
+    results = solve_all(known, poses)
+    each = (time.process_time() - begin) / draws
+    begin = time.process_time()
+    alone = [solve(replace(known, poses=one)) for one in poses[:SINGLE]]
+    single = (time.process_time() - begin) / len(alone)
+    pairs = zip(results, alone, strict=False)
+    apart = max(np.abs((a.values - b.values) / b.deviations).max() for a, b in pairs)
+    least = floor * np.mean([1 + one.minimum.iterations for one in results])
+    print(
+        f"{draws} calibrations side by side: {1e6 * each:.0f} us each, at the core's peak "
+        f"{1e6 * least:.0f} us: {100.0 * least / each:.0f} % of peak; one after the other "
+        f"{1e6 * single:.0f} us, apart by {apart:.0e} deviations"
+    )
 
 
 def main() -> None:
@@ -124,6 +151,8 @@ def main() -> None:
             f"with paths {1e3 * (ours + preparing):6.2f} ms; scipy and ODE {1e3 * peers:8.1f} ms, "
             f"ratio {peers / ours:.0f} (at least 200), apart by {apart:.1e}"
         )
+    draws = int(sys.argv[1]) if sys.argv[1:] else DRAWS
+    monte_carlo(problem(path, "b_i I_i"), path, draws, floor)
 
 
 if __name__ == "__main__":

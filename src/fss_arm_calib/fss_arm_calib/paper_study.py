@@ -7,6 +7,7 @@ makes of data with the paper's noise, and how far such numbers can be believed.
 import argparse
 import sys
 from collections.abc import Iterable, Sequence
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -15,11 +16,18 @@ from fss_arm_calib.dynamic.problem import DynamicResult
 from fss_arm_calib.dynamic.problem import solve as solve_dynamics
 from fss_arm_calib.dynamic.settings import DynamicSettings
 from fss_arm_calib.dynamic.solution import known_beforehand
-from fss_arm_calib.experiment.design import Conditions, Planned, design, expected, timed
+from fss_arm_calib.experiment.design import (
+    Conditions,
+    Planned,
+    design,
+    expected,
+    timed,
+    together,
+)
 from fss_arm_calib.experiment.postures import DEFAULT
 from fss_arm_calib.kinematic.problem import EQUAL, KinematicProblem
 from fss_arm_calib.kinematic.problem import solve as solve_kinematics
-from fss_arm_model.base_motion import base_poses, path, stack
+from fss_arm_model.base_motion import base_poses, path
 from fss_arm_model.description import paper_arm
 from fss_arm_model.kinematics import tip_in_base
 
@@ -27,6 +35,9 @@ ARM, INERTIA = paper_arm(), 0.034
 TURN_NOISE = float(np.radians(1.54))  # of a maneuver's turn, section 4.2
 REACH = np.radians(60.0)
 REST = 5.2  # [s]
+AT_REST = DynamicSettings(
+    estimate="I", priors="", momentum_deviation=0.0, spin_deviation=0.0, tilt_deviation=0.0
+)
 
 BEGIN, END = "<!-- paper_study: begin -->", "<!-- paper_study: end -->"
 
@@ -59,25 +70,20 @@ def tables_2_and_3(seed: int = 1) -> str:
 
 def single_joint(others: np.ndarray, way: float) -> list[Planned]:
     """One maneuver of each joint through +-60 degrees, the others at a posture."""
-    plan = []
+    ends = np.tile(others, (ARM.n, 2, 1))
     for joint in range(ARM.n):
-        ends = np.array([others, others])
-        ends[:, joint] = [-way * REACH, way * REACH]
-        plan.append(Planned("single", ends, np.array([timed(ARM, *ends)])))
-    return plan
+        ends[joint, :, joint] = [-way * REACH, way * REACH]
+    durations = timed(ARM, ends[:, 0], ends[:, 1])
+    return [Planned("single", *one) for one in zip(ends, durations[:, None], strict=True)]
 
 
 def as_the_paper(plan: Sequence[Planned], position: float = np.inf) -> DynamicResult:
     """The common inertia from the base's turn alone, momentum and tilt taken to be zero."""
-    settings = DynamicSettings(
-        estimate="I", priors="", momentum_deviation=0.0, spin_deviation=0.0, tilt_deviation=0.0
-    )
-    batch = stack([path(law, edges, [0.0, one.length])
-                   for one in plan for law, edges in [one.law()]])  # fmt: skip
+    batch = path(*together(plan), [[0.0, one.length] for one in plan])
     sigma = np.empty((len(plan), 2, 3))
     sigma[...] = position, position, TURN_NOISE / np.sqrt(2.0)
     poses = base_poses(ARM.vector(), batch, np.zeros(8))
-    return solve_dynamics(known_beforehand(ARM, settings, batch, poses, sigma))
+    return solve_dynamics(known_beforehand(ARM, AT_REST, batch, poses, sigma))
 
 
 def shares(result: DynamicResult) -> tuple[float, float]:
@@ -86,11 +92,17 @@ def shares(result: DynamicResult) -> tuple[float, float]:
     return float(np.sqrt(result.random[k, k])) / INERTIA, float(result.deviations[k]) / INERTIA
 
 
-def designed(count: int, words: str, **settings: float) -> DynamicResult:
-    """Maneuvers chosen for the common inertia, headings and positions of averaged windows."""
+@cache
+def sixteen(words: str, **settings: float) -> tuple[DynamicSettings, list[Planned]]:
+    """Maneuvers chosen for the common inertia, and the settings that they are made for."""
     s = DynamicSettings(estimate=words, **settings)  # type: ignore[arg-type]
     conditions = Conditions(rest=REST, kinds=("single", "sweep"))
-    plan = design(ARM, min(count, 16), s, conditions, chosen=["I"], tried=100)
+    return s, design(ARM, 16, s, conditions, chosen=["I"], tried=100)
+
+
+def designed(count: int, words: str, **settings: float) -> DynamicResult:
+    """What these, repeated, tell by headings and positions of averaged windows."""
+    s, plan = sixteen(words, **settings)
     return expected(ARM, plan * (count // len(plan)), s, REST)
 
 

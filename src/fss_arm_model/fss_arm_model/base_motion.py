@@ -23,11 +23,21 @@ import numpy as np
 import numpy.typing as npt
 
 from . import layout
-from .kernels import Floats, helper, kernel
+from .centroidal import _scaled
+from .kernels import Floats, helper, inlined, kernel
 from .kinematics import _THREE, _com, _dot, _mass, _moment, _reach
 
 #: What follows Arm.vector() in the columns of base_pose_sensitivities.
 STATE_NAMES = ("x", "y", "theta", "p_x", "p_y", "L", "g_x", "g_y")
+
+LANES = 16  # nodes side by side
+# Where rows of lanes begin. Of a body: the path's three, then what _headings finds, of which
+# _gradients makes what a node takes from the derivatives by s_k, d_k and K_k.
+COS, SIN, RATE, SX, SY, PX, PY, OMEGA, BODY = range(0, 9 * LANES, LANES)
+# Of sums: all s; p before and s after a body, and both with rates; N, dt, and what nodes give.
+TX, TY, BX, BY, AX, AY, OX, OY, MX, MY, WHOLE, DT, TURN, BY_M, BY_L, SUMS = range(
+    0, 16 * LANES, LANES
+)
 
 _DIGITS = 12.0 * math.log(10.0)  # of a panel's quadrature
 
@@ -52,11 +62,14 @@ def path(law: Law, edges: npt.ArrayLike, marks: npt.ArrayLike) -> Path:
     For an integrand analytic up to a distance of 1 rad, m nodes on a panel in which the joints
     travel by D err by rho^-2m with rho = 2 / D + sqrt(4 / D^2 + 1): asinh(2 / D) a node and side.
 
+    Leading dimensions of edges and marks are a batch of paths, those with fewer nodes filled up.
+
     Args:
-        law: joint angles and rates at times (N,) [s], each (N, n) [rad, rad/s]; smooth between
-            edges.
-        edges: (e,) times [s]; those before the first and after the last mark do not matter.
-        marks: (m,) times [s] at which the base's pose is wanted, ascending; the first is the start.
+        law: joint angles and rates at times (..., N) [s], each (..., N, n) [rad, rad/s]; smooth
+            between edges.
+        edges: (..., e) times [s]; those before the first and after the last mark do not matter.
+        marks: (..., m) times [s] at which the base's pose is wanted, ascending; the first is the
+            start.
 
     Raises:
         ValueError: the marks do not ascend.
@@ -64,20 +77,26 @@ def path(law: Law, edges: npt.ArrayLike, marks: npt.ArrayLike) -> Path:
     marks = np.asarray(marks, dtype=float)
     if not (np.diff(marks) >= 0.0).all():
         raise ValueError(f"marks are {marks} s, expected in ascending order")
-    edges = np.union1d(np.clip(edges, marks[0], marks[-1]), marks)
-    begin, length = edges[:-1], np.diff(edges)
-    probes = begin[:, None] + length[:, None] * np.linspace(0.0, 1.0, 5)
-    rates = np.abs(law(probes.ravel())[1]).sum(axis=1).reshape(probes.shape)
-    orders = [_order(travel) for travel in (rates.max(axis=1) * length).tolist()]
-    x, w = (np.concatenate(parts) for parts in zip(*map(_gauss, orders), strict=True))
-    panel = np.repeat(np.arange(len(length)), orders)
-    dt = length[panel] * w
-    q, qd = law(begin[panel] + length[panel] * x)
-    before = np.concatenate([[0], np.cumsum(orders)])[np.searchsorted(edges, marks)]
-    rate = dt[:, None] * np.cumsum(qd, axis=1)
+    edges = np.clip(edges, marks[..., :1], marks[..., -1:])
+    edges = np.sort(np.concatenate([edges, marks], axis=-1), axis=-1)
+    begin, length = edges[..., :-1], np.diff(edges)
+    probes = begin[..., None] + length[..., None] * np.linspace(0.0, 1.0, 5)
+    _, rates = law(probes.reshape(*marks.shape[:-1], -1))
+    travel = np.abs(rates).sum(axis=-1).reshape(probes.shape).max(axis=-1) * length
+    orders = np.where(length > 0.0, _orders(travel), 0)
+    before = np.sum(np.where(begin[..., None, :] < marks[..., None], orders[..., None, :], 0), -1)
+    count = orders.sum(axis=-1)
+    there = np.arange(np.max(count, initial=0)) < count[..., None]
+    t, dt = np.where(there, 0.0, marks[..., -1:]), np.zeros(there.shape)
+    x, w = _gauss_of(orders.ravel())
+    dt[there] = np.repeat(length, orders.ravel()) * w
+    t[there] = np.repeat(begin, orders.ravel()) + np.repeat(length, orders.ravel()) * x
+    q, qd = law(t)
+    rate = dt[..., None] * np.cumsum(qd, axis=-1)
+    since = marks - marks[..., :1]
     return Path(
-        np.column_stack([_turns(q), rate, dt]),
-        np.column_stack([_turns(law(marks)[0]), before, marks - marks[0]]),
+        np.concatenate([_turns(q), rate, dt[..., None]], axis=-1),
+        np.concatenate([_turns(law(marks)[0]), np.stack([before, since], axis=-1)], axis=-1),
     )
 
 
@@ -134,17 +153,29 @@ def stack(paths: Sequence[Path]) -> Path:
 def _padded(arrays: Sequence[Floats]) -> Floats:
     """Arrays of unlike lengths as one, each with its last row repeated."""
     longest = max(map(len, arrays))
-    return np.array([np.pad(a, ((0, longest - len(a)), (0, 0)), "edge") for a in arrays])
+    return np.array([one[np.minimum(np.arange(longest), len(one) - 1)] for one in arrays])
 
 
 def _turns(q: Floats) -> Floats:
-    """Turns of the links at joint angles (N, n), as in a Path: (N, 2 n)."""
-    Q = np.cumsum(q, axis=1)
-    return np.stack([np.cos(Q), np.sin(Q)], axis=-1).reshape(len(q), -1)
+    """Turns of the links at joint angles (..., n), as in a Path: (..., 2 n)."""
+    Q = np.cumsum(q, axis=-1)
+    return np.stack([np.cos(Q), np.sin(Q)], axis=-1).reshape(*q.shape[:-1], -1)
 
 
-def _order(travel: float) -> int:
-    return math.ceil(0.5 * _DIGITS / math.asinh(2.0 / travel)) if travel > 1e-6 else 1
+def _orders(travel: Floats) -> npt.NDArray[np.intp]:
+    """How many nodes each panel takes, of the joints' travel in it [rad]."""
+    nodes = np.ceil(0.5 * _DIGITS / np.arcsinh(2.0 / np.maximum(travel, 1e-6)))
+    return np.where(travel > 1e-6, nodes, 1.0).astype(np.intp)
+
+
+def _gauss_of(orders: npt.NDArray[np.intp]) -> tuple[Floats, Floats]:
+    """Nodes and weights on [0, 1] of panels of such orders, one after the other."""
+    first = np.cumsum(orders) - orders
+    x, w = np.empty((2, orders.sum()))
+    for order in np.unique(orders[orders > 0]).tolist():
+        at = first[orders == order, None] + np.arange(order)
+        x[at], w[at] = _gauss(order)
+    return x, w
 
 
 @cache
@@ -193,33 +224,105 @@ def _place(delta, sigma, row, d, s):  # type: ignore[no-untyped-def]
     return total
 
 
-@helper
-def _couplings(d, s, K, total, per_mass, N):  # type: ignore[no-untyped-def]
-    """Write N_k, and d_k - s_k / M to d; return the sum of N_k."""
-    before, after = 0j, total
-    whole = 0.0
-    for k in range(d.size):
-        after -= s[k]
-        d[k] = complex(d[k].real - per_mass * s[k].real, d[k].imag - per_mass * s[k].imag)
-        N[k] = K[k] - per_mass * _dot(s[k], s[k]) + _dot(s[k], before) + _dot(d[k], after)
-        before += d[k]
-        whole += N[k]
-    return whole
+@inlined
+def _headings(nodes, first, delta, sigma, K, per_mass, L, work, sums):  # type: ignore[no-untyped-def]
+    """Write how far the base turns at the nodes from `first` on, a lane for each of them.
+
+    What it is from stays in work and sums, as _gradients takes it. Lanes beyond the last node keep
+    what they had.
+    """
+    m, rows = delta.size, nodes[first : first + LANES]
+    n = m - 1
+    for j in range(rows.shape[0]):
+        sums[DT + j] = rows[j, 3 * n]
+    for k in range(1, m):
+        body = work[BODY * k : BODY * (k + 1)]
+        for j in range(rows.shape[0]):
+            body[COS + j], body[SIN + j] = rows[j, 2 * k - 2], rows[j, 2 * k - 1]
+            body[RATE + j] = rows[j, 2 * n + k - 1]
+    for j in range(LANES):
+        sums[TX + j], sums[TY + j] = 0.0, 0.0
+    for k in range(m):
+        body = work[BODY * k : BODY * (k + 1)]
+        dx, dy, sx, sy = delta[k].real, delta[k].imag, sigma[k].real, sigma[k].imag
+        for j in range(LANES):
+            c, s = body[COS + j], body[SIN + j]
+            body[PX + j], body[PY + j] = dx * c - dy * s, dx * s + dy * c
+            x, y = sx * c - sy * s, sx * s + sy * c
+            body[SX + j], body[SY + j] = x, y
+            sums[TX + j] += x
+            sums[TY + j] += y
+    for j in range(LANES):
+        sums[BX + j], sums[BY + j] = 0.0, 0.0
+        sums[AX + j], sums[AY + j] = sums[TX + j], sums[TY + j]
+        sums[WHOLE + j], sums[TURN + j] = 0.0, L * sums[DT + j]
+    for k in range(m):
+        body = work[BODY * k : BODY * (k + 1)]
+        own = K[k]
+        for j in range(LANES):
+            sx, sy = body[SX + j], body[SY + j]
+            ax, ay = sums[AX + j] - sx, sums[AY + j] - sy
+            px, py = body[PX + j] - per_mass * sx, body[PY + j] - per_mass * sy
+            bx, by = sums[BX + j], sums[BY + j]
+            N = own - per_mass * (sx * sx + sy * sy) + (sx * bx + sy * by) + (px * ax + py * ay)
+            body[PX + j], body[PY + j], body[OMEGA + j] = px, py, N
+            sums[AX + j], sums[AY + j], sums[BX + j], sums[BY + j] = ax, ay, bx + px, by + py
+            sums[WHOLE + j] += N
+            sums[TURN + j] -= N * body[RATE + j]
+    for j in range(LANES):
+        sums[TURN + j] = sums[TURN + j] / sums[WHOLE + j]
+
+
+@inlined
+def _gradients(per_mass, work, sums):  # type: ignore[no-untyped-def]
+    """Write, from what _headings left, what nodes take from the derivatives of the heading.
+
+    By s_k and d_k (seen from body k) and K_k to work, by M and, added, L to sums. L staying what it
+    is, the derivative by anything is -(1 / N) sum_k omega_k dN_k with N = sum_k N_k. As N_k is the
+    sum over j of the symmetric M_jk = p_j . s_k (j < k), terms of bodies j and k carry
+    omega_j + omega_k.
+    """
+    m = work.shape[0] // BODY
+    for j in range(LANES):
+        sums[WHOLE + j] = 1.0 / sums[WHOLE + j]
+        sums[MX + j], sums[MY + j] = 0.0, 0.0  # of omega_k s_k
+    for k in range(m):
+        body = work[BODY * k : BODY * (k + 1)]
+        # omega is weighted: the node's angle of each body, over N.
+        for j in range(LANES):
+            omega = sums[WHOLE + j] * (sums[TURN + j] + body[RATE + j])
+            body[OMEGA + j] = omega
+            sums[MX + j] += omega * body[SX + j]
+            sums[MY + j] += omega * body[SY + j]
+    for j in range(LANES):
+        about = sums[TX + j] * sums[MX + j] + sums[TY + j] * sums[MY + j]
+        sums[BY_M + j] = per_mass * per_mass * about
+        sums[BY_L + j] = sums[WHOLE + j] * sums[DT + j]
+        sums[AX + j], sums[AY + j] = sums[TX + j], sums[TY + j]
+        sums[BX + j], sums[BY + j] = 0.0, 0.0
+        sums[OX + j], sums[OY + j] = 0.0, 0.0  # of omega_j p_j
+    for k in range(m):
+        body = work[BODY * k : BODY * (k + 1)]
+        for j in range(LANES):
+            omega, sx, sy = body[OMEGA + j], body[SX + j], body[SY + j]
+            c, s, px, py = body[COS + j], body[SIN + j], body[PX + j], body[PY + j]
+            ax, ay = sums[AX + j] - sx, sums[AY + j] - sy
+            mx, my = sums[MX + j] - omega * sx, sums[MY + j] - omega * sy
+            bx, by, ox, oy = sums[BX + j], sums[BY + j], sums[OX + j], sums[OY + j]
+            dx, dy = omega * ax + mx, omega * ay + my
+            twice = 2.0 * omega
+            x = omega * bx + ox - per_mass * (dx + twice * sx)
+            y = omega * by + oy - per_mass * (dy + twice * sy)
+            body[SX + j], body[SY + j] = x * c + y * s, y * c - x * s
+            body[PX + j], body[PY + j] = dx * c + dy * s, dy * c - dx * s
+            sums[AX + j], sums[AY + j], sums[MX + j], sums[MY + j] = ax, ay, mx, my
+            sums[BX + j], sums[BY + j] = bx + px, by + py
+            sums[OX + j], sums[OY + j] = ox + omega * px, oy + omega * py
 
 
 @helper
-def _turned(N, whole, row, L):  # type: ignore[no-untyped-def]
-    """How far the base turns at a node of the path."""
-    n = N.size - 1
-    turn = L * row[3 * n]
-    for k in range(1, n + 1):
-        turn -= N[k] * row[2 * n + k - 1]
-    return turn / whole
-
-
-@helper
-def _rotated(angle, r):  # type: ignore[no-untyped-def]
-    return complex(math.cos(angle), math.sin(angle)) * r
+def _turn(angle):  # type: ignore[no-untyped-def]
+    return complex(math.cos(angle), math.sin(angle))
 
 
 @helper
@@ -233,62 +336,27 @@ def _course(state, M, t):  # type: ignore[no-untyped-def]
 def _base_poses(p, state, nodes, marks, _t, poses):  # type: ignore[no-untyped-def]
     size = (nodes.shape[1] - 1) // 3 + 1
     delta, sigma, d, s = np.empty((4, size), np.complex128)
-    K, N = np.empty((2, size))
+    K, work, sums = np.empty(size), np.empty(size * BODY), np.empty(SUMS)
+    work[:], sums[:], work[COS : COS + LANES] = 0.0, 0.0, 1.0
     M = _inertias(p, delta, sigma, K)
     per_mass, heading, done = 1.0 / M, state[2], 0
     begin = 0j
     for i in range(marks.shape[0]):
         until, t = int(marks[i, 2 * size - 2]), marks[i, 2 * size - 1]
-        for j in range(done, until):
-            total = _place(delta, sigma, nodes[j], d, s)
-            whole = _couplings(d, s, K, total, per_mass, N)
-            heading += _turned(N, whole, nodes[j], state[5])
-        done = until
-        z = _rotated(heading, _place(delta, sigma, marks[i], d, s))
+        while done < until:
+            lane = done % LANES
+            if lane == 0:
+                _headings(nodes, done, delta, sigma, K, per_mass, state[5], work, sums)
+            beyond = min(lane + until - done, LANES)
+            for j in range(lane, beyond):
+                heading += sums[TURN + j]
+            done += beyond - lane
+        z = _turn(heading) * _place(delta, sigma, marks[i], d, s)
         if i == 0:
             begin = z
         away = _course(state, M, t) + (begin - z) / M
         poses[i, 0], poses[i, 1] = state[0] + away.real, state[1] + away.imag
         poses[i, 2] = heading
-
-
-@helper
-def _accumulate(d, s, K, total, per_mass, N, row, L, Gs, Gd, gK, g):  # type: ignore[no-untyped-def]
-    """Add a node's part of the heading and of its derivatives.
-
-    By s_k and d_k (seen from body k) to Gs, Gd, by K_k to gK, by M and L to g. L staying what it
-    is, the derivative by anything is -(1 / N) sum_k omega_k dN_k with N = sum_k N_k. As N_k is the
-    sum over j of the symmetric M_jk = p_j . s_k (j < k), terms of bodies j and k carry
-    omega_j + omega_k.
-    """
-    n = d.size - 1
-    whole = _couplings(d, s, K, total, per_mass, N)
-    turn = _turned(N, whole, row, L)
-    # From here on omega is weighted: the node's angle of each body, over N.
-    per = 1.0 / whole
-    moment = 0j  # sum of omega_k s_k
-    for k in range(n + 1):
-        N[k] = per * (turn + (row[2 * n + k - 1] if k > 0 else 0.0))
-        moment += N[k] * s[k]
-    before, after = 0j, total  # sums of p_j and s_j
-    before_omega, after_omega = 0j, moment  # of omega_j p_j and omega_j s_j
-    for k in range(n + 1):
-        omega = N[k]
-        after -= s[k]
-        after_omega -= omega * s[k]
-        by_d = omega * after + after_omega
-        by_s = omega * before + before_omega - per_mass * (by_d + 2.0 * omega * s[k])
-        before += d[k]
-        before_omega += omega * d[k]
-        if k > 0:
-            back = complex(row[2 * k - 2], -row[2 * k - 1])
-            by_d, by_s = by_d * back, by_s * back
-        Gs[k] -= by_s
-        Gd[k] -= by_d
-        gK[k] -= omega
-    g[0] -= per_mass * per_mass * _dot(total, moment)
-    g[1] += per * row[3 * n]
-    return turn
 
 
 @helper
@@ -308,9 +376,9 @@ def _chain_rule(p, delta, M, gM, Gs, Gd, gK, sigma, out):  # type: ignore[no-unt
             back = complex(delta[k].real / a, -delta[k].imag / a)
             by_s, by_d = by_s * back, by_d * back
         by_mass = gM + behind + _dot(by_s, e) + gK[k] * _dot(e, e)
-        by_e = m * by_s + 2.0 * m * gK[k] * e
+        by_e = _scaled(m, by_s) + _scaled(2.0 * m * gK[k], e)
         behind += _dot(by_s, d) + gK[k] * _dot(d, d)
-        by_d += beyond * by_s + 2.0 * beyond * gK[k] * d
+        by_d += _scaled(beyond, by_s) + _scaled(2.0 * beyond * gK[k], d)
         if k == 0:
             out[layout.MASS], out[layout.INERTIA] = by_mass, gK[0]
             out[layout.COM_X], out[layout.COM_Y] = by_e.real, by_e.imag
@@ -333,21 +401,37 @@ def _cross_dot(gradient, r):  # type: ignore[no-untyped-def]
 def _base_pose_sensitivities(p, state, nodes, marks, _t, _x, poses, J):  # type: ignore[no-untyped-def]
     size = (nodes.shape[1] - 1) // 3 + 1
     delta, sigma, d, s, Gs, Gd, by_s, by_d = np.zeros((8, size), np.complex128)
-    K, N, gK, by_K = np.zeros((4, size))
+    K, gK, by_K = np.zeros((3, size))
     g = np.zeros(2)
+    work, sums = np.empty(size * BODY), np.empty(SUMS)
+    work[:], sums[:], work[COS : COS + LANES] = 0.0, 0.0, 1.0
     M = _inertias(p, delta, sigma, K)
     per_mass, heading, done = 1.0 / M, state[2], 0
-    begin, columns = 0j, p.size
+    begin, start, columns = 0j, _turn(state[2]), p.size
     J[:] = 0.0
     for i in range(marks.shape[0]):
         until, t = int(marks[i, 2 * size - 2]), marks[i, 2 * size - 1]
-        for j in range(done, until):
-            total = _place(delta, sigma, nodes[j], d, s)
-            heading += _accumulate(
-                d, s, K, total, per_mass, N, nodes[j], state[5], Gs, Gd, gK, g
-            )  # fmt: skip
-        done = until
-        z = _rotated(heading, _place(delta, sigma, marks[i], d, s)) * per_mass
+        while done < until:
+            lane = done % LANES
+            if lane == 0:
+                _headings(nodes, done, delta, sigma, K, per_mass, state[5], work, sums)
+                _gradients(per_mass, work, sums)
+            beyond = min(lane + until - done, LANES)
+            for j in range(lane, beyond):
+                heading += sums[TURN + j]
+                g[0] -= sums[BY_M + j]
+                g[1] += sums[BY_L + j]
+            for k in range(size):
+                body = work[BODY * k + lane : BODY * (k + 1)]
+                sx, sy, dx, dy, total = Gs[k].real, Gs[k].imag, Gd[k].real, Gd[k].imag, gK[k]
+                for j in range(beyond - lane):
+                    sx, sy = sx - body[SX + j], sy - body[SY + j]
+                    dx, dy = dx - body[PX + j], dy - body[PY + j]
+                    total -= body[OMEGA + j]
+                Gs[k], Gd[k], gK[k] = complex(sx, sy), complex(dx, dy), total
+            done += beyond - lane
+        turn = _turn(heading)
+        z = turn * _place(delta, sigma, marks[i], d, s) * per_mass
         if i == 0:
             begin = z
         away = _course(state, M, t) + begin - z
@@ -366,10 +450,10 @@ def _base_pose_sensitivities(p, state, nodes, marks, _t, _x, poses, J):  # type:
                 if k > 0:
                     first = complex(marks[0, 2 * k - 2], marks[0, 2 * k - 1])
                     now = complex(marks[i, 2 * k - 2], marks[i, 2 * k - 1])
-                c = (_rotated(state[2], first) - _rotated(heading, now)) * per_mass
+                c = _scaled(per_mass, start * first - turn * now)
                 own = complex(c.real, -c.imag) if axis == 0 else complex(c.imag, c.real)
-                by_s[k] = own + by_heading * Gs[k]
-                by_d[k] = by_heading * Gd[k]
+                by_s[k] = own + _scaled(by_heading, Gs[k])
+                by_d[k] = _scaled(by_heading, Gd[k])
                 by_K[k] = by_heading * gK[k]
             gM = (by_M.real if axis == 0 else by_M.imag) + by_heading * g[0]
             _chain_rule(p, delta, M, gM, by_s, by_d, by_K, sigma, J[i, axis])

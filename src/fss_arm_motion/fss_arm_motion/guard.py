@@ -17,7 +17,7 @@ from fss_arm_model.clearance import body_name, gaps, links_and_base, sizes, with
 from fss_arm_model.description import Arm
 from fss_arm_model.kernels import Floats
 from fss_arm_motion.guard_settings import GuardSettings
-from fss_arm_motion.sweep import sweep
+from fss_arm_motion.sweep import contacts, sweep
 
 SELF, EDGE, TARGET = "self", "edge", "target"
 BRIEF = 1e-6  # knots nearer to each other are one [s]
@@ -170,6 +170,25 @@ class Guard:
         if which < 0:
             return Clear(guards, (), inf, time)
         return Clear(guards, self._names(pairs[which]), distance, time)
+
+    def clear(
+        self, times: npt.ArrayLike, q: npt.ArrayLike, qd: npt.ArrayLike, base: npt.ArrayLike
+    ) -> npt.NDArray[np.bool_]:
+        """Whether each of many paths would pass check_path, which says more, (...).
+
+        Args:
+            times: (..., k) of knots, ascending [s]; the system has no momentum.
+            q: (..., k, n) readings there [rad].
+            qd: (..., k, n) rates there [rad/s].
+            base: pose at the first.
+        """
+        times = np.asarray(times, dtype=float)
+        if times.shape[-1] < 2 or not (np.diff(times) > 0.0).all():
+            raise ValueError(f"times are {times} s, expected two or more, ascending")
+        shape, pairs = (*times.shape, self.arm.n), self._pairs[self.guards(base)]
+        q, qd = self._numbers("q", q, *shape), self._numbers("qd", qd, *shape)
+        state = [*self._numbers("base", base, 3), np.nan, np.nan, np.nan]
+        return ~contacts(self._p, state, times, q, qd, pairs, self._sizes, np.zeros(4))
 
     def check_command(
         self,

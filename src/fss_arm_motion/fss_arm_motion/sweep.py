@@ -344,3 +344,18 @@ def sweep(
     """
     found, where = _sweep(p, base, times, q, qd, pairs, sizes, target, np.empty(4))
     return bool(found[0]), float(found[1]), float(found[2]), int(found[3]), where
+
+
+def contacts(
+    p: npt.ArrayLike,
+    base: npt.ArrayLike,
+    times: npt.ArrayLike,
+    q: npt.ArrayLike,
+    qd: npt.ArrayLike,
+    pairs: npt.ArrayLike,
+    sizes: npt.ArrayLike,
+    target: npt.ArrayLike,
+) -> npt.NDArray[np.bool_]:
+    """Whether there are two such, of what `sweep` takes; leading dimensions broadcast."""
+    found, _ = _sweep(p, base, times, q, qd, pairs, sizes, target, np.empty(4))
+    return np.asarray(found[..., 0] > 0.0)

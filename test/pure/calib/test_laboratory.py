@@ -40,7 +40,7 @@ def as_read(one, rng):
 
 def looks(one):
     """Times of the marks [s]."""
-    t = windowed(one, SETTINGS, REST)[0].marks[:, -1]
+    t = windowed([one], SETTINGS, REST)[0].marks[0, :, -1]
     return t - 0.5 * (t[0] + t[-1] - one.length - SETTINGS.settle_time)
 
 

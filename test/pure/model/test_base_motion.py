@@ -139,6 +139,23 @@ def test_paths_and_parameter_sets_broadcast():
         assert np.array_equal(J[i, j], sensitivities)
 
 
+def test_a_batch_of_paths_is_made_as_each_alone():
+    """Of unlike length, and with marks of its own each."""
+    begins, lasts = np.array([[0.0], [1.0], [2.5]]), np.array([[6.0], [0.5], [3.0]])
+    law, marks = several(4)[0], begins + lasts * [0.0, 0.25, 1.0]
+
+    def batch(t):
+        return tuple(part.reshape(*t.shape, 4) for part in law(t.ravel()))
+
+    whole = base_motion.path(batch, begins + lasts * np.linspace(0.0, 1.0, 4), marks)
+    for one, *own in zip(marks, *whole, strict=True):
+        edges = one[0] + (one[-1] - one[0]) * np.linspace(0.0, 1.0, 4)
+        alone = base_motion.path(law, edges, one)
+        assert_allclose(own[0][: len(alone.nodes)], alone.nodes, rtol=0, atol=1e-14)
+        assert_allclose(own[1], alone.marks, rtol=0, atol=1e-14)
+    assert len({*whole.marks[:, -1, -2]}) == 3
+
+
 def test_a_batch_repeats_the_last_mark_of_a_path_with_fewer():
     p = paper_arm().vector()
     paths = [base_motion.path(*several(4), marks) for marks in (MARKS, [0.0, DURATION])]

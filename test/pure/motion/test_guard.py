@@ -236,6 +236,21 @@ def test_a_command_leads_nowhere_after_it_is_given_up():
     np.testing.assert_allclose((q[-1], qd[-1]), (np.full(4, 2.25), np.full(4, 1.5)), atol=1e-12)
 
 
+def test_many_paths_at_once_are_judged_as_each_alone():
+    guard, rng = Guard(paper_arm(), BED), np.random.default_rng(9)
+    times = np.cumsum(rng.uniform(0.5, 1.5, (60, 3)), axis=1)
+    q, qd = rng.uniform(-1.6, 1.6, (60, 3, 4)), rng.uniform(-0.5, 0.5, (60, 3, 4))
+    base, alone = np.array([0.6, 0.4, 0.3]), []
+    for path in zip(times, q, qd, strict=True):
+        try:
+            guard.check_path(*path, base=base)
+            alone.append(True)
+        except GuardError:
+            alone.append(False)
+    assert 5 < sum(alone) < 55
+    assert guard.clear(times, q, qd, base).tolist() == alone
+
+
 def test_bad_numbers_are_named():
     guard, rest = Guard(paper_arm()), np.zeros((2, 4))
     with pytest.raises(ValueError, match=r"times are \[0. 0.\]"):

@@ -27,11 +27,13 @@ from fss_arm_calib.dynamic.parameters import Choice, parameter_names, to_vector,
 from fss_arm_calib.estimation.least_squares import (
     Decomposition,
     Floats,
+    Indices,
     Linear,
     Mask,
     Minimum,
     eliminate,
     minimize,
+    minimize_all,
 )
 from fss_arm_calib.estimation.noise import Left
 from fss_arm_calib.estimation.statistics import redundancy
@@ -43,6 +45,8 @@ TILT = ("g_x", "g_y")  # acceleration of a free body down the table, world axes
 
 #: Beyond this condition number of the column-scaled regressor rounding has the say.
 MAX_CONDITION = 1e6
+
+DRAWS = 128  # that are solved side by side: as many as the processor's caches hold
 
 FIRST = 2  # iterations of the maneuvers' own unknowns alone
 
@@ -56,7 +60,8 @@ class DynamicProblem:
     """
 
     path: Path  # of the joints, M of them
-    poses: Floats  # (M, m, 3) of the base at the marks [m, m, rad], headings counting turns
+    poses: Floats  # (..., M, m, 3) of the base at the marks [m, m, rad], headings counting turns;
+    #                leading dimensions are a batch of draws, whose unknowns have them, too
     sigma: Floats  # (M, m, 3) their deviations; inf: not observed
     arm: Arm  # the initial guess, and the values of what is assumed
     choice: Choice  # what is estimated
@@ -69,10 +74,10 @@ class DynamicProblem:
     def __post_init__(self) -> None:
         count = len(self.path.nodes)
         shape = (count, self.path.marks.shape[-2], 3)
-        for name in ("poses", "sigma"):
-            if getattr(self, name).shape != shape:
-                raise ValueError(f"{name} has shape {getattr(self, name).shape}, expected {shape}")
-        if not np.isfinite(self.poses[np.isfinite(self.sigma)]).all():
+        for name, given in (("poses", self.poses.shape[-3:]), ("sigma", self.sigma.shape)):
+            if given != shape:
+                raise ValueError(f"{name} has shape {given}, expected {shape}")
+        if not np.isfinite(self.poses[..., np.isfinite(self.sigma)]).all():
             raise ValueError("a pose is not finite")
         if count and not np.isfinite(self.sigma[..., 2]).any():
             raise ValueError("no heading is observed")
@@ -80,6 +85,13 @@ class DynamicProblem:
     def scaled(self, factors: Floats) -> "DynamicProblem":
         """The same with other deviations of positions and headings, by factors (2,)."""
         return replace(self, sigma=self.sigma * factors[[0, 0, 1]])
+
+    def seeing(self, poses: Floats) -> "DynamicProblem":
+        """The same with other poses; what has been found of it and is not by them stays."""
+        other = replace(self, poses=poses)
+        kept = {name: x for name, x in vars(self).items() if name not in ("poses", "start")}
+        vars(other).update(kept)
+        return other
 
     def only(self, which: npt.NDArray[np.bool_] | npt.NDArray[np.intp]) -> "DynamicProblem":
         """The same with some of the maneuvers."""
@@ -156,8 +168,10 @@ class DynamicProblem:
     @cached_property
     def start(self) -> Floats:
         """All unknowns at the begin: the guess, and for each maneuver its first pose, at rest."""
-        first = np.concatenate([self.poses[:, 0], np.zeros_like(self.poses[:, 0])], axis=1)
-        return np.concatenate([self.guess, first[:, self.own].ravel()])
+        batch, pose = self.poses.shape[:-3], self.poses[..., 0, :]
+        first = np.concatenate([pose, np.zeros_like(pose)], axis=-1)[..., self.own]
+        guess = np.broadcast_to(self.guess, (*batch, self.guess.size))
+        return np.concatenate([guess, first.reshape(*batch, -1)], axis=-1)
 
     @cached_property
     def to_model(self) -> Floats:
@@ -189,22 +203,22 @@ class DynamicProblem:
 
     def vector(self, unknowns: Floats) -> Floats:
         """Arm.vector() with the estimated parameters in place of the guess, (8 + 6 n,)."""
-        size = len(self.origin)
-        return self.origin + self.to_model[:size] @ unknowns[: self.to_model.shape[1]]
+        size, p = len(self.origin), self.to_model.shape[1]
+        return self.origin + unknowns[..., :p] @ self.to_model[:size].T
 
     def states(self, unknowns: Floats) -> Floats:
         """(M, 8) of base_motion: pose and momentum at the start, the table's tilt."""
         p = len(self.names)
-        states = np.zeros((len(self.poses), 8))
-        states[:, :3] = self.poses[:, 0]
-        states[:, self.own] = unknowns[p:].reshape(len(states), -1)
+        states = np.zeros((*self.poses.shape[:-2], 8))
+        states[..., :3] = self.poses[..., 0, :]
+        states[..., self.own] = unknowns[..., p:].reshape(*states.shape[:-1], self.own.size)
         if self.tilt > 0.0:
-            states[:, 6:] = unknowns[p - 2 : p]
+            states[..., 6:] = unknowns[..., None, p - 2 : p]
         return states
 
     def predicted(self, unknowns: Floats) -> Floats:
         """Poses at the marks, (M, m, 3)."""
-        return base_poses(self.vector(unknowns), self.path, self.states(unknowns))
+        return base_poses(self.vector(unknowns)[..., None, :], self.path, self.states(unknowns))
 
     @cached_property
     def looked_at(self) -> npt.NDArray[np.intp]:
@@ -233,18 +247,19 @@ class DynamicProblem:
 
     def observed(self, vector: Floats, states: Floats, columns: Floats) -> Linear:
         """The same near an arm, Arm.vector(), and states (M, 8)."""
-        poses, J = base_pose_sensitivities(vector, self.path, states)
-        count = len(poses)
-        rows = J.reshape(count, -1, J.shape[-1])[:, self.looked_at] * self.weight[..., None]
-        away = (self.poses - poses).reshape(count, -1)[:, self.looked_at]
+        poses, J = base_pose_sensitivities(vector[..., None, :], self.path, states)
+        batch = poses.shape[:-2]  # of which the last are the maneuvers
+        rows = J.reshape(*batch, -1, J.shape[-1])[..., self.looked_at, :] * self.weight[..., None]
+        away = (self.poses - poses).reshape(*batch, -1)[..., self.looked_at]
         r = np.where(self.weight > 0.0, away, 0.0) * self.weight
-        A, B = rows @ columns, rows[..., len(vector) : -2][..., self.own]
+        A, B = rows @ columns, rows[..., vector.shape[-1] : -2][..., self.own]
         if self.moving.size:
             sigma = self.momentum[self.moving]
-            r = np.concatenate([r, -states[:, 3 + self.moving] / sigma], axis=1)
-            A = np.pad(A, ((0, 0), (0, sigma.size), (0, 0)))
+            r = np.concatenate([r, -states[..., 3 + self.moving] / sigma], axis=-1)
+            none = np.zeros((*batch, sigma.size, A.shape[-1]))
+            A = np.concatenate([A, none], axis=-2)
             prior = np.eye(6)[3 + self.moving][:, self.own] / sigma[:, None]
-            B = np.concatenate([B, np.broadcast_to(prior, (count, *prior.shape))], axis=1)
+            B = np.concatenate([B, np.broadcast_to(prior, (*batch, *prior.shape))], axis=-2)
         return eliminate(A, B, r)
 
     def linearize(self, unknowns: Floats) -> Linear:
@@ -252,12 +267,13 @@ class DynamicProblem:
         linear = self.reduced(unknowns, self.to_model)
         if not self.believed.size:
             return linear
-        rows = self.prior_rows
-        off = rows @ (self.guess - unknowns[: len(self.guess)])
+        batch, rows = linear.regressor.shape[:-2], self.prior_rows
+        off = (rows @ (self.guess - unknowns[..., : len(self.guess)])[..., None])[..., 0]
+        rows = np.broadcast_to(rows, (*batch, *rows.shape))
         return linear._replace(
-            residuals=np.concatenate([linear.residuals, off]),
-            regressor=np.concatenate([linear.regressor, rows]),
-            cost=linear.cost + float(off @ off),
+            residuals=np.concatenate([linear.residuals, off], axis=-1),
+            regressor=np.concatenate([linear.regressor, rows], axis=-2),
+            cost=linear.cost + np.sum(off**2, axis=-1),
         )
 
     @property
@@ -495,7 +511,8 @@ def underway(problem: DynamicProblem) -> Floats:
     The guess of a momentum is rest. Were the base to turn by radians more than that, the first step
     of the parameters would lead far astray.
     """
-    x, hold = problem.start, np.zeros(len(problem.names))
+    x = problem.start
+    hold = np.zeros((*x.shape[:-1], len(problem.names)))
     for _ in range(FIRST if (problem.own >= 3).any() else 0):
         extend = problem.linearize(x).extend
         x = x + extend(hold) if extend else x
@@ -523,6 +540,30 @@ def solve(problem: DynamicProblem, bounded: bool = True, tolerance: float = 1e-7
             max_condition=MAX_CONDITION,
         ),
     )
+
+
+def solve_all(
+    problem: DynamicProblem, poses: Floats, bounded: bool = True, tolerance: float = 1e-7
+) -> list[DynamicResult]:
+    """What `solve` finds of each of many draws of the poses, (N, M, m, 3), as in a Monte Carlo."""
+    found = []
+    for begin in range(0, len(poses), DRAWS):
+        some = problem = problem.seeing(poses[begin : begin + DRAWS])
+
+        def linearize(x: Floats, which: Indices, some: DynamicProblem = some) -> Linear:
+            return some.seeing(some.poses[which]).linearize(x)
+
+        minima = minimize_all(
+            linearize,
+            underway(some),
+            some.bounds if bounded else None,
+            tolerance=tolerance,
+            max_condition=MAX_CONDITION,
+        )
+        for one, minimum in zip(some.poses, minima, strict=True):
+            own = some.seeing(one)
+            found.append(DynamicResult(own, minimum) if minimum else solve(own, bounded, tolerance))
+    return found
 
 
 def information(problem: DynamicProblem, unknowns: npt.ArrayLike | None = None) -> Floats:

@@ -7,13 +7,14 @@ Phi' Phi is the covariance of what is estimated.
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import inf
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
+Indices = npt.NDArray[np.intp]
 
 
 class Loss(NamedTuple):
@@ -83,11 +84,11 @@ class Decomposition(NamedTuple):
 
 
 class Linear(NamedTuple):
-    """A problem near some x: residuals - regressor @ dx."""
+    """A problem near some x: residuals - regressor @ dx; leading dimensions are a batch of them."""
 
     residuals: Floats  # (m,)
     regressor: Floats  # (m, p)
-    cost: float  # the sum of squares that is to become least
+    cost: Any  # a number: the sum of squares that is to become least
     extend: Callable[[Floats], Floats] | None = None  # from dx (p,) to a step of all unknowns
     taken: Floats = np.empty(0)  # (rows,) share of each that unknowns eliminated take
 
@@ -151,6 +152,60 @@ def minimize(
     return Minimum(x, linear, basis, held, iteration, update, converged)
 
 
+def minimize_all(
+    linearize: Callable[[Floats, Indices], Linear],
+    start: Floats,
+    bounds: tuple[Floats, Floats] | None = None,
+    tolerance: float = 1e-9,
+    max_iterations: int = 50,
+    max_condition: float = 1e3,
+) -> list[Minimum | None]:
+    """`minimize` of many problems side by side, as far as plain Gauss-Newton steps lead.
+
+    None of those that it does not: where a step goes uphill or to a bound, or where parameters are
+    inseparable. `minimize` has more patience with each of them.
+
+    Args:
+        linearize: the problems of such numbers, a batch, near x (batch, unknowns).
+        start: (N, unknowns), else as in `minimize`.
+        bounds: as in `minimize`, and all that follow.
+        tolerance: see there.
+        max_iterations: see there.
+        max_condition: see there.
+    """
+    found: list[Minimum | None] = [None] * len(start)
+    which, x, linear = np.arange(len(start)), start, linearize(start, np.arange(len(start)))
+    p = linear.regressor.shape[-1]
+    low, high = bounds if bounds else (np.full(p, -inf), np.full(p, inf))
+    downhill = np.full(len(start), True)
+    for iteration in range(max_iterations + 1):
+        with np.errstate(all="ignore"):  # of those that are inseparable
+            scale = np.sqrt(np.einsum("kij,kij->kj", linear.regressor, linear.regressor))
+            U, s, Vt = np.linalg.svd(linear.regressor / scale[:, None], full_matrices=False)
+            roots = np.swapaxes(Vt, 1, 2) / s[:, None] / scale[..., None]
+            step = _times(roots, _times(np.swapaxes(U, 1, 2), linear.residuals))
+            condition, deviations = s[:, 0] / s[:, -1], np.sqrt(np.sum(roots**2, axis=2))
+            sizes = np.abs(step)
+            update, there = np.max(sizes / deviations, axis=1), x[:, :p] + step
+            plain = downhill & (condition < max_condition)
+            plain &= ((there >= low) & (there <= high)).all(axis=1)
+        done = plain & ((update < tolerance) | (sizes.max(axis=1) < ROUNDING))
+        for k in np.flatnonzero(done):
+            r, Phi, cost, _, taken = linear
+            one = Linear(r[k], Phi[k], cost[k], taken=taken[k])
+            basis = Decomposition(scale[k], U[k], s[k], Vt[k], float(condition[k]))
+            held = np.zeros(p, dtype=bool)
+            found[which[k]] = Minimum(x[k], one, basis, held, iteration, float(update[k]), True)
+        on = plain & ~done
+        if not on.any():
+            break
+        x = (x + linear.extend(step) if linear.extend else there)[on]
+        which, cost, short = which[on], linear.cost[on], update[on] < SHORT
+        linear = linearize(x, which)
+        downhill = short | (linear.cost <= cost)
+    return found
+
+
 def _largest(step: Floats, basis: Decomposition) -> float:
     """The largest part of a step, in the parameter's deviations."""
     deviations = np.sqrt(np.diag(basis.covariance()))
@@ -176,30 +231,39 @@ def _step(
         fixed = np.where(crossing, np.clip(x + step, low, high) - x, fixed)
 
 
+def _times(A: Floats, x: Floats) -> Floats:
+    """Of matrices (..., m, p) and vectors (..., p)."""
+    return np.asarray((A @ x[..., None])[..., 0])
+
+
 def eliminate(A: Floats, B: Floats, r: Floats) -> Linear:
     """Blocks of rows, each with unknowns of its own, reduced to the p parameters they share.
+
+    Dimensions before the blocks are those of a batch.
 
     With B = Q R of a block, its rows are projected: r - Q Q' r and A - Q Q' A. For a step dx of the
     shared parameters the block's own follow as R^-1 Q' (r - A dx).
 
     Args:
-        A: (blocks, rows, p) regressors of the shared parameters.
-        B: (blocks, rows, k) of each block's own, of full rank; k may be 0.
-        r: (blocks, rows) residuals.
+        A: (..., blocks, rows, p) regressors of the shared parameters.
+        B: (..., blocks, rows, k) of each block's own, of full rank; k may be 0.
+        r: (..., blocks, rows) residuals.
     """
     Q, R = np.linalg.qr(B)
-    every = np.concatenate([A, r[..., None]], axis=2)
-    along = np.swapaxes(Q, 1, 2) @ every
+    every = np.concatenate([A, r[..., None]], axis=-1)
+    along = np.swapaxes(Q, -1, -2) @ every
     rest = every - Q @ along
     own = np.linalg.solve(R, along)
+    batch, count = r.shape[:-2], r.shape[-2] * r.shape[-1]
 
     def extend(dx: Floats) -> Floats:
-        return np.concatenate([dx, (own[..., -1] - own[..., :-1] @ dx).ravel()])
+        following = own[..., -1] - _times(own[..., :-1], dx[..., None, :])
+        return np.concatenate([dx, following.reshape(*batch, R.shape[-1] * R.shape[-3])], axis=-1)
 
     return Linear(
-        residuals=rest[..., -1].ravel(),
-        regressor=rest[..., :-1].reshape(r.size, A.shape[-1]),
-        cost=float(np.sum(r**2)),
+        residuals=rest[..., -1].reshape(*batch, count),
+        regressor=rest[..., :-1].reshape(*batch, count, A.shape[-1]),
+        cost=np.sum(r**2, axis=(-2, -1)),
         extend=extend,
-        taken=np.sum(Q**2, axis=2).ravel(),
+        taken=np.sum(Q**2, axis=-1).reshape(*batch, count),
     )

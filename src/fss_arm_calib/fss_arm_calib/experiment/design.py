@@ -12,8 +12,8 @@ base leaves visible.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
-from math import inf, nan, sqrt
+from itertools import compress
+from math import inf, nan
 
 import numpy as np
 import yaml
@@ -27,11 +27,11 @@ from fss_arm_calib.dynamic.problem import (
 )
 from fss_arm_calib.dynamic.settings import HEADING, DynamicSettings
 from fss_arm_calib.dynamic.solution import known_beforehand
-from fss_arm_calib.estimation.least_squares import Floats
+from fss_arm_calib.estimation.least_squares import Floats, Mask
 from fss_arm_calib.estimation.noise import assumed
 from fss_arm_model.base_motion import Law, Path, base_poses, path, stack
 from fss_arm_model.description import Arm
-from fss_arm_model.dynamics import bias, inertia_matrix
+from fss_arm_model.free_floating import free_torques
 from fss_arm_model.settings import (
     POSITIVE,
     Check,
@@ -50,6 +50,7 @@ RAMP = 1.0 / 3.0  # share of a move's time in which it accelerates, and again de
 PAUSE = 0.5  # between two moves of a maneuver, in which the arm is found to have arrived [s]
 STRENGTH = 0.7  # of the drives' torque, to leave them some to correct with
 STEP = np.radians(5.0)  # joint angles are multiples of it
+BETWEEN = slice(None, -1), slice(1, None)  # waypoints: where moves begin, and where they end
 ATTEMPTS = 3  # plans for a goal, of which the shortest is taken
 
 
@@ -68,18 +69,47 @@ class Planned:
 
     def law(self) -> tuple[Law, Floats]:
         """Angles and rates over time, and the times between which they are smooth."""
-        way = np.diff(self.waypoints, axis=0)
-        begins = np.concatenate([[0.0], np.cumsum(self.durations + PAUSE)[:-1]])
+        return moves(self.waypoints, self.durations)
 
-        def law(t: Floats) -> tuple[Floats, Floats]:
-            k = np.clip(np.searchsorted(begins, t, "right") - 1, 0, len(way) - 1)
-            s, rate, _ = profile((t - begins[k]) / self.durations[k])
-            step = way[k]
-            rate = rate / self.durations[k]
-            return self.waypoints[k] + step * s[:, None], step * rate[:, None]
 
-        corners = np.array([0.0, RAMP, 1.0 - RAMP, 1.0])
-        return law, (begins[:, None] + self.durations[:, None] * corners).ravel()
+def moves(waypoints: Floats, durations: Floats) -> tuple[Law, Floats]:
+    """Angles and rates over time of one move after the other, and what times they are smooth from.
+
+    Args:
+        waypoints: (..., w + 1, n) [rad].
+        durations: (..., w) of each move [s]; infinite of those that only fill up a batch.
+    """
+    way, real = np.diff(waypoints, axis=-2), np.isfinite(durations)
+    begins = np.cumsum(durations + PAUSE, axis=-1)
+    begins = np.concatenate([np.zeros_like(begins[..., :1]), begins[..., :-1]], axis=-1)
+    n, first = way.shape[-1], np.arange(durations[..., 0].size).reshape(*durations.shape[:-1], 1)
+
+    def law(t: Floats) -> tuple[Floats, Floats]:
+        k = first * durations.shape[-1]  # which move is on, of all in the batch
+        for begin in np.moveaxis(begins[..., 1:], -1, 0):
+            k = k + (t >= begin[..., None])
+        k = np.broadcast_to(k, t.shape)
+        duration, step = durations.ravel()[k], way.reshape(-1, n)[k]
+        s, rate, _ = profile((t - begins.ravel()[k]) / duration)
+        rate = rate / duration
+        place = waypoints.reshape(-1, n)[k + first]
+        return place + step * s[..., None], step * rate[..., None]
+
+    corners = np.array([0.0, RAMP, 1.0 - RAMP, 1.0])
+    spans = np.where(real, durations, 0.0)[..., None] * corners
+    edges = np.where(real, begins, 0.0)[..., None] + spans
+    return law, edges.reshape(*durations.shape[:-1], -1)
+
+
+def together(plan: Sequence[Planned]) -> tuple[Law, Floats]:
+    """The same for each of several maneuvers, as one batch; times that fill it up are 0."""
+    counts = np.array([len(one.durations) for one in plan])
+    k = np.arange(counts.max() + 1)
+    durations = np.full((len(plan), counts.max()), inf)
+    durations[k[:-1] < counts[:, None]] = np.concatenate([one.durations for one in plan])
+    rows = np.minimum(k, counts[:, None])
+    knots = [one.waypoints[row] for one, row in zip(plan, rows, strict=True)]
+    return moves(np.array(knots), durations)
 
 
 def profile(x: Floats) -> tuple[Floats, Floats, Floats]:
@@ -122,93 +152,108 @@ class NoManeuver(ValueError):  # noqa: N818
 
 
 def torques(arm: Arm, q: Floats, qd: Floats, qdd: Floats) -> Floats:
-    """Joint torques of the floating arm without momentum, (k, n) each [N m].
-
-    With no force on the base, H_b a_b = -(H_bm qdd + h_b).
-    """
-    p, held = arm.vector(), np.zeros((len(q), 3))
-    state = np.concatenate([held, q], axis=1)
-    H = inertia_matrix(p, state)
-    base, coupling = H[:, :3, :3], H[:, :3, 3:]
-    twist = -np.linalg.solve(base, coupling @ qd[..., None])[..., 0]
-    h = bias(p, state, np.concatenate([twist, qd], axis=1))
-    force = coupling @ qdd[..., None] + h[:, :3, None]
-    a_b = -np.linalg.solve(base, force)
-    return np.asarray((H[:, 3:, :3] @ a_b + H[:, 3:, 3:] @ qdd[..., None])[..., 0] + h[:, 3:])
+    """Joint torques of the floating arm without momentum, (..., n) each [N m]."""
+    return free_torques(arm.vector(), q, qd, qdd)[0]
 
 
-def timed(arm: Arm, begin: Floats, end: Floats) -> float:
-    """The shortest time for a move that speed, acceleration and torque of the drives allow [s].
+def least_time(arm: Arm, way: Floats) -> Floats:
+    """How long moves by `way` (..., n) take by the drives' speed and acceleration alone [s]."""
+    top = 1.0 / (1.0 - RAMP)
+    speeds = np.array([link.drive.max_velocity for link in arm.links])
+    gains = np.array([link.drive.max_acceleration for link in arm.links])
+    speed = np.max(top * np.abs(way) / speeds, axis=-1)
+    gain = np.max(top / RAMP * np.abs(way) / gains, axis=-1)
+    return np.maximum(np.maximum(speed, np.sqrt(gain)), 0.1)
+
+
+def timed(arm: Arm, begin: Floats, end: Floats) -> Floats:
+    """The shortest times for moves (..., n) that the drives' torque allows, too, (...) [s].
 
     Without momentum the torques of a path scale with the inverse square of its time.
     """
-    drives = [link.drive for link in arm.links]
-    way = end - begin
-    top = 1.0 / (1.0 - RAMP)
-    speed = max(top * abs(d) / k.max_velocity for d, k in zip(way, drives, strict=True))
-    gain = max(top / RAMP * abs(d) / k.max_acceleration for d, k in zip(way, drives, strict=True))
-    least = max(speed, sqrt(gain), 0.1)
-    s, rate, acceleration = profile(np.linspace(0.0, 1.0, 31) + 1e-9)
-    needed = np.abs(
-        torques(arm, begin + s[:, None] * way, rate[:, None] * way, acceleration[:, None] * way)
+    limits = STRENGTH * np.array(
+        [link.drive.torque_constant * link.drive.max_current for link in arm.links]
     )
-    limits = np.array([STRENGTH * k.torque_constant * k.max_current for k in drives])
-    return max(least, float(np.sqrt((needed / limits).max())))
+    s, rate, acceleration = (x[:, None] for x in profile(np.linspace(0.0, 1.0, 31) + 1e-9))
+    q, way = begin[..., None, :], (end - begin)[..., None, :]
+    needed = np.abs(torques(arm, q + s * way, rate * way, acceleration * way))
+    least = least_time(arm, end - begin)
+    return np.asarray(np.maximum(least, np.sqrt(np.max(needed / limits, axis=(-2, -1)))))
 
 
 def candidates(
     arm: Arm, begin: Floats, count: int, conditions: Conditions, rng: np.random.Generator
 ) -> list[Planned]:
     """Random maneuvers from a posture that keep to the conditions, at most so many."""
-    low = np.ceil(np.array([k.q_min for k in arm.links]) / STEP * 0.95)
-    high = np.floor(np.array([k.q_max for k in arm.links]) / STEP * 0.95)
     found: list[Planned] = []
-    guard = Guard(arm, conditions)
-    for _ in range(3 * count):
-        if len(found) == count:
-            break
+    guard, left = Guard(arm, conditions), 3 * count
+    try:
+        guard.check_posture(begin, base=np.zeros(3))
+    except GuardError:
+        return found
+    low = np.ceil(np.array([k.q_min for k in arm.links]) / STEP * 0.95).astype(int)
+    high = np.floor(np.array([k.q_max for k in arm.links]) / STEP * 0.95).astype(int)
+
+    def drawn() -> tuple[str, Floats]:
         kind = conditions.kinds[rng.integers(len(conditions.kinds))]
         ways = STEP * rng.integers(low, high, (int(rng.integers(1, 4)), arm.n), endpoint=True)
         if kind == SINGLE:
             joint = rng.integers(arm.n)
             ways = np.where(np.arange(arm.n) == joint, ways[:1], begin)
         elif kind == LOOP:
-            corners = np.concatenate([ways[:2], begin[None]])
-            ways = np.tile(corners, (int(rng.integers(1, conditions.repeats + 1)), 1))
-        planned = within(guard, kind, np.concatenate([begin[None], ways]), conditions)
-        if planned:
-            found.append(planned)
+            repeats = int(rng.integers(1, conditions.repeats + 1))
+            ways = np.concatenate([ways[:2], begin[None]] * repeats)
+        return kind, np.concatenate([begin[None], ways])
+
+    while left and len(found) < count:
+        some = [drawn() for _ in range(min(left, count - len(found)))]
+        left -= len(some)
+        found += within(guard, some, conditions)
     return found
 
 
-def within(guard: Guard, kind: str, waypoints: Floats, conditions: Conditions) -> Planned | None:
-    """The maneuver through the waypoints, if it keeps to the conditions."""
-    pairs = list(pairwise(waypoints))
-    if any(np.abs(b - a).max() < 2.0 * STEP for a, b in pairs):
-        return None
-    durations: list[float] = []
-    for a, b in pairs:
-        durations.append(timed(guard.arm, a, b))
-        if sum(durations) + PAUSE * (len(durations) - 1) > conditions.duration:
-            return None
-    planned = Planned(kind, waypoints, np.array(durations))
-    law, edges = planned.law()
-    try:
-        guard.check_posture(waypoints[0], base=np.zeros(3))
-        guard.check_path(edges, *law(edges), base=np.zeros(3))
-    except GuardError:
-        return None
-    return planned
+def within(
+    guard: Guard, some: Sequence[tuple[str, Floats]], conditions: Conditions
+) -> list[Planned]:
+    """Of maneuvers, each a kind and waypoints, those that keep to the conditions."""
+    arm, counts = guard.arm, np.array([len(knots) - 1 for _, knots in some])
+    first = np.cumsum(counts) - counts  # of each one's moves, one after the other
+    begins, ends = (np.concatenate([knots[part] for _, knots in some]) for part in BETWEEN)
+    way = ends - begins
+
+    def brief(durations: Floats) -> Mask:
+        whole = np.add.reduceat(durations, first) + PAUSE * (counts - 1)
+        return np.asarray(whole <= conditions.duration)
+
+    far = np.minimum.reduceat(np.abs(way).max(axis=1), first) >= 2.0 * STEP
+    durations = least_time(arm, way)
+    worth = np.repeat(far & brief(durations), counts)
+    durations[worth] = timed(arm, begins[worth], ends[worth])
+    each = zip(some, np.split(durations, first[1:]), strict=True)
+    plan = [Planned(*one, lasts) for one, lasts in compress(each, far & brief(durations))]
+    return list(compress(plan, _clear(guard, plan))) if plan else []
 
 
-def windowed(planned: Planned, settings: DynamicSettings, rest: float) -> tuple[Path, Floats]:
-    """The path, knots in the windows before and after it, and independent poses in each of them."""
+def _clear(guard: Guard, plan: Sequence[Planned]) -> Mask:
+    """Whether the arm stays clear on each maneuver."""
+    (law, edges), clear = together(plan), np.empty(len(plan), dtype=bool)
+    q, qd = law(edges)
+    counts = np.array([len(one.durations) for one in plan])
+    for count in np.unique(counts):
+        which, knots = counts == count, slice(4 * count)
+        paths = (part[which, knots] for part in (edges, q, qd))
+        clear[which] = guard.clear(*paths, base=np.zeros(3))
+    return clear
+
+
+def windowed(plan: Sequence[Planned], settings: DynamicSettings, rest: float) -> tuple[Path, float]:
+    """The paths, knots in the windows before and after them, and independent poses in each."""
     window = min(settings.max_duration, (rest - settings.settle_time) / 2.0)
     bins = max(1, round(window / settings.bin))
     middles = window / bins * (np.arange(bins) + 0.5)
-    law, edges = planned.law()
-    times = np.concatenate([middles - window, planned.length + settings.settle_time + middles])
-    return path(law, edges, times), np.full(2 * bins, max(1.0, settings.fresh_rate * window / bins))
+    ends = np.array([[one.length + settings.settle_time] for one in plan])
+    times = np.concatenate(np.broadcast_arrays(middles - window, ends + middles), axis=1)
+    return path(*together(plan), times), max(1.0, settings.fresh_rate * window / bins)
 
 
 def problem(
@@ -227,19 +272,20 @@ def problem(
         rest: before and after a maneuver [s].
         before: maneuvers made already.
     """
-    paths, fresh = zip(*(windowed(one, settings, rest) for one in plan), strict=True)
+    batch, fresh = windowed(plan, settings, rest)
     deviations = assumed(settings).deviations[[0, 0, 1]]
     if settings.residuals == HEADING:
         deviations[:2] = inf
-    sigma = [*(deviations / np.sqrt(np.array(fresh))[..., None])]
+    sigma = np.tile(deviations / np.sqrt(fresh), (*batch.marks.shape[:2], 1))
     if before:
-        paths = (*paths, *(Path(*rows) for rows in zip(*before.path, strict=True)))
-        sigma += [*before.sigma]
-    batch = stack(paths)
-    most = batch.marks.shape[1]
-    sigma = [np.pad(s, ((0, most - len(s)), (0, 0)), constant_values=inf) for s in sigma]
+        paths = [Path(*rows) for part in (batch, before.path) for rows in zip(*part, strict=True)]
+        batch, parts = stack(paths), (sigma, before.sigma)
+        most = batch.marks.shape[1]
+        sigma = np.concatenate([
+            np.pad(s, ((0, 0), (0, most - s.shape[1]), (0, 0)), constant_values=inf) for s in parts
+        ])  # fmt: skip
     poses = base_poses(arm.vector(), batch, np.zeros(8))
-    return known_beforehand(arm, settings, batch, poses, np.array(sigma))
+    return known_beforehand(arm, settings, batch, poses, sigma)
 
 
 def expected(

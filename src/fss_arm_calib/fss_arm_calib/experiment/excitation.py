@@ -75,4 +75,4 @@ def _to_and_fro(
 def _time(arm: Arm, begin: Floats, j: int, way: float, least: float) -> float:
     away = begin.copy()
     away[j] += way
-    return max(least, timed(arm, begin, away))
+    return max(least, float(timed(arm, begin, away)))
