@@ -24,7 +24,7 @@ setup(
             "dynamic = fss_arm_calib.programs:dynamic",
             "experiment = fss_arm_calib.programs:experiment",
             "from_bag = fss_arm_calib.from_bag:main",
-            "joint = fss_arm_calib.joint.joint_command:main",
+            "joint = fss_arm_calib.programs:joint",
             "links = fss_arm_calib.links:main",
             "recompute = fss_arm_calib.programs:recompute",
         ],

@@ -75,6 +75,7 @@ SHARED = [
         *("report_figures", "report_tables", "settings"),
     )
 ]
+FROM_BAGS = {"fss_arm_calib.bag_command", "fss_arm_calib.bag_data"}
 ROOMS = {
     PROTOCOL: set(),
     "fss_arm_driver.session": {
@@ -97,12 +98,12 @@ ROOMS = {
     "fss_arm_calib.segments": {"fss_arm_model", "fss_arm_calib.estimation"},
     **{wing: {"fss_arm_model", "fss_arm_msgs", "fss_arm_ros", *SHARED} for wing in WINGS},
     "fss_arm_calib.joint": {
-        "fss_arm_model", "fss_arm_bags", "fss_arm_ros", *SHARED, "fss_arm_calib.kinds",
-        "fss_arm_calib.from_bag", "fss_arm_calib.dynamic.parameters",
+        "fss_arm_model", "fss_arm_bags", "fss_arm_msgs", "fss_arm_ros", *SHARED, *FROM_BAGS,
+        "fss_arm_calib.kinds", "fss_arm_calib.dynamic.parameters",
         "fss_arm_calib.dynamic.settings",
     },
     "fss_arm_calib.drives": {
-        "fss_arm_model", "fss_arm_bags", "fss_arm_ros", *SHARED, "fss_arm_calib.from_bag",
+        "fss_arm_model", "fss_arm_bags", "fss_arm_ros", *SHARED, *FROM_BAGS,
     },
     "fss_gnc.navigation": {"fss_arm_model", "fss_arm_ros.image"},
     "fss_gnc.control": {"fss_arm_model", "fss_gnc.reference"},
@@ -119,7 +120,7 @@ ROOMS = {
 # Where the mathematics of a package meets ROS: its nodes, their actions and topics, and these.
 EDGES = {
     *("settings", "messages", "kind", "kinds", "from_bag", "design_command", "plan_command"),
-    *("recompute", "programs", "joint_command", "drives_command"),
+    *("recompute", "programs", "from_bags", "drives_command", "bag_command", "bag_data"),
 }
 AT_THE_EDGE = ("_node", "_action", "_topic", "_topics")
 MATHEMATICS = ALLOWED.keys() - {"fss_arm_ros", "fss_arm_bags", "fss_sim.rehearsal"}

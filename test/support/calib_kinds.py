@@ -83,7 +83,9 @@ class Bed(Node):
         super().__init__("bed")
         self.kind = kind
         self.outputs = {
-            one.topic: self.create_publisher(one.message, one.topic, sensor(keep_all=True))
+            one.topic: self.create_publisher(
+                one.message, one.topic, LATCHED if one.latched else sensor(keep_all=True)
+            )
             for one in kind.inputs(kind.settings(), n)
         }
         self.data, self.results = [], []

@@ -5,18 +5,19 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 
+from fss_arm_calib.acceptance import Check, clocks_kept
 from fss_arm_calib.estimation.evidence import Evidence
 from fss_arm_calib.outcome import Datum, Outcome
 from fss_arm_calib.report import Report, Table
 from fss_arm_calib.report_tables import table_report
 from fss_arm_calib.segments.streams import Streams
-from fss_arm_calib.settings import CalibrationSettings
 from fss_arm_model.description import Arm, from_yaml
 from fss_arm_model.files import write_text
+from fss_arm_model.settings import Settings
 from fss_arm_model.urdf import urdf
 
 D = TypeVar("D", bound=Datum)
-C = TypeVar("C", bound=CalibrationSettings)
+C = TypeVar("C", bound=Settings)
 
 
 class Finder(Protocol[D]):
@@ -39,6 +40,7 @@ class Input:
     bulk: Callable[[Any, Sequence[bytes]], Sequence[Any]] | None = None  # with serialized ones
     needed: bool = True  # from a bag without it nothing can be found
     subject: str = ""  # whose poses they are
+    latched: bool = False  # who comes late gets the last message
 
     @property
     def type(self) -> str:
@@ -78,6 +80,7 @@ class Calibration(Generic[D, C]):
     output: Callable[[Outcome[D, Any]], str] = lambda outcome: outcome.description
     written: str = "calibrated description"  # what `output` is
     has_urdf: bool = True  # `output` is a description, and its URDF goes beside it
+    clocks: Callable[[Streams, Any], Check] = lambda heard, s: clocks_kept(heard, s.joint_gap)
     stale: Callable[[Outcome[D, Any], Streams], str] = lambda *_: ""  # why a result holds no more
     health: Callable[[Any], Mapping[str, object]] = field(default=lambda _: {})  # of the finder
     lacks: Mapping[str, str] = field(default_factory=dict)  # what it cannot have, and why

@@ -9,12 +9,12 @@ import numpy as np
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
-from fss_arm_calib.acceptance import FAIL, PASS, clocks_kept, count
+from fss_arm_calib.acceptance import FAIL, PASS, count
 from fss_arm_calib.calibration import Calibration
 from fss_arm_calib.messages import common
 from fss_arm_calib.node_settings import node_settings
 from fss_arm_calib.outcome import LIVE, Outcome
-from fss_arm_calib.programs import drift, dynamic, kinematic
+from fss_arm_calib.programs import drift, dynamic, joint, kinematic
 from fss_arm_calib.report import write
 from fss_arm_calib.segments.streams import Streams, newest
 from fss_arm_calib.state import Flags, StateError, Writes, restore, save
@@ -23,6 +23,7 @@ from fss_arm_model.settings import default_in
 from fss_arm_model.vehicle import Vehicle
 from fss_arm_ros.calibrated import Calibrated
 from fss_arm_ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
+from fss_arm_ros.door import subscribe
 from fss_arm_ros.memory import give_back
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED, subscribe_sensor
@@ -60,9 +61,11 @@ class CalibrationNode(Node):
         self.found = self.create_publisher(type(data), kind.data.topic, LATCHED)
         self.result = self.create_publisher(kind.message, kind.topic, LATCHED)
         for one in kind.inputs(s, self.begun.arm.n):
-            subscribe_sensor(
-                self, one.message, one.topic, partial(self.on_sample, one.feed), keep_all=True
-            )
+            take = partial(self.on_sample, one.feed)
+            if one.latched:
+                subscribe(self, one.message, one.topic, take, LATCHED)
+            else:
+                subscribe_sensor(self, one.message, one.topic, take, keep_all=True)
         for topic, message in kind.after.items():
             self.create_subscription(message, topic, partial(self.on_result, topic), LATCHED)
         self.create_service(Trigger, "~/solve", self.on_solve)
@@ -182,7 +185,7 @@ class CalibrationNode(Node):
             return Health(WARN, f"waiting for {', '.join(streams.silent)}", values)
         if streams.unknown:
             return Health(WARN, f"the arm has no {', '.join(streams.unknown)}", values)
-        if clocks := clocks_kept(streams, self.settings.joint_gap).reason:
+        if clocks := kind.clocks(streams, self.settings).reason:
             return Health(WARN, f"{clocks}: {kind.name}/forget begins anew", values)
         if stale := kind.stale(self.outcome, streams):
             return Health(WARN, stale, values)
@@ -190,4 +193,5 @@ class CalibrationNode(Node):
 
 
 if __name__ == "__main__":
-    sys.exit({"kinematic": kinematic, "dynamic": dynamic, "drift": drift}[sys.argv.pop(1)]())
+    programs = {"kinematic": kinematic, "dynamic": dynamic, "drift": drift, "joint": joint}
+    sys.exit(programs[sys.argv.pop(1)]())

@@ -5,6 +5,7 @@ from typing import Any
 
 from fss_arm_calib.drift.settings import DriftSettings
 from fss_arm_calib.dynamic.settings import DynamicSettings
+from fss_arm_calib.joint.settings import JointSettings
 from fss_arm_calib.kinematic.settings import KinematicSettings
 from fss_arm_model.settings import Settings, setting
 
@@ -28,3 +29,4 @@ def node_settings(name: str, kind: type[Settings]) -> type[Any]:
 KinematicNodeSettings = node_settings("kinematic", KinematicSettings)
 DynamicNodeSettings = node_settings("dynamic", DynamicSettings)
 DriftNodeSettings = node_settings("drift", DriftSettings)
+JointNodeSettings = node_settings("joint", JointSettings)

@@ -246,13 +246,22 @@ def _plain(value: Any) -> Any:
     return value.item() if isinstance(value, np.generic) else value
 
 
-def settings_of(provenance: Any, kind: type[C]) -> C:
-    """The settings that a Provenance, or its message, has.
+def settings_of(parameters: str, kind: type[C], section: str = "") -> C:
+    """The settings that a Provenance has.
+
+    Args:
+        parameters: as it has them.
+        kind: of settings.
+        section: the name of theirs, if there are several.
 
     Raises:
         ValueError: they are not those of `kind`.
     """
-    given = yaml.safe_load(provenance.parameters)
+    try:
+        given = yaml.safe_load(parameters)
+    except yaml.YAMLError as error:
+        raise ValueError(f"parameters are no YAML: {error}") from None
+    given = given.get(section, given) if isinstance(given, dict) else given
     known = {f.name for f in fields(kind)}  # type: ignore[arg-type]  # a dataclass
     if not isinstance(given, dict) or not given.keys() <= known:
         raise ValueError(f"parameters are not those of {kind.__name__}")

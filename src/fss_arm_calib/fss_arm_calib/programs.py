@@ -17,6 +17,11 @@ drift = Program(
     "fss_arm_calib.node_settings:DriftNodeSettings",
     of="fss_arm_calib.kinds:DRIFT",
 )
+joint = Program(
+    "fss_arm_calib.calibration_node:CalibrationNode",
+    "fss_arm_calib.node_settings:JointNodeSettings",
+    of="fss_arm_calib.joint.kind:JOINT",
+)
 experiment = Program(
     "fss_arm_calib.experiment.experiment_node:ExperimentNode",
     "fss_arm_calib.experiment.settings:ExperimentSettings",

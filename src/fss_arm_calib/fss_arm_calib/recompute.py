@@ -10,6 +10,7 @@ import numpy as np
 from fss_arm_bags.reader import BagError, Bags, open_bags
 from fss_arm_calib.acceptance import count
 from fss_arm_calib.calibration import Calibration
+from fss_arm_calib.joint.kind import JOINT
 from fss_arm_calib.kinds import KINDS
 from fss_arm_calib.messages import NUMBERS, common
 from fss_arm_calib.outcome import LIVE, Outcome, settings_of
@@ -49,8 +50,9 @@ def again(kind: Calibration[Any, Any], result: Any, data: Any) -> Outcome[Any, A
         ValueError: the result does not hold its settings or its guess.
     """
     found = common(result)
-    settings, arm = settings_of(found.provenance, kind.settings), from_yaml(found.guess)
-    return kind.calibrate(kind.data.from_message(data), arm, settings, Streams(), LIVE)
+    settings = settings_of(found.provenance.parameters, kind.settings, kind.name)
+    data, arm = kind.data.from_message(data), from_yaml(found.guess)
+    return kind.calibrate(data, arm, settings, Streams(), LIVE)
 
 
 def recompute(kind: Calibration[Any, Any], result: Any, data: Any) -> Comparison | None:
@@ -86,7 +88,8 @@ def comparisons(bags: Bags, namespace: str = "") -> list[Comparison]:
     """
     found = []
     space = f"/{namespace.strip('/')}/".replace("//", "/")
-    for kind in KINDS.values():
+    kinds = [*KINDS.values(), JOINT]
+    for kind in kinds:
         results, source = f"{space}{kind.topic}", f"{space}{kind.data.topic}"
         parts = f"{kind.data.noun}s"
         read = [(topic, m) for topic, _, _, m in bags.messages({results, source})]
@@ -102,7 +105,7 @@ def comparisons(bags: Bags, namespace: str = "") -> list[Comparison]:
                 raise BagError(f"a result on {results} lacks its {parts} ({begin}..)")
             found.append(same)
     if not found:
-        topics = " or ".join(f"{space}{kind.topic}" for kind in KINDS.values())
+        topics = " or ".join(f"{space}{kind.topic}" for kind in kinds)
         raise BagError(f"no result on {topics} in {', '.join(map(str, bags.paths))}")
     return found
 

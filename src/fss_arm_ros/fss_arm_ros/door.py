@@ -45,7 +45,40 @@ def _is_pose(message: Any) -> str:
     return ""
 
 
+def _is_observation(one: Any) -> str:
+    """A datum that may be solved from says all that is solved from."""
+    return _certain(one, "q", "tip")
+
+
+def _is_maneuver(one: Any) -> str:
+    knots, marks = sum(one.samples), len(one.marks)
+    joints = dict.fromkeys(("times", "q", "qd"), knots)
+    why = _sized(one, **joints, frames=marks, seconds=marks, poses=3 * marks)
+    return why or _certain(one, "times", "q", "marks", "poses", "seconds")
+
+
+def _is_drift(one: Any) -> str:
+    marks = len(one.times)
+    why = _sized(one, frames=marks, seconds=marks, poses=3 * marks)
+    return why or _certain(one, "q", "times", "poses", "seconds")
+
+
+def _sized(message: Any, **lengths: int) -> str:
+    for name, expected in lengths.items():
+        if (count := len(getattr(message, name))) != expected:
+            return f"{name} has {count} elements, expected {expected}"
+    return ""
+
+
+def _certain(datum: Any, *names: str) -> str:
+    for name in names:
+        if datum.used and not all(map(isfinite, getattr(datum, name))):
+            return f"{name} is not finite, but is to be used"
+    return ""
+
+
 RESULT = Rule(ALL, size=1_000_000)
+DATA = Rule(ALL, size=10_000_000)  # hundreds of maneuvers of many links
 ESTIMATES = ("names", "units", "values", "initial", "deviations")
 
 RULES = {
@@ -53,14 +86,18 @@ RULES = {
     "fss_arm_msgs/BaseTelemetry": Rule(frozenset({"clock_deviation", "round_trip"})),
     "fss_arm_msgs/Calibration": Rule(ALL, (ESTIMATES,), (("covariance", "names"),)),
     "fss_arm_msgs/DriftCalibration": RESULT,
+    "fss_arm_msgs/Drift": Rule(ALL, also=(_is_drift,)),
+    "fss_arm_msgs/Drifts": DATA,
     "fss_arm_msgs/DynamicCalibration": RESULT,
     "fss_arm_msgs/GripperState": Rule(ALL),
     "fss_arm_msgs/KinematicCalibration": RESULT,
-    "fss_arm_msgs/KinematicObservations": RESULT,
+    "fss_arm_msgs/KinematicObservation": Rule(ALL, also=(_is_observation,)),
+    "fss_arm_msgs/KinematicObservations": DATA,
     "fss_arm_msgs/LinkCommand": Rule(ALL),  # drivers answer what they refuse
     "fss_arm_msgs/LinkPath": Rule(ALL),
     "fss_arm_msgs/LinkTelemetry": Rule(frozenset({"clock_deviation", "round_trip"})),
-    "fss_arm_msgs/Maneuvers": RESULT,
+    "fss_arm_msgs/Maneuver": Rule(ALL, also=(_is_maneuver,)),
+    "fss_arm_msgs/Maneuvers": DATA,
     "fss_arm_msgs/MissionState": Rule(ALL),
     "fss_arm_msgs/ThrusterCommand": Rule(ALL),
     "geometry_msgs/PoseStamped": Rule(ALL),  # motion capture does not always see its subjects

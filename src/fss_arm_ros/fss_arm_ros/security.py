@@ -68,6 +68,9 @@ ACCESS = {
     "fss_arm_calib drift": Access(
         "calibration/drift calibration/drifts", "drift/solve drift/forget"
     ),
+    "fss_arm_calib joint": Access(
+        "calibration/joint calibration/session", "joint/solve joint/forget"
+    ),
     "fss_arm_calib experiment": Access("arm/move/alive", asks="arm/move"),
     "fss_base_driver base": Access(
         "base/battery base/pressure base/propellant base/telemetry fog/imu gripper/state "

@@ -1,15 +1,19 @@
-"""`joint` from bags of other arms that other tools made, by files as a new user writes them."""
+"""`from_bag --joint` from bags of other arms that other tools made, by a new user's files."""
 
 import numpy as np
 import pytest
 from foreign_bags import arm, flight, heard, write
 
-from fss_arm_calib.joint.joint_command import main
+from fss_arm_calib.from_bag import main as from_bag
 from fss_arm_calib.result import passed
 from fss_arm_model.description import load
 from fss_arm_model.parameters import parameter_names, values
 from fss_arm_model.planar import wrap
 from fss_arm_ros.command_line import USER_ERROR
+
+
+def main(args):
+    return from_bag(["--joint", *args])
 
 
 def drawn(truth):

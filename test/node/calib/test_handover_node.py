@@ -11,7 +11,6 @@ from calib_kinds import PRECISE, STATE, TRUTH, Bed, make_node
 from fss_arm_calib.dynamic.kind import DYNAMIC
 from fss_arm_calib.from_bag import main as from_bag
 from fss_arm_calib.from_bag import solve_bag
-from fss_arm_calib.joint.joint_command import main as joint
 from fss_arm_calib.kinds import KINDS
 from fss_arm_calib.messages import common
 from fss_arm_calib.recompute import again
@@ -19,6 +18,10 @@ from fss_arm_model.description import from_yaml, load, to_yaml
 from fss_arm_ros.qos import LATCHED
 
 FOUND = kinematics(rests(ARM, 13, np.random.default_rng(0)))
+
+
+def joint(args):
+    return from_bag(["--joint", *args])
 
 
 @pytest.fixture(scope="module")

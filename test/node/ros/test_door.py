@@ -12,7 +12,17 @@ from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from sensor_msgs.msg import Imu, JointState
 
-from fss_arm_msgs.msg import Calibration, KinematicCalibration, LinkTelemetry
+from fss_arm_msgs.msg import (
+    Calibration,
+    Drift,
+    Drifts,
+    KinematicCalibration,
+    KinematicObservation,
+    KinematicObservations,
+    LinkTelemetry,
+    Maneuver,
+    Maneuvers,
+)
 from fss_arm_ros.diagnostics import WARN, Diagnostics, Health
 from fss_arm_ros.door import check, refusals, subscribe
 from fss_arm_ros.sources import rivals
@@ -42,6 +52,21 @@ def calibration(**fields):
     return KinematicCalibration(calibration=Calibration(**fields))
 
 
+def rests(tip, used=True):
+    one = KinematicObservation(q=[0.0], tip=tip, used=used)
+    return KinematicObservations(observations=[one])
+
+
+def maneuvers(**fields):
+    one = {"samples": [1, 1], "times": [0.0, 0.0], "q": [0.0, 0.1], "qd": [nan, nan], "used": True}
+    return Maneuvers(maneuvers=[Maneuver(**{**one, **fields})])
+
+
+def drifts(**fields):
+    one = {"times": [0.0], "poses": [0.0, 0.0, 0.0], "frames": [5], "seconds": [0.5]}
+    return Drifts(drifts=[Drift(**{**one, **fields})])
+
+
 @pytest.mark.parametrize(
     ("message", "why"),
     [
@@ -60,6 +85,14 @@ def calibration(**fields):
         (calibration(names=["a"], deviations=[inf], covariance=[nan]), ""),
         (calibration(names=["a"], covariance=[1.0, 0.0]), "covariance has 2 elements, expected 1"),
         (calibration(names=["a"], values=[1.0, 2.0]), "values has 2 elements, expected 1"),
+        (rests([nan, nan, nan], used=False), ""),
+        (rests([nan, nan, nan]), "tip is not finite, but is to be used"),
+        (maneuvers(), ""),
+        (maneuvers(samples=[1, 2]), "times has 2 elements, expected 3"),
+        (maneuvers(marks=[0.5]), "frames has 0 elements, expected 1"),
+        (maneuvers(q=[0.0, nan]), "q is not finite, but is to be used"),
+        (drifts(), ""),
+        (drifts(poses=[0.0, 0.0]), "poses has 2 elements, expected 3"),
     ],
 )
 def test_what_is_let_in(message, why):

@@ -95,7 +95,7 @@ def test_every_number_can_be_recomputed_from_what_is_published(maneuvers, good):
     again = calibrate(
         maneuvers_of(published),
         from_yaml(result.guess),
-        settings_of(result.provenance, DynamicSettings),
+        settings_of(result.provenance.parameters, DynamicSettings),
     )
     assert maneuvers_of(published) == maneuvers
     assert np.array_equal(again.values, result.values)

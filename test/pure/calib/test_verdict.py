@@ -305,18 +305,20 @@ def test_a_result_says_where_it_is_from_and_follows_from_that():
     assert (c.provenance.begin, c.provenance.end) == (0, 12 * 10**9 + 1)
     assert c.provenance.software == f"fss_arm_calib {__version__}"
     again = calibrate(
-        with_outlier(), from_yaml(to_yaml(c.arm)), settings_of(c.provenance, KinematicSettings)
+        with_outlier(),
+        from_yaml(to_yaml(c.arm)),
+        settings_of(c.provenance.parameters, KinematicSettings),
     )
     assert again.values.tolist() == c.values.tolist()
     assert again.checks == c.checks
     with pytest.raises(ValueError, match="parameters are not those of CalibrationSettings"):
-        settings_of(c.provenance, CalibrationSettings)
+        settings_of(c.provenance.parameters, CalibrationSettings)
 
 
 def test_numbers_of_numpy_are_settings_like_others():
     told = replace(SETTINGS, heading_deviation=np.float64(0.01), min_observations=np.int64(7))
     found = calibrate(observe(), paper_arm(), told)
-    again = settings_of(found.provenance, KinematicSettings)
+    again = settings_of(found.provenance.parameters, KinematicSettings)
     assert (again.heading_deviation, again.min_observations) == (0.01, 7)
     assert type(again.min_observations) is int
 

@@ -11,11 +11,12 @@ from rich.console import Console
 
 from fss_arm_bags.reader import BagError, Bags, open_bags
 from fss_arm_calib import report
+from fss_arm_calib.bag_command import EPILOG, EXIT_CODES, add_settings, outputs, told
+from fss_arm_calib.bag_data import hint, source
 from fss_arm_calib.drives.calibrate import Telemetry, calibrate
 from fss_arm_calib.drives.problem import Drive
 from fss_arm_calib.drives.report import drives_report
 from fss_arm_calib.drives.settings import DrivesSettings
-from fss_arm_calib.from_bag import EPILOG, EXIT_CODES, add_settings, hint, outputs, source, told
 from fss_arm_calib.outcome import Outcome
 from fss_arm_model.description import described, load
 from fss_arm_ros.command_line import Parser, in_one_line

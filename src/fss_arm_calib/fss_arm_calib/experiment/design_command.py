@@ -15,6 +15,8 @@ from rich.progress import Progress
 
 from fss_arm_bags.reader import BagError, open_bags
 from fss_arm_calib import report
+from fss_arm_calib.bag_command import add_settings
+from fss_arm_calib.bag_data import fed
 from fss_arm_calib.dynamic.kind import DYNAMIC
 from fss_arm_calib.dynamic.problem import DynamicProblem, DynamicResult
 from fss_arm_calib.dynamic.settings import DynamicSettings
@@ -33,7 +35,6 @@ from fss_arm_calib.experiment.design import (
     to_yaml,
 )
 from fss_arm_calib.experiment.excitation import JOINT, excitation
-from fss_arm_calib.from_bag import add_settings, fed
 from fss_arm_calib.kinematic.problem import FULL, KinematicProblem, solve
 from fss_arm_calib.outcome import LIVE
 from fss_arm_calib.result import arm_of

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
@@ -14,6 +14,7 @@ from fss_arm_calib.acceptance import (
     Check,
     at_most,
     by_chance,
+    clocks_kept,
     converged,
     count,
     determined,
@@ -35,11 +36,13 @@ from fss_arm_calib.outcome import LIVE, Datum, Estimate, Outcome, concluded
 from fss_arm_calib.segments.rests import homed
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_model.description import Arm, from_yaml
-from fss_arm_model.parameters import parameter_names, values
+from fss_arm_model.parameters import parameter_names, unit, values
 from fss_arm_model.planar import wrap
 from fss_arm_model.units import GRAVITY
 
 Kinds = Mapping[str, Calibration[Any, Any]]
+
+UNITS = {"torque": "N m", "twist_damping": "N m s", "drag": "N s/m"}
 
 
 @dataclass(frozen=True)
@@ -99,6 +102,16 @@ def stages(session: Session, arm: Arm, kinds: Kinds, settings: Mapping[str, Any]
     return Stage(arm, used, outcomes, known)
 
 
+class Own(NamedTuple):
+    """A parameter that a session has for its own."""
+
+    session: str
+    name: str
+    unit: str
+    value: float  # of a joint's zero, against that of the last session
+    deviation: float
+
+
 @dataclass(frozen=True)
 class Solution:
     """A result, and the sessions that it is from."""
@@ -106,6 +119,13 @@ class Solution:
     result: JointResult
     sessions: tuple[str, ...]
     number: tuple[dict[str, int], ...]  # of data by kind that each contributes
+
+    def own(self) -> Iterator[Own]:
+        """What each session had for its own."""
+        for k, session in enumerate(self.sessions):
+            names, (values, deviations) = self.result.problem.own_names(k), self.result.session(k)
+            for name, *numbers in zip(names, values.tolist(), deviations.tolist(), strict=True):
+                yield Own(session, name, UNITS.get(name) or unit(name), *numbers)
 
 
 def problem_of(
@@ -197,7 +217,11 @@ def calibrate(
     odd = (one for one in heard if one.silent or one.unknown)
     streams = next(odd, heard[0] if heard else Streams())
     words = _numbers(used, kinds) if found else "no rest, maneuver or drift can be used"
-    found_checks = [joints_known(streams, arm), enough("data", len(kinds_seen), 1, words, streams)]
+    found_checks = [
+        joints_known(streams, arm),
+        _clocks(sessions, of_kinds),
+        enough("data", len(kinds_seen), 1, words, streams),
+    ]
     solution = None
     own = [stage.settings for _, stage in found]
     problem = problem_of(used, arm, s, kinds, of_kinds, own)
@@ -212,12 +236,26 @@ def calibrate(
     hashes = [o.provenance.data_hash for _, stage in found for o in stage.outcomes.values()]
     outcome = concluded(
         [one for part in parts for some in part.data.values() for one in some],
-        [one for data in used for some in data.values() for one in some],
+        sorted((one for data in used for some in data.values() for one in some), key=_end),
         [np.frombuffer("".join(hashes).encode(), dtype=np.uint8)],
         arm, s, JointSettings, streams, source, found_checks, estimate, solution,
         solution.result.calibrated if solution else None,
     )  # fmt: skip
     return replace(outcome, provenance=replace(outcome.provenance, parameters=_told(s, of_kinds)))
+
+
+def _end(one: Datum) -> int:
+    return one.end
+
+
+def _clocks(sessions: Sequence[Session], of_kinds: Mapping[str, Any]) -> Check:
+    """Whether no clock ran back so far that it may have hidden what happened, in any session."""
+    every = (
+        clocks_kept(streams, of_kinds[kind].joint_gap)
+        for session in sessions
+        for kind, streams in session.streams.items()
+    )
+    return max(every, key=lambda check: check.needed, default=clocks_kept(Streams(), 0.0))
 
 
 def _numbers(used: Sequence[Mapping[str, Sequence[Any]]], kinds: Kinds) -> str:
@@ -228,9 +266,10 @@ def _numbers(used: Sequence[Mapping[str, Sequence[Any]]], kinds: Kinds) -> str:
 
 def _told(s: JointSettings, of_kinds: Mapping[str, Any]) -> str:
     """All settings, as YAML."""
-    every = {"joint": s, **of_kinds}
+    kinds = ((name, type(one), one) for name, one in of_kinds.items())
     told = {
-        name: {f.name: getattr(one, f.name) for f in fields(one)} for name, one in every.items()
+        name: {f.name: getattr(one, f.name) for f in fields(kind)}
+        for name, kind, one in (("joint", JointSettings, s), *kinds)
     }
     return yaml.safe_dump(told, sort_keys=False)
 

@@ -10,7 +10,7 @@ from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.report import Report, Table
 from fss_arm_calib.report_tables import number, parameters, reported, shown_unit, text
 from fss_arm_model.description import Arm
-from fss_arm_model.parameters import unit, values
+from fss_arm_model.parameters import values
 
 
 def joint_report(outcome: Outcome[Any, Solution], truth: Arm | None = None) -> Report:
@@ -66,14 +66,11 @@ def _fits(found: Solution) -> Table:
 
 def _sessions(found: Solution) -> Table:
     """What each session had for its own."""
-    rows = []
-    for k, session in enumerate(found.sessions):
-        own = zip(found.result.problem.own_names(k), *found.result.session(k), strict=True)
-        for name, value, sigma in own:
-            kind = {"torque": "N m", "twist_damping": "N m s", "drag": "N s/m"}.get(
-                name, unit(name)
-            )
-            rows.append([session, name, shown_unit(kind), _small(value, kind), _small(sigma, kind)])
+    rows = [
+        [one.session, one.name, shown_unit(one.unit), _small(one.value, one.unit),
+         _small(one.deviation, one.unit)]
+        for one in found.own()
+    ]  # fmt: skip
     head = ["session", "parameter", "unit", "estimate", "± 1 sigma"]
     note = "zeros of joints against those of the last session"
     return Table("What each session had for its own", head, rows, words=3, note=note)

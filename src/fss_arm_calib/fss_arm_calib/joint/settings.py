@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from math import radians
+from typing import ClassVar
 
 from fss_arm_calib.dynamic.parameters import Choice, Knowledge
 from fss_arm_calib.dynamic.settings import DynamicSettings
@@ -15,6 +16,11 @@ class JointSettings(Knowledge):
     Raises:
         SettingError: a setting is impossible.
     """
+
+    ABOUT: ClassVar = (
+        "All parameters of the arm at once, from all rests, maneuvers and drifts that the nodes "
+        "kinematic, dynamic and drift hold, or that are in bags."
+    )
 
     arm: str = setting("", "description YAML to begin from; empty: the paper's arm")
     priors: str = setting(

@@ -1,8 +1,7 @@
-"""One arm from all rests, maneuvers and drifts of one bag or many: the command `joint`."""
+"""One arm from all rests, maneuvers and drifts of one bag or many: `from_bag --joint`."""
 
 import argparse
-import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -10,19 +9,9 @@ from typing import Any
 from rich.console import Console
 
 from fss_arm_bags.reader import open_bags
-from fss_arm_calib import report
+from fss_arm_calib.bag_command import EPILOG, add_settings, defaults, outputs, told
+from fss_arm_calib.bag_data import fed, name, source
 from fss_arm_calib.calibration import Input
-from fss_arm_calib.from_bag import (
-    EPILOG,
-    EXIT_CODES,
-    add_settings,
-    defaults,
-    fed,
-    name,
-    outputs,
-    source,
-    told,
-)
 from fss_arm_calib.joint.calibrate import Session, Solution, calibrate
 from fss_arm_calib.joint.report import joint_report
 from fss_arm_calib.joint.settings import JointSettings
@@ -30,15 +19,17 @@ from fss_arm_calib.kinds import KINDS
 from fss_arm_calib.outcome import Outcome
 from fss_arm_model.description import described, load
 from fss_arm_model.files import ContentError, read_yaml
-from fss_arm_ros.command_line import Parser, in_one_line
+from fss_arm_ros.command_line import Parser
 
-DESCRIPTION = f"""{__doc__} Each bag is a session of its own: tilt, hose and the joints' zeros may
-be others in each, and so they may after a homing within it."""
+DESCRIPTION = """One arm from all rests, maneuvers and drifts of one bag or many. Each bag is a
+session of its own: tilt, hose and the joints' zeros may be others in each, and so they may after a
+homing within it."""
 
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    p = Parser("joint", description=DESCRIPTION, epilog=EPILOG)
+    p = Parser("from_bag", description=DESCRIPTION, epilog=EPILOG)
+    p.add_argument("--joint", action="store_true", help="this estimate")
     p.add_argument("bags", nargs="+", metavar="BAG", help="bag, or folder of bags: a session")
     outputs(p, "calibrated description")
     p.add_argument(
@@ -97,7 +88,12 @@ def session_of(
 
 
 def estimated(options: argparse.Namespace, console: Console) -> Outcome[Any, Solution]:
-    """Solve, show and write what was asked for."""
+    """Solve, show and write what was asked for.
+
+    Raises:
+        ValueError: a bag or a file holds something else, or a setting is impossible.
+        OSError: a file cannot be read or written.
+    """
     s = JointSettings(**{f.name: getattr(options, f.name) for f in fields(JointSettings)})
     truth = load(options.truth) if options.truth else None
     arm, settings = described(s.arm), of_kinds(options.params, options.namespace)
@@ -109,14 +105,3 @@ def estimated(options: argparse.Namespace, console: Console) -> Outcome[Any, Sol
     outcome = calibrate([one for one, _ in read], arm, s, KINDS, settings, sources)
     told(outcome, joint_report(outcome, truth), "joint", options, console)
     return outcome
-
-
-@in_one_line("joint")
-def main(args: Sequence[str] | None = None) -> int:
-    """Run as `ros2 run fss_arm_calib joint`."""
-    options = parser().parse_args(args)
-    return EXIT_CODES[estimated(options, report.console()).verdict]
-
-
-if __name__ == "__main__":
-    sys.exit(main())

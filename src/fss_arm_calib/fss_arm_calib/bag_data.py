@@ -1,0 +1,119 @@
+"""What bags hold for a finder: its data, found as a node finds them, and the streams themselves."""
+
+from collections.abc import Sequence
+from itertools import zip_longest
+from math import nan
+from typing import TypeVar
+
+import numpy as np
+from geometry_msgs.msg import PoseStamped
+from sensor_msgs.msg import Imu, JointState
+
+from fss_arm_bags.bulk import frame_id, pieces, turn_rates, whole_poses
+from fss_arm_bags.reader import BagError, Bags, digest
+from fss_arm_calib.calibration import Finder, Input
+from fss_arm_calib.outcome import Datum
+from fss_arm_calib.segments.tape import Tape, Track
+from fss_arm_ros.convert import SECOND, stamp_ns
+
+D = TypeVar("D", bound=Datum)
+
+PIECE = 0.2  # of the horizon that streams may lag each other by: what is read at once
+
+
+def source(bags: Bags) -> str:
+    """The bags' names with the SHA-256 of each one's data, and what was lost of damaged ones."""
+    lost = {
+        r.path: f" ({r.messages} messages recovered, {r.lost} bytes lost)" for r in bags.recovered
+    }
+    return ", ".join(f"{path.name} {digest(path)}{lost.get(path, '')}" for path in bags.paths)
+
+
+def fed(
+    bags: Bags, finder: Finder[D], inputs: Sequence[Input], horizon: float, namespace: str = ""
+) -> list[D]:
+    """What a finder makes of the bags' messages.
+
+    Raises:
+        BagError: a topic is missing or of another type.
+    """
+    topics = {name(bags, one, namespace): one for one in inputs}
+    found: list[D] = []
+    for piece in pieces(bags.raw(set(topics)), round(PIECE * horizon * SECOND)):
+        for topic, one in topics.items():
+            data = piece.get(topic, [])
+            if one.bulk:
+                found += one.bulk(finder, data)
+                continue
+            for message in data:
+                found += one.feed(finder, bags.deserialize(message, one.type))
+    return found + finder.close()
+
+
+def taped(bags: Bags, inputs: Sequence[Input], namespace: str = "") -> Tape:
+    """What the bags hold of joints, subjects and gyro, to be heard again.
+
+    Raises:
+        BagError: a topic is missing or of another type.
+    """
+    topics = {name(bags, one, namespace): one for one in inputs}
+    wanted = {
+        topic for topic, one in topics.items() if one.message in (JointState, PoseStamped, Imu)
+    }
+    data: dict[str, list[bytes]] = {topic: [] for topic in wanted}
+    receipts: dict[str, list[int]] = {topic: [] for topic in wanted}
+    for topic, _, receipt, message in bags.raw(wanted):
+        data[topic].append(message)
+        receipts[topic].append(receipt)
+    joints: dict[str, list[tuple[int, int, float, float]]] = {}
+    poses, frames, rates = {}, {}, None
+    for topic, messages in data.items():
+        one, heard = topics[topic], np.array(receipts[topic], dtype=np.int64)
+        if one.message is JointState:
+            for received, message in zip(receipts[topic], messages, strict=True):
+                state = bags.deserialize(message, one.type)
+                readings = zip_longest(state.name, state.position, state.velocity, fillvalue=nan)
+                for joint, q, qd in readings:
+                    row = stamp_ns(state.header.stamp), received, float(q), float(qd)
+                    joints.setdefault(str(joint), []).append(row)
+        elif one.message is PoseStamped and messages:
+            stamps, numbers = whole_poses(messages)
+            poses[one.subject] = Track(stamps, heard, numbers)
+            frames[one.subject] = frame_id(messages[0])
+        elif messages:
+            stamps, turns = turn_rates(messages)
+            rates = Track(stamps, heard, turns[:, None])
+    return Tape({joint: _track(rows) for joint, rows in joints.items()}, poses, rates, frames)
+
+
+def _track(rows: Sequence[tuple[int, int, float, float]]) -> Track:
+    stamps, receipts, q, qd = zip(*rows, strict=True)
+    t, heard = (np.array(part, dtype=np.int64) for part in (stamps, receipts))
+    return Track(t, heard, np.column_stack([q, qd]))
+
+
+def name(bags: Bags, one: Input, namespace: str = "", needed: bool = True) -> str:
+    """The name of an input's topic, as in the bags: in the namespace, unless it begins with `/`.
+
+    Raises:
+        BagError: it is of another type, or missing and needed.
+    """
+    within = namespace.strip("/")
+    topic = (
+        f"/{within}/{one.topic}" if within and one.topic[0] != "/" else f"/{one.topic.lstrip('/')}"
+    )
+    if topic in bags.topics and bags.topics[topic].msgtype != one.type:
+        raise BagError(f"{topic} is of type {bags.topics[topic].msgtype}, expected {one.type}")
+    if topic not in bags.topics and one.needed and needed:
+        there = ", ".join(bags.topics) or "no topics"
+        where = ", ".join(map(str, bags.paths))
+        raise BagError(f"no {topic} in {where}, which has {there}{hint(bags, one.topic)}")
+    return topic
+
+
+def hint(bags: Bags, topic: str) -> str:
+    """In which namespaces there is a topic that was looked for, in words; empty: in none."""
+    last = f"/{topic.lstrip('/')}"
+    spaces = [found.removesuffix(last)[1:] for found in bags.topics if found.endswith(last)]
+    named = " or ".join(f"--namespace {space}" for space in spaces if space)
+    return named and f"; see {named}"

@@ -1,0 +1,160 @@
+"""The joint estimate as a kind: from what the nodes of the others publish, and its own messages."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from math import inf
+from typing import Any
+
+from fss_arm_calib.acceptance import clocks_kept, count
+from fss_arm_calib.calibration import Calibration, Data, Input
+from fss_arm_calib.joint.calibrate import Session, Solution, calibrate
+from fss_arm_calib.joint.gathering import Gathered, Gatherer
+from fss_arm_calib.joint.report import joint_report
+from fss_arm_calib.joint.settings import JointSettings
+from fss_arm_calib.kinds import KINDS
+from fss_arm_calib.messages import common, common_message
+from fss_arm_calib.outcome import Outcome, settings_of
+from fss_arm_calib.segments.streams import Streams
+from fss_arm_model.description import Arm
+from fss_arm_msgs import msg
+from fss_arm_ros.convert import to_time
+
+AnyKind = Calibration[Any, Any]
+Found = Outcome[Gathered, Solution]
+
+
+def inputs(_: JointSettings, n: int) -> list[Input]:
+    """Of each other kind its data, and its results for how these are to be weighed."""
+    return [one for kind in KINDS.values() for one in (_data_input(kind), _result_input(kind))]
+
+
+def _data_input(kind: AnyKind) -> Input:
+    def feed(gatherer: Gatherer, message: Any) -> list[Gathered]:
+        try:
+            found = kind.data.from_message(message)
+        except ValueError:
+            gatherer.reject(f"{kind.data.topic} not understood")
+            return []
+        return gatherer.data(kind.name, found)
+
+    return Input(kind.data.topic, type(kind.data.to_message([], "")), feed, latched=True)
+
+
+def _result_input(kind: AnyKind) -> Input:
+    def feed(gatherer: Gatherer, message: Any) -> list[Gathered]:
+        found = common(message)
+        told = found.provenance.parameters
+        try:
+            settings_of(told, kind.settings)
+        except (TypeError, ValueError):  # of another version
+            gatherer.reject(f"{kind.topic} not understood")
+            return []
+        clocks = (check for check in found.checks if check.name == "clocks")
+        back = max((c.value for c in clocks if c.value > c.threshold), default=0.0)
+        return gatherer.result(kind.name, told, back)
+
+    return Input(kind.topic, kind.message, feed, latched=True)
+
+
+def of_session(
+    sessions: Sequence[Gathered], arm: Arm, s: JointSettings, streams: Streams, source: str
+) -> Found:
+    """Solve from what the nodes hold, each kind's data by the settings of its node."""
+    one = sessions[-1] if sessions else Gathered()
+    of_kinds = {name: kind.settings() for name, kind in KINDS.items()}
+    for name, told in one.settings.items():
+        of_kinds[name] = settings_of(told, KINDS[name].settings)
+    each = {name: replace(streams, set_back={name: one.set_back.get(name, 0.0)}) for name in KINDS}
+    outcome = calibrate([Session(source, one.data, each)], arm, s, KINDS, of_kinds, source)
+    origin = replace(outcome.provenance, begin=one.start, end=one.end)
+    used = tuple(sessions[-1:]) if outcome.used else ()
+    return Outcome(
+        tuple(sessions), used, arm, s, outcome.streams, outcome.checks, origin, outcome.estimate,
+        outcome.solution, outcome.description,
+    )  # fmt: skip
+
+
+def to_message(outcome: Found, frame_id: str) -> msg.JointCalibration:
+    """What is concluded, as it is published."""
+    message = msg.JointCalibration(calibration=common_message("joint", outcome, frame_id))
+    if found := outcome.solution:
+        own = list(found.own())
+        message.sessions = [one.session for one in own]
+        message.own = [one.name for one in own]
+        message.own_units = [one.unit for one in own]
+        message.own_values = [one.value for one in own]
+        message.own_deviations = [one.deviation for one in own]
+    return message
+
+
+def session_message(sessions: Sequence[Gathered], frame_id: str) -> msg.CalibrationSession:
+    """What the nodes hold, as it is published."""
+    one = sessions[-1] if sessions else Gathered()
+    message = msg.CalibrationSession(
+        kinds=[*one.settings], settings=[*one.settings.values()], set_back=[*one.set_back.values()]
+    )
+    for name, kind in KINDS.items():
+        setattr(message, _field(kind), kind.data.to_message(getattr(one, name), frame_id))
+    message.header.frame_id, message.header.stamp = frame_id, to_time(one.end)
+    return message
+
+
+def sessions_of(message: msg.CalibrationSession) -> list[Gathered]:
+    """What a message says that the nodes hold; nothing if it is of no node."""
+    if not message.kinds:
+        return []
+    settings = dict(zip(message.kinds, message.settings, strict=True))
+    set_back = dict(zip(message.kinds, map(float, message.set_back), strict=True))
+    data = {
+        name: tuple(kind.data.from_message(getattr(message, _field(kind))))
+        for name, kind in KINDS.items()
+    }
+    return [Gathered(**data, settings=settings, set_back=set_back)]
+
+
+def _field(kind: AnyKind) -> str:
+    return f"{kind.data.noun}s"
+
+
+def held(gatherer: Gatherer) -> dict[str, object]:
+    """Number of data of each kind."""
+    data = gatherer.gathered.data
+    return {_field(kind): len(data.get(name, ())) for name, kind in KINDS.items()}
+
+
+def stale(outcome: Found, _: Streams) -> str:
+    """Whether a clock ran back at one of the nodes."""
+    back = outcome.data[-1].set_back if outcome.data else {}
+    spoilt = [f"{name}/forget" for name, by in back.items() if by > 0.0]
+    return f"a clock ran back: {', '.join(spoilt)} begins anew" if spoilt else ""
+
+
+def _summary(one: Gathered) -> str:
+    return ", ".join(count(len(some), KINDS[name].data.noun) for name, some in one.data.items())
+
+
+JOINT = Calibration(
+    name="joint",
+    about=JointSettings.ABOUT,
+    settings=JointSettings,
+    data=Data(
+        "session", Gathered, "calibration/session", session_message, sessions_of, _summary
+    ),
+    most=lambda _: 1,
+    inputs=inputs,
+    finder=lambda n, _, kept: Gatherer(n, [*KINDS], kept),
+    calibrate=of_session,
+    message=msg.JointCalibration,
+    to_message=to_message,
+    numbers=("own_values", "own_deviations"),
+    report=joint_report,
+    clocks=lambda streams, _: clocks_kept(streams, inf),  # it has none: see `stale`
+    stale=stale,
+    health=held,
+    lacks={
+        "time offset": "each datum allows for what its streams told",
+        "second session": "the nodes tell no days apart; from_bag --joint takes a bag of each, "
+        "with its own zeros, tilt and hose",
+        "data of its own": "it has what kinematic, dynamic and drift hold, and forgets as they do",
+    },
+)  # fmt: skip

@@ -1,0 +1,285 @@
+"""The live joint estimate: from what the nodes of other kinds hold, as they come and go."""
+
+import json
+from dataclasses import fields, replace
+
+import calib_float
+import numpy as np
+import pytest
+import yaml
+from calib_joint import ARM, DRIFT, SETTINGS, day, draw_arm
+from calib_kinds import PRECISE, STATE, TRUTH, Bed, ask, make_node, serialized
+from std_srvs.srv import Trigger
+
+from fss_arm_bags.recorder import Recording
+from fss_arm_calib.calibration_node import CalibrationNode
+from fss_arm_calib.from_bag import main as from_bag
+from fss_arm_calib.joint.calibrate import Session, calibrate
+from fss_arm_calib.joint.kind import JOINT, session_message, sessions_of
+from fss_arm_calib.joint.settings import JointSettings
+from fss_arm_calib.kinds import KINDS
+from fss_arm_calib.messages import common
+from fss_arm_calib.recompute import again, recompute
+from fss_arm_calib.recompute import main as recompute_command
+from fss_arm_model.description import from_yaml
+from fss_arm_ros.convert import SECOND
+from fss_arm_ros.diagnostics import OK, WARN, Health
+from fss_arm_ros.qos import LATCHED
+
+#: What the nodes are told, as in calib_joint.SETTINGS.
+TOLD = {
+    kind: {f.name: getattr(one, f.name) for f in fields(one) if getattr(one, f.name) != f.default}
+    for kind, one in SETTINGS.items()
+}
+
+
+@pytest.fixture(scope="module")
+def data():
+    """By kind, of one day of a simulated arm."""
+    rng = np.random.default_rng(3)
+    return day(draw_arm(rng), rng).data
+
+
+@pytest.fixture
+def node(spin):
+    """node(kind, **settings): the node of a kind by its name, destroyed after the test."""
+
+    def make(kind, **settings):
+        known = {**KINDS, "joint": JOINT}[kind]
+        made = make_node(known, **{**TOLD.get(kind, {}), **settings})
+        spin(made, lambda: True)
+        return made
+
+    return make
+
+
+def end(node):
+    node.executor.remove_node(node)
+    node.destroy_node()
+
+
+@pytest.fixture
+def others(node, data):
+    """The nodes of all other kinds, by kind, each with its data."""
+    found = {kind: node(kind) for kind in KINDS}
+    for kind, one in found.items():
+        one.take(data[kind])
+    return found
+
+
+def held(joint):
+    """Numbers of data of each kind that it has solved from."""
+    data = joint.data[-1].data if joint.data else {}
+    return [len(data.get(kind, ())) for kind in KINDS]
+
+
+def numbers(data):
+    return [len(data[kind]) for kind in KINDS]
+
+
+def all_heard(joint, data):
+    return held(joint) == numbers(data)
+
+
+def test_one_that_comes_late_hears_all_and_solves_as_the_mathematics_do(spin, others, node, data):
+    """By the settings that the other nodes were given, of which it was told nothing."""
+    joint = node("joint")
+    assert joint.health() == Health(
+        WARN, "waiting for kinematic, dynamic, drift", joint.health().values
+    )
+    spin([joint, *others.values()], lambda: all_heard(joint, data))
+    assert joint.health().level == OK
+    assert joint.health().values["maneuvers"] == len(data["dynamic"])
+    direct = calibrate([Session("live", data)], ARM, JointSettings(), KINDS, SETTINGS)
+    assert joint.outcome.verdict == direct.verdict == "pass", joint.outcome.reason
+    np.testing.assert_allclose(joint.outcome.values, direct.values, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(joint.outcome.covariance, direct.covariance, rtol=1e-9)
+    assert joint.outcome.provenance.data_hash == direct.provenance.data_hash
+    told = yaml.safe_load(joint.outcome.provenance.parameters)
+    assert told["drift"]["torque_deviation"] == DRIFT.torque_deviation
+
+
+def test_live_is_what_the_bag_says_and_can_be_recomputed(spin, node, tmp_path, capsys):
+    """All nodes hear one flight; it is recorded, and the joint estimate made from the bag, too."""
+    flight = calib_float.Float(
+        calib_float.postures(10, seed=3), TRUTH.vector(), STATE, noise=(0.0005, 0.001)
+    )
+    samples = flight.samples(20, tip=True)
+    told = {
+        "kinematic": {"position_deviation": 0.001, "heading_deviation": 0.002},
+        "dynamic": PRECISE,
+        "drift": {
+            "min_duration": 3.0,
+            "bin": 0.2,
+            "position_deviation": 0.0005,
+            "heading_deviation": 0.001,
+        },
+    }
+    output, page = tmp_path / "new" / "arm.yaml", tmp_path / "report"
+    bed, joint = Bed(JOINT), node("joint", output=str(output), report=str(page), max_relative=2.0)
+    others = [make_node(KINDS[kind], **given) for kind, given in told.items()]
+    hear = {}
+    for one in others:
+        for source in one.kind.inputs(one.settings, 4):
+            hear.setdefault(source.topic, []).append((one, source.feed))
+    for topic, message in map(calib_float.message, samples):
+        for one, feed in hear[topic]:
+            one.on_sample(feed, message)
+    for one in others:
+        one.on_solve(Trigger.Request(), Trigger.Response())
+    counts = [len(one.data) for one in others]
+    assert min(counts) >= 8
+    spin([bed, joint, *others], lambda: held(joint) == counts)
+    answer = ask(spin, bed, joint, bed.solver)
+    assert answer.success, answer.message
+    spin([bed, joint], lambda: bed.results and common(bed.results[-1]).verdict == "pass")
+    result, session = bed.results[-1], bed.data[-1]
+    found = common(result)
+    assert (found.kind, found.provenance.source, found.header.frame_id) == ("joint", "live", "fss")
+
+    bag = calib_float.record(tmp_path / "bag", samples)
+    params, files = tmp_path / "params.yaml", tmp_path / "joint.json"
+    params.write_text(yaml.safe_dump(told))
+    asked = ["--params", str(params), "--max-relative=2", "--result", str(files)]
+    assert from_bag(["--joint", str(bag), *asked]) == 0
+    offline = json.loads(files.read_text())
+    assert found.provenance.data_hash == offline["provenance"]["data_hash"]
+    np.testing.assert_allclose(found.values, offline["values"], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(
+        found.covariance, np.ravel(offline["covariance"]), rtol=1e-9, atol=1e-15
+    )
+
+    assert recompute(JOINT, result, session).same
+    assert again(JOINT, result, session).description == found.description
+    assert from_yaml(output.read_text()) == from_yaml(found.description)
+    assert output.with_suffix(".urdf").exists()
+    assert {"g_x", "torque"} <= {*result.own}
+    text = (page / "index.html").read_text()
+    for words in ("x without dynamic", *JOINT.lacks.values()):
+        assert words in text
+    recorded = Recording(tmp_path / "told")
+    for stamp, topic, message in ((1, JOINT.data.topic, session), (2, JOINT.topic, result)):
+        recorded.add(f"/{topic}", f"fss_arm_msgs/msg/{type(message).__name__}", [LATCHED])
+        recorded.write(f"/{topic}", stamp, serialized(message))
+    recorded.close()
+    capsys.readouterr()
+    assert recompute_command([str(recorded.path)]) == 0
+    assert "1 session, pass: the same" in capsys.readouterr().out
+
+
+def test_what_the_nodes_hold_comes_back_from_its_message(spin, others, node, data):
+    joint = node("joint")
+    spin([joint, *others.values()], lambda: all_heard(joint, data))
+    assert sessions_of(session_message(joint.data, "fss")) == joint.data
+    assert sessions_of(session_message([], "fss")) == []
+
+
+def test_what_a_node_forgets_is_forgotten_and_of_one_that_ended_all_is_kept(
+    spin, others, node, data
+):
+    joint, kept = node("joint"), numbers(data)
+    spin([joint, *others.values()], lambda: all_heard(joint, data))
+    end(others.pop("kinematic"))
+    others["dynamic"].on_forget(Trigger.Request(), Trigger.Response())
+    spin([joint, *others.values()], lambda: held(joint) == [kept[0], 0, kept[2]])
+    assert joint.outcome.verdict != "pass"
+    others["dynamic"].take(data["dynamic"])
+    spin([joint, *others.values()], lambda: held(joint) == kept)
+    assert joint.outcome.verdict == "pass"
+
+
+def test_it_forgets_until_the_nodes_tell_again(spin, others, node, data):
+    bed, joint = Bed(JOINT), node("joint")
+    spin([bed, joint, *others.values()], lambda: all_heard(joint, data))
+    assert ask(spin, bed, joint, bed.forgetter).message == "1 session forgotten"
+    assert held(joint) == [0, 0, 0]
+    assert joint.outcome.verdict == "not_evaluated"
+    others["drift"].on_solve(Trigger.Request(), Trigger.Response())
+    spin([joint, *others.values()], lambda: held(joint) == [0, 0, len(data["drift"])])
+
+
+def test_one_that_was_killed_goes_on_without_the_nodes(spin, others, node, data, tmp_path):
+    state = str(tmp_path / "state.json")
+    first = node("joint", state_file=state)
+    spin([first, *others.values()], lambda: all_heard(first, data))
+    for one in others.values():
+        end(one)
+    second, third = node("joint", state_file=state), node("joint")
+    assert second.data == first.data
+    assert second.outcome.verdict == "pass"
+    np.testing.assert_array_equal(second.outcome.values, first.outcome.values)
+    assert third.data == []
+    assert third.health().message == "waiting for kinematic, dynamic, drift"
+
+
+def test_the_same_told_again_is_not_solved_again(spin, others, node, data):
+    joint, solved = node("joint"), []
+    spin([joint, *others.values()], lambda: all_heard(joint, data))
+    joint.take, take = lambda found: solved.append(len(found)) or take(found), joint.take
+    others["drift"].publish()
+    spin([joint, *others.values()], lambda: len(solved) == 2)  # data and result
+    assert solved == [0, 0]
+
+
+def test_data_of_another_arm_are_left_out_and_named(spin, others, node, data):
+    joint = node("joint")
+    spin([joint, *others.values()], lambda: all_heard(joint, data))
+    drifts = [replace(one, q=(*one.q, 0.0)) for one in data["drift"]]
+    others["drift"].found.publish(KINDS["drift"].data.to_message(drifts, "world"))
+    spin([joint, *others.values()], lambda: joint.streams().unknown)
+    assert joint.health().message == "the arm has no joint_5"
+    assert held(joint) == numbers(data)
+    joint.on_solve(Trigger.Request(), Trigger.Response())
+    assert joint.outcome.verdict == "not_evaluated"
+    assert "joint_5 heard, but 'paper' has 4 joints" in joint.outcome.reason
+
+
+def test_a_clock_that_ran_back_at_another_node_is_taken_note_of(spin, others, node, data, tmp_path):
+    """Else it would pass, and write, what that node calls not evaluated."""
+    output, kinematic = tmp_path / "arm.yaml", others["kinematic"]
+    joints = next(
+        one for one in kinematic.kind.inputs(kinematic.settings, 4) if one.topic == "joint_states"
+    )
+    end = data["kinematic"][-1].end + 100 * SECOND
+    for t in (end, end + 2 * SECOND, end - 20 * SECOND):  # the first counts once confirmed
+        sample = calib_float.Sample(t, 1, (0.0, 0.0))
+        kinematic.on_sample(joints.feed, calib_float.message(sample)[1])
+    kinematic.on_solve(Trigger.Request(), Trigger.Response())
+    joint = node("joint", output=str(output))
+    spin(
+        [joint, *others.values()],
+        lambda: all_heard(joint, data) and joint.data[-1].set_back["kinematic"],
+    )
+    assert joint.outcome.verdict == "not_evaluated"
+    assert "clock of kinematic ran back by 2" in joint.outcome.reason
+    assert joint.health().message == "a clock ran back: kinematic/forget begins anew"
+    assert not output.exists()
+    kinematic.on_forget(Trigger.Request(), Trigger.Response())
+    kinematic.take(data["kinematic"])
+    spin([joint, *others.values()], lambda: joint.outcome.verdict == "pass")
+    assert output.exists()
+
+
+def test_another_vehicle_is_not_heard(spin, others, node, data):
+    near, far = node("joint"), CalibrationNode(JOINT, namespace="fss2")
+    spin([near, far, *others.values()], lambda: all_heard(near, data))
+    assert far.data == []
+
+
+def test_what_is_not_understood_is_counted(spin, others, node, data):
+    joint, drift = node("joint"), others["drift"]
+    spin([joint, *others.values()], lambda: all_heard(joint, data))
+    message = drift.kind.to_message(drift.outcome, "world")
+    message.calibration.provenance.parameters = "{tilt: [1"
+    inputs = {one.topic: one.feed for one in JOINT.inputs(joint.settings, 4)}
+    joint.on_sample(inputs[drift.kind.topic], message)
+    assert joint.streams().rejected == {"calibration/drift not understood": 1}
+    assert joint.health().values["rejected: calibration/drift not understood"] == 1
+    assert all_heard(joint, data)
+
+
+def test_impossible_parameters_are_refused(ros):
+    with pytest.raises(ValueError, match="'nothing', expected words"):
+        make_node(JOINT, priors="nothing")
+    with pytest.raises(ValueError, match="no parameter heading_deviation"):
+        make_node(JOINT, heading_deviation=1.0)
