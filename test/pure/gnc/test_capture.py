@@ -107,13 +107,17 @@ def test_what_fails_ends_the_mission_safely(fault, phase):
     assert flown.safe
 
 
-@pytest.mark.parametrize("phase", ["reach", "grip"])
-def test_who_does_not_hear_the_gripper_reaches_no_further(phase):
-    """And does not take what the moving joints do to the base for its drift."""
-    case = Case(spin=0.1, heading=2.0, seed=2, fault="gripper", phase=phase)
-    flown = Flight(case).fly()
+@pytest.mark.parametrize(
+    ("phase", "case"),
+    [
+        ("reach", Case(spin=0.1, heading=2.0, seed=2)),  # the joints' reaction is no drift
+        ("grip", Case(spin=-0.1, heading=1.0)),  # and what may be held is not fled from
+    ],
+)
+def test_who_does_not_hear_the_gripper_reaches_no_further(phase, case):
+    flown = Flight(replace(case, fault="gripper", phase=phase)).fly()
     assert flown.phases[-2:] == [phase, "abort"]
-    assert flown.message == "gripper/state is not known"
+    assert flown.message.startswith("gripper/state is not known; ")
     assert flown.safe
 
 

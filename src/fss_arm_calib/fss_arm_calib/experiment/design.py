@@ -240,9 +240,9 @@ def _clear(guard: Guard, plan: Sequence[Planned]) -> Mask:
     q, qd = law(edges)
     counts = np.array([len(one.durations) for one in plan])
     for count in np.unique(counts):
-        which, knots = counts == count, slice(4 * count)
-        paths = (part[which, knots] for part in (edges, q, qd))
-        clear[which] = guard.clear(*paths, base=np.zeros(3))
+        which = counts == count
+        times, angles, rates = (part[which, : 4 * count] for part in (edges, q, qd))
+        clear[which] = guard.clear(times, angles, rates, np.zeros(3))
     return clear
 
 

@@ -2,11 +2,12 @@
 
 The thrusters are used for one thing only: if base and arm as they drift would meet the target or
 the table's edge within the horizon, a short push gives them the least other motion that does not.
-As the joints come to rest they change that drift, so they do so first.
-Without knowledge of the base, they are not used at all; once it is known again, they may be. Joints
-that are not heard any more are taken to rest where they were last, as links hold when nobody
-commands them, unless a target is held, too; those that are heard slow down within their torques. A
-target that is held stays so: let go, it would tumble beside the arm; one that is not is let go.
+As the joints come to rest they change that drift, so they do so first. Without knowledge of the
+base, or of whether the gripper holds the target, the thrusters are not used at all; once both are
+known again, they may be. Joints that are not heard any more are taken to rest where they were last,
+as links hold when nobody commands them, unless a target is held, too; those that are heard slow
+down within their torques. A target that is held stays so: let go, it would tumble beside the arm;
+one that is not is let go.
 
 Where a valve does not close, no drift is safe: the base comes to rest, with room about it, and is
 held there until the gas is spent.
@@ -84,7 +85,7 @@ class Abort:
 
     def _path(self, seen: Seen) -> Path | None:
         q_m = seen.last_q if seen.q is None and not seen.holds else seen.q
-        if seen.base is None or q_m is None:
+        if seen.base is None or q_m is None or seen.holds is None:
             self._push = None
             return None
         self._known = seen.t
@@ -133,7 +134,7 @@ class Abort:
         if seen.qd is not None and np.abs(seen.qd).max() > STILL:
             self._quiet = max(self._quiet, seen.t - 0.5 * QUIET)
         if seen.t - self._known > PATIENCE:
-            return Ended(False, f"{self.reason}; base or joints are not known, valves closed")
+            return Ended(False, f"{self.reason}; base, joints or gripper not known, valves closed")
         if seen.t - self._quiet < QUIET or self.drift is None or seen.base is None:
             return None
         return Ended(self.asked and self.drift.safe, self.reason)
