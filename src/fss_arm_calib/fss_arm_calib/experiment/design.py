@@ -12,6 +12,7 @@ base leaves visible.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import compress
 from math import inf, nan
 
@@ -62,7 +63,7 @@ class Planned:
     waypoints: Floats  # (w + 1, n) joint readings, the first is where it begins [rad]
     durations: Floats  # (w,) of each move [s]
 
-    @property
+    @cached_property
     def length(self) -> float:
         """How long it takes [s]."""
         return float(self.durations.sum() + PAUSE * (len(self.durations) - 1))
@@ -194,16 +195,19 @@ def candidates(
     low = np.ceil(np.array([k.q_min for k in arm.links]) / STEP * 0.95).astype(int)
     high = np.floor(np.array([k.q_max for k in arm.links]) / STEP * 0.95).astype(int)
 
+    n, first = arm.n, begin[None]
+
     def drawn() -> tuple[str, Floats]:
         kind = conditions.kinds[rng.integers(len(conditions.kinds))]
-        ways = STEP * rng.integers(low, high, (int(rng.integers(1, 4)), arm.n), endpoint=True)
+        ways = STEP * rng.integers(low, high, (int(rng.integers(1, 4)), n), endpoint=True)
         if kind == SINGLE:
-            joint = rng.integers(arm.n)
-            ways = np.where(np.arange(arm.n) == joint, ways[:1], begin)
+            joint, way = rng.integers(n), ways[0]
+            ways = first.copy()
+            ways[0, joint] = way[joint]
         elif kind == LOOP:
             repeats = int(rng.integers(1, conditions.repeats + 1))
-            ways = np.concatenate([ways[:2], begin[None]] * repeats)
-        return kind, np.concatenate([begin[None], ways])
+            ways = np.concatenate([ways[:2], first] * repeats)
+        return kind, np.concatenate([first, ways])
 
     while left and len(found) < count:
         some = [drawn() for _ in range(min(left, count - len(found)))]
