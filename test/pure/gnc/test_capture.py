@@ -8,6 +8,7 @@ from capturing import POSTURE, SETTINGS, Case, Flight
 
 from fss_arm_model import layout
 from fss_arm_model.description import paper_arm
+from fss_arm_model.dynamics import inertia_matrix
 from fss_arm_model.held import Target, hold
 from fss_arm_model.kinematics import tip_pose
 from fss_gnc.guidance.abort import Abort
@@ -110,8 +111,8 @@ def test_what_fails_ends_the_mission_safely(fault, phase):
 @pytest.mark.parametrize(
     ("phase", "case"),
     [
-        ("reach", Case(spin=0.1, heading=2.0, seed=2)),  # the joints' reaction is no drift
-        ("grip", Case(spin=-0.1, heading=1.0)),  # and what may be held is not fled from
+        ("reach", Case(spin=0.1, heading=2.0, seed=2)),
+        ("grip", Case(spin=-0.1, heading=1.0)),  # what may be held is not fled from
     ],
 )
 def test_who_does_not_hear_the_gripper_reaches_no_further(phase, case):
@@ -205,6 +206,19 @@ def test_an_abort_leaves_the_valves_closed_where_the_base_is_not_known_or_drifts
         orders = Abort(CRAFT, "test").step(Seen(0.0, base, rest, q[3:], np.zeros(4), holds=False))
         assert orders.path is None
         np.testing.assert_allclose(orders.rates, 0.0)
+
+
+def test_an_abort_takes_the_joints_reaction_for_no_drift():
+    q, rates = at(-0.75, -0.75, -1.9), np.full(4, 0.3)
+    H = inertia_matrix(P, q)[:3]
+    turned = -np.linalg.solve(H[:, :3], H[:, 3:] @ rates)  # no momentum: it ends with the motion
+    assert not Drifting(P, SETTINGS).as_is(q, np.append(turned, rates), None).safe
+    abort = Abort(CRAFT, "test")
+    moving = Seen(0.0, Body(q[:3], turned), None, q[3:], rates, holds=False)
+    assert abort.step(moving).path is None
+    rest = replace(moving, t=1.0, base=Body(q[:3], np.zeros(3)), qd=np.zeros(4))
+    assert abort.step(rest).path is None
+    assert abort.safe
 
 
 def pushed(force, torque, seconds, noise=0.0):
