@@ -115,6 +115,7 @@ class KnownInputs:
         self.n = n
         self._read_at, self._rates = np.full((n, READINGS), NEVER), np.zeros((n, READINGS))
         self._angles = np.zeros(n)
+        self._newest, self._omega = NEVER, 0.0  # of what the model is linearized about
         self._planned_at, self._planned = np.full(POINTS, NEVER), np.zeros((POINTS, n))
 
     def _seconds(self, t: int) -> float:
@@ -128,7 +129,7 @@ class KnownInputs:
         self.p = np.asarray(p, dtype=float)
         if count(self.p) != self.n:
             self._joints(count(self.p))
-        self._model(NEVER, 0.0)
+        self._model(self._newest, self._omega)
 
     def pulses(self, t: int, on_times: npt.ArrayLike) -> bool:
         """Valves open for a time each [s], from t [ns] on; these replace those before."""
