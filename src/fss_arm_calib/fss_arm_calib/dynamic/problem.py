@@ -548,6 +548,7 @@ def solve_all(
     """What `solve` finds of each of many draws of the poses, (N, M, m, 3), as in a Monte Carlo."""
     found = []
     for begin in range(0, len(poses), DRAWS):
+        # By the last ones: what has been found of the problem stays found.
         some = problem = problem.seeing(poses[begin : begin + DRAWS])
 
         def linearize(x: Floats, which: Indices, some: DynamicProblem = some) -> Linear:

@@ -180,14 +180,15 @@ def minimize_all(
     downhill = np.full(len(start), True)
     for iteration in range(max_iterations + 1):
         with np.errstate(all="ignore"):  # of those that are inseparable
-            scale = np.sqrt(np.einsum("kij,kij->kj", linear.regressor, linear.regressor))
+            norms = np.sqrt(np.einsum("kij,kij->kj", linear.regressor, linear.regressor))
+            scale = np.where(norms > 0.0, norms, 1.0)
             U, s, Vt = np.linalg.svd(linear.regressor / scale[:, None], full_matrices=False)
             roots = np.swapaxes(Vt, 1, 2) / s[:, None] / scale[..., None]
             step = _times(roots, _times(np.swapaxes(U, 1, 2), linear.residuals))
             condition, deviations = s[:, 0] / s[:, -1], np.sqrt(np.sum(roots**2, axis=2))
             sizes = np.abs(step)
             update, there = np.max(sizes / deviations, axis=1), x[:, :p] + step
-            plain = downhill & (condition < max_condition)
+            plain = downhill & (s.shape[1] == p) & (condition < max_condition)
             plain &= ((there >= low) & (there <= high)).all(axis=1)
         done = plain & ((update < tolerance) | (sizes.max(axis=1) < ROUNDING))
         for k in np.flatnonzero(done):
