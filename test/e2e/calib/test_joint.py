@@ -6,23 +6,12 @@ import numpy as np
 import pytest
 import yaml
 from calib_float import TYPES, Float, at, postures, record
-from calib_kinds import PRECISE, STATE, TRUTH
+from calib_kinds import CLOSELY, STATE, TRUTH
 from rclpy.node import Node
 
 from fss_arm_calib.from_bag import main as from_bag
 from fss_arm_msgs.msg import JointCalibration
 from fss_arm_ros.qos import LATCHED
-
-TOLD = {
-    "kinematic": {"position_deviation": 0.001, "heading_deviation": 0.002},
-    "dynamic": PRECISE,
-    "drift": {
-        "min_duration": 3.0,
-        "bin": 0.2,
-        "position_deviation": 0.0005,
-        "heading_deviation": 0.001,
-    },
-}
 
 
 def given(settings):
@@ -41,7 +30,7 @@ def bag(tmp_path_factory):
 
 @pytest.mark.slow
 def test_a_joint_estimate_by_the_nodes_is_that_of_the_bag(bag, start, spin, tmp_path):
-    for kind, settings in TOLD.items():
+    for kind, settings in CLOSELY.items():
         start(f"fss_arm_calib.calibration_node:{kind}", *given(settings))
     replay = start(
         "fss_arm_bags.replay_node",
@@ -64,7 +53,7 @@ def test_a_joint_estimate_by_the_nodes_is_that_of_the_bag(bag, start, spin, tmp_
     assert found.verdict == "pass", found.reason
 
     params, result = tmp_path / "params.yaml", tmp_path / "joint.json"
-    params.write_text(yaml.safe_dump(TOLD))
+    params.write_text(yaml.safe_dump(CLOSELY))
     asked = ["--params", str(params), "--max-relative=2", "--result", str(result)]
     assert from_bag(["--joint", str(bag), *asked]) == 0
     offline = json.loads(result.read_text())

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import yaml
 from calib_joint import ARM, DRIFT, SETTINGS, day, draw_arm
-from calib_kinds import PRECISE, STATE, TRUTH, Bed, ask, make_node, serialized
+from calib_kinds import CLOSELY, STATE, TRUTH, Bed, ask, make_node, serialized
 from std_srvs.srv import Trigger
 
 from fss_arm_bags.recorder import Recording
@@ -105,19 +105,9 @@ def test_live_is_what_the_bag_says_and_can_be_recomputed(spin, node, tmp_path, c
         calib_float.postures(10, seed=3), TRUTH.vector(), STATE, noise=(0.0005, 0.001)
     )
     samples = flight.samples(20, tip=True)
-    told = {
-        "kinematic": {"position_deviation": 0.001, "heading_deviation": 0.002},
-        "dynamic": PRECISE,
-        "drift": {
-            "min_duration": 3.0,
-            "bin": 0.2,
-            "position_deviation": 0.0005,
-            "heading_deviation": 0.001,
-        },
-    }
     output, page = tmp_path / "new" / "arm.yaml", tmp_path / "report"
     bed, joint = Bed(JOINT), node("joint", output=str(output), report=str(page), max_relative=2.0)
-    others = [make_node(KINDS[kind], **given) for kind, given in told.items()]
+    others = [make_node(KINDS[kind], **given) for kind, given in CLOSELY.items()]
     hear = {}
     for one in others:
         for source in one.kind.inputs(one.settings, 4):
@@ -139,7 +129,7 @@ def test_live_is_what_the_bag_says_and_can_be_recomputed(spin, node, tmp_path, c
 
     bag = calib_float.record(tmp_path / "bag", samples)
     params, files = tmp_path / "params.yaml", tmp_path / "joint.json"
-    params.write_text(yaml.safe_dump(told))
+    params.write_text(yaml.safe_dump(CLOSELY))
     asked = ["--params", str(params), "--max-relative=2", "--result", str(files)]
     assert from_bag(["--joint", str(bag), *asked]) == 0
     offline = json.loads(files.read_text())
