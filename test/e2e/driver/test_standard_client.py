@@ -2,6 +2,7 @@
 
 import ast
 import signal
+from itertools import chain, repeat
 from pathlib import Path
 from time import monotonic
 
@@ -65,13 +66,16 @@ class Person:
             assert ended.status == GoalStatus.STATUS_SUCCEEDED, ended.result.error_string
         self.client.feedback.clear()
 
-    def stream(self, seconds, **command):
-        """Stream a command at 50 Hz for that long."""
-        begun = sent = monotonic()
-        while sent < begun + seconds:
+    def stream(self, condition, *commands):
+        """Stream commands at 50 Hz, the last one on and on, until that is seen."""
+        deadline = monotonic() + 20.0
+        for command in chain(commands, repeat(commands[-1])):
             self.client.command(**command)
-            sent += 0.02
-            self.until(lambda: monotonic() >= sent)  # noqa: B023
+            then = monotonic() + 0.02
+            self.until(lambda: monotonic() >= then)  # noqa: B023
+            if condition():
+                return
+            assert then < deadline, f"{command}: {self.client.q}, {self.client.qd}"
 
 
 @pytest.fixture
@@ -194,17 +198,19 @@ def test_the_topic_of_the_controller_moves_the_arm(person):
 
 def test_a_stream_moves_the_joints_that_it_names(person):
     client = person.client
-    for angle in np.linspace(0.0, 0.2, 40):
-        person.stream(0.02, names=("joint_3", "joint_1"), position=(angle, -angle))
-    person.stream(1.0, names=("joint_3", "joint_1"), position=(0.2, -0.2))
-    assert client.near({"joint_1": -0.2, "joint_2": 0.0, "joint_3": 0.2, "joint_4": 0.0}, 0.02)
-    person.stream(1.0, names=("joint_2",), velocity=(0.3,))
-    assert client.qd["joint_2"] == pytest.approx(0.3, abs=0.05)
+    ramp = [
+        {"names": ("joint_3", "joint_1"), "position": (angle, -angle)}
+        for angle in np.linspace(0.0, 0.2, 40)
+    ]
+    there = {"joint_1": -0.2, "joint_2": 0.0, "joint_3": 0.2, "joint_4": 0.0}
+    person.stream(lambda: client.near(there, 0.02) and client.resting(), *ramp)
+    turning = {"names": ("joint_2",), "velocity": (0.3,)}
+    person.stream(lambda: client.qd["joint_2"] == pytest.approx(0.3, abs=0.05), turning)
     person.until(client.resting, 3.0)  # nobody commands any more
-    assert 0.2 < client.q["joint_2"] < 0.6
+    assert 0.02 < client.q["joint_2"] < 0.6
     before = client.q["joint_4"]
-    person.stream(0.6, names=("joint_4",), effort=(0.5,))
-    assert client.q["joint_4"] > before + 0.01
+    pushing = {"names": ("joint_4",), "effort": (0.5,)}
+    person.stream(lambda: client.q["joint_4"] > before + 0.01, pushing)
     person.until(client.resting, 3.0)
 
 
