@@ -12,6 +12,7 @@ touched, or if what was killed left a valve open for longer than --shut.
 
 import argparse
 import json
+import subprocess
 import sys
 from itertools import islice, product
 from pathlib import Path
@@ -150,6 +151,8 @@ def kills(logs: Path, given: argparse.Namespace) -> bool:
 def missions(logs: Path, given: argparse.Namespace) -> bool:
     """Runs of the grid; whether all ended without contact."""
     rows = []
+    head = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True)
+    commit = head.stdout.strip()
     if given.out and given.out.exists():
         rows = [json.loads(line) for line in given.out.read_text().splitlines()]
     flown = [row["case"] for row in rows]
@@ -168,7 +171,7 @@ def missions(logs: Path, given: argparse.Namespace) -> bool:
             finally:
                 run.close()
         rows.append(
-            {"case": name, "spin": abs(case.spin), "stopped": result.stopped, "least": least,
+            {"case": name, "commit": commit, "spin": abs(case.spin), "stopped": result.stopped, "least": least,
              "ended": f"{result.phase}: {result.message}", "time": result.duration,
              "propellant": 1e3 * result.propellant, "torque": result.largest_torque}
         )  # fmt: skip

@@ -26,7 +26,6 @@ FRAMES = round(PERIOD * RATE)
 LOOK = 4  # frames from one look of the navigation to the next
 TOLD = 5  # frames from one reading of the joints to the next
 HEARD, LATE = 4, 10  # frames until a reading is heard, and until a command is obeyed
-KNOWN = 0.5  # until a valve's failure is known [s]
 AFTER = 30.0  # for which it is looked at what comes of a failure [s]
 SECOND = 1_000_000_000
 DEPTH = 0.04  # that the gripper may reach into the target's disc: its own reach, and a little [m]
@@ -99,6 +98,7 @@ class Flight:
         self.control = PoseControl(arm)
         self.navigation = Navigation(arm, body=settings.target)
         self.found, self.measured = [], None  # what is held: times and properties; the newest
+        self.faults = []  # of valves: times, and those known then
         self.sensors = Sensors(PRESETS["default"], case.seed)
         rng = np.random.default_rng(case.seed)
         self.encoders = rng.uniform(-7e-4, 7e-4, arm.n)
@@ -161,7 +161,11 @@ class Flight:
         last = self.heard[0] if self.heard else None
         held = self.measured if self.plant.holds else None
         holds = None if self.struck("gripper") else self.plant.holds
-        return Seen(self.t, *known, q, qd, effort, holds, left, last, held)
+        faults = self.navigation.valves.found
+        open_valves = tuple(sorted(i + 1 for i in faults.open))
+        return Seen(
+            self.t, *known, q, qd, effort, holds, left, last, held, open_valves, faults.pushed
+        )  # fmt: skip
 
     def order(self):
         self.now = seen = self.seen()
@@ -181,20 +185,12 @@ class Flight:
             wrench = self.control.wrench(
                 q, qd, orders.path.at(self.t), PERIOD, np.zeros(self.arm.n)
             )
-            times = self.share(wrench)
+            times = self.allocation.on_times(wrench)
         self.command(times)
         if orders.close is not None and not self.struck("gripper"):
             self.plant.closed = bool(orders.close)
         if orders.rates is not None:
             self.demands.append((self.frame + LATE, orders.rates))
-
-    def share(self, wrench):
-        """By the allocation, told of a failure once it is known."""
-        if self.case.fault in ("open", "closed") and self.t > self.faulted + KNOWN:
-            stuck = {f"stuck_{self.case.fault}": (2,)}
-            self.allocation = Allocation(self.valves, PERIOD, self.least, **stuck)
-            self.faulted_known, self.share = True, self.allocation.on_times
-        return self.allocation.on_times(wrench)
 
     def command(self, times):
         self.navigation.pulses(round(self.t * SECOND), times)
@@ -250,6 +246,12 @@ class Flight:
             self.navigation.target_pose(now, *sight.target.pose)
         self.navigation.gripper(plant.holds)
         self.navigation.predict(now)
+        if faults := self.navigation.diagnose(now):
+            self.allocation = Allocation(
+                self.valves, PERIOD, self.least, faults.open, faults.closed
+            )
+            self.faults.append((self.t, faults))
+            self.measured = None
         if self.learns and (found := self.navigation.observe(now)):
             self.found.append((self.t, found))
             self.measured = found.held

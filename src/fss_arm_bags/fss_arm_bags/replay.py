@@ -9,6 +9,7 @@ from fss_arm_bags.definitions import MEASUREMENTS
 from fss_arm_bags.reader import Topic
 
 ORDERS = ("command", "wrench", "trajectory", "stop")  # last words of topics that move something
+TOLD = "pulses", "health"  # of the thrusters, which move nothing
 IN_PLACE = ("/robot_description", "/thrusters/pulses")  # beside measurements
 OF_ROS = ("/clock", "/rosout", "/parameter_events")
 
@@ -38,7 +39,7 @@ def choose(recorded: Mapping[str, Topic], wanted: Collection[str] = ()) -> dict[
 def is_command(topic: str) -> bool:
     """Whether a topic makes something move; such are never played."""
     parts = topic.strip("/").split("/")
-    thrusts = "thrusters" in parts and parts[-1] != "pulses"  # which says what was commanded
+    thrusts = "thrusters" in parts and parts[-1] not in TOLD
     return parts[-1] in ORDERS or "arm" in parts or thrusts
 
 

@@ -79,7 +79,9 @@ ACCESS = {
     ),
     "fss_base_driver fog": Access("fog/imu"),
     "fss_base_driver mocap": Access("vicon/* /vicon/*", offers="mocap/accept"),
-    "fss_gnc navigation": Access("base/state target/state target/mass_properties /tf"),
+    "fss_gnc navigation": Access(
+        "base/state target/state target/mass_properties thrusters/health /tf"
+    ),
     "fss_gnc control": Access("base/wrench"),
     "fss_gnc guidance": Access(
         "arm/joint_commands base/trajectory gripper/command mission/state",

@@ -12,6 +12,7 @@ from math import isfinite
 from threading import RLock
 from typing import Any
 
+import numpy as np
 from geometry_msgs.msg import WrenchStamped
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
@@ -25,14 +26,14 @@ from fss_arm_driver.host_clock import HostClock
 from fss_arm_driver.receiver import Receiver
 from fss_arm_driver.session import Arming, CommandError, News
 from fss_arm_driver.transport import Transport, is_exposed, open_transport
-from fss_arm_msgs.msg import BaseTelemetry, GripperState, ThrusterCommand
+from fss_arm_msgs.msg import BaseTelemetry, GripperState, ThrusterCommand, ThrusterHealth
 from fss_arm_ros.convert import SECOND, stamp_ns
 from fss_arm_ros.diagnostics import Diagnostics, Health
 from fss_arm_ros.door import subscribe
 from fss_arm_ros.events import report
 from fss_arm_ros.pace import pace
 from fss_arm_ros.parameters import declare, declare_live
-from fss_arm_ros.qos import SENSOR, command
+from fss_arm_ros.qos import LATCHED, SENSOR, command
 from fss_arm_ros.run import RCLError
 from fss_base_driver import messages
 from fss_base_driver.allocation import Allocation
@@ -72,6 +73,7 @@ class BaseNode(Node):
         self.transport = transport or open_transport(s.url, BOARD, s.key())
         self.lock = RLock()
         self.live: dict[str, Any] = {name: kind() for name, kind in live_kinds().items()}
+        self.found = ThrusterHealth()  # of the valves, by the navigation
         self.wrench: tuple[tuple[float, float, float], int] | None = None  # and when given
         self.shared = 0  # when a wrench was shared out last
         self.sums = Sums()
@@ -101,6 +103,7 @@ class BaseNode(Node):
         lives = command(s.wrench_lifetime)
         subscribe(self, WrenchStamped, "base/wrench", self.on_wrench, lives)
         self.create_subscription(Bool, "gripper/command", self.on_grip, command(1.0))
+        subscribe(self, ThrusterHealth, "thrusters/health", self.on_found, LATCHED)
         for topic in ("base/stop", "arm/stop"):
             self.create_subscription(Empty, topic, self.on_stop, 10)
         group = ReentrantCallbackGroup()  # answers wait for the board's; all else goes on
@@ -257,13 +260,22 @@ class BaseNode(Node):
         """How wrenches are shared out, by the valves that work."""
 
         def stuck(how: str) -> list[int]:
-            return [i for i in range(VALVES) if getattr(self.live[f"valve_{i + 1}"], how)]
+            found = getattr(self.found, how)
+            return [
+                i for i in range(VALVES) if found[i] or getattr(self.live[f"valve_{i + 1}"], how)
+            ]
 
         s = self.settings
         return Allocation(
             s.valves(), s.wrench_period, s.minimum_on_time, stuck("stuck_open"),
             stuck("stuck_closed"),
         )  # fmt: skip
+
+    def on_found(self, message: ThrusterHealth) -> None:
+        """Do without the valves that do not do what they are told."""
+        with self.lock:
+            self.found = message
+            self.allocation = self.new_allocation()
 
     def given(self, message: Any, lifetime: float) -> int:
         """When a message was given, by the clock that nobody sets, if it is not too old."""
@@ -374,6 +386,9 @@ class BaseNode(Node):
             for how, value in vars(valve).items() if name != "gyro" else ():
                 if value:
                     more[f"{name} is said to be"] = how.replace("_", " ")
+        for how in ("stuck_open", "stuck_closed"):
+            for i in np.flatnonzero(getattr(self.found, how)):
+                more[f"valve_{i + 1} is found to be"] = how.replace("_", " ")
         with self.lock:
             return self.board_health(self.now(), more)
 

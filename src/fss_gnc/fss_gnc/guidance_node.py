@@ -22,9 +22,10 @@ from std_msgs.msg import Bool, Empty, Float64
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from fss_arm_model.description import described
-from fss_arm_msgs.msg import GripperState, MassProperties, MissionState
+from fss_arm_msgs.msg import GripperState, MassProperties, MissionState, ThrusterHealth
 from fss_arm_ros.convert import SECOND, stamp_ns, to_time
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
+from fss_arm_ros.door import subscribe
 from fss_arm_ros.glance import Glance
 from fss_arm_ros.pace import pace
 from fss_arm_ros.parameters import declare
@@ -80,6 +81,7 @@ class GuidanceNode(Node):
         self.target = Latest[Body]("target/state", s.max_age)
         self.joints = Latest[Floats]("arm/joint_states", s.max_age)
         self.held: Held | None = None  # what the gripper holds, as the navigation has found it
+        self.valves = ThrusterHealth()
         self.holds = Latest[bool]("gripper/state", FORGETFUL)
         self.propellant = Latest[float]("base/propellant", FORGETFUL)
         self.glances = [
@@ -90,6 +92,7 @@ class GuidanceNode(Node):
         subscribe_sensor(self, GripperState, self.holds.name, self.on_gripper)
         subscribe_sensor(self, MassProperties, "target/mass_properties", self.on_mass)
         subscribe_sensor(self, Float64, self.propellant.name, self.on_propellant)
+        subscribe(self, ThrusterHealth, "thrusters/health", self.on_valves, LATCHED)
         for name in ("base/stop", "arm/stop"):
             self.create_subscription(Empty, name, partial(self.on_stop, name), 10)
         lives = command(0.5)
@@ -151,6 +154,10 @@ class GuidanceNode(Node):
             words = f"target/mass_properties: {error}"
             self.get_logger().warning(words, throttle_duration_sec=1.0)
 
+    def on_valves(self, message: ThrusterHealth) -> None:
+        """Which of them do not close."""
+        self.valves = message
+
     def on_propellant(self, message: Float64) -> None:
         """What is left."""
         self.propellant.take(self.now(), message.data)
@@ -177,6 +184,7 @@ class GuidanceNode(Node):
             (now - begun) / SECOND, moved(self.base), moved(self.target), q, qd, effort,
             self.holds.at(now), np.nan if left is None else left,
             None if self.joints.value is None else self.joints.value[0], self.held,
+            tuple((np.flatnonzero(self.valves.stuck_open) + 1).tolist()), self.valves.pushed,
         )  # fmt: skip
 
     def trouble(self) -> str:

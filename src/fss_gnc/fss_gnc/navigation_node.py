@@ -14,12 +14,14 @@ from tf2_msgs.msg import TFMessage
 from trajectory_msgs.msg import JointTrajectory
 
 from fss_arm_model.description import described
+from fss_arm_model.thrusters import COUNT
 from fss_arm_msgs.msg import (
     DynamicCalibration,
     GripperState,
     KinematicCalibration,
     MassProperties,
     ThrusterCommand,
+    ThrusterHealth,
 )
 from fss_arm_ros.calibrated import Calibrated
 from fss_arm_ros.convert import SECOND, PoseError, joint_readings, planar_pose, stamp_ns, to_time
@@ -32,6 +34,7 @@ from fss_gnc.navigation import Navigation
 from fss_gnc.navigation.body_filter import POSE, RATE, BodyFilter
 from fss_gnc.navigation.messages import StateImage, TransformImage
 from fss_gnc.navigation.settings import NavigationSettings
+from fss_gnc.navigation.valve_faults import Faults
 from fss_gnc.programs import navigation as main
 
 AHEAD = SECOND  # of what is expected: a stamp that is farther is believed if SAMPLES in a row are
@@ -72,6 +75,7 @@ class NavigationNode(Node):
         self.state = self.create_publisher(Odometry, "base/state", SENSOR)
         self.target = self.create_publisher(Odometry, "target/state", SENSOR)
         self.held = self.create_publisher(MassProperties, "target/mass_properties", SENSOR)
+        self.valves = self.create_publisher(ThrusterHealth, "thrusters/health", LATCHED)
         self.transform = self.create_publisher(TFMessage, "/tf", SENSOR)
         self.images = StateImage(s.world_frame, s.base_frame)
         self.transforms = TransformImage(s.world_frame, s.base_frame)
@@ -102,6 +106,7 @@ class NavigationNode(Node):
         )
         self.stamps: dict[str, Stamps] = defaultdict(Stamps)  # by topic
         self.ahead: Counter[str] = Counter()  # in a row, by topic
+        self.tell(self.navigation.valves.found)
         self.newest = self.heard = -1  # stamp of the newest measurement; when it came [ns]
 
     def now(self) -> int:
@@ -213,6 +218,8 @@ class NavigationNode(Node):
                     self.navigation.predict(now)
                 body.tell(now)
         self.learn(now)
+        if faults := self.navigation.diagnose(now):
+            self.tell(faults)
 
     def learn(self, now: int) -> None:
         """Publish what is held, if more is known of it."""
@@ -226,6 +233,18 @@ class NavigationNode(Node):
         )  # fmt: skip
         message.header.stamp, message.header.frame_id = to_time(now), f"link_{self.known.arm.n}"
         self.held.publish(message)
+
+    def tell(self, faults: Faults) -> None:
+        """Publish which valves do not do what they are told."""
+        message = ThrusterHealth(
+            stuck_open=[i in faults.open for i in range(COUNT)],
+            stuck_closed=[i in faults.closed for i in range(COUNT)], pushed=faults.pushed,
+        )  # fmt: skip
+        message.header.stamp = self.get_clock().now().to_msg()
+        message.header.frame_id = self.settings.base_frame
+        self.valves.publish(message)
+        for words in valve_words(faults):
+            self.get_logger().warning(words)
 
     def health(self) -> Health:
         """For diagnostics."""
@@ -260,8 +279,16 @@ class NavigationNode(Node):
             words.append("not every joint is heard: the arm's motion is not known")
         if n.caught and not n.caught.explained:
             words.append("something pushes that no mass of what is held explains")
+        words += valve_words(n.valves.found)
         words += [f"{name} is seen where {of}" for name, of in n.confused(now)]
         return "; ".join(words)
+
+
+def valve_words(faults: Faults) -> list[str]:
+    """What is wrong with the valves."""
+    words = [f"valve {i + 1} does not close" for i in sorted(faults.open)]
+    words += [f"valve {i + 1} does not open" for i in sorted(faults.closed)]
+    return words + ["something pushes that is not known"] * faults.pushed
 
 
 def mean(values: Any) -> float:

@@ -15,8 +15,9 @@ from std_msgs.msg import Bool, Empty, Float64
 from std_srvs.srv import SetBool, Trigger
 
 from fss_arm_driver.session import Arming
-from fss_arm_msgs.msg import BaseTelemetry, GripperState, ThrusterCommand
+from fss_arm_msgs.msg import BaseTelemetry, GripperState, ThrusterCommand, ThrusterHealth
 from fss_arm_ros.convert import stamp_ns, to_time
+from fss_arm_ros.qos import LATCHED
 from fss_base_driver.base_node import BaseNode
 from fss_base_driver.protocol import BaseSlow, BaseState, Gripper
 
@@ -283,6 +284,23 @@ def test_wrenches_do_without_a_valve_that_is_said_to_be_stuck(armed):
     assert armed.opened[0] == 0
     assert armed.opened[6] > 100_000
     armed.until(lambda: armed.values().get("valve_1 is said to be") == "stuck closed")
+
+
+def test_wrenches_do_without_a_valve_that_is_found_to_be_stuck(armed):
+    told = armed.user.create_publisher(ThrusterHealth, "thrusters/health", LATCHED)
+    told.publish(ThrusterHealth(stuck_closed=[True] + 7 * [False]))
+    armed.until(lambda: armed.values().get("valve_1 is found to be") == "stuck closed")
+    begin = armed.transport.clock()
+
+    def going():
+        armed.user.push(-0.05)  # valves 1 and 7 push back
+        return armed.transport.clock() - begin > SECOND
+
+    armed.until(going)
+    assert armed.opened[0] == 0
+    assert armed.opened[6] > 100_000
+    told.publish(ThrusterHealth())
+    armed.until(lambda: "valve_1 is found to be" not in armed.values())
 
 
 def test_the_gripper_closes_and_says_so(armed):

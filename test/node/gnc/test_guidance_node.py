@@ -13,7 +13,7 @@ from std_msgs.msg import Bool, Empty
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from fss_arm_model.dynamics import inertia_matrix
-from fss_arm_msgs.msg import MassProperties, MissionState
+from fss_arm_msgs.msg import MassProperties, MissionState, ThrusterHealth
 from fss_arm_ros.convert import SECOND
 from fss_arm_ros.qos import LATCHED
 from fss_gnc import guidance_node, messages
@@ -331,6 +331,19 @@ def test_what_is_held_is_what_the_navigation_has_found_until_it_is_let_go(bench)
     assert account.momentum[0] == pytest.approx(momentum_along_x(bench.guidance.craft) + 20.0)
     bench.holds = False
     bench.until(lambda: bench.guidance.seen(bench.now()).held is None)
+
+
+def test_a_valve_that_does_not_close_ends_a_mission(bench):
+    told = bench.create_publisher(ThrusterHealth, "thrusters/health", LATCHED)
+    told.publish(ThrusterHealth(stuck_open=[i == 2 for i in range(8)]))
+    bench.until(lambda: bench.guidance.seen(bench.now()).open_valves == (3,))
+    bench.holds = True
+    handle = bench.begin(DETUMBLE)
+    bench.until(lambda: bench.states[-1].phase == "abort" and bench.paths[-1])
+    assert bench.guidance.flight.activity.abort.reason == "valve 3 does not close"
+    bench.stops["base/stop"].publish(Empty())  # as the tank would never be empty
+    ended = bench.end(handle)
+    assert (ended.status, ended.result.stopped) == (ABORTED, False)
 
 
 def test_what_rests_is_detumbled(bench):

@@ -13,11 +13,14 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu, JointState
 from tf2_msgs.msg import TFMessage
 
-from fss_arm_msgs.msg import GripperState, MassProperties, ThrusterCommand
+from fss_arm_model.description import paper_arm
+from fss_arm_model.dynamics import inertia_matrix
+from fss_arm_model.thrusters import layout
+from fss_arm_msgs.msg import GripperState, MassProperties, ThrusterCommand, ThrusterHealth
 from fss_arm_ros.convert import SECOND, pose_stamped, stamp_ns, to_time
 from fss_arm_ros.diagnostics import OK, WARN
 from fss_arm_ros.door import refusals
-from fss_arm_ros.qos import SENSOR, sensor
+from fss_arm_ros.qos import LATCHED, SENSOR, sensor
 from fss_gnc.navigation_node import NavigationNode
 
 BEGIN = 500 * SECOND
@@ -64,6 +67,11 @@ class Bench(Node):
     def now(self):
         return BEGIN + self.k * FRAME
 
+    def turn(self, stamp, rate):
+        imu = Imu()
+        imu.header.stamp, imu.angular_velocity.z = to_time(stamp), float(rate)
+        self.gyro.publish(imu)
+
     def step(self, seen=True, gyro=True, joints=True, swapped=False, stamp=None):
         """One frame."""
         self.k += 1
@@ -73,9 +81,7 @@ class Bench(Node):
         if swapped:
             base, target = target, base
         if gyro:
-            imu = Imu()
-            imu.header.stamp, imu.angular_velocity.z = to_time(stamp), DRIFT[2]
-            self.gyro.publish(imu)
+            self.turn(stamp, DRIFT[2])
         if seen:
             self.base.publish(pose_stamped(stamp, "world", base))
             self.target.publish(pose_stamped(stamp, "world", target))
@@ -225,6 +231,30 @@ def test_known_thrust_carries_through_an_outage(fly, spin):
     spin([node, bench], lambda: stamp_ns(bench.states[-1].header.stamp) > bench.now - SECOND // 10)
     gained = bench.states[-1].twist.twist.linear.x - DRIFT[0]
     assert gained == pytest.approx(2 * 0.16 / 21.52, rel=0.5)  # the arm hangs on aside
+
+
+def test_a_valve_that_does_not_close_is_told(fly, spin):
+    node, bench = fly(1.0)
+    told = []
+    bench.create_subscription(ThrusterHealth, "thrusters/health", told.append, LATCHED)
+    spin([node, bench], lambda: told)
+    assert not any((*told[-1].stuck_open, *told[-1].stuck_closed, told[-1].pushed))
+    p, (fx, fy, torque) = paper_arm().vector(), layout(0.16, 0.11)[2]
+    q, twist = np.array([*pose(BASE, DRIFT, bench.t), *4 * [0.1]]), np.array(DRIFT)
+    for _ in range(800):
+        force = complex(fx, fy) * np.exp(1j * q[2])
+        H = inertia_matrix(p, q)[:3, :3]
+        twist = twist + 0.01 * np.linalg.solve(H, [force.real, force.imag, torque])
+        q[:3] += 0.01 * twist
+        bench.step(seen=False, gyro=False)
+        bench.base.publish(pose_stamped(bench.now, "world", q[:3].tolist()))
+        bench.turn(bench.now, twist[2])
+        spin([node, bench], lambda now=bench.now: node.base.filter.seen == now)
+        if any(told[-1].stuck_open):
+            break
+    assert np.flatnonzero(told[-1].stuck_open).tolist() == [2]
+    assert not any(told[-1].stuck_closed)
+    assert "valve 3 does not close" in node.health().message
 
 
 def test_a_stranger_s_messages_do_no_harm(fly, spin):

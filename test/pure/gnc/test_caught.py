@@ -21,6 +21,7 @@ from fss_gnc.navigation.caught import (
     MassProperties,
     Sample,
 )
+from fss_gnc.navigation.valve_faults import Faults
 
 ARM = paper_arm()
 P = ARM.vector()
@@ -266,11 +267,13 @@ def test_what_valves_have_given_is_counted_once_until_the_next_command():
     at, ms = 100 * 10**9, 10**6
     inputs.pulses(at, [0.08, *[0.0] * 7])
     inputs.pulses(at + 50 * ms, [0.0, 0.02, *[0.0] * 6])  # which closes the first
-    first, second = inputs.valves[:2]
-    given = inputs.impulse(at - ms, at + 100 * ms)
-    np.testing.assert_allclose(given, 0.05 * first + 0.02 * second)
-    parts = inputs.impulse(at, at + 30 * ms) + inputs.impulse(at + 30 * ms, at + 100 * ms)
-    np.testing.assert_allclose(parts, given)
+    open_times = inputs.open_times(at - ms, at + 100 * ms)
+    np.testing.assert_allclose(open_times[:3], [0.05, 0.02, 0.0], atol=1e-12)
+    parts = inputs.open_times(at, at + 30 * ms) + inputs.open_times(at + 30 * ms, at + 100 * ms)
+    np.testing.assert_allclose(parts, open_times)
+    inputs.fail(Faults(open=frozenset({5}), closed=frozenset({0})))
+    open_times = inputs.open_times(at, at + 100 * ms)
+    np.testing.assert_allclose(open_times[[0, 1, 5]], [0.0, 0.02, 0.1], atol=1e-12)
 
 
 def test_of_many_samples_every_other_one_is_kept():

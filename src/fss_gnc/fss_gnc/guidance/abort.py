@@ -20,7 +20,6 @@ from fss_arm_model.held import hold, with_held
 from fss_gnc.guidance.activity import Craft, Ended, Orders, Seen
 from fss_gnc.guidance.base_motion import least_duration
 from fss_gnc.guidance.drift import Drift, Drifting
-from fss_gnc.guidance.leak import Leak
 from fss_gnc.guidance.rest import braking, slowing
 from fss_gnc.reference import Body, Path, Reference
 
@@ -53,7 +52,6 @@ class Abort:
         )
         self.joints = Stopping(self.torques)
         self.drift: Drift | None = None
-        self.leak = Leak()
         self._push: Path | None = None
         self._busy = -np.inf  # until when it is pushed, or held [s]
         self._leaks = False  # a valve
@@ -64,7 +62,6 @@ class Abort:
         """Orders now."""
         if np.isnan(self._known):
             self._known = self._quiet = seen.t
-            self.leak.forget(seen.t)
         rates = self.joints.rates(self.p, seen)
         close = None if seen.holds is None else bool(seen.holds)
         return Orders("abort", self._path(seen), rates, close, ended=self._end(seen))
@@ -89,8 +86,6 @@ class Abort:
             self._push = None
             return None
         self._known = seen.t
-        if self._push is not None or seen.q is None:
-            self.leak.forget(seen.t)
         qd_m = np.zeros(q_m.size) if seen.qd is None else seen.qd
         q, qd = np.concatenate([seen.base.pose, q_m]), np.concatenate([seen.base.twist, qd_m])
         if seen.holds and seen.target is not None and not self._held:
@@ -107,11 +102,12 @@ class Abort:
         if np.abs(qd_m).max() > STILL and seen.t < self.joints.end + LATE:
             return None
         self.drift, self._push = drifting.as_is(q, qd, target), None
-        self._leaks = seen.q is not None and self.leak.pushes(seen.t, self.p, q, qd)
+        gas = not seen.propellant <= EMPTY
+        self._leaks = gas and (bool(seen.open_valves) or seen.pushed)
         if self._leaks:
             self._push = braking(self.p, q, qd, self.settings, seen.t)
             self._busy = self._push.end + HOLD
-        elif not self.drift.safe and not seen.propellant <= EMPTY:
+        elif gas and not self.drift.safe:
             away = drifting.away(q, qd, target)
             if away.safe or not np.allclose(away.twist, qd[:3], atol=2e-3):
                 self._push = braking(self.p, q, qd, self.settings, seen.t, away.twist)

@@ -37,6 +37,8 @@ class Seen:
     propellant: float = np.nan  # left [kg]; NaN: not known
     last_q: Floats | None = None  # (n,) as the joints were last heard [rad]; None: never
     held: Held | None = None  # what the gripper holds, as measured; None: it is not yet
+    open_valves: tuple[int, ...] = ()  # that do not close, from 1
+    pushed: bool = False  # momentum changes as nothing known explains
 
     @property
     def floating(self) -> tuple[Floats, Floats]:

@@ -1,6 +1,7 @@
 """Base, arm and what it holds come to rest, by references that joints and valves can follow.
 
-It is over when they stay at rest with the valves closed; where one leaks, they would not.
+Before the base is slowed down and after it, all is left alone with the valves closed: what pushes
+then is a valve that leaks, and no mass of what is held.
 """
 
 import numpy as np
@@ -9,7 +10,6 @@ import numpy.typing as npt
 from fss_arm_model.held import hold, with_held
 from fss_gnc.guidance.abort import Abort, Stopping
 from fss_gnc.guidance.activity import Craft, Ended, Held, Orders, Seen
-from fss_gnc.guidance.leak import Leak
 from fss_gnc.guidance.rest import braking
 from fss_gnc.guidance.watch import Watch
 from fss_gnc.reference import Path
@@ -18,7 +18,7 @@ Floats = npt.NDArray[np.float64]
 
 ARM_STILL = 0.01  # rate of a joint below which the base is slowed down [rad/s]
 CALM = 2.0  # for which all must be still [s]
-LEFT = 2.5  # alone, valves closed, then [s]
+LEFT = 2.5  # alone, valves closed, before and after [s]
 
 
 class Detumble:
@@ -39,12 +39,11 @@ class Detumble:
         self.watch = Watch(craft)
         self.abort: Abort | None = None
         self.twist = np.full(3, np.nan)  # of the base
-        self.leak = Leak()
         self._path: Path | None = None
         self._held = False
         self._known: Held | None = None  # what it holds, as measured
         self._begun = self._moving = np.nan
-        self._left = np.inf  # since when it is left alone
+        self._resting, self._left = np.inf, np.inf  # since when joints do, and it is left alone
 
     def step(self, seen: Seen) -> Orders:
         """Orders now."""
@@ -68,18 +67,19 @@ class Detumble:
             place = hold(self.p, q, seen.target.pose)
             self.p, self._held = with_held(self.p, self.settings.target, place), True
         rates = self.joints.rates(self.p, seen)
-        if self._path is None and not rates.any() and np.abs(qd[3:]).max() < ARM_STILL:
-            # What the joints give the base ends with their motion; the rest is momentum.
+        if not rates.any() and np.abs(qd[3:]).max() < ARM_STILL:
+            self._resting = min(self._resting, seen.t)
+        if self._path is None and seen.t >= self._resting + LEFT:
+            # What the joints give the base ended with their motion; the rest is momentum.
             self._path = braking(self.p, q, qd, self.settings, seen.t)
         if self._path is None or not self._is_still(qd):
             self._moving = seen.t
         if self._path is not None and seen.t - max(self._moving, self._path.end) >= CALM:
             self._left = min(self._left, seen.t)
         if seen.t < self._left:
-            self.leak.forget(seen.t)
             return Orders("detumble", self._path, rates)
-        if self.leak.pushes(seen.t, self.p, q, qd):
-            self.cancel(f"a valve does not close: {self.leak.words}")
+        if seen.pushed:
+            self.cancel("something pushes that is not known")
         over = seen.t - self._left >= LEFT
         return Orders("detumble", None, rates, ended=Ended(True) if over else None)
 

@@ -8,6 +8,7 @@ from fss_gnc.reference import Path, off
 
 STOPPED = 6.0  # in which the valves stop the base [s]
 PATIENCE = 0.3  # for which a torque may exceed its limit [s]
+UNNAMED = 3.0  # for which something may push: one valve that does not open is done without [s]
 
 
 class Watch:
@@ -20,6 +21,7 @@ class Watch:
         self.edge = self.target = np.nan  # clearances [m]
         self._had = np.nan  # propellant [kg]
         self._strained: float | None = None  # since when [s]
+        self._pushed = np.inf  # since when something pushes that is not known [s]
 
     def reason(
         self, seen: Seen, path: Path | None, timeout: float, since: float, near: bool = True
@@ -34,6 +36,8 @@ class Watch:
             near: whether base and arm must keep off the target.
         """
         s = self.settings
+        if seen.open_valves:
+            return f"valve {' and '.join(map(str, seen.open_valves))} does not close"
         if seen.base is None:
             return "base/state is not known"
         if seen.q is None or seen.qd is None:
@@ -47,7 +51,10 @@ class Watch:
             return f"{self.edge:.3f} m from the table's edge, at least {s.least_edge:g} m expected"
         if near and self.target < s.least_target:
             return f"{self.target:.3f} m from the target, at least {s.least_target:g} m expected"
+        self._pushed = min(self._pushed, seen.t) if seen.pushed else np.inf
         if path is not None:
+            if seen.t - self._pushed > UNNAMED:
+                return "something pushes that is not known"
             apart = off(seen.base.pose, path.at(seen.t).pose)
             distance, turn = float(np.hypot(*apart[:2])), abs(float(apart[2]))
             if distance > s.max_offset or turn > s.max_turn:

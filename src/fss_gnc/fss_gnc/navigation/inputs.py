@@ -21,6 +21,7 @@ from fss_arm_model.layout import count
 from fss_arm_model.thrusters import COUNT, layout
 
 from .settings import EstimatorSettings
+from .valve_faults import Faults
 
 SECOND = 1_000_000_000
 UNHEARD = 0.5  # a joint that is silent for longer may do anything [s]
@@ -103,8 +104,9 @@ class KnownInputs:
     def __init__(self, p: npt.ArrayLike, settings: EstimatorSettings | None = None) -> None:
         self.settings = s = settings or EstimatorSettings()
         self.valves = layout(s.thrust, s.thruster_lever)
+        self._driven, self._leaks, self.faults = self.valves, np.zeros(3), Faults()
         self._quiet = np.diag(np.square([s.acceleration, s.acceleration, s.angular_acceleration]))
-        self._opened, self._closed = np.full(PULSES, NEVER), np.zeros((PULSES, COUNT))
+        self._opened, self._closed = np.full(PULSES, NEVER), np.full((PULSES, COUNT), NEVER)
         self._control = np.array([0.0, 0.0, s.thrust_error**2, s.joint_change_error**2 * FOLLOWS])
         self._origin: int | None = None  # what times in arrays count from [ns]
         self._joints(count(np.asarray(p)))
@@ -129,6 +131,14 @@ class KnownInputs:
         self.p = np.asarray(p, dtype=float)
         if count(self.p) != self.n:
             self._joints(count(self.p))
+        self._model(self._newest, self._omega)
+
+    def fail(self, faults: Faults) -> None:
+        """Some valves stay open or closed, whatever they are told."""
+        self.faults = faults
+        self._leaks = self.valves[list(faults.open)].sum(axis=0)
+        self._driven = self.valves.copy()
+        self._driven[list(faults.open | faults.closed)] = 0.0
         self._model(self._newest, self._omega)
 
     def pulses(self, t: int, on_times: npt.ArrayLike) -> bool:
@@ -176,8 +186,8 @@ class KnownInputs:
             self._planned[-k:-1] = np.diff(qd, axis=0) / np.diff(t)[:, None]
         return True
 
-    def impulse(self, begin: int, end: int) -> Floats:
-        """Of the valves from one time [ns] to another, in the base's axes, (3,) [N s, N s, N m s].
+    def open_times(self, begin: int, end: int) -> Floats:
+        """For how long valves are open from one time [ns] to another, (8,) [s].
 
         Of the last PULSES commands.
         """
@@ -185,7 +195,8 @@ class KnownInputs:
         following = np.append(self._opened[1:], FOREVER)
         closed = np.minimum(np.minimum(self._closed, following[:, None]), last)
         lasts = np.maximum(closed - np.maximum(self._opened, first)[:, None], 0.0)
-        found: Floats = lasts.sum(axis=0) @ self.valves
+        found: Floats = lasts.sum(axis=0)
+        found[list(self.faults.open)], found[list(self.faults.closed)] = last - first, 0.0
         return found
 
     @property
@@ -233,7 +244,7 @@ class KnownInputs:
         self.mobility = np.linalg.inv(H[:3, :3])
         self._by_joint = -self.mobility @ H[:3, 3:]
         still = np.zeros(len(q))
-        self._still = -self.mobility @ inverse_dynamics(self.p, q, qd, still)[:3]
+        self._still = self.mobility @ (self._leaks - inverse_dynamics(self.p, q, qd, still)[:3])
         step = 2.0 * (s.joint_rate_error * rates) ** 2 / FOLLOWS  # from one reading to the next
         late, read_at = self._late(), self._read_at[:, -1]
         heard = t - read_at <= UNHEARD if t > NEVER else np.zeros(self.n, bool)
@@ -253,7 +264,7 @@ class KnownInputs:
         if until > self._silent and until > self._newest:
             self._model(until, self._omega)
         found = _over(
-            self._read_at, self._rates, self._opened, self._closed, self.valves, self.mobility,
+            self._read_at, self._rates, self._opened, self._closed, self._driven, self.mobility,
             self._by_joint, self._still, self._tail if until > self._from else self._read,
             self._planned_at, self._planned, control,
         )  # fmt: skip

@@ -2,7 +2,7 @@
 
 from collections import deque
 from functools import partial
-from math import hypot, pi
+from math import expm1, hypot, pi
 
 import numpy as np
 import numpy.typing as npt
@@ -11,11 +11,13 @@ from fss_arm_model.description import Arm
 from fss_arm_model.held import Target, held, hold, with_held
 from fss_arm_model.kernels import Floats
 from fss_arm_model.kinematics import tip_jacobian, tip_pose
+from fss_arm_model.thrusters import COUNT
 
 from .body_filter import GATE, BodyFilter, BodyState, Free, Pose
-from .caught import SPACING, Caught, CaughtErrors, FreeBody, MassProperties, Sample, to_origin
+from .caught import SPACING, Caught, CaughtErrors, FreeBody, MassProperties, Sample
 from .inputs import KnownInputs
 from .settings import EstimatorSettings, TargetErrors
+from .valve_faults import Faults, Moment, ValveFaults
 
 SECOND = 1_000_000_000
 SAME = 0.05, 0.15  # a pose so near to the end effector's is the end effector's [m], [rad]
@@ -76,7 +78,9 @@ class Navigation:
         self.found: MassProperties | None = None  # of what is held; None: nothing measured yet
         self._gripped = 0  # when that was heard [ns]
         self._seen: deque[tuple[int, Sample, BodyState | None]] = deque(maxlen=EARLIER)
-        self._given, self._given_until = np.zeros(3), -GAP  # impulse of the valves, [ns]
+        self.valves = ValveFaults(self.settings.thrust_error)
+        # Impulses of each valve, as told and had it been open, and until when [ns].
+        self._given, self._given_until = np.zeros((2, COUNT, 3)), -GAP
 
     @property
     def holds(self) -> bool:
@@ -133,6 +137,7 @@ class Navigation:
             return
         self._carried.held, self.place, self._gripped = holds, None, self.base.t
         self.caught = self.found = None
+        self.valves.forget()
         for body in (self.base, self.target):
             body.push(body.t, *GRIP)
         self._weigh()
@@ -147,13 +152,8 @@ class Navigation:
 
     def observe(self, t: int) -> MassProperties | None:
         """Learn of what is held, by where all is at t [ns]; what is known then, if that is new."""
-        if not self.base.events or self.base.lost(t) or not self.inputs.heard_at(t):
+        if not self._is_known(t) or (self.holds and t < self._gripped + BEFORE):
             return None
-        if self.holds and t < self._gripped + BEFORE:
-            return None
-        if t > self._given_until + GAP:
-            self._given_until, self.caught = t - BEFORE, None
-            self._seen.clear()
         if not self.holds and self._seen and t < self._seen[-1][0] + BEFORE:
             return None
         sample = self._sample(t)
@@ -173,23 +173,60 @@ class Navigation:
         self._weigh()
         return self.found
 
-    def _sample(self, t: int) -> Sample:
-        """All as it is at t [ns], with what the valves have given."""
-        q, qd = self._state(t)
+    def diagnose(self, t: int) -> Faults | None:
+        """Which valves stay open or closed, by where all is at t [ns], if that is new."""
+        known, place = self.valves.found, self.place
+        p, mass_error = self.p, 0.0
+        if self.holds and place is not None:  # as assumed: a leak may have passed for mass
+            p = with_held(p, self.body, place)
+            mass_error = self.body.mass * expm1(self.errors.mass_error)
+        if not self._is_known(t) or (self.holds and place is None):
+            self.valves.forget()
+        elif self.valves.is_due(t / SECOND):
+            self.valves.look(p, Moment(self._sample(t), *self._impulses(t)), mass_error)
+        found = self.valves.found
+        if found == known:
+            return None
+        if found[:2] != known[:2]:
+            self.inputs.fail(found)
+            self.caught = self.found = None  # what the valve did may have passed for mass
+            self._weigh()
+        return found
+
+    def _is_known(self, t: int) -> bool:
+        """Whether base and joints are, so that momentum is; if not for a while, all begins anew."""
+        if not self.base.events or self.base.lost(t) or not self.inputs.heard_at(t):
+            return False
+        if t > self._given_until + GAP:
+            self._given_until, self.caught = t - BEFORE, None
+            self._seen.clear()
+            self.valves.forget()
+        return True
+
+    def _impulses(self, t: int) -> Floats:
+        """Of each valve until t [ns], about the world's origin, as told and if open, (2, 8, 3)."""
         base = self.base.state()
 
         def given(begin: int, end: int) -> Floats:
             x, y, heading = base.at((begin + end) // 2).pose.tolist()
-            fx, fy, torque = self.inputs.impulse(begin, end)
-            force = complex(fx, fy) * np.exp(1j * heading)
-            return to_origin(np.array([x, y]), np.array([force.real, force.imag, torque]))
+            fx, fy, torque = self.inputs.valves.T
+            force = (fx + 1j * fy) * np.exp(1j * heading)
+            each = np.stack([force.real, force.imag, torque + x * force.imag - y * force.real], -1)
+            lasts = self.inputs.open_times(begin, end), np.full(COUNT, (end - begin) / SECOND)
+            found: Floats = np.stack(lasts)[:, :, None] * each
+            return found
 
         until = max(t - BEFORE, self._given_until)  # of what came later not all may be heard yet
         self._given = self._given + given(self._given_until, until)
         self._given_until = until
+        return self._given + given(until, t)
+
+    def _sample(self, t: int) -> Sample:
+        """All as it is at t [ns], with what the valves have given."""
+        q, qd = self._state(t)
         return Sample(
-            t / SECOND, q, qd, base.covariance[3:, 3:], self.inputs.loose(),
-            self._given + given(until, t),
+            t / SECOND, q, qd, self.base.state().covariance[3:, 3:], self.inputs.loose(),
+            self._impulses(t)[0].sum(axis=0),
         )  # fmt: skip
 
     def _begin(self, t: int, sample: Sample) -> Caught:
