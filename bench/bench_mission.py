@@ -171,8 +171,8 @@ def missions(logs: Path, given: argparse.Namespace) -> bool:
             finally:
                 run.close()
         rows.append(
-            {"case": name, "commit": commit, "spin": abs(case.spin), "stopped": result.stopped, "least": least,
-             "ended": f"{result.phase}: {result.message}", "time": result.duration,
+            {"case": name, "commit": commit, "spin": abs(case.spin), "stopped": result.stopped,
+             "least": least, "ended": f"{result.phase}: {result.message}", "time": result.duration,
              "propellant": 1e3 * result.propellant, "torque": result.largest_torque}
         )  # fmt: skip
         print(f"{k + 1:3}: {rows[-1]}", flush=True)
