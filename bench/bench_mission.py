@@ -3,11 +3,13 @@
     . scripts/env.sh; python bench/bench_mission.py --runs 20    # of the grid of bench_capture.py
     python bench/bench_mission.py --runs 280 --out out/missions.jsonl  # goes on where it was ended
     python bench/bench_mission.py --kill                         # each node, in each phase, SIGKILL
+    python bench/bench_mission.py --faults                       # each fault, in each phase
 
 Each run is a graph of its own; --part 1 2 and --part 2 2 fly beside each other. With --kill it
 prints when the last valve was open and the last joint moving after the kill, and the least gaps of
-bodies, gripper and target aside, and to the edge in the time after it. Exits with 1 if bodies
-touched, or if what was killed left a valve open for longer than --shut.
+bodies, gripper and target aside, and to the edge in the time after it; with --faults how the
+mission ended, and these gaps until a while after its end. Exits with 1 if bodies touched, or if
+what was killed left a valve open for longer than --shut.
 """
 
 import argparse
@@ -25,9 +27,12 @@ from running import OWN  # enters a ROS domain of its own: before rclpy
 
 import rclpy  # isort: skip
 from rclpy.action import ActionClient  # isort: skip
+from rclpy.parameter import Parameter  # isort: skip
 from flight import Flyer, start  # isort: skip
 from bench_capture import PHASES, grid  # isort: skip
 from capturing import POSTURE, SETTINGS, Case  # isort: skip
+
+from rcl_interfaces.srv import SetParameters
 
 from fss_arm_msgs.action import Capture
 from fss_arm_msgs.msg import SimTruth
@@ -39,6 +44,17 @@ NODES = "navigation", "control", "guidance", "base", "arm", "links"
 LAST = "navigation", "control", "guidance", "base"
 INTO = {"approach": 2.0, "reach": 0.5, "grip": 0.0, "detumble": 1.0}  # the phase, at the kill [s]
 MEETING = "gripper, target"
+BLIND = {f"{subject}.dropout": 1.0 for subject in ("fss", "end_effector", "target")}
+#: Parameters of the test bed, and for how long they are so [s].
+FAULTS = {
+    "no poses for 1 s": (BLIND, 1.0),
+    "no poses for 3 s": (BLIND, 3.0),
+    "no poses for 10 s": (BLIND, 10.0),
+    "a valve open for good": ({"valve_3.stuck_open": 1.0}, np.inf),
+    "a valve closed for good": ({"valve_3.stuck_closed": 1.0}, np.inf),
+    "gyro lost": ({"fog.dropout": 1.0}, np.inf),
+    "a link lost": ({"link_2.dead": 1.0}, np.inf),
+}
 STILL = 0.02  # of a joint [rad/s]
 AFTER = 30.0  # for which it is looked at what comes of a kill [s]
 TARGET = {"target_mass": SETTINGS.target_mass, "target_inertia": SETTINGS.target_inertia}
@@ -68,6 +84,7 @@ class Run:
         start(nodes, speed, testbed=testbed(case), guidance=guidance, **known)
         self.flyer = Flyer(nodes, print)
         self.capture = ActionClient(self.flyer, Capture, "mission/capture")
+        self.setter = self.flyer.create_client(SetParameters, "testbed/set_parameters")
         self.result: Capture.Result | None = None
 
     def begin(self) -> None:
@@ -82,8 +99,8 @@ class Run:
         """Its result; within real time [s]."""
         return self.flyer.after(self.answer, timeout).result
 
-    def kill(self, name: str, phase: str) -> dict[str, float]:
-        """Kill a node in a phase; what came of it."""
+    def enter(self, phase: str) -> float:
+        """Fly into a phase; when that is [s]."""
         flyer = self.flyer
         states = flyer.states
         flyer.until(
@@ -92,20 +109,45 @@ class Run:
         if self.answer.done():
             raise TimeoutError(f"the mission ended before {phase}: {self.answer.result().result}")
         flyer.pass_time(INTO[phase])
-        since = flyer.t
+        return flyer.t
+
+    def kill(self, name: str, phase: str) -> dict[str, float]:
+        """Kill a node in a phase; what came of it."""
+        since = self.enter(phase)
         self.nodes.processes[name].kill()
-        flyer.pass_time(AFTER, timeout=600.0)
-        rows = [t for t in flyer.truths if 1e-9 * stamp_ns(t.header.stamp) >= since]
+        self.flyer.pass_time(AFTER, timeout=600.0)
+        rows = self.rows(since)
         times = np.array([1e-9 * stamp_ns(t.header.stamp) - since for t in rows])
         is_open = np.array([any(t.valves) for t in rows])
         moving = np.array([np.abs(t.qd[3:]).max() > STILL for t in rows])
         return {
             "shut": float(times[is_open].max(initial=0.0)),
             "still": float(times[moving].max(initial=0.0)),
-            "apart": min(map(apart, rows)),
-            "edge": min(t.edge_clearance for t in rows),
-            "holds": float(rows[-1].holds),
+            **least(rows),
         }
+
+    def fail(self, parameters: dict[str, float], lasts: float, phase: str) -> dict[str, float]:
+        """Have a fault in a phase; what came of it."""
+        since = self.enter(phase)
+        self.set(parameters)
+        if np.isfinite(lasts):
+            self.flyer.pass_time(lasts)
+            self.set(dict.fromkeys(parameters, 0.0))
+        self.result = self.end()
+        self.flyer.pass_time(AFTER, timeout=600.0)
+        return least(self.rows(since))
+
+    def set(self, parameters: dict[str, float]) -> None:
+        """Set parameters of the test bed."""
+        given = [
+            Parameter(name, value=value).to_parameter_msg() for name, value in parameters.items()
+        ]
+        answer = self.flyer.after(self.setter.call_async(SetParameters.Request(parameters=given)))
+        assert all(each.successful for each in answer.results), answer
+
+    def rows(self, since: float) -> list[SimTruth]:
+        """What happened since a time [s]."""
+        return [t for t in self.flyer.truths if 1e-9 * stamp_ns(t.header.stamp) >= since]
 
     def close(self) -> None:
         """Let go."""
@@ -117,6 +159,45 @@ def apart(truth: SimTruth) -> float:
     """Least gap of bodies but gripper and target, which are to meet [m]."""
     pairs = zip(truth.pairs, truth.gaps, strict=True)
     return min((gap for pair, gap in pairs if pair != MEETING), default=np.inf)
+
+
+def least(rows: list[SimTruth]) -> dict[str, float]:
+    """Least gaps in them [m], and whether the target is held in the end."""
+    return {
+        "apart": min(map(apart, rows)),
+        "edge": min(t.edge_clearance for t in rows),
+        "holds": float(rows[-1].holds),
+    }
+
+
+def faults(logs: Path, given: argparse.Namespace) -> bool:
+    """The table; whether all is safe."""
+    print("| phase | fault | mission | least gap of bodies [m] | to the edge [m] | holds |")
+    print("|---|---|---|---:|---:|---|")
+    safe = True
+    for phase, (words, (parameters, lasts)) in product(given.phases, FAULTS.items()):
+        if given.fault and given.fault not in words:
+            continue
+        with Nodes(logs / f"{phase}_{words.replace(' ', '_')}", print, OWN) as nodes:
+            run = Run(nodes, Case(), given.speed)
+            try:
+                run.begin()
+                r = run.fail(parameters, lasts, phase)
+            except (TimeoutError, AssertionError) as error:
+                print(f"| {phase} | {words} | not flown: {error} |", flush=True)
+                safe = False
+                continue
+            finally:
+                run.close()
+        fine = min(r["apart"], r["edge"]) > 0.0
+        safe &= fine
+        ended = "captured and stopped" if run.result.stopped else f"aborted: {run.result.message}"
+        print(
+            f"| {phase} | {words} | {ended} | {r['apart']:.3f} | {r['edge']:.2f} | "
+            f"{'yes' if r['holds'] else 'no'} |{'' if fine else ' UNSAFE'}",
+            flush=True,
+        )
+    return safe
 
 
 def kills(logs: Path, given: argparse.Namespace) -> bool:
@@ -202,6 +283,8 @@ def main() -> int:
     parser.add_argument("--out", type=Path, help="JSON lines; what is there is not flown again")
     parser.add_argument("--part", type=int, nargs=2, default=(1, 1), metavar=("K", "N"))
     parser.add_argument("--kill", action="store_true")
+    parser.add_argument("--faults", action="store_true")
+    parser.add_argument("--fault", help="with --faults: those in whose names this is")
     parser.add_argument("--phases", nargs="+", default=PHASES, choices=PHASES)
     parser.add_argument("--nodes", nargs="+", default=NODES, choices=NODES)
     parser.add_argument("--shut", type=float, default=1.5, help="valves shut after a kill [s]")
@@ -209,7 +292,8 @@ def main() -> int:
     given = parser.parse_args()
     rclpy.init()
     logs = Path(mkdtemp(prefix="bench_mission_"))
-    return int(not (kills if given.kill else missions)(logs, given))
+    fly = kills if given.kill else faults if given.faults else missions
+    return int(not fly(logs, given))
 
 
 if __name__ == "__main__":

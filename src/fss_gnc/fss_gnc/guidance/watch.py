@@ -8,7 +8,7 @@ from fss_gnc.reference import Path, off
 
 STOPPED = 6.0  # in which the valves stop the base [s]
 PATIENCE = 0.3  # for which a torque may exceed its limit [s]
-UNNAMED = 3.0  # for which something may push: one valve that does not open is done without [s]
+UNNAMED = 8.0  # for which the valves may balance a push: one that does not open is done without [s]
 
 
 class Watch:
