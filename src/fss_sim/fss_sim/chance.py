@@ -39,9 +39,10 @@ class Chance:
             size = BLOCK, self._width
             self._block = block
             self._normal = drawn(self._seed, self._stream, block).standard_normal(size)
-            self._uniform = drawn(self._seed, Stream.CHANCE, block).random(size)
+            which = () if self._stream is Stream.FRAME else (int(self._stream),)
+            self._uniform = drawn(self._seed, Stream.CHANCE, block, *which).random(size)
 
 
-def drawn(seed: int, stream: Stream, counter: int) -> np.random.Generator:
-    """The generator of one counter's numbers."""
-    return np.random.default_rng((seed, int(stream), counter))
+def drawn(seed: int, stream: Stream, *counters: int) -> np.random.Generator:
+    """The generator of one counter's numbers, or of some counters'."""
+    return np.random.default_rng((seed, int(stream), *counters))

@@ -5,7 +5,7 @@ A script is YAML, a list of
     {at: 12.0, part: link_2, fault: loss, value: 0.2, duration: 30.0}
 
 `at` and `duration` in seconds of the simulation, without `duration` to its end; `part` link_<i>,
-drive_<i>, fss, end_effector, fog, board, radio or valve_<i>; `value` 1 by default.
+drive_<i>, fss, end_effector, target, fog, board, radio or valve_<i>; `value` 1 by default.
 """
 
 from collections.abc import Sequence
@@ -80,7 +80,9 @@ class SubjectFaults(Settings):
 
     dropout: float = fault("share of the frames that are not published")
     occlusion: float = fault("share of the frames without the subject: pose and quaternion zero")
-    swap: float = fault("share of the frames in which it is taken for the other subject")
+    swap: float = fault(
+        "share of the frames in which it is taken for the other subject; a target: for the base"
+    )
     turn: float = fault("markers are taken for each other: turned by", "rad", -pi, pi)
     frozen: float = fault("1: the last pose is repeated with fresh stamps")
     latency: float = fault("how much older than their stamps the poses are", "s")
@@ -110,7 +112,8 @@ class ValveFaults(Settings):
 
 
 Groups = dict[str, Any]  # LinkFaults, DriveFaults, SubjectFaults, ..., by part
-BASE, TIP, GYRO, BOARD, RADIO = "fss", "end_effector", "fog", "board", "radio"
+BASE, TIP, TARGET, GYRO = "fss", "end_effector", "target", "fog"
+BOARD, RADIO = "board", "radio"
 VALVES = [f"valve_{i}" for i in range(1, COUNT + 1)]
 NO_FAULTS, NO_DRIVE_FAULTS = LinkFaults(), DriveFaults()
 
@@ -119,8 +122,8 @@ def kinds(n: int) -> dict[str, type]:
     """The parts of a test bed of n links, and what faults each can have."""
     links = {f"link_{i}": LinkFaults for i in range(1, n + 1)}
     drives = {f"drive_{i}": DriveFaults for i in range(1, n + 1)}
-    others = {BASE: SubjectFaults, TIP: SubjectFaults, GYRO: GyroFaults, BOARD: LinkFaults}
-    others |= {RADIO: RadioFaults}
+    others = {**dict.fromkeys((BASE, TIP, TARGET), SubjectFaults), GYRO: GyroFaults}
+    others |= {BOARD: LinkFaults, RADIO: RadioFaults}
     return {**links, **drives, **others, **dict.fromkeys(VALVES, ValveFaults)}
 
 
@@ -200,6 +203,7 @@ class Faults:
         self._all = groups
         self.base: SubjectFaults = groups[BASE]
         self.tip: SubjectFaults = groups[TIP]
+        self.target: SubjectFaults = groups[TARGET]
         self.gyro: GyroFaults = groups[GYRO]
         self.board: LinkFaults = groups[BOARD]
         self.radio: RadioFaults = groups[RADIO]

@@ -127,6 +127,7 @@ class Sensors:
         gyro_faults: GyroFaults = HEARD,
         target: Pose | None = None,
         looks: Mapping[int, Look] | None = None,
+        target_faults: SubjectFaults = SEEN,
     ) -> Sight:
         """What is seen in a frame.
 
@@ -144,6 +145,7 @@ class Sensors:
             gyro_faults: what is wrong with the FOG.
             target: true pose of the target in the world, if there is one.
             looks: what VICON's picture gives of each subject, by kind; nothing: no single markers.
+            target_faults: what is wrong with the target's markers.
         """
         self._follow(qd)
         noise, chance = self.noise, self._chance.uniform(frame)
@@ -160,12 +162,14 @@ class Sensors:
         seen_rate = scale * rate + bias + noise.gyro_noise * float(self._chance.normal(frame)[6])
         as_base = seen[TIP] if chance[5] < base_faults.swap else seen[BASE]
         as_tip = seen[BASE] if chance[6] < tip_faults.swap else seen[TIP]
+        lost, hidden, taken = self._target_chance.uniform(frame)
+        as_target = seen[BASE] if taken < target_faults.swap else seen[TARGET]
         before = self._before(frame)
         return Sight(
             self._base.report(as_base, base_faults, chance[0], chance[1], before),
             self._tip.report(as_tip, tip_faults, chance[2], chance[3], before),
             None if chance[4] < gyro_faults.dropout else seen_rate,
-            target and self._target.report(seen[TARGET], SEEN, 1.0, 1.0, before),
+            target and self._target.report(as_target, target_faults, lost, hidden, before),
         )
 
     def _whiten(self, frame: int, pose: Pose) -> Pose:

@@ -200,8 +200,9 @@ class Testbed:
         tip = plant.tip if plant.n else (0.0, 0.0, 0.0)
         qd = np.array([motion.qd for motion in self._motions] or [0.0])
         sight = self.sensors.observe(
-            self.frame, plant.base, tip, rate, qd, of.base, of.tip, of.gyro, target, self.looks
-        )
+            self.frame, plant.base, tip, rate, qd, of.base, of.tip, of.gyro, target, self.looks,
+            of.target,
+        )  # fmt: skip
         telemetry = [
             link.report(self.now, self._motions[i], 1.0 / RATE, of.links[i], of.drives[i])
             for i, link in enumerate(self.links)

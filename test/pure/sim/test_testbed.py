@@ -170,6 +170,28 @@ def test_vicon_drops_out_and_loses_sight_as_often_as_told():
     assert all(s.base.occluded for s in look(SubjectFaults(occlusion=1.0), 10))
 
 
+def test_the_target_is_lost_and_mistaken_as_often_as_told_and_by_itself():
+    def seen(**faults):
+        sensors, at = Sensors(PRESETS["ideal"], seed=1), (3.0, 2.0, 1.0)
+        faults = SubjectFaults(**faults)
+        return [
+            sensors.observe(k, (0.01 * k, 0.0, 0.5), (1.0, 0.0, 0.0), 0.1, STILL, target=at,
+                            target_faults=faults)
+            for k in range(2000)
+        ]  # fmt: skip
+
+    missed = np.array([sight.target is None for sight in seen(dropout=0.3)])
+    for count in (
+        missed.sum(),
+        sum(sight.target.occluded for sight in seen(occlusion=0.3)),
+        sum(sight.target.pose == sight.base.pose for sight in seen(swap=0.3)),
+    ):
+        assert count / 2000 == pytest.approx(0.3, abs=4 * (0.21 / 2000) ** 0.5)
+    without = np.array([sight.base is None for sight in look(SubjectFaults(dropout=0.3))])
+    both = (missed & without).mean()  # by chance
+    assert both == pytest.approx(0.09, abs=4 * (0.09 * 0.91 / 2000) ** 0.5)
+
+
 def test_vicon_is_late_turned_or_frozen_as_told():
     late = [s.base.pose[0] for s in look(SubjectFaults(latency=0.2), 100)]
     np.testing.assert_allclose(late[20:], 0.01 * np.arange(80), atol=1e-12)
