@@ -26,7 +26,7 @@ SPACING = 0.2  # of moments [s]
 SPANS = 5, 10, 15  # moments over which all is compared
 AGREED = 3  # moments in a row at which the same valve is found
 # Sums of 3 squares: beyond chance by far, within it, and apart from each other.
-STRANGE, EXPLAINED, APART = 25.0, 16.0, 9.0
+STRANGE, EXPLAINED, APART = 25.0, 16.0, 6.0
 WALK = np.array([0.005, 0.005, 0.0015])  # of what else pushes [N sqrt(s)], [N m sqrt(s)]
 EVEN = np.array([0.015, 0.015, 0.002])  # that pushes evenly, as a table off by 0.1 mrad [N], [N m]
 OTHER = 0.1  # relative error of what a fault gives
@@ -90,11 +90,11 @@ class ValveFaults:
             for span in SPANS
             if span < len(self._moments)
         ]
-        suspects = {valve for strange, valve in found if strange}
-        if not suspects:
+        if not any(strange for strange, _ in found):
             self._strange.clear()
             self.found = self.found._replace(pushed=False)
             return
+        suspects = {suspect for _, suspect in found if suspect}
         self._strange.append(suspects.pop() if len(suspects) == 1 else None)
         if len(self._strange) < AGREED:
             return
