@@ -67,11 +67,12 @@ def main() -> int:
     parser.add_argument("--postures", type=int, default=13, help="how many of them")
     parser.add_argument("--speed", type=float, default=1.0, help="of the simulated time")
     parser.add_argument("--no-feed-forward", action="store_true")
+    parser.add_argument("--bandwidth", type=float, default=0.35, help="of the control [rad/s]")
     given = parser.parse_args()
     rclpy.init()
     logs = Path(mkdtemp(prefix="bench_holding_"))
     with Nodes(logs, print, OWN) as nodes:
-        control = {"feed_forward": not given.no_feed_forward, **AGE}
+        control = {"feed_forward": not given.no_feed_forward, "bandwidth": given.bandwidth, **AGE}
         start(nodes, given.speed, base=PATIENT, control=control, guidance=AGE)
         flyer = Flyer(nodes)
         try:

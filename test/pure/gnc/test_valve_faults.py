@@ -41,7 +41,8 @@ class Bed:
         self.t += SPACING
         qd = np.concatenate([twist + NOISE * self.rng.standard_normal(3), np.zeros(4)])
         sample = Sample(self.t, self.q.copy(), qd, np.diag(NOISE**2), np.full(4, 5e-4), np.zeros(3))
-        self.watch.look(P, Moment(sample, self.told, self.wide), 0.0)
+        if self.watch.is_due(self.t):
+            self.watch.look(P, Moment(sample, self.told, self.wide), 0.0)
         return self.watch.found
 
     def until_found(self, shares, valve=False, **how):

@@ -62,28 +62,28 @@ class ValveFaults:
         self.thrust_error = thrust_error
         self.found = Faults()
         self._moments: deque[Moment] = deque(maxlen=max(SPANS) + 1)
-        self._strange: deque[Suspect | None] = deque(maxlen=AGREED)
+        self._suspects: deque[Suspect | None] = deque(maxlen=AGREED)  # None: cannot be told
 
     def forget(self) -> None:
-        """What was until now says nothing: another mass, or a gap."""
+        """Begin anew: momentum is another one, or was not known for a while."""
         self._moments.clear()
-        self._strange.clear()
+        self._suspects.clear()
         self.found = self.found._replace(pushed=False)
 
     def is_due(self, t: float) -> bool:
-        """Whether it should look at a time [s]."""
+        """Whether a moment is due at a time [s]; after an open valve, which empties the tank, none."""
+        if self.found.open:
+            return False
         return not self._moments or t >= self._moments[-1].sample.t + SPACING
 
     def look(self, p: Floats, moment: Moment, mass_error: float) -> None:
-        """Look at a moment; see `found`.
+        """Take a moment, and find in `found` what it shows.
 
         Args:
             p: (8 + 6 n,) of base, arm and what is held.
             moment: later than those before.
             mass_error: of what is held, 1 sigma [kg].
         """
-        if self.found.open:  # what else fails can wait, and a tank that empties fails as well
-            return
         self._moments.append(moment)
         found = [
             self._compare(p, self._moments[-1 - span], moment, mass_error)
@@ -91,15 +91,15 @@ class ValveFaults:
             if span < len(self._moments)
         ]
         if not any(strange for strange, _ in found):
-            self._strange.clear()
+            self._suspects.clear()
             self.found = self.found._replace(pushed=False)
             return
         suspects = {suspect for _, suspect in found if suspect}
-        self._strange.append(suspects.pop() if len(suspects) == 1 else None)
-        if len(self._strange) < AGREED:
+        self._suspects.append(suspects.pop() if len(suspects) == 1 else None)
+        if len(self._suspects) < AGREED:
             return
-        suspect = self._strange[-1]
-        if suspect is None or len({*self._strange}) > 1:
+        suspect = self._suspects[-1]
+        if suspect is None or len({*self._suspects}) > 1:
             self.found = self.found._replace(pushed=True)
             return
         kind, valve = suspect
