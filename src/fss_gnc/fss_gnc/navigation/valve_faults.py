@@ -71,7 +71,7 @@ class ValveFaults:
         self.found = self.found._replace(pushed=False)
 
     def is_due(self, t: float) -> bool:
-        """Whether a moment is due at a time [s]; after an open valve, which empties the tank, none."""
+        """Whether a moment is due at a time [s]; none is after an open valve, which ends all."""
         if self.found.open:
             return False
         return not self._moments or t >= self._moments[-1].sample.t + SPACING
