@@ -1,7 +1,7 @@
 """The capture by nodes alone, on the simulated test bed with its default errors.
 
     . scripts/env.sh; python bench/bench_mission.py --runs 20    # of the grid of bench_capture.py
-    python bench/bench_mission.py --runs 280 --out out/missions.jsonl  # goes on where it was ended
+    python bench/bench_mission.py --runs 280 --out bench/missions.jsonl  # goes on where it ended
     python bench/bench_mission.py --kill                         # each node, in each phase, SIGKILL
     python bench/bench_mission.py --faults                       # each fault, in each phase
 
