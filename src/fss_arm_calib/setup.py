@@ -18,12 +18,12 @@ setup(
     entry_points={
         "console_scripts": [
             "kinematic = fss_arm_calib.programs:kinematic",
-            "design = fss_arm_calib.experiment.design_command:main",
+            "design = fss_arm_calib.programs:design",
             "drift = fss_arm_calib.programs:drift",
-            "drives = fss_arm_calib.drives.drives_command:main",
+            "drives = fss_arm_calib.programs:drives",
             "dynamic = fss_arm_calib.programs:dynamic",
             "experiment = fss_arm_calib.programs:experiment",
-            "from_bag = fss_arm_calib.from_bag:main",
+            "from_bag = fss_arm_calib.programs:from_bag",
             "joint = fss_arm_calib.programs:joint",
             "links = fss_arm_calib.links:main",
             "recompute = fss_arm_calib.programs:recompute",

@@ -75,7 +75,7 @@ SHARED = [
         *("report_figures", "report_tables", "settings"),
     )
 ]
-FROM_BAGS = {"fss_arm_calib.bag_command", "fss_arm_calib.bag_data"}
+FROM_BAGS = {f"fss_arm_calib.bag_{room}" for room in ("command", "data", "options")}
 ROOMS = {
     PROTOCOL: set(),
     "fss_arm_driver.session": {
@@ -119,8 +119,9 @@ ROOMS = {
 
 # Where the mathematics of a package meets ROS: its nodes, their actions and topics, and these.
 EDGES = {
-    *("settings", "messages", "kind", "kinds", "from_bag", "design_command", "plan_command"),
-    *("recompute", "programs", "from_bags", "drives_command", "bag_command", "bag_data"),
+    *("settings", "messages", "kind", "kinds", "from_bag", "from_bag_options", "design_command"),
+    *("plan_command", "recompute", "programs", "from_bags", "drives_command", "bag_command"),
+    "bag_data",
 }
 AT_THE_EDGE = ("_node", "_action", "_topic", "_topics")
 MATHEMATICS = ALLOWED.keys() - {"fss_arm_ros", "fss_arm_bags", "fss_sim.rehearsal"}

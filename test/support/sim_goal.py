@@ -6,7 +6,8 @@ import numpy as np
 from sim_rehearsal import DYNAMIC, Rehearsal
 
 from fss_arm_calib.dynamic.calibrate import calibrate
-from fss_arm_calib.experiment.design import Conditions, design, expected, to_goal
+from fss_arm_calib.experiment.design import design, expected, to_goal
+from fss_arm_calib.experiment.settings import Conditions
 from fss_arm_model.description import paper_arm
 from fss_arm_model.parameters import parameter_names, values
 from fss_sim.rehearsal.dynamic import PAUSE, SESSION, TABLE, draw_truth

@@ -1,4 +1,4 @@
-"""Calibrate from bags, without any ROS process: the command `from_bag`."""
+"""What the command `from_bag` does."""
 
 import argparse
 import sys
@@ -13,10 +13,12 @@ from rich.console import Console
 from fss_arm_bags.reader import open_bags
 from fss_arm_calib import report, result
 from fss_arm_calib.acceptance import PASS
-from fss_arm_calib.bag_command import EPILOG, EXIT_CODES, add_settings, defaults, outputs, told
+from fss_arm_calib.bag_command import EXIT_CODES, told
 from fss_arm_calib.bag_data import fed, source, taped
+from fss_arm_calib.bag_options import defaults
 from fss_arm_calib.calibration import Calibration
 from fss_arm_calib.causes import explained
+from fss_arm_calib.from_bag_options import DEFAULT, asked, parser
 from fss_arm_calib.joint import from_bags
 from fss_arm_calib.joint.kind import JOINT
 from fss_arm_calib.kinds import KINDS
@@ -25,12 +27,10 @@ from fss_arm_calib.segments.streams import newest
 from fss_arm_calib.settings import CalibrationSettings
 from fss_arm_model.description import Arm, described, from_yaml, load
 from fss_arm_ros.calibrated import with_kinematics_of
-from fss_arm_ros.command_line import Parser, in_one_line
+from fss_arm_ros.command_line import in_one_line
 
 D = TypeVar("D", bound=Datum)
 C = TypeVar("C", bound=CalibrationSettings)
-
-DEFAULT = "kinematic"  # kind of calibration
 
 
 def solve_bag(
@@ -91,34 +91,6 @@ def begun_from(kinematic: str, arm: str, options: argparse.Namespace, namespace:
     if found.verdict != PASS:
         raise ValueError(f"kinematics by {kinematic}: {found.verdict}: {found.reason}")
     return with_kinematics_of(from_yaml(found.description), own)
-
-
-def parser(kind: Calibration[Any, Any], namespace: str = "") -> argparse.ArgumentParser:
-    """The command line: the bags, what to write, and each setting that the node has, too."""
-    if kind is JOINT:
-        return from_bags.parser()
-    lacks = "".join(f" No {what}: {why}." for what, why in kind.lacks.items())
-    p = Parser("from_bag", description=f"{__doc__} {kind.about}{lacks}", epilog=EPILOG)
-    p.add_argument("bags", nargs="+", metavar="BAG", help="bag, or folder of bags")
-    for other in (*KINDS.values(), JOINT):
-        if other.name != DEFAULT:
-            about = f"{other.about} See --{other.name} --help"
-            p.add_argument(f"--{other.name}", action="store_true", help=about)
-    outputs(p, kind.written)
-    if kind.after:
-        p.add_argument(
-            "--kinematic", metavar="FROM", help="begin from a kinematic calibration, with its "
-            "covariance: its result as JSON, or a bag to make it from",
-        )  # fmt: skip
-    add_settings(p, kind.settings)
-    p.set_defaults(**defaults(kind.settings, namespace))
-    return p
-
-
-def asked(args: Sequence[str]) -> Calibration[Any, Any]:
-    """The kind of calibration that a command line asks for."""
-    found = [k for k in (*KINDS.values(), JOINT) if k.name != DEFAULT and f"--{k.name}" in args]
-    return found[0] if found else KINDS[DEFAULT]
 
 
 def calibrated(

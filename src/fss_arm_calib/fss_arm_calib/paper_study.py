@@ -17,7 +17,6 @@ from fss_arm_calib.dynamic.problem import solve as solve_dynamics
 from fss_arm_calib.dynamic.settings import DynamicSettings
 from fss_arm_calib.dynamic.solution import known_beforehand
 from fss_arm_calib.experiment.design import (
-    Conditions,
     Planned,
     design,
     expected,
@@ -25,6 +24,7 @@ from fss_arm_calib.experiment.design import (
     together,
 )
 from fss_arm_calib.experiment.postures import DEFAULT
+from fss_arm_calib.experiment.settings import Conditions
 from fss_arm_calib.kinematic.problem import EQUAL, KinematicProblem
 from fss_arm_calib.kinematic.problem import solve as solve_kinematics
 from fss_arm_model.base_motion import base_poses, path

@@ -26,4 +26,12 @@ experiment = Program(
     "fss_arm_calib.experiment.experiment_node:ExperimentNode",
     "fss_arm_calib.experiment.settings:ExperimentSettings",
 )
+design = Command(
+    "fss_arm_calib.experiment.design_command:main",
+    "fss_arm_calib.experiment.design_options:parser",
+)
+drives = Command(
+    "fss_arm_calib.drives.drives_command:main", "fss_arm_calib.drives.drives_options:parser"
+)
+from_bag = Command("fss_arm_calib.from_bag:main", "fss_arm_calib.from_bag_options:parser")
 recompute = Command("fss_arm_calib.recompute:main", "fss_arm_calib.recompute_options:parser")

@@ -54,6 +54,7 @@ class ArmNode(Node):
             for i in self.links.numbers
         ]
         self.create_service(SetBool, "arm/enable", self.on_arm, callback_group=waits)
+        self.create_timer(1.0 / self.settings.rate, self.tick, clock=self.links.clock)
         self.diagnostics = Diagnostics(self, self.health)
 
     def close(self) -> None:
@@ -61,6 +62,11 @@ class ArmNode(Node):
         self.streams.ear.close()
         self.moves.server.destroy()
         self.trajectories.server.destroy()
+
+    def tick(self) -> None:
+        """See where base and target are, and let a motion under way go on."""
+        self.guard.look()
+        self.links.tick()
 
     async def on_arm(self, request: SetBool.Request, response: SetBool.Response) -> Any:
         """Pass the request on to all links at once; succeed if all do. An old one arms nothing."""

@@ -98,7 +98,8 @@ class LinkNode(Node):
         self.given = 0, 0  # when that was given: by the session, and by the time of day then
         self.waiting: list[Future] = []
         self.replaced: deque[Progress] = deque()  # by others, whose end is yet to be reported
-        self.beats, self.usual = 0, 2 if settings.rate < PATH_RATE else 1  # beats to a command
+        self.period = round(SECOND / settings.rate)  # of commands that are not new [ns]
+        self.path_period = self.period // 2 if settings.rate < PATH_RATE else self.period
         if is_exposed(settings.url, settings.keys):
             self.get_logger().warning(
                 f"{settings.url}: frames are not signed, so anybody on this network can move the "
@@ -114,8 +115,8 @@ class LinkNode(Node):
         self.create_service(SetBool, f"{self.name}/arm", self.on_arm, callback_group=group)
         self.create_service(Trigger, f"{self.name}/clear_faults", self.on_clear_faults)
         self.pacer, clock = Pacer(settings.max_rate), pace(self)
-        period = 1.0 / settings.rate / self.usual
-        self.steady = self.create_timer(period, self.beat, clock=clock)
+        period = 1.0 / settings.rate
+        self.steady = self.create_timer(period, self.send, clock=clock)
         self.late = self.create_timer(period, self.send, clock=clock, autostart=False)
         self.messages = SampleMessages(self.session, self.settings.frame_prefix)
         self.link_health = LinkHealth(self.session, self.transport, bool(settings.keys))
@@ -158,15 +159,6 @@ class LinkNode(Node):
         if sample.frame.slow_id == Slow.BATTERY:
             self.battery.publish(self.messages.battery(sample))
 
-    def beat(self) -> None:
-        """Send at the steady rate; twice as often while a path is followed, if that is seldom."""
-        self.beats += 1
-        if self.beats >= self.usual or self.session.follows:
-            self.beats = 0
-            self.send()
-        else:
-            self.answer()
-
     def send(self) -> None:
         """Send the command of the moment, and say what has become of earlier ones."""
         self.transmit()
@@ -186,12 +178,15 @@ class LinkNode(Node):
             self.warn("strain", session.strain)
 
     def transmit(self) -> None:
-        """Send the command of the moment."""
+        """Send the command of the moment; the next one follows sooner while a path is followed."""
         with self.lock:
             self.transport.send(self.session.command(now := self.now()))
             self.pacer.sent(now)
             self.send_path(now)
-            self.beats = 0
+            period = self.path_period if self.session.follows else self.period
+            if period != self.steady.timer_period_ns:
+                self.steady.timer_period_ns = period
+                self.news.trigger()  # the executor shall know
             self.steady.reset()
             self.late.cancel()
 

@@ -20,7 +20,7 @@ from fss_arm_ros.door import Door
 from rclpy._rclpy_pybind11 import RCLError, WaitSet  # isort: skip
 
 GIVE_WAY = 0.0005  # that another thread of Python may go on when a message has come [s]
-AWAKE = 200_000_000  # [ns]; so often it sees that its context or the process ends
+AWAKE = 1_000_000_000  # [ns]; so often it sees that its context or the process ends, unless closed
 
 
 class OutsideExecutors(CallbackGroup):

@@ -7,12 +7,10 @@ from collections.abc import Callable
 from typing import Any
 
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from fss_arm_ros.door import Door
 from fss_arm_ros.ear import OutsideExecutors
-
-LAST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)  # matches any publisher
+from fss_arm_ros.qos import LAST
 
 
 class Glance:

@@ -11,7 +11,7 @@ from rclpy.node import Node
 from rclpy.subscription import Subscription
 
 from fss_arm_ros.ear import OutsideExecutors
-from fss_arm_ros.qos import sensor
+from fss_arm_ros.qos import LAST, sensor
 
 
 class Inbox:
@@ -21,10 +21,13 @@ class Inbox:
         self._node, self._group = node, OutsideExecutors()
         self._boxes: list[tuple[Subscription, type, Callable[[Any], None]]] = []
 
-    def listen(self, kind: type, topic: str, callback: Callable[[Any], None]) -> None:
-        """Have a topic's messages wait."""
+    def listen(
+        self, kind: type, topic: str, callback: Callable[[Any], None], last: bool = False
+    ) -> None:
+        """Have a topic's messages wait, or the last one alone."""
+        qos = LAST if last else sensor(best_effort=True)
         subscription = self._node.create_subscription(
-            kind, topic, callback, sensor(best_effort=True), callback_group=self._group
+            kind, topic, callback, qos, callback_group=self._group
         )
         self._boxes.append((subscription, kind, callback))
 

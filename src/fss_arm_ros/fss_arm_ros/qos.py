@@ -20,6 +20,9 @@ LATCHED = QoSProfile(
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
 
+#: Subscription to what only the last message is wanted of; matches any publisher.
+LAST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+
 
 def command(time_to_live: float) -> QoSProfile:
     """Commands: only the last one, and none that is older than its time to live [s]."""

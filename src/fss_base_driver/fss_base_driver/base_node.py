@@ -240,8 +240,9 @@ class BaseNode(Node):
         return wrench
 
     def share(self) -> None:
-        """Give the next period's part of the wrench in force, if there is one."""
+        """Give the next period's part of the wrench in force; no more until one is, if none is."""
         if self.wrench is None:
+            self.sharing.cancel()
             return
         with self.taking("base/wrench"):
             now, (wrench, given) = self.now(), self.wrench

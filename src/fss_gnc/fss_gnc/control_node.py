@@ -80,7 +80,7 @@ class ControlNode(Node):
             except ValueError as error:
                 self.warn(topic.name, error)
 
-        self.inbox.listen(kind, topic.name, take)
+        self.inbox.listen(kind, topic.name, take, last=True)
 
     def warn(self, topic: str, error: ValueError) -> None:
         """Say that a message is left out, now and then."""

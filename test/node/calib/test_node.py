@@ -13,7 +13,8 @@ from std_srvs.srv import Trigger
 from fss_arm_bags.recorder import Recording
 from fss_arm_calib.acceptance import FAIL, Check
 from fss_arm_calib.from_bag import main as from_bag
-from fss_arm_calib.from_bag import parser, solve_bag
+from fss_arm_calib.from_bag import solve_bag
+from fss_arm_calib.from_bag_options import parser
 from fss_arm_calib.kinds import KINDS
 from fss_arm_calib.messages import common
 from fss_arm_calib.node_settings import node_settings

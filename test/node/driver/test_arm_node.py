@@ -244,7 +244,7 @@ def test_no_timer_keeps_the_systems_clock(ros, kind):
     link = LinkNode(1, transport=FakeTransport(1), parameter_overrides=time)
     arm = ArmNode(parameter_overrides=time)
     paces = {t.callback: t.clock.clock_type for node in (link, arm) for t in node.timers}
-    assert paces[link.beat] == paces[arm.links.tick] == kind
+    assert paces[link.send] == paces[arm.tick] == kind
     link.close()
     for node in (link, arm):
         node.destroy_node()

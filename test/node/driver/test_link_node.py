@@ -284,20 +284,14 @@ def test_a_path_is_kept_by_the_link_and_told_of(bench):
 
 
 @pytest.mark.parametrize("bench", [{"rate": 5.0}], indirect=True)
-def test_commands_are_doubled_while_a_path_is_followed(bench, monkeypatch):
+def test_commands_are_doubled_while_a_path_is_followed(bench):
     node, user, _, until = bench
     arm(user, until)
-    sent = []
-    monkeypatch.setattr(node, "send", lambda: sent.append(node.session.follows))
-    for _ in range(4):
-        node.beat()
-    assert sent == 2 * [False]
+    assert node.steady.timer_period_ns == SECOND // 5
     order(user, mode=LinkCommand.PATH, path=3)
-    until(lambda: node.session.follows)
-    sent.clear()
-    for _ in range(4):
-        node.beat()
-    assert sent == 4 * [True]
+    until(lambda: node.steady.timer_period_ns == SECOND // 10)
+    order(user, mode=LinkCommand.VELOCITY)
+    until(lambda: node.steady.timer_period_ns == SECOND // 5)
 
 
 def test_a_path_that_breaks_off_and_one_that_is_refused_are_said_once(bench, monkeypatch):

@@ -11,13 +11,9 @@ import yaml
 from fss_arm_calib.dynamic.problem import information, propagated
 from fss_arm_calib.dynamic.settings import DynamicSettings
 from fss_arm_calib.experiment.design import (
-    LOOP,
     PAUSE,
     RAMP,
-    SINGLE,
     STRENGTH,
-    SWEEP,
-    Conditions,
     NoManeuver,
     candidates,
     design,
@@ -33,6 +29,7 @@ from fss_arm_calib.experiment.design import (
     torques,
 )
 from fss_arm_calib.experiment.design_command import main
+from fss_arm_calib.experiment.settings import LOOP, SINGLE, SWEEP, Conditions
 from fss_arm_model import dynamics
 from fss_arm_model.base_motion import base_poses, path
 from fss_arm_model.description import Link, paper_arm

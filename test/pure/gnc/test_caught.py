@@ -257,9 +257,9 @@ def test_another_mass_leaves_joints_heard():
     inputs, now = KnownInputs(P), 100 * SECOND
     for i, q in enumerate(POSTURE):
         inputs.joint(i, now, q, 0.0, 0.0)
-    before = inputs.over(now, now + SECOND // 20)[1]
+    before = inputs.over([now, now + SECOND // 20])[1]
     inputs.describe(P)
-    np.testing.assert_array_equal(inputs.over(now, now + SECOND // 20)[1], before)
+    np.testing.assert_array_equal(inputs.over([now, now + SECOND // 20])[1], before)
 
 
 def test_what_valves_have_given_is_counted_once_until_the_next_command():

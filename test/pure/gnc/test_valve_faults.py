@@ -7,6 +7,7 @@ from capturing import POSTURE, Case, Flight
 from fss_arm_model.description import paper_arm
 from fss_arm_model.dynamics import inertia_matrix
 from fss_arm_model.thrusters import COUNT, layout
+from fss_gnc.navigation import EstimatorSettings, KnownInputs
 from fss_gnc.navigation.caught import Sample
 from fss_gnc.navigation.valve_faults import SPACING, Faults, Moment, ValveFaults, moved
 
@@ -112,6 +113,23 @@ def test_a_valve_open_and_one_told_against_it_that_stays_closed_look_alike():
     against[2] = 1.0  # pushes as valve 0 does, the other way
     for faults in (Faults(open=frozenset({0})), Faults(closed=frozenset({2}))):
         assert Bed(5).until_found(lambda: against, faults=faults)[0] == Faults(pushed=True)
+
+
+def test_the_base_is_predicted_with_what_valves_really_do():
+    now, ms = 100 * 10**9, 10**6
+
+    def over(on_times, faults=NONE):
+        inputs = KnownInputs(P, EstimatorSettings(valve_delay=0.0))
+        for i, q in enumerate(POSTURE):
+            inputs.joint(i, now, q, 0.0, 0.0)
+        inputs.fail(faults)
+        inputs.pulses(now, on_times)
+        return inputs.over([now, now + 50 * ms, now + 100 * ms])[0]
+
+    one, other = 0.1 * np.eye(COUNT)[[2, 5]]
+    faults = Faults(open=frozenset({2}), closed=frozenset({5}))
+    np.testing.assert_allclose(over(other, faults), over(one), rtol=1e-12, atol=1e-15)
+    assert np.abs(over(other) - over(one)).max() > 1e-3
 
 
 @pytest.mark.parametrize(

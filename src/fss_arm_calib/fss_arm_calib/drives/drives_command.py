@@ -1,4 +1,4 @@
-"""Torque constants, friction and torque sensors from links' telemetry: the command `drives`."""
+"""What the command `drives` does."""
 
 import argparse
 import sys
@@ -11,28 +11,20 @@ from rich.console import Console
 
 from fss_arm_bags.reader import BagError, Bags, open_bags
 from fss_arm_calib import report
-from fss_arm_calib.bag_command import EPILOG, EXIT_CODES, add_settings, outputs, told
+from fss_arm_calib.bag_command import EXIT_CODES, told
 from fss_arm_calib.bag_data import hint, source
 from fss_arm_calib.drives.calibrate import Telemetry, calibrate
+from fss_arm_calib.drives.drives_options import parser
 from fss_arm_calib.drives.problem import Drive
 from fss_arm_calib.drives.report import drives_report
 from fss_arm_calib.drives.settings import DrivesSettings
 from fss_arm_calib.outcome import Outcome
 from fss_arm_model.description import described, load
-from fss_arm_ros.command_line import Parser, in_one_line
+from fss_arm_ros.command_line import in_one_line
 from fss_arm_ros.convert import stamp_ns
 
 TYPE = "fss_arm_msgs/msg/LinkTelemetry"
 FIELDS = ("position", "velocity", "current", "torque", "torque_age")
-
-
-def parser() -> argparse.ArgumentParser:
-    """The command line."""
-    p = Parser("drives", description=__doc__, epilog=EPILOG)
-    p.add_argument("bags", nargs="+", metavar="BAG", help="bag, or folder of bags: one session")
-    outputs(p, "calibrated description")
-    add_settings(p, DrivesSettings)
-    return p
 
 
 def telemetry(bags: Bags, n: int, namespace: str = "") -> list[Telemetry]:

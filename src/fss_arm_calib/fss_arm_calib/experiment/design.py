@@ -30,22 +30,11 @@ from fss_arm_calib.dynamic.settings import HEADING, DynamicSettings
 from fss_arm_calib.dynamic.solution import known_beforehand
 from fss_arm_calib.estimation.least_squares import Floats, Mask
 from fss_arm_calib.estimation.noise import assumed
+from fss_arm_calib.experiment.settings import LOOP, SINGLE, Conditions
 from fss_arm_model.base_motion import Law, Path, base_poses, path, stack
 from fss_arm_model.description import Arm
 from fss_arm_model.free_floating import free_torques
-from fss_arm_model.settings import (
-    POSITIVE,
-    Check,
-    SettingError,
-    at_least,
-    one_of,
-    setting,
-)
 from fss_arm_motion.guard import Guard, GuardError
-from fss_arm_motion.guard_settings import GuardSettings
-
-SINGLE, SWEEP, LOOP = "single", "sweep", "loop"
-KINDS = (SINGLE, SWEEP, LOOP)
 
 RAMP = 1.0 / 3.0  # share of a move's time in which it accelerates, and again decelerates
 PAUSE = 0.5  # between two moves of a maneuver, in which the arm is found to have arrived [s]
@@ -123,29 +112,6 @@ def profile(x: Floats) -> tuple[Floats, Floats, Floats]:
     rate = np.where(ramp, top / RAMP * y, top)
     acceleration = np.where(ramp, np.where(x < 0.5, top / RAMP, -top / RAMP), 0.0)
     return np.where(x < 0.5, way, 1.0 - way), rate, acceleration
-
-
-@dataclass(frozen=True)
-class Conditions(GuardSettings):
-    """What a maneuver must keep to; the base begins at rest at the table's centre.
-
-    Raises:
-        SettingError: a condition is impossible.
-    """
-
-    duration: float = setting(8.0, "longest maneuver", unit="s", check=POSITIVE)
-    rest: float = setting(5.0, "rest before and after a maneuver", unit="s", check=POSITIVE)
-    repeats: int = setting(3, "most repeats of a closed loop", check=at_least(1))
-    total: float = setting(
-        inf, "most time that all maneuvers and rests take", unit="s",
-        check=Check("a positive number", lambda value: value > 0.0),
-    )  # fmt: skip
-    kinds: tuple[str, ...] = setting(KINDS, "kinds of maneuvers", check=one_of(*KINDS))
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not self.kinds:
-            raise SettingError(f"kinds is empty, expected some of {', '.join(KINDS)}")
 
 
 class NoManeuver(ValueError):  # noqa: N818

@@ -9,11 +9,11 @@ import numpy as np
 
 from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.experiment.design import NoManeuver, Planned, timed
+from fss_arm_calib.experiment.settings import JOINT
 from fss_arm_model.description import Arm
 from fss_arm_motion.guard import Guard, GuardError
 from fss_arm_motion.guard_settings import GuardSettings
 
-JOINT = "joint"  # kind of maneuvers
 WAYS = (1.2, 0.8, 1.0, 0.3, 0.12, 0.06)  # [rad]
 TIMES = (3.0, 2.4, 4.0, 3.0, 3.0, 3.0)  # of each way [s]
 BENDS = (0.2, 0.7, -1.0, 0.9)  # of the joints of a posture, in turn; of the other one negated [rad]

@@ -1,9 +1,24 @@
-"""The parameters of the experiment."""
+"""The parameters of the experiment, and what its maneuvers must keep to."""
 
 from dataclasses import dataclass
+from math import inf
 
-from fss_arm_model.settings import FINITE, POSITIVE, Settings, like, setting
+from fss_arm_model.settings import (
+    FINITE,
+    POSITIVE,
+    Check,
+    SettingError,
+    Settings,
+    at_least,
+    like,
+    one_of,
+    setting,
+)
 from fss_arm_motion.guard_settings import GuardSettings
+
+SINGLE, SWEEP, LOOP = "single", "sweep", "loop"
+KINDS = (SINGLE, SWEEP, LOOP)
+JOINT = "joint"  # kind of maneuvers that show the drives
 
 
 @dataclass(frozen=True)
@@ -49,3 +64,26 @@ class ExperimentSettings(Settings):
         return GuardSettings(
             base_radius=self.base_radius, link_radius=self.link_radius, margin=self.margin
         )
+
+
+@dataclass(frozen=True)
+class Conditions(GuardSettings):
+    """What a maneuver must keep to; the base begins at rest at the table's centre.
+
+    Raises:
+        SettingError: a condition is impossible.
+    """
+
+    duration: float = setting(8.0, "longest maneuver", unit="s", check=POSITIVE)
+    rest: float = setting(5.0, "rest before and after a maneuver", unit="s", check=POSITIVE)
+    repeats: int = setting(3, "most repeats of a closed loop", check=at_least(1))
+    total: float = setting(
+        inf, "most time that all maneuvers and rests take", unit="s",
+        check=Check("a positive number", lambda value: value > 0.0),
+    )  # fmt: skip
+    kinds: tuple[str, ...] = setting(KINDS, "kinds of maneuvers", check=one_of(*KINDS))
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.kinds:
+            raise SettingError(f"kinds is empty, expected some of {', '.join(KINDS)}")

@@ -9,8 +9,9 @@ from typing import Any
 from rich.console import Console
 
 from fss_arm_bags.reader import open_bags
-from fss_arm_calib.bag_command import EPILOG, add_settings, defaults, outputs, told
+from fss_arm_calib.bag_command import told
 from fss_arm_calib.bag_data import fed, name, source
+from fss_arm_calib.bag_options import defaults
 from fss_arm_calib.calibration import Input
 from fss_arm_calib.joint.calibrate import Session, Solution, calibrate
 from fss_arm_calib.joint.report import joint_report
@@ -19,25 +20,6 @@ from fss_arm_calib.kinds import KINDS
 from fss_arm_calib.outcome import Outcome
 from fss_arm_model.description import described, load
 from fss_arm_model.files import ContentError, read_yaml
-from fss_arm_ros.command_line import Parser
-
-DESCRIPTION = """One arm from all rests, maneuvers and drifts of one bag or many. Each bag is a
-session of its own: tilt, hose and the joints' zeros may be others in each, and so they may after a
-homing within it."""
-
-
-def parser() -> argparse.ArgumentParser:
-    """The command line."""
-    p = Parser("from_bag", description=DESCRIPTION, epilog=EPILOG)
-    p.add_argument("--joint", action="store_true", help="this estimate")
-    p.add_argument("bags", nargs="+", metavar="BAG", help="bag, or folder of bags: a session")
-    outputs(p, "calibrated description")
-    p.add_argument(
-        "--params", metavar="YAML", help="settings of kinematic, dynamic and drift, as their nodes "
-        "are given them",
-    )  # fmt: skip
-    add_settings(p, JointSettings)
-    return p
 
 
 def of_kinds(path: str | None, namespace: str) -> dict[str, Any]:

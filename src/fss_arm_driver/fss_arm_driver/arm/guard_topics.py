@@ -25,7 +25,6 @@ from fss_arm_model.description import Arm
 from fss_arm_motion.guard import Guard
 from fss_arm_ros.convert import SECOND, PoseError, planar_pose, stamp_ns
 from fss_arm_ros.glance import Glance
-from fss_arm_ros.pace import pace
 
 
 class GuardTopics:
@@ -48,14 +47,13 @@ class GuardTopics:
             Glance(node, Odometry, "base/state", self.on_base),
             Glance(node, PoseStamped, settings.target_topic, self.on_target),
         )
-        node.create_timer(1.0 / settings.rate, self.look, clock=pace(node))  # to know their age
 
     def now(self) -> int:
         """The node's clock [ns]."""
         return int(self.node.get_clock().now().nanoseconds)
 
     def look(self) -> None:
-        """See where base and target are."""
+        """See where base and target are, often enough to know how old that is."""
         for glance in self.glances:
             glance.look()
 

@@ -62,7 +62,6 @@ class LinkTopics:
         }
         for i, link in enumerate(arm.links, 1):
             self._listen(i, Scale(link))
-        node.create_timer(1.0 / settings.rate, self.tick, clock=self.clock)
 
     def _listen(self, number: int, scale: Scale) -> None:
         def take(message: LinkTelemetry) -> None:

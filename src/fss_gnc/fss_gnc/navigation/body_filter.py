@@ -10,14 +10,13 @@ or an input of which is heard later than it acted, is taken at its time, and wha
 """
 
 from collections import Counter, deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from math import hypot, isfinite, pi
 from typing import NamedTuple, Protocol
 
 import numpy as np
-import numpy.typing as npt
 
-from fss_arm_model.kernels import Floats, kernel
+from fss_arm_model.kernels import Floats, helper, kernel
 
 from .settings import Bounds, SensorErrors
 
@@ -29,7 +28,7 @@ FAR = 1e4  # from the world's origin no body is [m]
 MEMORY = 1_000_000_000  # [ns]
 STRIDE = 20_000_000  # of a prediction, within which the heading counts as constant [ns]
 HELD_POSITION, HELD_HEADING = 0.003, 0.01  # deviations of what is held, by the arm [m], [rad]
-NONE = np.zeros(3)  # where nothing is measured
+NONE = 0.0, 0.0, 0.0  # where nothing is measured
 LEVER = 0.5  # what changes the turn rate at once changes the speed by about so much of it [m]
 GATE = 5.0  # deviations beyond which a measurement is rejected
 NIS_KEPT = 200  # measurements of a kind
@@ -39,19 +38,20 @@ NOTHING, POSE, RATE, HELD, PUSH = 0.0, 1.0, 2.0, 3.0, 4.0
 AT_THE_BEGIN = 0.1, 0.1, 0.2, 0.01
 
 
-@kernel("(s),(s,s),(k),(k,k),(k),(c)->(s),(s,s),(k)")
+@helper
 def _step(  # type: ignore[no-untyped-def]
-    x0, P0, acceleration, noise, z, control, x, P, out
+    x0, P0, acceleration, noise, row, gate, errors, x, P, out
 ):  # fmt: skip
     """Predict by dt, and take a measurement if it is within the gate.
 
     One that is beyond, but within if the body was kicked since the last one, is taken as that.
-    The acceleration (3,) and its noise's density (3, 3) are in the body's axes. The control: dt,
-    density of the bias, what is measured, variances of position, heading and rate, square of the
-    gate, variances of a kick in speed and in turn rate. In out: the square of the innovation's
-    distance, and 1 if it was taken, else 0.
+    The acceleration (3,) and its noise's density (3, 3) are in the body's axes. The row: dt, what
+    is measured, the measurement (3,). The gate is squared. The errors: density of the bias,
+    variances of a rate, of position and heading as seen, of these as held, of a kick in speed and
+    in turn rate. In out: the square of the innovation's distance, and 1 if it was taken, else 0.
     """
-    dt, what, gate = control[0], control[2], control[6]
+    dt, what, z = row[0], row[1], row[2:]
+    place, heading = (errors[4], errors[5]) if what == HELD else (errors[2], errors[3])
     middle = x0[2] + 0.5 * dt * x0[5]
     c, s = np.cos(middle), np.sin(middle)
     R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
@@ -81,14 +81,14 @@ def _step(  # type: ignore[no-untyped-def]
             P[i, 3 + j] += G[i, j] * dt**2 / 2.0
             P[3 + i, j] += G[i, j] * dt**2 / 2.0
             P[3 + i, 3 + j] += G[i, j] * dt
-    P[6, 6] += control[1] * dt
+    P[6, 6] += errors[0] * dt
     out[:] = 0.0
     if what == PUSH:
         for i in range(3):
             P[3 + i, 3 + i] += z[i]
     if what in (NOTHING, PUSH):
         return
-    rows = 1 if what == RATE else 3
+    numbers = 1 if what == RATE else 3
     y, D, h = x.copy(), P.copy(), np.zeros(7)  # h: covariance of the state with what is measured
     for kicked in range(2):
         distance = 0.0
@@ -98,20 +98,20 @@ def _step(  # type: ignore[no-untyped-def]
                 D[i, j] = P[i, j]
         if kicked:
             for i in range(3):
-                line = LEVER**2 * control[8] if what == RATE else control[7]
-                kick = control[8] if i == 2 else line
+                line = LEVER**2 * errors[7] if what == RATE else errors[6]
+                kick = errors[7] if i == 2 else line
                 D[i, i] += kick * dt * dt
                 D[i, 3 + i] += kick * dt
                 D[3 + i, i] += kick * dt
                 D[3 + i, 3 + i] += kick
-        for row in range(rows):
-            last = 6 if what == RATE else row  # a rate is that of the body and the bias
-            first = 5 if what == RATE else row
-            variance = control[5] if what == RATE else control[4] if row == 2 else control[3]
-            off, S = z[row], variance
+        for number in range(numbers):
+            last = 6 if what == RATE else number  # a rate is that of the body and the bias
+            first = 5 if what == RATE else number
+            off = z[number]
+            S = errors[1] if what == RATE else heading if number == 2 else place
             for i in range(first, last + 1):
                 off -= y[i]
-            if row == 2:
+            if number == 2:
                 off = (off + np.pi) % (2.0 * np.pi) - np.pi
             for i in range(7):
                 h[i] = D[i, first] if first == last else D[i, first] + D[i, last]
@@ -131,6 +131,20 @@ def _step(  # type: ignore[no-untyped-def]
                 for j in range(7):
                     P[i, j] = 0.5 * (D[i, j] + D[j, i])
             return
+
+
+@kernel("(s),(s,s),(f,w),(f,w,w),(e,r),(),(c)->(e,s),(e,s,s),(e,w)")
+def _steps(  # type: ignore[no-untyped-def]
+    x0, P0, acceleration, noise, rows, gate, errors, x, P, out
+):  # fmt: skip
+    """One step for each row; acceleration and noise of each, or the same of all."""
+    for k in range(rows.shape[0]):
+        of = min(k, acceleration.shape[0] - 1)
+        known = acceleration[of], noise[of], rows[k], gate[0], errors
+        if k:
+            _step(x[k - 1], P[k - 1], *known, x[k], P[k], out[k])
+        else:
+            _step(x0, P0, *known, x[k], P[k], out[k])
 
 
 class BodyState(NamedTuple):
@@ -159,8 +173,12 @@ class BodyState(NamedTuple):
 class Inputs(Protocol):
     """What is known to accelerate a body."""
 
-    def over(self, begin: int, end: int) -> tuple[Floats, Floats]:
-        """The mean from one time [ns] to another, (3,), and its noise (3, 3), in its own axes."""
+    def over(self, times: Sequence[int]) -> tuple[Floats, Floats]:
+        """The mean between each two of k + 1 times [ns], and its noise, in its own axes.
+
+        Returns:
+            (k, 3) and (k, 3, 3); of all alike (1, 3) and (1, 3, 3).
+        """
 
 
 class Free:
@@ -172,21 +190,31 @@ class Free:
 
     def __init__(self, errors: SensorErrors) -> None:
         line, turn = errors.acceleration**2, errors.angular_acceleration**2
-        self._known = np.zeros(3), np.diag([line, line, turn])
+        self._known = np.zeros((1, 3)), np.diag([line, line, turn])[None]
 
-    def over(self, begin: int, end: int) -> tuple[Floats, Floats]:
+    def over(self, times: Sequence[int]) -> tuple[Floats, Floats]:
         """Of any time."""
         return self._known
+
+
+class _Measured(NamedTuple):
+    """What was."""
+
+    t: int
+    what: float
+    z: Pose
 
 
 class _Event(NamedTuple):
     """What was measured, and the estimate with it."""
 
-    t: int
-    what: float
-    z: npt.ArrayLike
+    measured: _Measured
     x: Floats
     P: Floats
+
+    @property
+    def t(self) -> int:
+        return self.measured.t
 
 
 class BodyFilter:
@@ -223,12 +251,13 @@ class BodyFilter:
             kind: deque(maxlen=NIS_KEPT) for kind in (POSE, RATE)
         }
         self._doubt: tuple[int, int, Pose] | None = None  # since when and until when; the last one
-        self._seeing = [e.position_error**2, e.heading_error**2]
         place = e.volume_error, e.volume_error, e.volume_heading_error, 0.0, 0.0, 0.0
         self._place = np.diag(np.square(place))
-        self._holding = [HELD_POSITION**2, HELD_HEADING**2]
-        kicks = [e.kick**2, e.angular_kick**2]
-        self._control = np.array([0.0, e.bias_walk**2, 0.0, 0.0, 0.0, e.rate_error**2, 0.0, *kicks])
+        deviations = (
+            e.bias_walk, e.rate_error, e.position_error, e.heading_error, HELD_POSITION,
+            HELD_HEADING, e.kick, e.angular_kick,
+        )  # fmt: skip
+        self._errors = np.square(deviations)
 
     @property
     def t(self) -> int:
@@ -262,18 +291,17 @@ class BodyFilter:
 
     def revise(self, t: int) -> None:
         """What is known to have accelerated the body since t [ns] is another than it was."""
-        if self.events and t < self.t:
-            for event in self._since(t):
-                self._apply(event)
+        if self.events and (again := self._since(t)):
+            self._apply(again)
 
     def predict(self, t: int) -> None:
         """Go on to t [ns], without a measurement."""
         while self.events and self.t < t:
-            self._apply(_Event(min(self.t + STRIDE, t), NOTHING, NONE, *self.events[-1][3:]))
+            self._apply([_Measured(min(self.t + STRIDE, t), NOTHING, NONE)])
 
     def state(self) -> BodyState:
         """The newest estimate; what no number of poses takes away is added to its covariance."""
-        t, _, _, x, P = self.events[-1]
+        (t, _, _), x, P = self.events[-1]
         return BodyState(t, x[:3], x[3:6], P[:6, :6] + self._place)
 
     @property
@@ -292,8 +320,10 @@ class BodyFilter:
 
     def distance(self, t: int, pose: Pose) -> float:
         """How many deviations of itself and of the sensor a pose at t [ns] is off."""
-        _, _, (square, _, _) = self._stepped(self.events[-1], t, POSE, pose, -1.0)
-        return float(square**0.5)
+        last = self.events[-1]
+        row = max(t - last.t, 0) * 1e-9, POSE, *pose
+        _, _, out = self._stepped(last, [last.t, t], [row], -1.0)
+        return float(out[0, 0] ** 0.5)
 
     def lost(self, t: int) -> str:
         """Why the body's state is not known at t [ns]; empty: it is."""
@@ -320,7 +350,7 @@ class BodyFilter:
         x = np.array([pose[0], pose[1], pose[2] + turns, 0.0, 0.0, 0.0, 0.0])
         deviations = e.position_error, e.position_error, e.heading_error, *AT_THE_BEGIN
         self.events.clear()
-        self.events.append(_Event(t, NOTHING, pose, x, np.diag(np.square(deviations))))
+        self.events.append(_Event(_Measured(t, NOTHING, pose), x, np.diag(np.square(deviations))))
         self.begun, self.seen, self._doubt = self.begun + 1, t, None
         return True
 
@@ -330,47 +360,54 @@ class BodyFilter:
             self.rejected["late"] += 1
             return False
         later = self._since(t) if t < self.t else ()
-        _, _, _, x, P = self.events[-1]
-        square, taken = self._apply(_Event(t, what, np.array(z), x, P))
-        for event in later:
-            self._apply(event)
+        square, taken = self._apply([_Measured(t, what, z), *later])
         if taken and what in self.nis:
             self.nis[what].append(square)
         elif not taken and what == RATE:
             self.rejected["gyro"] += 1
         return taken
 
-    def _since(self, t: int) -> list[_Event]:
-        """Forget the estimates after t [ns]; return the events to take again."""
+    def _since(self, t: int) -> list[_Measured]:
+        """Forget the estimates after t [ns]; return what is to be taken again."""
         later = []
         while len(self.events) > 1 and self.events[-1].t > t:
-            later.append(self.events.pop())
+            later.append(self.events.pop().measured)
         return later[::-1]
 
-    def _apply(self, event: _Event) -> tuple[float, bool]:
-        """Go on to an event; the square of its innovation's distance, and whether it was taken."""
+    def _apply(self, measured: Sequence[_Measured]) -> tuple[float, bool]:
+        """Go on by what was measured, in the order of time.
+
+        Returns:
+            Of the first: the square of its innovation's distance, and whether it was taken.
+        """
         last = self.events[-1]
-        while event.t - last.t > STRIDE:  # the heading turns meanwhile
-            x, P, _ = self._stepped(last, last.t + STRIDE, NOTHING, NONE)
-            last = _Event(last.t + STRIDE, NOTHING, NONE, x, P)
-        x, P, (square, taken, _) = self._stepped(last, event.t, event.what, event.z)
-        self.events.append(_Event(event.t, event.what, event.z, x, P))
-        while self.events[0].t < event.t - MEMORY and len(self.events) > 2:
+        times, rows, ends = [last.t], [], []
+        for t, what, z in measured:
+            while t - times[-1] > STRIDE:  # the heading turns meanwhile
+                times.append(times[-1] + STRIDE)
+                rows.append((STRIDE * 1e-9, NOTHING, *NONE))
+            rows.append(((t - times[-1]) * 1e-9, what, *z))
+            times.append(t)
+            ends.append(len(rows) - 1)
+        x, P, out = self._stepped(last, times, rows)
+        self.events += [_Event(one, x[k], P[k]) for one, k in zip(measured, ends, strict=True)]
+        while self.events[0].t < self.t - MEMORY and len(self.events) > 2:
             self.events.popleft()
-        return float(square), taken > 0.0
+        square, taken, _ = out[ends[0]].tolist()
+        return square, taken > 0.0
 
     def _stepped(
-        self, last: _Event, t: int, what: float, z: npt.ArrayLike, gate: float = GATE**2
-    ) -> tuple[Floats, Floats, Floats]:
-        control = self._control
-        control[0], control[2], control[6] = max(t - last.t, 0) * 1e-9, what, gate
-        control[3:5] = self._holding if what == HELD else self._seeing
-        found = _step(last.x, last.P, *self.inputs.over(last.t, t), z, control)
-        return found[0], found[1], found[2]
+        self, last: _Event, times: Sequence[int], rows: Sequence[Sequence[float]],
+        gate: float = GATE**2,
+    ) -> tuple[Floats, Floats, Floats]:  # fmt: skip
+        found: tuple[Floats, Floats, Floats] = _steps(
+            last.x, last.P, *self.inputs.over(times), rows, gate, self._errors
+        )
+        return found
 
     def _other(self, t: int, pose: Pose) -> bool:
         """Whether it is the pose of another body."""
-        then, _, _, x, _ = self.events[-1]
+        (then, _, _), x, _ = self.events[-1]
         ahead = (t - then) * 1e-9
         off = hypot(pose[0] - x[0] - ahead * x[3], pose[1] - x[1] - ahead * x[4])
         if name := self.elsewhere(t, pose, off):

@@ -10,12 +10,13 @@ plan is heard; and a joint may change beside it as it did of late, which is nois
 """
 
 from collections.abc import Sequence
+from itertools import pairwise
 from math import isfinite
 
 import numpy as np
 import numpy.typing as npt
 
-from fss_arm_model.dynamics import inertia_matrix, inverse_dynamics
+from fss_arm_model.dynamics import _bias, _inertia
 from fss_arm_model.kernels import Floats, kernel
 from fss_arm_model.layout import count
 from fss_arm_model.thrusters import COUNT, layout
@@ -33,20 +34,71 @@ READINGS, PULSES, POINTS = 8, 32, 16  # kept of each joint, of commands to the v
 NEVER, FOREVER = -np.inf, np.inf
 
 
+@kernel("(p),(n),(n,k),(n,k),(w),(w,w),(c)->(w,w),(w,n),(w),(w,w),(w,w)")
+def _linearized(  # type: ignore[no-untyped-def]
+    p, angles, read_at, rates, leaks, quiet, control, mobility, by_joint, still, read, tail,
+):  # fmt: skip
+    """M, B and M (w - h) at a time, and the noise until all joints were read last and after it.
+
+    The wrench w is that of valves that leak. The control: the time, the base's turn rate, relative
+    error of a joint's rate, of its change, and the change of one that is not heard.
+    """
+    t, n = control[0], angles.size
+    q, qd, tau = np.zeros(3 + n), np.zeros(3 + n), np.zeros(3 + n)
+    even, loose = np.empty(n), np.empty(n)
+    qd[2] = control[1]
+    for i in range(n):
+        at, age = read_at[i], t - read_at[i, -1]
+        is_heard = age <= UNHEARD
+        qd[3 + i] = rates[i, -1] if is_heard else 0.0
+        q[3 + i] = angles[i] + qd[3 + i] * (age if is_heard else 0.0)
+        late = 0.0  # square of the change between two readings by time: the larger of the last two
+        for k in range(at.size - 2, at.size):
+            if at[k - 1] > NEVER:
+                late = max(late, (rates[i, k] - rates[i, k - 1]) ** 2 / (at[k] - at[k - 1]))
+        step = 2.0 * (control[2] * qd[3 + i]) ** 2 / FOLLOWS  # from one reading to the next
+        even[i] = step + control[3] ** 2 * late
+        loose[i] = step + late if is_heard else control[4] ** 2
+    work, H = np.empty((3, n + 1), np.complex128), np.empty((3 + n, 3 + n))
+    _inertia(p, q, work, H)
+    _bias(p, q, qd, work, tau)
+    m, x, y = H[0, 0], H[1, 2] / H[0, 0], -H[0, 2] / H[0, 0]  # all the mass, and its centre
+    about = H[2, 2] - m * (x * x + y * y)  # inertia about that
+    turn = np.array([y, -x, 1.0])  # of the base, as all turns about it
+    for i in range(3):
+        still[i] = 0.0
+        for j in range(3):
+            mobility[i, j] = turn[i] * turn[j] / about
+            if i == j and i < 2:
+                mobility[i, j] += 1.0 / m
+            still[i] += mobility[i, j] * (leaks[j] - tau[j])
+        for k in range(n):
+            by_joint[i, k] = 0.0
+            for j in range(3):
+                by_joint[i, k] -= mobility[i, j] * H[j, 3 + k]
+    for i in range(3):
+        for j in range(3):
+            read[i, j] = tail[i, j] = quiet[i, j]
+            for k in range(n):
+                read[i, j] += by_joint[i, k] * even[k] * by_joint[j, k]
+                tail[i, j] += by_joint[i, k] * loose[k] * by_joint[j, k]
+
+
 @kernel(
-    "(n,k),(n,k),(p),(p,v),(v,w),(w,w),(w,n),(w),(w,w),(q),(q,n),(c)->(w),(w,w)"
+    "(),(),(n,k),(n,k),(p),(p,v),(v,w),(w,w),(w,n),(w),(w,w),(w,w),(q),(q,n),(c)->(w),(w,w)"
 )  # fmt: skip
 def _over(  # type: ignore[no-untyped-def]
-    read_at, rates, opened, closed, valves, mobility, by_joint, still, sure, planned_at, planned,
-    control, acceleration, noise,
+    begins, ends, read_at, rates, opened, closed, valves, mobility, by_joint, still, read, tail,
+    planned_at, planned, control, acceleration, noise,
 ):  # fmt: skip
     """Mean acceleration (3,) and noise (3, 3) of the base from begin to end, in its own axes.
 
-    Newest entries stand last, times never used are NEVER. The control: begin, end, relative
-    variance of the thrust, variance of a plan's acceleration by its square.
+    Newest entries stand last, times never used are NEVER. The control: until when all joints were
+    read, relative variance of the thrust, variance of a plan's acceleration by its square.
     """
-    begin, end = control[0], control[1]
+    begin, end = begins[0], ends[0]
     span = end - begin
+    sure = tail if end > control[0] else read
     for i in range(3):
         acceleration[i] = still[i]
         for j in range(3):
@@ -67,7 +119,7 @@ def _over(  # type: ignore[no-untyped-def]
                 overlap = min(end, planned_at[k + 1]) - max(begin, planned_at[k])
                 if overlap > 0.0:
                     gained += planned[k, joint] * overlap
-            loose = control[3] * (gained / span) ** 2
+            loose = control[2] * (gained / span) ** 2
         for i in range(3):
             acceleration[i] += by_joint[i, joint] * gained / span
             for j in range(3):
@@ -90,7 +142,7 @@ def _over(  # type: ignore[no-untyped-def]
         acceleration[i] += thrust[i]
     for i in range(3):
         square = thrust[2] ** 2 if i == 2 else thrust[0] ** 2 + thrust[1] ** 2
-        noise[i, i] += control[2] * square
+        noise[i, i] += control[1] * square
 
 
 class KnownInputs:
@@ -107,7 +159,7 @@ class KnownInputs:
         self._driven, self._leaks, self.faults = self.valves, np.zeros(3), Faults()
         self._quiet = np.diag(np.square([s.acceleration, s.acceleration, s.angular_acceleration]))
         self._opened, self._closed = np.full(PULSES, NEVER), np.full((PULSES, COUNT), NEVER)
-        self._control = np.array([0.0, 0.0, s.thrust_error**2, s.joint_change_error**2 * FOLLOWS])
+        self._control = np.array([0.0, s.thrust_error**2, s.joint_change_error**2 * FOLLOWS])
         self._origin: int | None = None  # what times in arrays count from [ns]
         self._joints(count(np.asarray(p)))
         self.describe(p)
@@ -227,45 +279,33 @@ class KnownInputs:
         found: Floats = RATE_ERROR + self.settings.joint_rate_error * np.abs(heard[:, -1]) + late
         return found
 
-    def _late(self) -> Floats:
-        """Squares of the changes between two readings, by time: the larger of the last two."""
-        t, qd = self._read_at[:, -3:], self._rates[:, -3:]
-        known = t[:, :-1] > NEVER
-        spans = np.where(known, t[:, 1:] - np.where(known, t[:, :-1], 0.0), 1.0)
-        found: Floats = (np.where(known, np.diff(qd), 0.0) ** 2 / spans).max(axis=1)
-        return found
-
     def _model(self, t: float, omega: float) -> None:
         """Linearize about the joints as they are at t [s], the base turning at omega [rad/s]."""
         self._newest, self._omega, s = t, omega, self.settings
-        angles, rates = self._extrapolated(t) if t > NEVER else (self._angles, 0.0 * self._angles)
-        q, qd = np.append(np.zeros(3), angles), np.append([0.0, 0.0, omega], rates)
-        H = inertia_matrix(self.p, q)
-        self.mobility = np.linalg.inv(H[:3, :3])
-        self._by_joint = -self.mobility @ H[:3, 3:]
-        still = np.zeros(len(q))
-        self._still = self.mobility @ (self._leaks - inverse_dynamics(self.p, q, qd, still)[:3])
-        step = 2.0 * (s.joint_rate_error * rates) ** 2 / FOLLOWS  # from one reading to the next
-        late, read_at = self._late(), self._read_at[:, -1]
-        heard = t - read_at <= UNHEARD if t > NEVER else np.zeros(self.n, bool)
-        even = step + s.joint_change_error**2 * late
-        loose = np.where(heard, step + late, s.unheard_change**2)
-        self._read = self._quiet + self._by_joint * even @ self._by_joint.T
-        self._tail = self._quiet + self._by_joint * loose @ self._by_joint.T
-        self._from = float(read_at.min())
+        at = t if t > NEVER else 0.0
+        control = at, omega, s.joint_rate_error, s.joint_change_error, s.unheard_change
+        self.mobility, self._by_joint, self._still, self._read, self._tail = _linearized(
+            self.p, self._angles, self._read_at, self._rates, self._leaks, self._quiet, control
+        )
+        newest = self._read_at[:, -1].tolist()
+        self._control[0] = min(newest)
         # When the next one falls silent.
-        self._silent = float(read_at[heard].min()) + UNHEARD if heard.any() else FOREVER
+        heard = (read_at for read_at in newest if at - read_at <= UNHEARD)
+        self._silent = min(heard, default=FOREVER) + UNHEARD
 
-    def over(self, begin: int, end: int) -> tuple[Floats, Floats]:
+    def over(self, times: Sequence[int]) -> tuple[Floats, Floats]:
         """The mean acceleration of the base and its noise, in its own axes; see Inputs."""
-        control = self._control
-        until = self._seconds(end)
-        control[0], control[1] = self._seconds(begin), until
+        until = self._seconds(times[-1])
         if until > self._silent and until > self._newest:
+            if len(times) > 2:  # one after the other, as joints fall silent meanwhile
+                parts = [self.over(pair) for pair in pairwise(times)]
+                means, noises = zip(*parts, strict=True)
+                return np.concatenate(means), np.concatenate(noises)
             self._model(until, self._omega)
-        found = _over(
-            self._read_at, self._rates, self._opened, self._closed, self._driven, self.mobility,
-            self._by_joint, self._still, self._tail if until > self._from else self._read,
-            self._planned_at, self._planned, control,
+        t = np.array([self._seconds(at) for at in times])
+        found: tuple[Floats, Floats] = _over(
+            t[:-1], t[1:], self._read_at, self._rates, self._opened, self._closed, self._driven,
+            self.mobility, self._by_joint, self._still, self._read, self._tail, self._planned_at,
+            self._planned, self._control,
         )  # fmt: skip
-        return found[0], found[1]
+        return found

@@ -1,6 +1,7 @@
 """Base and target together: what is seen of one may be the other, and one may hold the other."""
 
 from collections import deque
+from collections.abc import Sequence
 from functools import partial
 from math import expm1, hypot, pi
 
@@ -36,11 +37,12 @@ class _Carried(Free):
     def __init__(self, errors: TargetErrors) -> None:
         super().__init__(errors)
         self.held = False
-        self._shaken = np.zeros(3), np.diag(np.square([SHAKEN[0], SHAKEN[0], SHAKEN[1]]))
+        shaken = np.diag(np.square([SHAKEN[0], SHAKEN[0], SHAKEN[1]]))
+        self._shaken = np.zeros((1, 3)), shaken[None]
 
-    def over(self, begin: int, end: int) -> tuple[Floats, Floats]:
+    def over(self, times: Sequence[int]) -> tuple[Floats, Floats]:
         """By noise that is large while it is held."""
-        return self._shaken if self.held else super().over(begin, end)
+        return self._shaken if self.held else super().over(times)
 
 
 class Navigation:

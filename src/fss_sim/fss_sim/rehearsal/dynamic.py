@@ -25,13 +25,13 @@ from fss_arm_calib.dynamic.parameters import values
 from fss_arm_calib.dynamic.settings import DynamicSettings
 from fss_arm_calib.dynamic.solution import Solution
 from fss_arm_calib.experiment.design import (
-    Conditions,
     Planned,
     design,
     expected,
     from_yaml,
     to_yaml,
 )
+from fss_arm_calib.experiment.settings import Conditions
 from fss_arm_calib.from_bag import solve_bag
 from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.segments.maneuvers import Maneuver
