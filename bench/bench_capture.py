@@ -41,6 +41,7 @@ HEADINGS = 8
 SEEDS = range(1, 6)
 DISTANCES = (1.4, 1.6, 1.8)  # [m]
 PHASES = ("approach", "reach", "grip", "detumble")
+AFTER = 0.1, 0.8  # the begin of a phase [s]
 FAULTS = (
     *((fault, 0.0) for fault in ("link", "gripper", "open", "closed", "gyro")),
     *(("outage", lasts) for lasts in (10.0, 3.0, 1.0)),
@@ -58,10 +59,10 @@ def grid() -> Iterator[Case]:
 
 
 def failures() -> Iterator[Case]:
-    """Missions in which something fails."""
-    for seed, (fault, lasts), phase in product((1, 2, 3), FAULTS, PHASES):
-        spin = (-0.1, 0.1, 0.2)[seed - 1]
-        yield Case(spin, float(seed), 1.6, seed, fault=fault, phase=phase, lasts=lasts)
+    """Missions in which something fails, as a phase begins and within it."""
+    for seed, (fault, lasts), phase, after in product((1, 2, 3), FAULTS, PHASES, AFTER):
+        case = Case((-0.1, 0.1, 0.2)[seed - 1], float(seed), 1.6, seed)
+        yield replace(case, fault=fault, phase=phase, lasts=lasts, after=after)
 
 
 def fly(case: Case) -> dict[str, Any]:

@@ -43,8 +43,9 @@ class Case:
     seed: int = 1
     drift: tuple[float, float] = (-0.006, 0.004)  # of it [m/s]
     fault: str = ""  # outage, open, closed, gyro, link, gripper
-    phase: str = ""  # at whose begin it happens
+    phase: str = ""  # in which it happens
     lasts: float = 0.0  # of an outage [s]
+    after: float = PERIOD  # the phase's begin [s]
     solid: bool = True  # whether bodies keep each other out
     gripper: Gripper = field(default_factory=Gripper)
 
@@ -128,7 +129,7 @@ class Flight:
             if orders.phase not in flown.phases:
                 flown.phases.append(orders.phase)
                 if orders.phase == self.case.phase and np.isinf(self.faulted):
-                    self.faulted = self.t + PERIOD
+                    self.faulted = self.t + self.case.after
             if orders.ended:
                 break
             self.obey(orders)

@@ -219,6 +219,13 @@ def test_an_abort_takes_the_joints_reaction_for_no_drift():
     assert abort.safe
 
 
+def test_an_abort_takes_what_joints_do_that_fell_silent_for_no_drift():
+    flown = Flight(Case(fault="link", phase="reach", after=0.5)).fly()
+    assert flown.phases[-2:] == ["reach", "abort"]
+    assert flown.safe
+    assert flown.edge > 0.3  # where it was; it does not push itself away
+
+
 def drifting_under(force, propellant, **known):
     """Paths of an abort, as a valve pushes along y [N], which is known."""
     abort, paths = Abort(CRAFT, "test"), []

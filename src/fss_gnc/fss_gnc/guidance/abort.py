@@ -5,9 +5,9 @@ the table's edge within the horizon, a short push gives them the least other mot
 As the joints come to rest they change that drift, so they do so first. Without knowledge of the
 base, or of whether the gripper holds the target, the thrusters are not used at all; once both are
 known again, they may be. Joints that are not heard any more are taken to rest where they were last,
-as links hold when nobody commands them, unless a target is held, too; those that are heard slow
-down within their torques. A target that is held stays so: let go, it would tumble beside the arm;
-one that is not is let go.
+after a while, as links hold when nobody commands them, unless a target is held, too; those that are
+heard slow down within their torques. A target that is held stays so: let go, it would tumble beside
+the arm; one that is not is let go.
 
 Where a valve does not close, no drift is safe: the base comes to rest, with room about it, and is
 held there until the gas is spent.
@@ -28,7 +28,7 @@ Floats = npt.NDArray[np.float64]
 QUIET = 3.0  # for which the drift must be safe, joints at rest, before it is over [s]
 PATIENCE = 30.0  # without knowing the base [s]
 STILL = 0.01  # of a joint [rad/s]
-LATE = 2.0  # that joints may take longer to rest than they should, until all is judged as it is [s]
+LATE = 2.0  # that joints may take longer to rest than they should, or once they are not heard [s]
 EMPTY = 5e-4  # of propellant, with which the valves move nothing any more [kg]
 HOLD = 60.0  # at a place with room, until it is tried again whether a valve leaks [s]
 
@@ -57,11 +57,12 @@ class Abort:
         self._leaks = False  # a valve
         self._held = False
         self._known = self._quiet = np.nan  # since when; NaN: it has not begun
+        self._heard = np.nan  # when the joints were last, or it began [s]
 
     def step(self, seen: Seen) -> Orders:
         """Orders now."""
         if np.isnan(self._known):
-            self._known = self._quiet = seen.t
+            self._known = self._quiet = self._heard = seen.t
         rates = self.joints.rates(self.p, seen)
         close = None if seen.holds is None else bool(seen.holds)
         return Orders("abort", self._path(seen), rates, close, ended=self._end(seen))
@@ -86,6 +87,7 @@ class Abort:
             self._push = None
             return None
         self._known = seen.t
+        self._heard = self._heard if seen.q is None else seen.t
         qd_m = np.zeros(q_m.size) if seen.qd is None else seen.qd
         q, qd = np.concatenate([seen.base.pose, q_m]), np.concatenate([seen.base.twist, qd_m])
         if seen.holds and seen.target is not None and not self._held:
@@ -100,6 +102,8 @@ class Abort:
             self._quiet = seen.t
             return self._push
         if np.abs(qd_m).max() > STILL and seen.t < self.joints.end + LATE:
+            return None
+        if seen.q is None and seen.t < self._heard + LATE:
             return None
         self.drift, self._push = drifting.as_is(q, qd, target), None
         gas = not seen.propellant <= EMPTY
