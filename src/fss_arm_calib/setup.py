@@ -20,7 +20,7 @@ setup(
             "kinematic = fss_arm_calib.programs:kinematic",
             "design = fss_arm_calib.experiment.design_command:main",
             "drift = fss_arm_calib.programs:drift",
-            "drives = fss_arm_calib.drives.drives_command:main",
+            "drives = fss_arm_calib.programs:drives",
             "dynamic = fss_arm_calib.programs:dynamic",
             "experiment = fss_arm_calib.programs:experiment",
             "from_bag = fss_arm_calib.from_bag:main",

@@ -7,6 +7,11 @@ kinematic = Program(
     "fss_arm_calib.node_settings:KinematicNodeSettings",
     of="fss_arm_calib.kinds:KINEMATIC",
 )
+drives = Program(
+    "fss_arm_calib.calibration_node:CalibrationNode",
+    "fss_arm_calib.node_settings:DrivesNodeSettings",
+    of="fss_arm_calib.kinds:DRIVES",
+)
 dynamic = Program(
     "fss_arm_calib.calibration_node:CalibrationNode",
     "fss_arm_calib.node_settings:DynamicNodeSettings",
