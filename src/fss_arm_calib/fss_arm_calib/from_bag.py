@@ -86,7 +86,8 @@ def begun_from(kinematic: str, arm: str, options: argparse.Namespace, namespace:
         return with_kinematics_of(result.arm_of(kinematic, DEFAULT), own)
     kind = KINDS[DEFAULT]
     given = defaults(kind.settings, namespace)
-    given |= {name: getattr(options, name) for name in ("arm", "joints_topic", "base_topic")}
+    alike = (name for name in ("arm", "joints_topic", "base_topic") if name in options)
+    given |= {name: getattr(options, name) for name in alike}
     found = solve_bag(kind, kinematic, kind.settings(**given), namespace)
     if found.verdict != PASS:
         raise ValueError(f"kinematics by {kinematic}: {found.verdict}: {found.reason}")

@@ -3,13 +3,16 @@
 import json
 from pathlib import Path
 
+import calib_rig
 import numpy as np
 import pytest
 from calib_drives import excitation, fly, record, samples
 
 from fss_arm_calib.experiment.design import from_yaml
 from fss_arm_calib.experiment.design_command import main as design
+from fss_arm_calib.experiment.postures import DEFAULT
 from fss_arm_calib.from_bag import main as from_bag
+from fss_arm_calib.result import arm_of
 from fss_arm_model.description import described, load, to_yaml
 
 
@@ -45,6 +48,20 @@ def test_a_bag_tells_the_drives(
 def test_a_bag_without_telemetry_is_refused(bag: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert from_bag(["--drives", bag, "--namespace", "other"]) == 1
     assert "no /other/link_1/telemetry in" in capsys.readouterr().err
+
+
+def test_another_bag_may_tell_the_kinematics(
+    bag: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Which settings of such a calibration it has in common with this one depends on the kind."""
+    rig = calib_rig.Rig(DEFAULT[:8], rest=3.2, rate=50.0)
+    rests = str(calib_rig.record(tmp_path / "rests", rig.samples()))
+    result = tmp_path / "drives.json"
+    asked = ["--max-relative", "0.2", "--kinematic", rests, "--result", str(result)]
+    assert from_bag(["--drives", bag, *asked]) == 0
+    assert "a_1" in arm_of(result, "drives").known.names
+    assert from_bag(["--drives", bag, "--kinematic", bag]) == 1
+    assert "no /joint_states in" in capsys.readouterr().err
 
 
 def test_design_proposes_moves_of_single_joints(tmp_path: Path) -> None:

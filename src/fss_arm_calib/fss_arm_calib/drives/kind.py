@@ -110,4 +110,8 @@ DRIVES = Calibration(
         "unknown joint": "it hears the links of the arm, each on its own topic",
         CAUSES: "what is usually wrong with cameras and joints is not in telemetry",
     },
+    after={
+        "calibration/kinematic": msg.KinematicCalibration,
+        "calibration/dynamic": msg.DynamicCalibration,
+    },
 )  # fmt: skip
