@@ -58,7 +58,7 @@ from calib_joint import (
 from fss_arm_calib.joint.calibrate import Session, begin, calibrate, problem_of, stages
 from fss_arm_calib.joint.problem import solve
 from fss_arm_calib.joint.settings import JointSettings
-from fss_arm_calib.kinds import KINDS
+from fss_arm_calib.kinds import JOINED
 from fss_arm_model import dynamics as model
 from fss_arm_model.base_motion import sampled
 from fss_arm_model.drifting import whole
@@ -74,7 +74,7 @@ PEER = 10  # the peer's share of the data, one in so many
 def joined(data, seen):
     """The joint estimate."""
     settings = {**SETTINGS, "kinematic": seen}
-    return solve(problem_of([data], ARM, JOINT, KINDS, settings), bounded=False)
+    return solve(problem_of([data], ARM, JOINT, JOINED, settings), bounded=False)
 
 
 def ways(seed, seen):
@@ -151,11 +151,11 @@ def longer(n):
 def ours(data, guess=ARM):
     """Times of the solution, and of all after reading [s]."""
     parts = [Session(str(k), one) for k, one in enumerate(data)]
-    whole_time, outcome = clocked(lambda: calibrate(parts, guess, JOINT, KINDS, SETTINGS))
-    found = [stages(one, guess, KINDS, SETTINGS) for one in parts]
+    whole_time, outcome = clocked(lambda: calibrate(parts, guess, JOINT, JOINED, SETTINGS))
+    found = [stages(one, guess, JOINED, SETTINGS) for one in parts]
 
     def solved():
-        problem = problem_of([one.used for one in found], guess, JOINT, KINDS, SETTINGS)
+        problem = problem_of([one.used for one in found], guess, JOINT, JOINED, SETTINGS)
         return solve(problem, begin(problem, [one.arm for one in found]))
 
     span, result = clocked(solved)
@@ -167,7 +167,7 @@ class Peer:
 
     def __init__(self, data):
         self.data = data
-        self.known = problem_of([data], ARM, JOINT, KINDS, SETTINGS)
+        self.known = problem_of([data], ARM, JOINT, JOINED, SETTINGS)
         self.laws = [sampled(one.times, one.q, one.qd)[0] for one in data["dynamic"]]
         evidence = self.known.sessions[0]
         self.rests, self.sigma = evidence["kinematic"].problem, evidence["dynamic"].problem.sigma

@@ -22,6 +22,8 @@ node kinematic fss_arm_calib kinematic --ros-args -p arm:=$arm \
 # The dynamic calibration begins from its result as soon as that has passed, with its covariance
 # (docs/explanation/dynamic.md):
 # node dynamic fss_arm_calib dynamic --ros-args -p arm:=$arm -p output:=out/arm_dynamic.yaml
-# All of these at once, from what they hold (docs/explanation/joint.md):
+# Torque constants, friction and torque sensors while joints turn (docs/explanation/drives.md):
+# node drives fss_arm_calib drives --ros-args -p arm:=$arm -p output:=out/arm_drives.yaml
+# Kinematics, masses and drift at once, from what these nodes hold (docs/explanation/joint.md):
 # node joint fss_arm_calib joint --ros-args -p arm:=$arm -p output:=out/arm_joint.yaml
 node base_reaction fss_arm_view base_reaction --ros-args -p arm:=$arm

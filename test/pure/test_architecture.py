@@ -67,7 +67,7 @@ ALLOWED = {
 
 # What of the workspace a room of a package may import beside itself.
 REGIONS = "fss_arm_workspace.regions"
-WINGS = [f"fss_arm_calib.{kind}" for kind in ("kinematic", "dynamic", "drift")]
+WINGS = [f"fss_arm_calib.{kind}" for kind in ("kinematic", "dynamic", "drift", "drives")]
 SHARED = [
     f"fss_arm_calib.{room}"
     for room in (
@@ -102,9 +102,6 @@ ROOMS = {
         "fss_arm_calib.kinds", "fss_arm_calib.dynamic.parameters",
         "fss_arm_calib.dynamic.settings",
     },
-    "fss_arm_calib.drives": {
-        "fss_arm_model", "fss_arm_bags", "fss_arm_ros", *SHARED, *FROM_BAGS,
-    },
     "fss_gnc.navigation": {"fss_arm_model", "fss_arm_ros.image"},
     "fss_gnc.control": {"fss_arm_model", "fss_gnc.reference"},
     "fss_gnc.guidance": {
@@ -120,8 +117,7 @@ ROOMS = {
 # Where the mathematics of a package meets ROS: its nodes, their actions and topics, and these.
 EDGES = {
     *("settings", "messages", "kind", "kinds", "from_bag", "from_bag_options", "design_command"),
-    *("plan_command", "recompute", "programs", "from_bags", "drives_command", "bag_command"),
-    "bag_data",
+    *("plan_command", "recompute", "programs", "from_bags", "bag_command", "bag_data"),
 }
 AT_THE_EDGE = ("_node", "_action", "_topic", "_topics")
 MATHEMATICS = ALLOWED.keys() - {"fss_arm_ros", "fss_arm_bags", "fss_sim.rehearsal"}

@@ -9,6 +9,7 @@ NODES = {
     "kinematic": ("fss_arm_calib", "kinematic", {}),
     "dynamic": ("fss_arm_calib", "dynamic", {}),
     "drift": ("fss_arm_calib", "drift", {}),
+    "drives": ("fss_arm_calib", "drives", {}),
     "joint": ("fss_arm_calib", "joint", {}),
     "base": ("fss_base_driver", "base", {"url": "udp://127.0.0.1:9"}),
     "navigation": ("fss_gnc", "navigation", {}),

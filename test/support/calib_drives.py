@@ -2,12 +2,20 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from random import Random
+from typing import NamedTuple
 
 import numpy as np
+from rclpy.serialization import serialize_message
 
+from fss_arm_bags.recorder import Recording
 from fss_arm_calib.drives.calibrate import Telemetry
+from fss_arm_calib.segments.excitations import Excitation, ExcitationFinder, Frame
 from fss_arm_model.description import Arm
+from fss_arm_msgs.msg import LinkTelemetry
+from fss_arm_ros.convert import to_time
+from fss_arm_ros.qos import SENSOR
 from fss_sim.link.instruments import Instruments, make
 from fss_sim.noise import PRESETS as NOISES
 from fss_sim.plant.joints import PRESETS as JOINTS
@@ -21,6 +29,14 @@ START = 1_700_000_000_000_000_000  # [ns]
 Move = tuple[Sequence[float], float]  # to where [rad], in what time [s]
 
 
+class Sample(NamedTuple):
+    """What a link reports at a time."""
+
+    t: int  # [ns]
+    stream: int  # number of the link
+    value: Frame
+
+
 @dataclass(frozen=True)
 class Flown:
     """What links reported, and what they measured with."""
@@ -30,7 +46,7 @@ class Flown:
 
     def zero(self, j: int) -> float:
         """Mean zero of a torque sensor as it warmed up [N m]."""
-        seconds = 1e-9 * (self.telemetry[j].stamp - START)
+        seconds = 1e-9 * (self.telemetry[j].stamps - START)
         sensor = self.instruments[j].torque
         return float(sensor._zero + sensor._drift * np.mean(1.0 - np.exp(-seconds / 1200.0)))
 
@@ -90,6 +106,52 @@ def fly(arm: Arm, moves: Sequence[Move], seed: int, rate: float = 5.0) -> Flown:
                     )
                 )
     return Flown([_telemetry(one) for one in rows], instruments)
+
+
+def samples(telemetry: Sequence[Telemetry]) -> list[Sample]:
+    """It as links send it, in order of time."""
+    found = []
+    for i, one in enumerate(telemetry, 1):
+        columns = (one.position, one.velocity, one.current, one.torque, one.torque_age)
+        rows = zip(*(column.tolist() for column in columns), strict=True)
+        found += [
+            Sample(t, i, Frame(*row, boot=1, homings=1))
+            for t, row in zip(one.stamps.tolist(), rows, strict=True)
+        ]
+    return sorted(found, key=lambda one: (one.t, one.stream))
+
+
+def excitations(telemetry: Sequence[Telemetry], arm: Arm) -> list[Excitation]:
+    """What a finder makes of it."""
+    return heard(ExcitationFinder(arm), samples(telemetry))
+
+
+def heard(finder: ExcitationFinder, samples: Sequence[Sample]) -> list[Excitation]:
+    """What a finder makes of samples in the order given."""
+    found = []
+    for t, i, frame in samples:
+        found += finder.frame(i, t, frame)
+    return found + finder.close()
+
+
+def message(sample: Sample) -> tuple[str, LinkTelemetry]:
+    """A sample's topic and message."""
+    numbers = {name: int(x) for name, x in sample.value._asdict().items()}
+    content = LinkTelemetry(link=sample.stream, **numbers)
+    content.header.stamp = to_time(sample.t)
+    return f"link_{sample.stream}/telemetry", content
+
+
+def record(folder: Path, samples: Sequence[Sample]) -> Path:
+    """The samples as a bag."""
+    bag = Recording(folder)
+    for i in sorted({one.stream for one in samples}):
+        bag.add(f"/link_{i}/telemetry", "fss_arm_msgs/msg/LinkTelemetry", [SENSOR])
+    for one in samples:
+        topic, content = message(one)
+        bag.write(f"/{topic}", one.t, serialize_message(content))
+    bag.close()
+    return bag.path
 
 
 def _telemetry(rows: list[tuple[float, ...]]) -> Telemetry:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
+import calib_drives
 import calib_float
 import calib_rig
 import numpy as np
@@ -18,6 +19,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from std_srvs.srv import Trigger
 
 from fss_arm_bags.definitions import definition
+from fss_arm_calib.acceptance import FAIL, NOT_EVALUATED
 from fss_arm_calib.calibration_node import CalibrationNode
 from fss_arm_calib.experiment.postures import DEFAULT
 from fss_arm_calib.kinds import KINDS
@@ -56,6 +58,9 @@ class Case:
     count: int  # data in the samples
     asked: dict[str, Any]  # settings that no result can meet
     most: str  # the setting of how many data a result is from
+    unmet: str = FAIL  # the verdict by those
+    streams: str = "joint"  # whose numbers streams have that are heard of each joint
+    lacking: str = "q"  # the field of a datum without which nothing can be solved
 
 
 def drifting() -> list[Any]:
@@ -63,6 +68,11 @@ def drifting() -> list[Any]:
         calib_float.postures(2), state=DRIFTING, rest=40.0, noise=(0.001, 0.009)
     )
     return [s for s in flight.samples(rate=20) if s.stream != "gyro"]
+
+
+def turning() -> list[Any]:
+    moves = calib_drives.excitation(4, np.random.default_rng(0))
+    return calib_drives.samples(calib_drives.fly(ARM, moves[: len(moves) // 2], seed=0).telemetry)
 
 
 CASES = {
@@ -77,6 +87,8 @@ CASES = {
              calib_float, PRECISE, 10, {"max_place": 1e-6}, "max_maneuvers"),
         Case("toy", lambda: calib_rig.Rig(DEFAULT[:4], rest=3.2, rate=50.0).samples(),
              calib_rig, {}, 4, {"heading_deviation": 1e-9}, "max_observations"),
+        Case("drives", turning, calib_drives, {"max_relative": 0.3}, 53, {"max_relative": 1e-6},
+             "max_excitations", NOT_EVALUATED, "link", "links"),
         Case("drift", drifting, calib_float, {}, 3, {"max_tilt": 1e-12}, "max_drifts"),
     )
 }  # fmt: skip

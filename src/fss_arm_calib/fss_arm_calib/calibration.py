@@ -16,6 +16,8 @@ from fss_arm_model.files import write_text
 from fss_arm_model.settings import Settings
 from fss_arm_model.urdf import urdf
 
+CAUSES = "search for causes"  # one of the things that a kind may lack
+
 D = TypeVar("D", bound=Datum)
 C = TypeVar("C", bound=Settings)
 
@@ -70,7 +72,7 @@ class Calibration(Generic[D, C]):
     data: Data[D]
     most: Callable[[C], int]  # data that a result is from
     inputs: Callable[[C, int], Sequence[Input]]  # of an arm of n links, in the order of feeding
-    finder: Callable[[int, C, Sequence[D]], Finder[D]]  # of n links, after the data kept so far
+    finder: Callable[[Arm, C, Sequence[D]], Finder[D]]  # of an arm, after the data kept so far
     calibrate: Callable[[Sequence[D], Arm, C, Streams, str], Outcome[D, Any]]
     message: type[Any]
     to_message: Callable[[Outcome[D, Any], str], Any]  # with a frame id

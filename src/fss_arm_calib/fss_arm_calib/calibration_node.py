@@ -10,11 +10,11 @@ from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from fss_arm_calib.acceptance import FAIL, PASS, count
-from fss_arm_calib.calibration import Calibration
+from fss_arm_calib.calibration import CAUSES, Calibration
 from fss_arm_calib.messages import common
 from fss_arm_calib.node_settings import node_settings
 from fss_arm_calib.outcome import LIVE, Outcome
-from fss_arm_calib.programs import drift, dynamic, joint, kinematic
+from fss_arm_calib.programs import drift, drives, dynamic, joint, kinematic
 from fss_arm_calib.report import write
 from fss_arm_calib.segments.streams import Streams, newest
 from fss_arm_calib.state import Flags, StateError, Writes, restore, save
@@ -50,7 +50,7 @@ class CalibrationNode(Node):
         self.writes = Writes(self.get_logger())
         kept, self.flags = self.restored()
         self.data: list[Any] = newest(kept, kind.most(s))
-        self.finder = kind.finder(self.begun.arm.n, s, kept)
+        self.finder = kind.finder(self.begun.arm, s, kept)
         try:
             self.outcome, self.saved = self.solved(), self.flags
             data = kind.data.to_message(self.data, self.frame)
@@ -109,7 +109,7 @@ class CalibrationNode(Node):
             self.writes(lambda: write(folder, self.kind.report_of(self.outcome)))
         response.success = self.outcome.verdict == PASS
         response.message = f"{self.outcome.verdict}: {self.outcome.reason}"
-        if self.outcome.verdict == FAIL:
+        if self.outcome.verdict == FAIL and CAUSES not in self.kind.lacks:
             response.message += "; from_bag, on a recording of this, looks for the cause"
         return response
 
@@ -119,7 +119,7 @@ class CalibrationNode(Node):
         response.message = f"{count(len(self.data), self.kind.data.noun)} forgotten"
         self.get_logger().info(response.message)
         self.data, self.flags = [], Flags()
-        self.finder = self.kind.finder(self.begun.arm.n, self.settings, [])
+        self.finder = self.kind.finder(self.begun.arm, self.settings, [])
         self.outcome = self.solved()
         self.publish()
         return response
@@ -193,5 +193,8 @@ class CalibrationNode(Node):
 
 
 if __name__ == "__main__":
-    programs = {"kinematic": kinematic, "dynamic": dynamic, "drift": drift, "joint": joint}
+    programs = {
+        "kinematic": kinematic, "dynamic": dynamic, "drift": drift, "drives": drives,
+        "joint": joint,
+    }  # fmt: skip
     sys.exit(programs[sys.argv.pop(1)]())

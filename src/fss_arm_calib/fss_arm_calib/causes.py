@@ -57,10 +57,11 @@ def explained(
 ) -> Outcome[Any, Any]:
     """The outcome with the likely cause of its verdict, if one is found.
 
-    A pass needs none, nor do data that agree with the model and say too little.
+    A pass needs none, nor do data that agree with the model and say too little. Without a tape
+    there is nothing to try.
     """
     failing = {check.name for check in outcome.checks if check.needed and check.verdict != PASS}
-    if outcome.verdict == PASS or failing - {CAUSE} <= UNCERTAIN:
+    if outcome.verdict == PASS or failing - {CAUSE} <= UNCERTAIN or not tape.tracks:
         return outcome
     words = likely(kind, outcome.arm, outcome.settings, tape)
     if not words:
@@ -95,7 +96,7 @@ def likely(kind: Calibration[Any, Any], arm: Arm, settings: Any, tape: Tape) -> 
 def tried(kind: Calibration[Any, Any], arm: Arm, one: Hypothesis) -> Outcome[Any, Any] | None:
     """What would be concluded; None: nothing can be."""
     try:
-        finder: Any = kind.finder(arm.n, one.settings, [])
+        finder: Any = kind.finder(arm, one.settings, [])
         found = one.tape.play(finder)
         return kind.calibrate(found, arm, one.settings, finder.streams(), "")
     except (ArithmeticError, LookupError, ValueError):

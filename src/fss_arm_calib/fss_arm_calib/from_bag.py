@@ -24,13 +24,13 @@ from fss_arm_calib.joint.kind import JOINT
 from fss_arm_calib.kinds import KINDS
 from fss_arm_calib.outcome import Datum, Outcome
 from fss_arm_calib.segments.streams import newest
-from fss_arm_calib.settings import CalibrationSettings
+from fss_arm_calib.settings import KindSettings
 from fss_arm_model.description import Arm, described, from_yaml, load
 from fss_arm_ros.calibrated import with_kinematics_of
 from fss_arm_ros.command_line import in_one_line
 
 D = TypeVar("D", bound=Datum)
-C = TypeVar("C", bound=CalibrationSettings)
+C = TypeVar("C", bound=KindSettings)
 
 
 def solve_bag(
@@ -56,7 +56,7 @@ def solve_bag(
     """
     s = settings or kind.settings(**defaults(kind.settings, namespace))
     arm = arm or described(s.arm)
-    finder = kind.finder(arm.n, s, [])
+    finder = kind.finder(arm, s, [])
     with open_bags(paths) as bags:
         for topic in bags.left_out:
             print(f"from_bag: {topic}", file=sys.stderr)
@@ -86,7 +86,8 @@ def begun_from(kinematic: str, arm: str, options: argparse.Namespace, namespace:
         return with_kinematics_of(result.arm_of(kinematic, DEFAULT), own)
     kind = KINDS[DEFAULT]
     given = defaults(kind.settings, namespace)
-    given |= {name: getattr(options, name) for name in ("arm", "joints_topic", "base_topic")}
+    alike = (name for name in ("arm", "joints_topic", "base_topic") if name in options)
+    given |= {name: getattr(options, name) for name in alike}
     found = solve_bag(kind, kinematic, kind.settings(**given), namespace)
     if found.verdict != PASS:
         raise ValueError(f"kinematics by {kinematic}: {found.verdict}: {found.reason}")

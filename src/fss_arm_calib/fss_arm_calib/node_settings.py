@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from fss_arm_calib.drift.settings import DriftSettings
+from fss_arm_calib.drives.settings import DrivesSettings
 from fss_arm_calib.dynamic.settings import DynamicSettings
 from fss_arm_calib.joint.settings import JointSettings
 from fss_arm_calib.kinematic.settings import KinematicSettings
@@ -29,4 +30,5 @@ def node_settings(name: str, kind: type[Settings]) -> type[Any]:
 KinematicNodeSettings = node_settings("kinematic", KinematicSettings)
 DynamicNodeSettings = node_settings("dynamic", DynamicSettings)
 DriftNodeSettings = node_settings("drift", DriftSettings)
+DrivesNodeSettings = node_settings("drives", DrivesSettings)
 JointNodeSettings = node_settings("joint", JointSettings)

@@ -7,6 +7,11 @@ kinematic = Program(
     "fss_arm_calib.node_settings:KinematicNodeSettings",
     of="fss_arm_calib.kinds:KINEMATIC",
 )
+drives = Program(
+    "fss_arm_calib.calibration_node:CalibrationNode",
+    "fss_arm_calib.node_settings:DrivesNodeSettings",
+    of="fss_arm_calib.kinds:DRIVES",
+)
 dynamic = Program(
     "fss_arm_calib.calibration_node:CalibrationNode",
     "fss_arm_calib.node_settings:DynamicNodeSettings",
@@ -29,9 +34,6 @@ experiment = Program(
 design = Command(
     "fss_arm_calib.experiment.design_command:main",
     "fss_arm_calib.experiment.design_options:parser",
-)
-drives = Command(
-    "fss_arm_calib.drives.drives_command:main", "fss_arm_calib.drives.drives_options:parser"
 )
 from_bag = Command("fss_arm_calib.from_bag:main", "fss_arm_calib.from_bag_options:parser")
 recompute = Command("fss_arm_calib.recompute:main", "fss_arm_calib.recompute_options:parser")

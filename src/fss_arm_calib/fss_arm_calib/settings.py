@@ -1,9 +1,9 @@
-"""The settings that all calibrations share."""
+"""The settings that calibrations share."""
 
 from dataclasses import dataclass
 
 from fss_arm_calib.estimation.least_squares import CAUCHY, HUBER, LOSSES, SQUARE
-from fss_arm_calib.segments.settings import RestSettings
+from fss_arm_calib.segments.settings import RestSettings, StreamSettings
 from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, Check, at_least, like, one_of, setting
 from fss_arm_model.vehicle import Vehicle
 
@@ -11,14 +11,24 @@ SHARE = Check("0 or more, and below 1", lambda value: 0.0 <= value < 1.0, low=0.
 
 
 @dataclass(frozen=True)
-class CalibrationSettings(RestSettings):
-    """Where the data come from, and what a result must meet to pass.
+class KindSettings(StreamSettings):
+    """What every calibration that finds its data in streams has.
 
     Raises:
         SettingError: a setting is impossible.
     """
 
     arm: str = setting("", "description YAML to begin from; empty: the paper's arm")
+
+
+@dataclass(frozen=True)
+class CalibrationSettings(RestSettings, KindSettings):
+    """Where the data of one that needs rests come from, and what a result must meet to pass.
+
+    Raises:
+        SettingError: a setting is impossible.
+    """
+
     joints_topic: str = setting("joint_states", "topic of the readings of joint_1 .. joint_n")
     base_topic: str = like(Vehicle, "base_topic")
     loss: str = setting(

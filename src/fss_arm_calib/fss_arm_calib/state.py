@@ -13,7 +13,7 @@ from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_model.files import write_text
 
-LARGEST = 2**24  # of a state file [bytes]: a day's state is a tenth of it
+LARGEST = 2**26  # of a state file [bytes]: that of drives whose links report 100 times a second
 DEEPEST = 10  # nesting of lists and objects
 MAX_SHOWN = 200  # characters of a value in an error
 
@@ -30,13 +30,13 @@ class StateError(ValueError):
     """A state file cannot be understood; the message names it, in one line."""
 
 
-def write(path: str | Path, state: Any) -> None:
+def write(path: str | Path, state: Any, indent: int | None = 1) -> None:
     """Replace the file by a state; numbers that are not finite become null.
 
     Raises:
         OSError: it cannot be written.
     """
-    write_text(path, json.dumps(_finite(state), indent=1))
+    write_text(path, json.dumps(_finite(state), indent=indent))
 
 
 def read(path: str | Path, default: Any) -> Any:
@@ -96,7 +96,8 @@ def save(path: str | Path, kind: str, joints: int, data: Sequence[Any], flags: F
         OSError: the file cannot be written.
     """
     saved = [asdict(one) for one in data]
-    write(path, {"kind": kind, "joints": joints, "data": saved, "flags": asdict(flags)})
+    whole = {"kind": kind, "joints": joints, "data": saved, "flags": asdict(flags)}
+    write(path, whole, indent=None)  # else most of it would be spaces
 
 
 def restore(path: str | Path, kind: str, joints: int, datum: type[D]) -> tuple[list[D], Flags]:

@@ -68,6 +68,9 @@ ACCESS = {
     "fss_arm_calib drift": Access(
         "calibration/drift calibration/drifts", "drift/solve drift/forget"
     ),
+    "fss_arm_calib drives": Access(
+        "calibration/drives calibration/excitations", "drives/solve drives/forget"
+    ),
     "fss_arm_calib joint": Access(
         "calibration/joint calibration/session", "joint/solve joint/forget"
     ),

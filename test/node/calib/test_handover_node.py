@@ -33,7 +33,7 @@ def bag(tmp_path_factory):
     return str(calib_float.record(tmp_path_factory.mktemp("bag"), flight.samples(20, tip=True)))
 
 
-@pytest.mark.parametrize("kind", ["dynamic", "drift"])
+@pytest.mark.parametrize("kind", ["dynamic", "drift", "drives"])
 def test_a_node_begins_from_a_kinematic_result_that_passed(spin, kind):
     kind, kinematic = KINDS[kind], KINDS["kinematic"]
     bed, node = Bed(kind), make_node(kind)

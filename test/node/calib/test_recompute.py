@@ -107,7 +107,7 @@ def test_what_is_missing_is_named(published, tmp_path, capsys):
     error = capsys.readouterr().err
     assert (
         "no result on /calibration/kinematic or /calibration/dynamic or /calibration/drift or "
-        "/calibration/joint in " in error
+        "/calibration/drives or /calibration/joint in " in error
     )
     others = [(published[0][0], result) for _, result in published]
     assert main([record(tmp_path / "b", others)]) == 1

@@ -94,7 +94,7 @@ DRIFT = Calibration(
     ),
     most=lambda s: s.max_drifts,
     inputs=inputs,
-    finder=lambda n, s, _: DriftFinder(n, s),
+    finder=lambda arm, s, _: DriftFinder(arm.n, s),
     calibrate=calibrate,
     evidence=evidence,
     message=msg.DriftCalibration,

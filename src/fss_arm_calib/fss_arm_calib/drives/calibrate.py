@@ -1,18 +1,20 @@
-"""What links' telemetry says of their drives."""
+"""What a calibration of drives concludes from its excitations."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from fss_arm_calib.acceptance import FAIL, NOT_EVALUATED, PASS, Check
+from fss_arm_calib.acceptance import FAIL, NOT_EVALUATED, PASS, Check, clocks_kept, enough
 from fss_arm_calib.drives.motion import Samples
 from fss_arm_calib.drives.problem import COULOMB, GAIN, KT, NAMES, VISCOUS, ZERO, Drive, solve
 from fss_arm_calib.drives.settings import DrivesSettings
 from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.outcome import LIVE, Estimate, Outcome, concluded
+from fss_arm_calib.segments.excitations import Excitation
 from fss_arm_calib.segments.samples import Stamps
 from fss_arm_calib.segments.streams import Streams
+from fss_arm_calib.segments.telemetry import since_homed
 from fss_arm_model.description import Arm, Link
 
 NEEDED = ("torque_constant", "torque_gain", "viscous", "coulomb")
@@ -21,42 +23,33 @@ FEWEST = 50  # samples of a link
 
 @dataclass(frozen=True)
 class Telemetry:
-    """What a link reported, raw as LinkTelemetry has it: (k,) each, in order of time."""
+    """What a link reported in all excitations, raw as LinkTelemetry has it: (k,) each."""
 
-    stamp: Stamps  # of the measurement [ns]
+    stamps: Stamps  # of the measurement, rising [ns]
     position: Floats  # [counts]
     velocity: Floats  # [0.1 counts/s]
     current: Floats  # [0.01 A]
     torque: Floats  # [counts]
     torque_age: Floats  # [ms]
 
-    @property
-    def start(self) -> int:
-        """Of it [ns]."""
-        return int(self.stamp[0]) if self.stamp.size else 0
-
-    @property
-    def end(self) -> int:
-        """Of it [ns]."""
-        return int(self.stamp[-1]) if self.stamp.size else 0
-
-    @property
-    def reason(self) -> str:
-        """Why it is not used; empty: it is."""
-        few = self.stamp.size < FEWEST
-        return f"{self.stamp.size} samples (at least {FEWEST})" if few else ""
-
-    @property
-    def used(self) -> bool:
-        """Whether it is solved from."""
-        return not self.reason
+    @classmethod
+    def of(cls, excitations: Sequence[Excitation], i: int) -> "Telemetry":
+        """That of link i, from 0."""
+        columns = {
+            f.name: [x for one in excitations for x in getattr(one.links[i], f.name)]
+            for f in fields(cls)
+        }
+        stamps = np.array(columns.pop("stamps"), dtype=np.int64)
+        stamps, once = np.unique(stamps, return_index=True)
+        numbers = {name: np.array(column, float)[once] for name, column in columns.items()}
+        return cls(stamps, **numbers)
 
     def samples(self, link: Link, origin: int) -> Samples:
         """The same in SI units, times from `origin` [ns] on."""
         drive, sensor = link.drive, link.torque_sensor
         count = drive.direction * 2.0 * np.pi / drive.counts_per_turn
         return Samples(
-            1e-9 * (self.stamp - origin).astype(np.float64),
+            1e-9 * (self.stamps - origin).astype(np.float64),
             count * self.position,
             0.1 * count * self.velocity,
             0.01 * drive.direction * self.current,
@@ -66,40 +59,47 @@ class Telemetry:
 
 
 def calibrate(
-    data: Sequence[Telemetry], arm: Arm, s: DrivesSettings, source: str = LIVE
-) -> Outcome[Telemetry, list[Drive]]:
+    excitations: Sequence[Excitation],
+    arm: Arm,
+    settings: DrivesSettings | None = None,
+    streams: Streams | None = None,
+    source: str = LIVE,
+) -> Outcome[Excitation, list[Drive]]:
     """Estimate each joint's drive, and check the result.
 
     Args:
-        data: of links 1 to n.
+        excitations: in order of time; those before a joint was homed last are left out.
         arm: its masses set the scale; its torque constants and sensors are the guess.
-        s: the settings.
-        source: of the data.
+        settings: what is known, and criteria.
+        streams: what happened to the streams that the excitations are from.
+        source: of the excitations.
     """
+    s, streams = settings or DrivesSettings(), streams or Streams()
+    used = since_homed([one for one in excitations if one.used])
+    links = [Telemetry.of(used, i) for i in range(arm.n)]
     names = tuple(f"{name}_{i}" for i in range(1, arm.n + 1) for name in NAMES)
     units = tuple(NAMES.values()) * arm.n
     guess = np.full((arm.n, len(NAMES)), np.nan)
     for row, link in zip(guess, arm.links, strict=True):
         row[[KT, GAIN, ZERO]] = link.drive.torque_constant, link.torque_sensor.gain, 0.0
     estimate, drives = Estimate(names, units, guess.ravel()), None
-    silent = [f"link {i}: {one.reason}" for i, one in enumerate(data, 1) if not one.used]
+    fewest = min(one.stamps.size for one in links)
+    words = f"{fewest} frames of each link while a joint turned (at least {FEWEST})"
     checks = [
-        Check(
-            "telemetry", NOT_EVALUATED if silent else PASS, arm.n - len(silent), arm.n,
-            "; ".join(silent) or f"{sum(one.stamp.size for one in data)} samples of {arm.n} links",
-        )
-    ]  # fmt: skip
-    if not silent:
-        origin = min(one.start for one in data)
+        clocks_kept(streams, s.joint_gap),
+        enough("telemetry", fewest, FEWEST, words, streams),
+    ]
+    if fewest >= FEWEST:
+        origin = min(int(one.stamps[0]) for one in links)
         drives = solve(
-            arm, [one.samples(k, origin) for one, k in zip(data, arm.links, strict=True)], s
+            arm, [one.samples(k, origin) for one, k in zip(links, arm.links, strict=True)], s
         )
         estimate = estimate_of(drives, names, units, guess.ravel())
         checks += evaluate(drives)
-    columns = [getattr(one, name) for one in data for name in one.__dataclass_fields__]
+    columns = [getattr(one, f.name) for one in links for f in fields(one)]
     return concluded(
-        data, [one for one in data if one.used], columns, arm, s, DrivesSettings, Streams(),
-        source, checks, estimate, drives, (lambda: calibrated(arm, drives)) if drives else None,
+        excitations, used, columns, arm, s, DrivesSettings, streams, source, checks, estimate,
+        drives, (lambda: calibrated(arm, drives)) if drives else None,
     )  # fmt: skip
 
 

@@ -10,12 +10,12 @@ that samples far apart betray it: a joint at constant acceleration satisfies the
 and its readings do not.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from fss_arm_calib.estimation.least_squares import Floats
+from fss_arm_calib.estimation.least_squares import Floats, Mask
 from fss_arm_model.description import Arm
 from fss_arm_model.dynamics import bias, inertia_matrix
 from fss_arm_model.layout import (
@@ -95,10 +95,20 @@ def straightened(s: Samples, periods: float, of: tuple[float, float]) -> tuple[F
     return q, s.qd / (1.0 + slope)
 
 
+def heard(samples: Sequence[Samples], gap: float) -> Iterator[tuple[float, float]]:
+    """Times from and to which all links are heard, without a silence longer than `gap` [s]."""
+    last = max(s.t[0] for s in samples)
+    steps = ((s.t, np.flatnonzero(np.diff(s.t) > gap)) for s in samples)
+    for begin, end in sorted((t[k], t[k + 1]) for t, which in steps for k in which.tolist()):
+        yield last, begin
+        last = max(last, end)
+    yield last, min(s.t[-1] for s in samples)
+
+
 class Motion:
     """The motion of all joints between their samples."""
 
-    def __init__(self, samples: Sequence[Samples], periods: float) -> None:
+    def __init__(self, samples: Sequence[Samples], periods: float, gap: float) -> None:
         from scipy.interpolate import CubicHermiteSpline  # takes long, and no --help needs it
 
         self._splines = []
@@ -108,7 +118,12 @@ class Motion:
             self._splines.append(CubicHermiteSpline(s.t[::step], q[::step], qd[::step]))
         self.width = [max(KNOTS, s.period) for s in samples]  # to differentiate rates over [s]
         margin = 2.0 * max(self.width)
-        self.span = max(s.t[0] for s in samples) + margin, min(s.t[-1] for s in samples) - margin
+        every = ((begin + margin, end - margin) for begin, end in heard(samples, gap))
+        self.runs = [(begin, end) for begin, end in every if begin < end]  # when it is known [s]
+
+    def known(self, t: Floats) -> Mask:
+        """Whether the motion is known at times (k,)."""
+        return np.any([(t > begin) & (t < end) for begin, end in self.runs], axis=0)
 
     def at(self, t: Floats) -> Moving:
         """The motion at times (k,)."""

@@ -89,15 +89,21 @@ def regression(A: Floats, y: Floats, Z: Floats) -> Floats:
 
 
 class Windows:
-    """What the rigid arm passes, over windows, and at the links' samples."""
+    """What the rigid arm passes, over windows in which its motion is known."""
 
     def __init__(self, arm: Arm, samples: Sequence[Samples], s: DrivesSettings) -> None:
         self.arm, self.length = arm, s.window
-        self.motion = Motion(samples, s.periods)
-        begin, end = self.motion.span
+        self.motion = Motion(samples, s.periods, s.joint_gap)
+        parts = [self._of(begin, end) for begin, end in self.motion.runs]
+        none = np.empty((0, arm.n))
+        columns = zip(*parts, strict=True) if parts else [[none[:, 0]], [none], [none], [none]]
+        self.t, self.torque, self.force, self.swing = map(np.concatenate, columns)
+
+    def _of(self, begin: float, end: float) -> tuple[Floats, Floats, Floats, Floats]:
+        """Middles (w,), and torque, force and swing (w, n), between two times."""
         t = np.arange(begin, end, GRID)
         moving = self.motion.at(t)
-        torque, force = passed(arm, moving)
+        torque, force = passed(self.arm, moving)
         half = round(0.5 * self.length / GRID)
         u = GRID * np.arange(-half, half + 1)
         turn = 2.0 * np.pi / self.length
@@ -106,11 +112,9 @@ class Windows:
         bend -= bend.mean()
         phi /= phi.sum()
         middles = np.arange(half, len(t) - half, max(1, half // 2))
-        self.t = t[middles]
-        self.torque = _over(torque, phi, middles)
-        self.force = _over(force, phi, middles)
         swing = _over(torque, bend, middles)
-        self.swing = np.einsum("kij,kj->ki", _reduced(arm, moving.q[middles]), swing)
+        swing = np.einsum("kij,kj->ki", _reduced(self.arm, moving.q[middles]), swing)
+        return t[middles], _over(torque, phi, middles), _over(force, phi, middles), swing
 
     def seen(self, one: Samples) -> tuple[Floats, Floats]:
         """Mean (w,) of a sensor's samples in each window, and how many there are."""
@@ -207,33 +211,31 @@ class Turning:
 
 def _turning(w: Windows, one: Samples, j: int, s: DrivesSettings) -> Turning:
     """What the drive of a joint shows while it turns."""
-    (begin, end), gap = w.motion.span, w.motion.width[j]
-    m = w.motion.at(np.clip(one.t, begin, end))
-    before, after = (w.motion.rates(one.t + way, j) for way in (-gap, gap))
-    v = m.qd[:, j]
-    turns = (one.t > begin) & (one.t < end) & (np.abs(v) > s.min_speed)
+    gap = w.motion.width[j]
+    v, before, after = (w.motion.rates(one.t + way, j) for way in (0.0, -gap, gap))
+    turns = w.motion.known(one.t) & (np.abs(v) > s.min_speed)
     turns &= np.minimum(before * v, after * v) > s.min_speed**2
     joined = max(1, round(JOINED / one.period))
-    size = len(v) // joined * joined
-    whole = turns[:size].reshape(-1, joined).all(axis=1)
-    force = passed(w.arm, m)[1][:, j]
+    whole = turns[: len(v) // joined * joined].reshape(-1, joined).all(axis=1)
+    which = np.flatnonzero(np.repeat(whole, joined))
+    t, v, dense = one.t[which], v[which], one.period <= DENSE
+    m = w.motion.at(t)
     # An instrument halfway has as much in common with a torque before as with a current after it.
-    torque = passed(w.arm, w.motion.at(np.clip(one.t - 0.5 * one.age, begin, end)))[0][:, j]
-    dense = one.period <= DENSE
-    seen = _now(one) if dense else one.torque
+    torque = passed(w.arm, w.motion.at(t - 0.5 * one.age[which]))[0][:, j]
+    seen = (_now(one) if dense else one.torque)[which]
     phase = s.periods * m.q[:, j]
     others = [
-        np.ones(len(v)), (one.t - one.t.mean()) / 100.0, v, np.sign(v), np.sin(phase),
-        np.cos(phase),
+        np.ones(len(v)), (t - one.t.mean()) / 100.0, v, np.sign(v), np.sin(phase), np.cos(phase),
     ]  # fmt: skip
 
     def means(x: Floats) -> Floats:
-        return np.asarray(x[:size].reshape(-1, joined).mean(axis=1)[whole])
+        return np.asarray(x.reshape(-1, joined).mean(axis=1))
 
     return Turning(
-        means(one.t), means(v), means(one.current), means(seen), means(torque), means(force),
-        means((after - before) / (2.0 * gap)), np.column_stack([means(x) for x in others]),
-        v[:size].reshape(-1, joined)[whole], None if dense else s.rotor_inertia,
+        means(t), means(v), means(one.current[which]), means(seen), means(torque),
+        means(passed(w.arm, m)[1][:, j]), means((after - before)[which] / (2.0 * gap)),
+        np.column_stack([means(x) for x in others]), v.reshape(-1, joined),
+        None if dense else s.rotor_inertia,
     )  # fmt: skip
 
 

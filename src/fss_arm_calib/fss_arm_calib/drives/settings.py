@@ -1,19 +1,28 @@
-"""The settings of an estimate of drives."""
+"""The settings of a calibration of drives."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
-from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, Settings, setting
+from fss_arm_calib.segments.settings import ExcitationSettings
+from fss_arm_calib.settings import KindSettings, most
+from fss_arm_model.settings import NOT_NEGATIVE, POSITIVE, setting
 
 
 @dataclass(frozen=True)
-class DrivesSettings(Settings):
-    """What is known beforehand, and what a result must meet to pass.
+class DrivesSettings(ExcitationSettings, KindSettings):
+    """What counts as an excitation, what is known beforehand, and what a result must meet to pass.
 
     Raises:
         SettingError: a setting is impossible.
     """
 
+    ABOUT: ClassVar = (
+        "Torque constant, friction and torque sensor of each joint, from its link's telemetry "
+        "while joints turn."
+    )
+
     arm: str = setting("", "description YAML, whose masses set the scale; empty: the paper's arm")
+    max_excitations: int = most(600, "excitations")
     gear_ratio: float = setting(30.0, "gear ratio of the harmonic drives", check=POSITIVE)
     window: float = setting(
         1.6, "over which torques are compared with the arm's motion", unit="s", check=POSITIVE
@@ -22,7 +31,6 @@ class DrivesSettings(Settings):
         0.0026, "inertia of each motor, felt at its joint, by its data sheet; taken as it is where "
         "frames do not tell", unit="kg m^2", check=NOT_NEGATIVE,
     )  # fmt: skip
-    min_speed: float = setting(0.01, "a slower joint stands still", unit="rad/s", check=POSITIVE)
     min_moving: float = setting(20.0, "time for which a joint must turn", unit="s", check=POSITIVE)
     max_relative: float = setting(
         0.1, "largest deviation of a torque constant, friction or gain, against it; what is less "

@@ -127,7 +127,7 @@ DYNAMIC = Calibration(
     ),
     most=lambda s: s.max_maneuvers,
     inputs=inputs,
-    finder=lambda n, s, _: ManeuverFinder(n, s),
+    finder=lambda arm, s, _: ManeuverFinder(arm.n, s),
     calibrate=calibrate,
     evidence=evidence,
     message=msg.DynamicCalibration,

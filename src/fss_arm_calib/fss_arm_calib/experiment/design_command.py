@@ -59,7 +59,7 @@ def made(bag: str, arm: Arm, settings: DynamicSettings) -> Before:
         BagError: it cannot be read, or none of them can be used.
     """
     with open_bags(bag) as bags:
-        finder = DYNAMIC.finder(arm.n, settings, [])
+        finder = DYNAMIC.finder(arm, settings, [])
         found = fed(bags, finder, DYNAMIC.inputs(settings, arm.n), settings.horizon)
     outcome = DYNAMIC.calibrate(found, arm, settings, finder.streams(), LIVE)
     if not outcome.used:

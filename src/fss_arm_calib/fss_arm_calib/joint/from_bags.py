@@ -16,9 +16,9 @@ from fss_arm_calib.calibration import Input
 from fss_arm_calib.joint.calibrate import Session, Solution, calibrate
 from fss_arm_calib.joint.report import joint_report
 from fss_arm_calib.joint.settings import JointSettings
-from fss_arm_calib.kinds import KINDS
+from fss_arm_calib.kinds import JOINED
 from fss_arm_calib.outcome import Outcome
-from fss_arm_model.description import described, load
+from fss_arm_model.description import Arm, described, load
 from fss_arm_model.files import ContentError, read_yaml
 
 
@@ -31,9 +31,9 @@ def of_kinds(path: str | None, namespace: str) -> dict[str, Any]:
     """
     given: Any = read_yaml(Path(path)) if path else {}
     if not isinstance(given, dict) or not all(isinstance(one, dict) for one in given.values()):
-        raise ContentError(f"{path}: it", given, f"settings of {', '.join(KINDS)}")
+        raise ContentError(f"{path}: it", given, f"settings of {', '.join(JOINED)}")
     found = {}
-    for kind in KINDS.values():
+    for kind in JOINED.values():
         known = defaults(kind.settings, namespace)
         section = given.get(kind.name, {})
         for key, value in section.get("ros__parameters", section).items():
@@ -45,7 +45,7 @@ def of_kinds(path: str | None, namespace: str) -> dict[str, Any]:
 
 
 def session_of(
-    path: str, n: int, settings: Mapping[str, Any], namespace: str
+    path: str, arm: Arm, settings: Mapping[str, Any], namespace: str
 ) -> tuple[Session, str]:
     """The data of all kinds in a bag, and its source in words; of what topics it lacks, none.
 
@@ -54,14 +54,14 @@ def session_of(
     """
     data, streams, missing = {}, {}, list[Input]()
     with open_bags(path) as bags:
-        for kind in KINDS.values():
+        for kind in JOINED.values():
             s = settings[kind.name]
-            inputs = kind.inputs(s, n)
+            inputs = kind.inputs(s, arm.n)
             there = [one for one in inputs if name(bags, one, namespace, False) in bags.topics]
             if lacking := [one for one in inputs if one.needed and one not in there]:
                 missing += lacking
                 continue
-            finder = kind.finder(n, s, [])
+            finder = kind.finder(arm, s, [])
             data[kind.name] = fed(bags, finder, there, s.horizon, namespace)
             streams[kind.name] = finder.streams()
         if not data:
@@ -79,11 +79,11 @@ def estimated(options: argparse.Namespace, console: Console) -> Outcome[Any, Sol
     s = JointSettings(**{f.name: getattr(options, f.name) for f in fields(JointSettings)})
     truth = load(options.truth) if options.truth else None
     arm, settings = described(s.arm), of_kinds(options.params, options.namespace)
-    read = [session_of(bag, arm.n, settings, options.namespace) for bag in options.bags]
+    read = [session_of(bag, arm, settings, options.namespace) for bag in options.bags]
     read.sort(
         key=lambda one: min((d.start for some in one[0].data.values() for d in some), default=0)
     )
     sources = ", ".join(source for _, source in read)
-    outcome = calibrate([one for one, _ in read], arm, s, KINDS, settings, sources)
+    outcome = calibrate([one for one, _ in read], arm, s, JOINED, settings, sources)
     told(outcome, joint_report(outcome, truth), "joint", options, console)
     return outcome

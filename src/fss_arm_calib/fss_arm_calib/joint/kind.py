@@ -11,7 +11,7 @@ from fss_arm_calib.joint.calibrate import Session, Solution, calibrate
 from fss_arm_calib.joint.gathering import Gathered, Gatherer
 from fss_arm_calib.joint.report import joint_report
 from fss_arm_calib.joint.settings import JointSettings
-from fss_arm_calib.kinds import KINDS
+from fss_arm_calib.kinds import JOINED
 from fss_arm_calib.messages import common, common_message
 from fss_arm_calib.outcome import Outcome, settings_of
 from fss_arm_calib.segments.streams import Streams
@@ -25,7 +25,7 @@ Found = Outcome[Gathered, Solution]
 
 def inputs(_: JointSettings, n: int) -> list[Input]:
     """Of each other kind its data, and its results for how these are to be weighed."""
-    return [one for kind in KINDS.values() for one in (_data_input(kind), _result_input(kind))]
+    return [one for kind in JOINED.values() for one in (_data_input(kind), _result_input(kind))]
 
 
 def _data_input(kind: AnyKind) -> Input:
@@ -61,11 +61,11 @@ def of_session(
 ) -> Found:
     """Solve from what the nodes hold, each kind's data by the settings of its node."""
     one = sessions[-1] if sessions else Gathered()
-    of_kinds = {name: kind.settings() for name, kind in KINDS.items()}
+    of_kinds = {name: kind.settings() for name, kind in JOINED.items()}
     for name, told in one.settings.items():
-        of_kinds[name] = settings_of(told, KINDS[name].settings)
-    each = {name: replace(streams, set_back={name: one.set_back.get(name, 0.0)}) for name in KINDS}
-    outcome = calibrate([Session(source, one.data, each)], arm, s, KINDS, of_kinds, source)
+        of_kinds[name] = settings_of(told, JOINED[name].settings)
+    each = {name: replace(streams, set_back={name: one.set_back.get(name, 0.0)}) for name in JOINED}
+    outcome = calibrate([Session(source, one.data, each)], arm, s, JOINED, of_kinds, source)
     origin = replace(outcome.provenance, begin=one.start, end=one.end)
     used = tuple(sessions[-1:]) if outcome.used else ()
     return Outcome(
@@ -93,7 +93,7 @@ def session_message(sessions: Sequence[Gathered], frame_id: str) -> msg.Calibrat
     message = msg.CalibrationSession(
         kinds=[*one.settings], settings=[*one.settings.values()], set_back=[*one.set_back.values()]
     )
-    for name, kind in KINDS.items():
+    for name, kind in JOINED.items():
         setattr(message, _field(kind), kind.data.to_message(getattr(one, name), frame_id))
     message.header.frame_id, message.header.stamp = frame_id, to_time(one.end)
     return message
@@ -107,7 +107,7 @@ def sessions_of(message: msg.CalibrationSession) -> list[Gathered]:
     set_back = dict(zip(message.kinds, map(float, message.set_back), strict=True))
     data = {
         name: tuple(kind.data.from_message(getattr(message, _field(kind))))
-        for name, kind in KINDS.items()
+        for name, kind in JOINED.items()
     }
     return [Gathered(**data, settings=settings, set_back=set_back)]
 
@@ -119,7 +119,7 @@ def _field(kind: AnyKind) -> str:
 def held(gatherer: Gatherer) -> dict[str, object]:
     """Number of data of each kind."""
     data = gatherer.gathered.data
-    return {_field(kind): len(data.get(name, ())) for name, kind in KINDS.items()}
+    return {_field(kind): len(data.get(name, ())) for name, kind in JOINED.items()}
 
 
 def stale(outcome: Found, _: Streams) -> str:
@@ -130,7 +130,7 @@ def stale(outcome: Found, _: Streams) -> str:
 
 
 def _summary(one: Gathered) -> str:
-    return ", ".join(count(len(some), KINDS[name].data.noun) for name, some in one.data.items())
+    return ", ".join(count(len(some), JOINED[name].data.noun) for name, some in one.data.items())
 
 
 JOINT = Calibration(
@@ -142,7 +142,7 @@ JOINT = Calibration(
     ),
     most=lambda _: 1,
     inputs=inputs,
-    finder=lambda n, _, kept: Gatherer(n, [*KINDS], kept),
+    finder=lambda arm, _, kept: Gatherer(arm.n, [*JOINED], kept),
     calibrate=of_session,
     message=msg.JointCalibration,
     to_message=to_message,

@@ -19,6 +19,7 @@ from fss_arm_calib.messages import (
 from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.segments.rests import BASE, TIP, Observation, RestFinder, homed
 from fss_arm_calib.segments.streams import Streams
+from fss_arm_model.description import Arm
 from fss_arm_msgs.msg import (
     KinematicCalibration,
     KinematicObservation,
@@ -37,9 +38,9 @@ def inputs(s: KinematicSettings, n: int) -> list[Input]:
     ]
 
 
-def finder(n: int, s: KinematicSettings, kept: Sequence[Observation]) -> RestFinder:
+def finder(arm: Arm, s: KinematicSettings, kept: Sequence[Observation]) -> RestFinder:
     """Does not observe again the rest that lasts since before the node was started."""
-    return RestFinder(n, s, kept[-1].q if kept and kept[-1].used else None)
+    return RestFinder(arm.n, s, kept[-1].q if kept and kept[-1].used else None)
 
 
 def to_message(outcome: Outcome[Observation, Solution], frame_id: str) -> KinematicCalibration:

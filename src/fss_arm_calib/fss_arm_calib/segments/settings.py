@@ -1,4 +1,4 @@
-"""What counts as a rest, a maneuver or a drift, each setting with its meaning."""
+"""What counts as a rest, a maneuver, a drift or an excitation, each setting with its meaning."""
 
 from dataclasses import dataclass
 
@@ -6,7 +6,21 @@ from fss_arm_model.settings import FINITE, NOT_NEGATIVE, POSITIVE, SettingError,
 
 
 @dataclass(frozen=True)
-class RestSettings(Settings):
+class StreamSettings(Settings):
+    """How silent streams may be, and how late.
+
+    Raises:
+        SettingError: a setting is impossible.
+    """
+
+    joint_gap: float = setting(
+        1.0, "silence of a joint that counts as a gap", unit="s", check=POSITIVE
+    )
+    horizon: float = setting(60.0, "how far streams may lag each other", unit="s", check=POSITIVE)
+
+
+@dataclass(frozen=True)
+class RestSettings(StreamSettings):
     """What counts as a rest.
 
     Raises:
@@ -23,9 +37,6 @@ class RestSettings(Settings):
     max_duration: float = setting(
         2.0, "time to average over if the arm rests that long", unit="s", check=POSITIVE
     )
-    joint_gap: float = setting(
-        1.0, "silence of a joint that counts as a gap", unit="s", check=POSITIVE
-    )
     vicon_gap: float = setting(
         0.25, "silence of a VICON subject that counts as a gap", unit="s", check=POSITIVE
     )
@@ -37,7 +48,6 @@ class RestSettings(Settings):
         10.0, "a subject's pose that would need a faster turn is rejected", unit="rad/s",
         check=POSITIVE,
     )  # fmt: skip
-    horizon: float = setting(60.0, "how far streams may lag each other", unit="s", check=POSITIVE)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -108,3 +118,17 @@ class DriftFinderSettings(RestSettings):
         120.0, "a longer rest of the arm is taken as several drifts", unit="s", check=POSITIVE
     )
     bin: float = setting(0.5, "time over which poses are averaged", unit="s", check=POSITIVE)
+
+
+@dataclass(frozen=True)
+class ExcitationSettings(StreamSettings):
+    """What counts as an excitation.
+
+    Raises:
+        SettingError: a setting is impossible.
+    """
+
+    joint_gap: float = setting(
+        1.0, "silence of a link for which an excitation is rejected", unit="s", check=POSITIVE
+    )
+    min_speed: float = setting(0.01, "a slower joint stands still", unit="rad/s", check=POSITIVE)
