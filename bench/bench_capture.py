@@ -62,7 +62,8 @@ def failures() -> Iterator[Case]:
     """Missions in which something fails, as a phase begins and within it."""
     for seed, (fault, lasts), phase, after in product((1, 2, 3), FAULTS, PHASES, AFTER):
         case = Case((-0.1, 0.1, 0.2)[seed - 1], float(seed), 1.6, seed)
-        yield replace(case, fault=fault, phase=phase, lasts=lasts, after=after)
+        valve = (2, 5, 7)[seed - 1] if after == AFTER[0] else 2
+        yield replace(case, fault=fault, phase=phase, lasts=lasts, after=after, valve=valve)
 
 
 def fly(case: Case) -> dict[str, Any]:

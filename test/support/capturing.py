@@ -45,6 +45,7 @@ class Case:
     fault: str = ""  # outage, open, closed, gyro, link, gripper
     phase: str = ""  # in which it happens
     lasts: float = 0.0  # of an outage [s]
+    valve: int = 2  # that stays open or closed, from 0
     after: float = PERIOD  # the phase's begin [s]
     solid: bool = True  # whether bodies keep each other out
     gripper: Gripper = field(default_factory=Gripper)
@@ -197,9 +198,9 @@ class Flight:
         self.navigation.pulses(round(self.t * SECOND), times)
         times = np.array(times)
         if self.struck("open"):
-            times[2] = 2.0 * PERIOD
+            times[self.case.valve] = 2.0 * PERIOD
         elif self.struck("closed"):
-            times[2] = 0.0
+            times[self.case.valve] = 0.0
         self.plant.thrust(times)
 
     def pass_time(self):

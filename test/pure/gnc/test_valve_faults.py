@@ -48,9 +48,10 @@ class Bed:
 
     def until_found(self, shares, valve=False, **how):
         """What is found first, or of a valve, and when; shares() are told anew in each step."""
+        before = self.watch.found[:2]
         while self.t < NEVER:
             found = self.step(shares(), **how)
-            if found.open or found.closed or (found.pushed and not valve):
+            if found[:2] != before or (found.pushed and not valve):
                 return found, self.t
         return NONE, NEVER
 
@@ -113,6 +114,13 @@ def test_a_valve_open_and_one_told_against_it_that_stays_closed_look_alike():
     against[2] = 1.0  # pushes as valve 0 does, the other way
     for faults in (Faults(open=frozenset({0})), Faults(closed=frozenset({2}))):
         assert Bed(5).until_found(lambda: against, faults=faults)[0] == Faults(pushed=True)
+
+
+def test_what_seemed_to_be_closed_is_not_once_another_is_found_to_be_open():
+    bed = Bed(6)
+    bed.watch.found = Faults(closed=frozenset({2}))
+    opened = Faults(open=frozenset({0}))
+    assert bed.until_found(lambda: np.zeros(COUNT), True, faults=opened)[0] == opened
 
 
 def test_the_base_is_predicted_with_what_valves_really_do():

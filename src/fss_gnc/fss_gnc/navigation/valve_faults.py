@@ -104,7 +104,10 @@ class ValveFaults:
             return
         kind, valve = suspect
         self.forget()
-        self.found = self.found._replace(**{kind: getattr(self.found, kind) | {valve}})
+        if kind == "open":  # what seemed to be closed before may have been this
+            self.found = Faults(open=frozenset({valve}))
+        else:
+            self.found = self.found._replace(closed=self.found.closed | {valve})
 
     def _compare(
         self, p: Floats, begin: Moment, end: Moment, mass_error: float
