@@ -92,6 +92,23 @@ def definition(msgtype: str) -> Definition:
     return Definition(text, hash_of(msgtype, text))
 
 
+def installed(msgtype: str, digest: str) -> Definition:
+    """The definition of a type that a bag does not define, but may give a hash.
+
+    Raises:
+        NotInstalledError: there is none, or that of another version.
+    """
+    try:
+        found = definition(msgtype)
+    except NotInstalledError as error:
+        raise NotInstalledError(f"the bag does not define its type, and {error}") from None
+    if digest not in ("", found.hash):
+        raise NotInstalledError(
+            f"the bag does not define {msgtype}, which is installed in another version"
+        )
+    return found
+
+
 def extends(msgtype: str, text: str) -> bool:
     """Whether the installed version of a type has all that another definition of it has.
 

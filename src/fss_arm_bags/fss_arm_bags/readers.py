@@ -5,6 +5,7 @@ all whose definition it did not find, as the feedback of actions.
 """
 
 from collections.abc import Collection, Generator, Mapping
+from io import BytesIO
 from typing import Any, cast
 
 from backports import zstd
@@ -15,10 +16,10 @@ from rosbags.interfaces import (
     MessageDefinitionFormat,
 )
 from rosbags.rosbag2 import Reader
-from rosbags.rosbag2.storage_mcap import McapReader, Schema
+from rosbags.rosbag2.storage_mcap import Channel, McapReader, Schema, read_string
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 
-from fss_arm_bags.definitions import NotInstalledError, NotUnderstoodError, definition, hash_of
+from fss_arm_bags.definitions import NotInstalledError, NotUnderstoodError, hash_of, installed
 from fss_arm_model.files import short
 
 FORMATS = ("ros2msg", "ros2idl", "omgidl")  # of definitions that rosbags reads
@@ -38,6 +39,22 @@ class _McapReader(McapReader):
     def __init__(self, path: Any) -> None:
         super().__init__(path)
         self.schemas = _Schemas()
+
+    def open(self) -> None:
+        """Open the file; where there is no definition the hash counts, which rosbags leaves."""
+        super().open()
+        self.connections = [
+            c._replace(digest=_hash(self.channels[c.id])) if c.msgdef.format is NONE else c
+            for c in self.connections
+        ]
+
+
+def _hash(channel: Channel) -> str:
+    """What a channel's metadata, texts and their lengths by turns, says of the hash of its type."""
+    file, texts = BytesIO(channel.metadata), list[str]()
+    while file.tell() < len(channel.metadata):
+        texts.append(read_string(file))
+    return dict(zip(texts[::2], texts[1::2], strict=False)).get("topic_type_hash", "")
 
 
 class _Sqlite3Reader(Sqlite3Reader):
@@ -91,12 +108,5 @@ def _told(c: Connection) -> Connection:
                 "that the bag gives it"
             )
         return c
-    try:
-        text, digest = definition(c.msgtype)
-    except NotInstalledError as error:
-        raise NotInstalledError(f"the bag does not define its type, and {error}") from None
-    if c.digest not in ("", digest):
-        raise NotInstalledError(
-            f"the bag does not define {c.msgtype}, which is installed in another version"
-        )
+    text, digest = installed(c.msgtype, c.digest)
     return c._replace(msgdef=MessageDefinition(MSG, text), digest=digest)

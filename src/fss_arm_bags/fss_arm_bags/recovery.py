@@ -17,7 +17,12 @@ from mcap.records import Channel, McapRecord, Message, Schema
 from rosbags.interfaces import Connection
 
 from fss_arm_bags.chunks import CHANNEL, CHUNK, HEAD, MESSAGE, RECORD, SCHEMA, records
-from fss_arm_bags.definitions import NotUnderstoodError, hash_of
+from fss_arm_bags.definitions import (
+    NotInstalledError,
+    NotUnderstoodError,
+    hash_of,
+    installed,
+)
 from fss_arm_bags.integrity import (
     DATA_END,
     LAST,
@@ -111,7 +116,7 @@ class _Salvage:
                     if key not in self.connections:
                         self.connections[key] = _connect(writer, record, schema)
                     channels[record.id] = self.connections[key]
-                except NotUnderstoodError as error:
+                except (NotInstalledError, NotUnderstoodError) as error:
                     self.untold[key] = f"{short(record.topic)} is left out: {error}"
             elif isinstance(record, Message) and record.channel_id in channels:
                 writer.write(channels[record.channel_id], record.log_time, record.data)
@@ -236,15 +241,18 @@ def _connect(writer: CheckedWriter, channel: Channel, schema: Schema) -> Connect
     """Begin a topic in `writer` as it was.
 
     Raises:
+        NotInstalledError: it has no definition, nor the same is here.
         NotUnderstoodError: its definition is nothing that messages can be read by.
     """
-    if schema.encoding != "ros2msg":
-        raise NotUnderstoodError(f"its definition in {short(schema.encoding)!r} is not understood")
-    text = schema.data.decode(errors="replace")
+    if schema.encoding == "ros2msg":
+        text = schema.data.decode(errors="replace")
+        digest = hash_of(schema.name, text)
+    else:
+        text, digest = installed(schema.name, channel.metadata.get("topic_type_hash", ""))
     return writer.add_connection(
         channel.topic,
         schema.name,
         msgdef=text,
-        rihs01=hash_of(schema.name, text),
+        rihs01=digest,
         offered_qos_profiles=qos(channel),
     )
