@@ -30,7 +30,7 @@ ALLOWED = {
     "fss_arm_ros": ROS | {"fss_arm_model", "numpy"},
     "fss_arm_bags": ROS
     | {"fss_arm_model.files", "fss_arm_model.settings", "fss_arm_ros"}
-    | {"numpy", "rosbags", "mcap", "rich"},
+    | {"numpy", "rosbags", "mcap", "backports", "rich"},
     "fss_arm_driver": ROS
     | {"fss_arm_model.description", "fss_arm_model.settings", "fss_arm_model.urdf"}
     | {"fss_arm_model.vehicle"}
@@ -126,6 +126,7 @@ PACKAGES = sorted(row for row in ALLOWED if "." not in row)
 
 #: The rosdep key of what is not a ROS package; "": rosdep has none, and package.xml says so.
 ROSDEP = {
+    "backports": "",
     "matplotlib": "python3-matplotlib",
     "mcap": "",
     "motioncapture": "",
@@ -140,6 +141,7 @@ ROSDEP = {
     "yaml": "python3-yaml",
 }
 PINNED = {
+    "backports": "backports-zstd",
     "mcap": "mcap",
     "motioncapture": "motioncapture",
     "rerun": "rerun-sdk",

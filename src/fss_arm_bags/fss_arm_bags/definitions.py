@@ -1,14 +1,20 @@
-"""Message definitions: as installed, and as earlier versions of them in bags."""
+"""Message definitions: as installed, and as earlier versions of them in bags.
 
-from functools import cache
+Those installed are looked for as ament does it, without it: bags are read where there is no ROS.
+"""
+
+import os
+import re
+from functools import cache, lru_cache
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
 from numpy import ndarray
 from rosbags.interfaces import Nodetype
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+
+from fss_arm_model.files import short
 
 #: Types of what sensors publish.
 MEASUREMENTS = frozenset(
@@ -25,6 +31,10 @@ MEASUREMENTS = frozenset(
 
 class NotInstalledError(LookupError):
     """A message type is not installed here."""
+
+
+class NotUnderstoodError(ValueError):
+    """A definition in a bag is nothing that messages can be read by."""
 
 
 class Definition(NamedTuple):
@@ -47,6 +57,26 @@ def message_class(msgtype: str) -> Any:
         raise NotInstalledError(f"{msgtype} is not installed") from None
 
 
+@lru_cache(1000)
+def hash_of(msgtype: str, text: str, *, idl: bool = False) -> str:
+    """RIHS01 of a type by its definition in a bag, in .msg or in .idl.
+
+    Raises:
+        NotUnderstoodError: it is something else, as that of a service.
+    """
+    store = get_typestore(Stores.EMPTY)
+    try:
+        if idl:
+            for part in text.split("=" * 80 + "\n"):
+                store.register(get_types_from_idl(re.sub(r"\AIDL: .*\n", "", part)))
+        else:
+            store.register(get_types_from_msg(text, msgtype))
+        return store.hash_rihs01(msgtype)
+    except Exception as error:  # rosbags parses what there is as it comes
+        about = f"its definition of {short(msgtype)}"
+        raise NotUnderstoodError(f"{about} is not understood: {short(str(error))}") from None
+
+
 @cache
 def definition(msgtype: str) -> Definition:
     """The definition of a type from the installed .msg files, comments and all.
@@ -56,12 +86,27 @@ def definition(msgtype: str) -> Definition:
     """
     texts: dict[str, str] = {}
     _collect(msgtype, texts)
-    store = get_typestore(Stores.EMPTY)
-    for name, text in texts.items():
-        store.register(get_types_from_msg(text, name))
     first, *others = texts
     parts = [texts[first]] + [f"MSG: {n.replace('/msg/', '/')}\n{texts[n]}" for n in others]
-    return Definition(("=" * 80 + "\n").join(parts), store.hash_rihs01(msgtype))
+    text = ("=" * 80 + "\n").join(parts)
+    return Definition(text, hash_of(msgtype, text))
+
+
+def installed(msgtype: str, digest: str) -> Definition:
+    """The definition of a type that a bag does not define, but may give a hash.
+
+    Raises:
+        NotInstalledError: there is none, or that of another version.
+    """
+    try:
+        found = definition(msgtype)
+    except NotInstalledError as error:
+        raise NotInstalledError(f"the bag does not define its type, and {error}") from None
+    if digest not in ("", found.hash):
+        raise NotInstalledError(
+            f"the bag does not define {msgtype}, which is installed in another version"
+        )
+    return found
 
 
 def extends(msgtype: str, text: str) -> bool:
@@ -100,12 +145,12 @@ def _present(value: Any, of: str) -> Any:
 
 def _collect(msgtype: str, texts: dict[str, str]) -> None:
     """Add the text of a type, then those of the types of its fields."""
-    package, _, name = msgtype.split("/")
+    prefixes = filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep))
+    files = (Path(prefix, "share", f"{msgtype}.msg") for prefix in prefixes)
     try:
-        file = Path(get_package_share_directory(package), "msg", f"{name}.msg")
-        text = file.read_text(encoding="utf-8")
-    except (PackageNotFoundError, FileNotFoundError):
-        raise NotInstalledError(f"{msgtype} is not installed") from None
+        text = next(file for file in files if file.is_file()).read_text(encoding="utf-8")
+    except (StopIteration, OSError, ValueError):  # in a bag, names may be anything
+        raise NotInstalledError(f"{short(msgtype)} is not installed") from None
     texts[msgtype] = text.rstrip("\n") + "\n"
     fields: Any = get_types_from_msg(text, msgtype)[msgtype][1]
     for _, kind in fields:

@@ -1,15 +1,25 @@
 """What is wrong with a bag before it is read."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from rosbags.rosbag2 import Reader
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from fss_arm_bags.integrity import Contents, DamageError, disagreement, examine, metadata
-from fss_arm_bags.recovery import BagError, storage_files
+from fss_arm_bags.definitions import NotUnderstoodError, hash_of
+from fss_arm_bags.integrity import (
+    Contents,
+    DamageError,
+    disagreement,
+    examine,
+    metadata,
+    unlisted,
+)
+from fss_arm_bags.layout import storage_files
+from fss_arm_bags.readers import TopicReader
+from fss_arm_bags.recovery import BagError
 from fss_arm_model.files import short
 
 
@@ -17,7 +27,7 @@ from fss_arm_model.files import short
 class Inspected:
     """The state of a bag."""
 
-    files: list[Path] = field(default_factory=list)  # to read; none: as rosbags opens it
+    files: list[Path]  # to read
     messages: int = 0  # by their indexes
     checked: bool = False  # all of it is under checksums
     damage: str = ""  # of a file that is to be recovered
@@ -43,12 +53,10 @@ def inspect(path: Path, *, thorough: bool = False) -> Inspected:
             about = metadata(path)
         except DamageError as error:
             wrong = str(error)
-    if any(file.suffix != ".mcap" for file in files) or about.get("compression_mode") or not files:
-        if wrong and path.is_dir():
-            raise BagError(f"{path}: {wrong}")
-        if wrong := _refused(path):
-            raise BagError(f"{path}: {wrong}")
-        return Inspected()
+    if not files:
+        raise BagError(f"{path}: has no file of messages")
+    if any(file.suffix != ".mcap" for file in files):
+        return _database(path, files, about, wrong)
     known: dict[Path, Contents] = {}
     for file in files:
         try:
@@ -58,15 +66,25 @@ def inspect(path: Path, *, thorough: bool = False) -> Inspected:
             return Inspected(files, damage=f"{name}{error}")
     checked = all(contents.checked for contents in known.values())
     count = sum(c.statistics.message_count for c in known.values() if c.statistics)
-    try:
-        hashes = _hashes(known)
-    except Exception as error:  # as above
-        return Inspected(files, damage=f"a definition is not understood: {short(str(error))}")
     if path.is_dir() and not wrong:
-        wrong = disagreement(about, known, hashes)
-    if path.is_dir() and not wrong and thorough:
+        wrong = disagreement(about, known, _hashes(known))
+    if path.is_dir() and not wrong and thorough and not about.get("compression_mode"):
         wrong = _refused(path)
     return Inspected(files, count, checked, metadata=wrong)
+
+
+def _database(path: Path, files: list[Path], about: Mapping[str, Any], wrong: str) -> Inspected:
+    """The state of a bag of SQLite's files, which know all but how they are packed."""
+    count = 0
+    for file in files:
+        try:
+            with TopicReader(file) as reader:
+                count += reader.message_count
+        except Exception as error:  # rosbags parses what there is as it comes
+            raise BagError(f"{path}: {file.name}: {short(str(error))}") from None
+    if about and not wrong:
+        wrong = unlisted(about, files)
+    return Inspected(files, count, metadata=wrong)
 
 
 def is_sound(path: Path) -> bool:
@@ -89,12 +107,11 @@ def _refused(path: Path) -> str:
 
 
 def _hashes(files: Mapping[Path, Contents]) -> dict[str, str]:
-    """RIHS01 of all types."""
+    """RIHS01 of all types that can be told."""
     hashes = {}
     for contents in files.values():
         for schema in contents.schemas.values():
             if schema.encoding == "ros2msg":
-                store = get_typestore(Stores.EMPTY)
-                store.register(get_types_from_msg(schema.data.decode(), schema.name))
-                hashes[schema.name] = store.hash_rihs01(schema.name)
+                with suppress(NotUnderstoodError):
+                    hashes[schema.name] = hash_of(schema.name, schema.data.decode(errors="replace"))
     return hashes

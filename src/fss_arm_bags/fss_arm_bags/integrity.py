@@ -8,12 +8,12 @@ is written once cannot be seen: the messages themselves.
 
 import struct
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from io import BytesIO
 from os import SEEK_END
-from pathlib import Path, PurePath
+from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 from zlib import crc32
 
@@ -24,6 +24,7 @@ from rosbags.rosbag2.metadata import parse_qos
 from rosbags.rosbag2.storage_mcap import decompress
 
 from fss_arm_bags.chunks import CHANNEL, CHUNK, CRC, HEAD, MESSAGE, RECORD, SCHEMA, records
+from fss_arm_bags.layout import names_by, names_of
 from fss_arm_bags.storage import FOOTER
 from fss_arm_model.files import read_yaml, short
 
@@ -358,6 +359,14 @@ def metadata(path: Path) -> Mapping[str, Any]:
     return about
 
 
+def unlisted(about: Mapping[str, Any], files: Iterable[Path]) -> str:
+    """How the files of a metadata.yaml differ from those of its bag, packed or not; empty: not."""
+    try:
+        return next(_listing(about, files), "")
+    except Exception as error:  # anything may be of any type
+        return _not_understood(error)
+
+
 def disagreement(
     about: Mapping[str, Any], files: Mapping[Path, Contents], hashes: Mapping[str, str]
 ) -> str:
@@ -370,20 +379,28 @@ def disagreement(
     """
     try:
         return next(_disagreements(about, files, hashes), "")
-    except Exception as error:  # anything may be of any type
-        return f"metadata.yaml is not understood: {short(repr(error))}"
+    except Exception as error:  # as above
+        return _not_understood(error)
+
+
+def _not_understood(error: Exception) -> str:
+    return f"metadata.yaml is not understood: {short(repr(error))}"
+
+
+def _differs(what: str, said: object, present: object) -> Iterator[str]:
+    if said != present:
+        yield f"{what} is {short(repr(said))} in metadata.yaml, {short(repr(present))} in fact"
+
+
+def _listing(about: Mapping[str, Any], files: Iterable[Path]) -> Iterator[str]:
+    yield from _differs("the list of files", names_by(about), names_of(files))
 
 
 def _disagreements(
     about: Mapping[str, Any], files: Mapping[Path, Contents], hashes: Mapping[str, str]
 ) -> Iterator[str]:
-    def differs(what: str, said: object, present: object) -> Iterator[str]:
-        if said != present:
-            yield f"{what} is {short(repr(said))} in metadata.yaml, {short(repr(present))} in fact"
-
-    names = sorted(PurePath(name).name for name in about["relative_file_paths"])
-    yield from differs("the list of files", names, sorted(file.name for file in files))
-    yield from differs("the storage", about["storage_identifier"], "mcap")
+    yield from _listing(about, files)
+    yield from _differs("the storage", about["storage_identifier"], "mcap")
     if about["version"] not in range(1, 10):
         yield f"version {short(repr(about['version']))} in metadata.yaml is not known"
     counts: Counter[tuple[str, str]] = Counter()
@@ -398,19 +415,19 @@ def _disagreements(
     said = {(t["name"], t["type"]): count for t, count in topics if count}
     if any(contents.statistics is None for contents in files.values()):
         return
-    yield from differs("the number of messages by topic", said, dict(+counts))
-    yield from differs("the number of messages", about["message_count"], counts.total())
+    yield from _differs("the number of messages by topic", said, dict(+counts))
+    yield from _differs("the number of messages", about["message_count"], counts.total())
     if len(said) != sum(bool(count) for _, count in topics):
         yield "a topic is twice in metadata.yaml"
     for topic, _ in topics:
         name, kind = topic["name"], topic["type"]
-        yield from differs(f"{short(name)}'s format", topic["serialization_format"], "cdr")
+        yield from _differs(f"{short(name)}'s format", topic["serialization_format"], "cdr")
         if digest := topic.get("type_description_hash"):
-            yield from differs(f"the hash of {short(kind)}", digest, hashes.get(kind, digest))
+            yield from _differs(f"the hash of {short(kind)}", digest, hashes.get(kind, digest))
         if (name, kind) in offered:
             given = topic.get("offered_qos_profiles", [])
             read = profiles(given) if isinstance(given, str) else parse_qos(given)
-            yield from differs(f"{short(name)}'s QoS", read, offered[name, kind])
+            yield from _differs(f"{short(name)}'s QoS", read, offered[name, kind])
     if counts.total():
         ends = [s for c in files.values() if (s := c.statistics) and s.message_count]
         begin = min(s.message_start_time for s in ends)

@@ -6,9 +6,9 @@ compared. A bag that is not whole, as one whose recorder was killed, is read fro
 whole chunks in a temporary folder.
 """
 
-import re
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import ExitStack
+from dataclasses import replace
 from hashlib import sha256
 from heapq import merge
 from itertools import chain
@@ -20,12 +20,13 @@ from typing import Any, NamedTuple, cast
 
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefinitionFormat, Qos
-from rosbags.rosbag2 import Reader
-from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
 from fss_arm_bags.chunks import Received, in_order, indexed
 from fss_arm_bags.inspection import Inspected, inspect
-from fss_arm_bags.recovery import BagError, Recovered, recover, storage_files
+from fss_arm_bags.layout import storage_files
+from fss_arm_bags.readers import TopicReader
+from fss_arm_bags.recovery import BagError, Recovered, recover
+from fss_arm_bags.unpacking import readable
 from fss_arm_model.files import short
 
 __all__ = ["BagError", "Bags", "Topic", "digest", "find", "open_bags", "two_versions"]
@@ -42,45 +43,6 @@ class Topic(NamedTuple):
     hash: str  # RIHS01 of the type; empty: not known
     definition: str  # of the type, as in the bag
     mixed: bool = False  # the bags hold the type in two versions
-
-
-class _Reader(Reader):
-    """rosbags' reader, without the topics of whose types a bag holds something else.
-
-    By itself rosbags refuses a bag with one such topic as a whole.
-    """
-
-    left_out: dict[str, str]  # why, by topic
-
-    def open(self) -> None:
-        """Open the bag."""
-        super().open()
-        whys = {c.topic: _why_not(c) for c in self.storage.connections}
-        self.left_out = {topic: why for topic, why in whys.items() if why}
-
-    @property
-    def connections(self) -> list[Connection]:
-        """What can be read."""
-        return [c for c in super().connections if c.topic not in self.left_out]
-
-
-def _why_not(c: Connection) -> str:
-    """Why a topic's messages cannot be told; empty: they can."""
-    if not c.digest or c.msgdef.format is MessageDefinitionFormat.NONE:
-        return ""
-    store = get_typestore(Stores.EMPTY)
-    try:
-        if c.msgdef.format is MessageDefinitionFormat.MSG:
-            store.register(get_types_from_msg(c.msgdef.data, c.msgtype))
-        else:
-            for text in c.msgdef.data.split("=" * 80 + "\n"):
-                store.register(get_types_from_idl(re.sub(r"\AIDL: .*\n", "", text)))
-        present = store.hash_rihs01(c.msgtype)
-    except Exception as error:  # rosbags parses what there is as it comes
-        return f"its definition of {c.msgtype} is not understood: {short(str(error))}"
-    if present == c.digest:
-        return ""
-    return f"its definition of {c.msgtype} has not the hash {short(c.digest)} that the bag gives it"
 
 
 class Bags:
@@ -105,33 +67,36 @@ class Bags:
         self._mixed = _mixed(self._readers)
 
     def _open(self, path: Path, thorough: bool) -> AnyReader:
+        bag = path  # or what it was unpacked to
         try:
-            inspected = inspect(path, thorough=thorough)
+            bag = readable(path, self._folder)
+            inspected = inspect(bag, thorough=thorough)
             if not (inspected.checked or inspected.damage):
                 self.unchecked.append(path)
-            reader = AnyReader(self._sound(path, inspected))
-            readers = [_Reader(file) for file in reader.paths]
+            reader = AnyReader(self._sound(path, bag, inspected))
+            readers = [TopicReader(file) for file in reader.paths]
             reader.readers = readers
             self._stack.enter_context(reader)
-        except BagError:
-            raise
+        except BagError as error:
+            raise BagError(str(error).replace(str(bag), str(path))) from None
         except Exception as error:  # rosbags parses what there is as it comes
             raise BagError(f"{path}: {short(str(error))}") from None
         for topic, why in {k: v for r in readers for k, v in r.left_out.items()}.items():
             self.left_out.append(f"{path}: {short(topic)} is left out: {why}")
         return reader
 
-    def _sound(self, path: Path, inspected: Inspected) -> list[Path]:
+    def _folder(self) -> Path:
+        """A folder for copies, which goes when the bags are closed."""
+        return Path(self._stack.enter_context(TemporaryDirectory(prefix="fss_arm_bag_")))
+
+    def _sound(self, path: Path, bag: Path, inspected: Inspected) -> list[Path]:
         """The files to read: a bag's own, or a copy without damage."""
-        if inspected.files and not inspected.damage:
+        if not inspected.damage:
             if inspected.metadata:
                 self.recovered.append(Recovered(path, inspected.messages, 0, inspected.metadata))
             return inspected.files
-        if not inspected.damage:
-            return [path]
-        folder = Path(self._stack.enter_context(TemporaryDirectory(prefix="fss_arm_bag_")))
-        copy = folder / path.name
-        self.recovered.append(recover(path, copy, inspected.damage))
+        copy = self._folder() / bag.name
+        self.recovered.append(replace(recover(bag, copy, inspected.damage), path=path))
         return storage_files(copy)
 
     def __enter__(self) -> "Bags":

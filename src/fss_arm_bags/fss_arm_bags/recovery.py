@@ -15,9 +15,14 @@ from typing import cast
 
 from mcap.records import Channel, McapRecord, Message, Schema
 from rosbags.interfaces import Connection
-from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
 
 from fss_arm_bags.chunks import CHANNEL, CHUNK, HEAD, MESSAGE, RECORD, SCHEMA, records
+from fss_arm_bags.definitions import (
+    NotInstalledError,
+    NotUnderstoodError,
+    hash_of,
+    installed,
+)
 from fss_arm_bags.integrity import (
     DATA_END,
     LAST,
@@ -28,6 +33,7 @@ from fss_arm_bags.integrity import (
     qos,
     read_end,
 )
+from fss_arm_bags.layout import storage_files
 from fss_arm_bags.storage import CheckedWriter, Storage
 from fss_arm_model.files import short
 
@@ -58,14 +64,6 @@ class Recovered:
         )
 
 
-def storage_files(path: Path) -> list[Path]:
-    """The storage files of a bag, in the order in which they were written."""
-    if path.is_file():
-        return [path]
-    files = [p for p in path.iterdir() if p.suffix in (".mcap", ".db3") and p.is_file()]
-    return sorted(files, key=lambda p: (len(p.name), p.name))
-
-
 def recover(path: Path, copy: Path, damage: str) -> Recovered:
     """Write what is whole of a damaged MCAP bag to `copy`, a sound bag.
 
@@ -75,7 +73,7 @@ def recover(path: Path, copy: Path, damage: str) -> Recovered:
         damage: what is known to be wrong.
 
     Raises:
-        BagError: a file is not MCAP or has a definition that is not understood.
+        BagError: a file is not MCAP.
         OSError: the copy cannot be written.
     """
     salvage = _Salvage()
@@ -88,6 +86,7 @@ def recover(path: Path, copy: Path, damage: str) -> Recovered:
     damages += salvage.places[:SHOWN]
     if len(salvage.places) > SHOWN:
         damages.append(f"and {len(salvage.places) - SHOWN} more")
+    damages += salvage.untold.values()
     return Recovered(path, salvage.messages, salvage.lost, ", ".join(damages))
 
 
@@ -100,6 +99,7 @@ class _Salvage:
         self.lost = 0  # bytes
         self.places: list[str] = []  # that are damaged
         self.connections: dict[tuple[str, str], Connection] = {}
+        self.untold: dict[tuple[str, str], str] = {}  # why topics are left out
         self.met: set[tuple[int, int]] = set()  # chunks: how many messages, which
 
     def file(self, file: Path, writer: CheckedWriter) -> None:
@@ -112,15 +112,18 @@ class _Salvage:
             elif isinstance(record, Channel) and record.schema_id in schemas:
                 schema = schemas[record.schema_id]
                 key = record.topic, schema.name
-                if key not in self.connections:
-                    self.connections[key] = _connect(writer, file, record, schema)
-                channels[record.id] = self.connections[key]
+                try:
+                    if key not in self.connections:
+                        self.connections[key] = _connect(writer, record, schema)
+                    channels[record.id] = self.connections[key]
+                except (NotInstalledError, NotUnderstoodError) as error:
+                    self.untold[key] = f"{short(record.topic)} is left out: {error}"
             elif isinstance(record, Message) and record.channel_id in channels:
                 writer.write(channels[record.channel_id], record.log_time, record.data)
                 self.messages += 1
                 if failure := cast(Storage, writer.storage).failure:
                     raise failure
-            elif isinstance(record, Message):  # what tells its type was in a damaged chunk
+            elif isinstance(record, Message):  # nothing tells its type, perhaps a damaged chunk did
                 self.lost += len(record.data)
 
     def _records(self, file: Path) -> Iterator[McapRecord]:
@@ -234,18 +237,22 @@ def parsed(kind: int, data: bytes) -> Iterator[McapRecord]:
         yield from [*contents.schemas.values(), *contents.channels.values()]
 
 
-def _connect(writer: CheckedWriter, file: Path, channel: Channel, schema: Schema) -> Connection:
-    """Begin a topic in `writer` as it was in `file`."""
-    try:
-        if schema.encoding != "ros2msg":
-            raise TypesysError(f"definition in {schema.encoding!r} is not understood")
-        text = schema.data.decode()
-        store = get_typestore(Stores.EMPTY)
-        store.register(get_types_from_msg(text, schema.name))
-        digest = store.hash_rihs01(schema.name)
-    except Exception as error:  # rosbags parses damaged bytes as they come
-        about = f"{short(channel.topic)} of type {short(schema.name)}"
-        raise BagError(f"{file}: {about}: {short(str(error))}") from None
+def _connect(writer: CheckedWriter, channel: Channel, schema: Schema) -> Connection:
+    """Begin a topic in `writer` as it was.
+
+    Raises:
+        NotInstalledError: it has no definition, nor the same is here.
+        NotUnderstoodError: its definition is nothing that messages can be read by.
+    """
+    if schema.encoding == "ros2msg":
+        text = schema.data.decode(errors="replace")
+        digest = hash_of(schema.name, text)
+    else:
+        text, digest = installed(schema.name, channel.metadata.get("topic_type_hash", ""))
     return writer.add_connection(
-        channel.topic, schema.name, msgdef=text, rihs01=digest, offered_qos_profiles=qos(channel)
+        channel.topic,
+        schema.name,
+        msgdef=text,
+        rihs01=digest,
+        offered_qos_profiles=qos(channel),
     )

@@ -1,6 +1,7 @@
 """Plays bags back onto the topics they came from."""
 
 import sys
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from math import inf
 from time import monotonic
@@ -150,17 +151,19 @@ class ReplayNode(Node):
 
     def wait_for_subscribers(self) -> Iterator[None]:
         """Until the topics of wait_for are subscribed to, or anybody had the time to subscribe."""
-        begin, missing = monotonic(), [self.resolve_topic_name(t) for t in self.settings.wait_for]
+        begin = monotonic()
+        wanted = Counter(map(self.resolve_topic_name, self.settings.wait_for))
         names = {player.topic_name: player for player in self.players.values()}
-        if unknown := set(missing) - set(names):
+        if unknown := set(wanted) - set(names):
             raise SystemExit(f"wait_for: {', '.join(unknown)} is not played")
-        while missing or not self.settings.wait_for:
+        missing = [*wanted]
+        while missing or not wanted:
             waited = monotonic() - begin
-            if not missing and waited >= self.settings.discovery:
+            if not wanted and waited >= self.settings.discovery:
                 break
             if missing and waited >= self.settings.deadline:
-                raise SystemExit(f"no subscriber of {', '.join(missing)} within {waited:.0f} s")
-            missing = [name for name in missing if not names[name].get_subscription_count()]
+                raise SystemExit(f"too few subscribers of {', '.join(missing)} in {waited:.0f} s")
+            missing = [n for n, few in wanted.items() if names[n].get_subscription_count() < few]
             yield
         self.state = "playing"
 

@@ -56,7 +56,9 @@ class ReplaySettings(Settings):
     )
     clock: bool = setting(False, "publish /clock from the times of receipt")
     hold: bool = setting(False, "stay up after the end, so that latched topics stay, too")
-    wait_for: tuple[str, ...] = setting((), "topics that must have a subscriber before the start")
+    wait_for: tuple[str, ...] = setting(
+        (), "topics that must have a subscriber before the start; one named n times: n of them"
+    )
     deadline: float = setting(
         20.0, "how long to wait for those topics' subscribers", unit="s", check=NOT_NEGATIVE
     )

@@ -10,6 +10,7 @@ from calib_kinds import CLOSELY, STATE, TRUTH
 from rclpy.node import Node
 
 from fss_arm_calib.from_bag import main as from_bag
+from fss_arm_calib.kinds import KINDS
 from fss_arm_msgs.msg import JointCalibration
 from fss_arm_ros.qos import LATCHED
 
@@ -32,10 +33,12 @@ def bag(tmp_path_factory):
 def test_a_joint_estimate_by_the_nodes_is_that_of_the_bag(bag, start, spin, tmp_path):
     for kind, settings in CLOSELY.items():
         start(f"fss_arm_calib.calibration_node:{kind}", *given(settings))
+    inputs = [one.topic for kind in KINDS.values() for one in kind.inputs(kind.settings(), 4)]
+    wait_for = [topic for topic in inputs if topic in TYPES]  # of each node
     replay = start(
         "fss_arm_bags.replay_node",
         bag,
-        *given({"rate": 0.0, "wait_for": [*TYPES], "deadline": 60.0}),
+        *given({"rate": 0.0, "wait_for": wait_for, "deadline": 60.0}),
     )
     assert replay.wait(240) == 0, replay.output
     node, got = Node("asks"), []

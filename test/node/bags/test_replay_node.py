@@ -141,7 +141,30 @@ def test_commands_are_left_out(spin, tmp_path):
 
 def test_waiting_in_vain_is_told(spin, tmp_path):
     player = replay(make_bag(tmp_path, 1), wait_for=["joint_states"], deadline=0.2)
-    assert "no subscriber of /joint_states" in ended(spin, [player])
+    assert "too few subscribers of /joint_states" in ended(spin, [player])
+
+
+def test_a_topic_named_twice_waits_for_two_who_hear_all(spin, tmp_path):
+    bag, wait_for = make_bag(tmp_path, 100), ["joint_states", "/joint_states"]
+    player = replay(bag, rate=0.0, wait_for=wait_for, deadline=60.0)
+    heard = {"early": [], "late": []}
+
+    def listen(name):
+        node = Node(name)
+        take = heard[name].append
+        subscribe_sensor(node, JointState, "joint_states", take, keep_all=True)
+        return node
+
+    early, publisher, ticks = listen("early"), player.players["/joint_states"], []
+    spin([player, early], publisher.get_subscription_count)
+    player.steps = map(ticks.append, player.steps)
+    spin([player, early], lambda: len(ticks) > 20)
+    assert player.played == 0
+    late = listen("late")
+    assert ended(spin, [player, early, late]) == 0
+    spin([early, late], lambda: all(len(got) == 100 for got in heard.values()))
+    for got in heard.values():
+        assert [number(message) for message in got] == list(range(100))
 
 
 def test_waiting_for_what_is_not_played_is_told(spin, tmp_path):

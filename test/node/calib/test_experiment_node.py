@@ -279,9 +279,11 @@ class FakeDynamic(Node):
         self.message.maneuvers.append(one)
         self.output.publish(self.message)
 
-    def conclude(self, verdict, *deviations):
+    def conclude(self, verdict, *deviations, reason=""):
         names = [f"b_{i}" for i in range(1, 1 + len(deviations))]
-        one = Calibration(verdict=verdict, names=names, deviations=deviations)
+        one = Calibration(verdict=verdict, reason=reason, names=names, deviations=deviations)
+        if self.message.maneuvers:
+            one.header.stamp = self.message.maneuvers[-1].end
         self.results.publish(DynamicCalibration(calibration=one))
 
 
@@ -303,6 +305,7 @@ def test_maneuvers_end_when_the_goal_is_met_and_fail_if_it_is_not(
     if not met:
         spin(nodes, lambda: len(arm.goals) == 4)
         dynamic.observe()
+        dynamic.conclude("fail", 0.001, 0.001, reason="1 outlier")
     told = "b_1 ± 0.001 (asked 0.002, promised 0.0015), b_2 ± 0.001 (asked 0.002)"
     code = spin_to_the_end(*nodes)
     if met:
@@ -310,7 +313,29 @@ def test_maneuvers_end_when_the_goal_is_met_and_fail_if_it_is_not(
         assert experiment.log[-1] == f"goal met after 3 of 4 postures: pass, {told}"
         assert len(arm.goals) == 3
     else:
-        assert code == f"goal not met: fail, {told}"
+        assert code == f"goal not met: fail (1 outlier), {told}"
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_at_the_end_the_calibration_of_the_last_maneuver_is_waited_for(
+    spin, spin_to_the_end, tmp_path, told
+):
+    (tmp_path / "plan.yaml").write_text(PLAN)
+    arm, dynamic = FakeArm(), FakeDynamic()
+    experiment = make_node(
+        maneuvers=str(tmp_path / "plan.yaml"), pause=0.2, goal="b_i 0.002",
+        observation_timeout=60.0 if told else 0.5,
+    )  # fmt: skip
+    nodes = (arm, dynamic, experiment)
+    for so_far in (3, 4):
+        spin(nodes, lambda n=so_far: len(arm.goals) == n)
+        dynamic.conclude("not_evaluated", 0.01)
+        dynamic.observe()
+    spin(nodes, lambda: experiment.said == "waiting for the calibration")
+    if told:
+        dynamic.conclude("pass", 0.001)
+    code = spin_to_the_end(*nodes)
+    assert code == (0 if told else "goal not met: not_evaluated, b_1 ± 0.01 (asked 0.002)")
 
 
 def test_a_goal_of_what_is_not_estimated_is_refused(spin, spin_to_the_end, tmp_path):

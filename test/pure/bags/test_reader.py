@@ -13,7 +13,6 @@ from damaged_bags import make_plain
 from mcap.reader import make_reader
 from mcap.records import Chunk, DataEnd, Footer
 from mcap.stream_reader import StreamReader, breakup_chunk
-from mcap.writer import Writer as McapWriter
 from rclpy.serialization import serialize_message
 from ros_bags import SECOND, START, STEP, fill, joint_state, make_bag, make_killed_bag, states
 from rosbags.highlevel import AnyReader
@@ -405,68 +404,6 @@ def test_a_bag_without_checksums_is_said_to_have_none_and_is_healthy(tmp_path, c
     assert f"{bag} has not all of it under checksums" in said
     assert doctor([str(make_bag(tmp_path))]) == 0
     assert "under checksums" not in capsys.readouterr().out
-
-
-@pytest.mark.parametrize("chunked", [True, False])
-@pytest.mark.parametrize("split", [1, 2])
-def test_bags_in_the_manner_of_the_standard_recorder_are_read(tmp_path, split, chunked):
-    """Written by the MCAP library: split into files within a bag, without chunks, too."""
-    bag = tmp_path / "bag"
-    bag.mkdir()
-    msgtype, each = "sensor_msgs/msg/JointState", 30
-    for part in range(split):
-        with (bag / f"bag_{part}.mcap").open("wb") as stream:
-            writer = McapWriter(stream, use_chunking=chunked)
-            writer.start(profile="ros2", library="other")
-            text = definition(msgtype).text
-            schema = writer.register_schema(msgtype, "ros2msg", text.encode())
-            qos = {"offered_qos_profiles": ""}
-            channel = writer.register_channel("/joint_states", "cdr", schema, qos)
-            for k in range(each * part, each * (part + 1)):
-                time, data = START + k * STEP, serialize_message(joint_state(k))
-                writer.add_message(channel, log_time=time, publish_time=time, data=data)
-            writer.finish()
-    about = {
-        "topic_metadata": {
-            "name": "/joint_states",
-            "type": msgtype,
-            "serialization_format": "cdr",
-            "offered_qos_profiles": [],
-            "type_description_hash": definition(msgtype).hash,
-        },
-        "message_count": each * split,
-    }
-    times = [(START + each * k * STEP, (each - 1) * STEP) for k in range(split)]
-    files = [
-        {
-            "path": f"bag_{k}.mcap",
-            "message_count": each,
-            "duration": {"nanoseconds": lasts},
-            "starting_time": {"nanoseconds_since_epoch": begin},
-        }
-        for k, (begin, lasts) in enumerate(times)
-    ]
-    information = {
-        "version": 9,
-        "storage_identifier": "mcap",
-        "message_count": each * split,
-        "duration": {"nanoseconds": (each * split - 1) * STEP},
-        "starting_time": {"nanoseconds_since_epoch": START},
-        "topics_with_message_count": [about],
-        "compression_format": "",
-        "compression_mode": "",
-        "relative_file_paths": [file["path"] for file in files],
-        "files": files,
-        "custom_data": None,
-        "ros_distro": "jazzy",
-    }
-    metadata = yaml.safe_dump({"rosbag2_bagfile_information": information})
-    (bag / "metadata.yaml").write_text(metadata)
-    with open_bags(bag) as bags:
-        assert not bags.recovered
-        assert states(bags.messages()) == list(range(each * split))
-    with open_bags(sorted(bag.glob("*.mcap"), reverse=True)) as bags:  # each a bag of its own
-        assert states(bags.messages()) == list(range(each * split))
 
 
 def test_our_bags_are_laid_out_as_the_standard_ones(tmp_path):

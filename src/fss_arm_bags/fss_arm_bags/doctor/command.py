@@ -12,7 +12,7 @@ from rich.table import Table
 
 from fss_arm_bags.doctor.health import Stream, findings, remark, streams
 from fss_arm_bags.doctor.options import parser
-from fss_arm_bags.doctor.repair import repair
+from fss_arm_bags.doctor.repair import mends, repair
 from fss_arm_bags.reader import Bags, find, open_bags
 from fss_arm_ros.command_line import in_one_line
 from fss_arm_ros.convert import seconds
@@ -42,7 +42,11 @@ def examine(path: Path, mend: bool, console: Console) -> bool:
     with open_bags(path, thorough=True) as bags:
         heard = streams(bags)
         console.print(table(path, bags, heard))
-        wrong = [f"damaged: {damage}; doctor --repair makes it whole" for damage in bags.recovered]
+        wrong = [
+            f"damaged: {one}; {'doctor --repair' if mends(one.path) else 'ros2 bag reindex'} "
+            "makes it whole"
+            for one in bags.recovered
+        ]
         wrong += bags.left_out
         for bag in bags.unchecked:
             said = f"{bag} has not all of it under checksums: not all damage to it can be seen"

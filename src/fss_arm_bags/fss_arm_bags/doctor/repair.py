@@ -6,11 +6,17 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from fss_arm_bags.inspection import inspect
+from fss_arm_bags.layout import storage_files
 from fss_arm_bags.recovery import BagError, Recovered, recover
 
 
+def mends(path: Path) -> bool:
+    """Whether a damaged bag is of a kind that can be repaired."""
+    return all(file.suffix == ".mcap" for file in storage_files(path))
+
+
 def repair(path: Path) -> Recovered | None:
-    """Replace a damaged bag by what can be recovered of it; None: it was sound.
+    """Replace a damaged bag by what can be recovered of it; None: it was sound, or of another kind.
 
     The damaged files stay beside it with `.damaged` appended to their names.
 
@@ -18,6 +24,8 @@ def repair(path: Path) -> Recovered | None:
         BagError: nothing can be recovered, or the bag is being recorded.
         OSError: the result cannot be written.
     """
+    if not mends(path):
+        return None
     found = inspect(path, thorough=True)
     damage = found.damage or found.metadata
     if not damage:

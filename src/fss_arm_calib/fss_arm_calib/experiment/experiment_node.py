@@ -93,6 +93,7 @@ class ExperimentNode(Node):
         self.departed = 0  # end of the last pause, or when it began [ns]
         self.reached = ""  # how well the goal's parameters are known
         self.met = False  # as well as asked for
+        self.solved = 0  # end of the last datum that is known of [ns]
         self.way_back: deque[Stop] = deque()  # to where a maneuver began that is to be repeated
         subscribe(
             self, KinematicObservations, "calibration/observations", self.on_observations, LATCHED
@@ -142,13 +143,15 @@ class ExperimentNode(Node):
     def on_result(self, message: Any) -> None:
         """How well the calibration knows what the goal asks for."""
         result = common(message)
+        self.solved = stamp_ns(result.header.stamp)
         try:
             goal = goal_of(self.settings.goal, result.names)
         except ValueError as error:
             raise SystemExit(str(error)) from None
         known = dict(zip(result.names, result.deviations, strict=False))
         self.met = result.verdict == PASS and all(known[k] <= x for k, x in goal.items())
-        self.reached = f"{result.verdict}, " + ", ".join(
+        why = f" ({result.reason})" if result.verdict != PASS and result.reason else ""
+        self.reached = f"{result.verdict}{why}, " + ", ".join(
             f"{name} ± {known[name]:.2g} (asked {asked:.2g}"
             + (f", promised {self.promised[name]:.2g})" if name in self.promised else ")")
             for name, asked in goal.items()
@@ -178,9 +181,19 @@ class ExperimentNode(Node):
         if self.progress.done < len(self.stops):
             self.phase(now)
         elif not self.repeat():
-            self.get_logger().info(f"all {len(self.stops)} postures done")
-            missed = f"goal not met: {self.reached or 'no calibration told its deviations'}"
-            raise SystemExit(missed if self.settings.goal else 0)
+            self.end(now)
+
+    def end(self, now: int) -> None:
+        """All is done; a goal is met by now, or as soon as the last data are solved from."""
+        s, waited = self.settings, now - self.departed
+        ends = [end for end, _ in self.observed] + [end for end, why in self.seen if not why]
+        behind = self.solved < max(ends, default=0)
+        if s.goal and behind and 0 <= waited < s.observation_timeout * SECOND:
+            self.say("waiting for the calibration")
+            return
+        self.get_logger().info(f"all {len(self.stops)} postures done")
+        missed = f"goal not met: {self.reached or 'no calibration told its deviations'}"
+        raise SystemExit(missed if s.goal else 0)
 
     @property
     def at_rest(self) -> bool:

@@ -1,0 +1,30 @@
+"""Which files make a bag."""
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path, PurePath
+from typing import Any
+
+PACKED = ".zstd"  # at the end of a file's name: packed as a whole
+STORAGE = (".mcap", ".db3", f".mcap{PACKED}", f".db3{PACKED}")
+
+
+def storage_files(path: Path) -> list[Path]:
+    """The storage files of a bag, in the order in which they were written.
+
+    While a file is being packed it is there twice; then the packed one does not count.
+    """
+    if path.is_file():
+        return [path]
+    found = {p.name: p for p in path.iterdir() if p.name.endswith(STORAGE) and p.is_file()}
+    names = {name.removesuffix(PACKED): name for name in sorted(found, reverse=True)}
+    return [found[names[name]] for name in sorted(names, key=lambda name: (len(name), name))]
+
+
+def names_by(about: Mapping[str, Any]) -> list[str]:
+    """The names of the storage files by what metadata.yaml says, packed or not."""
+    return sorted(PurePath(name).name.removesuffix(PACKED) for name in about["relative_file_paths"])
+
+
+def names_of(files: Iterable[Path]) -> list[str]:
+    """The same of files that are there."""
+    return sorted(file.name.removesuffix(PACKED) for file in files)

@@ -1,0 +1,112 @@
+"""rosbags' reader, without what it refuses a whole bag for: one topic that cannot be told.
+
+The standard recorder writes such topics: a service's events, whose definition is a .srv file's, and
+all whose definition it did not find, as the feedback of actions.
+"""
+
+from collections.abc import Collection, Generator, Mapping
+from io import BytesIO
+from typing import Any, cast
+
+from backports import zstd
+from rosbags.interfaces import (
+    Connection,
+    ConnectionExtRosbag2,
+    MessageDefinition,
+    MessageDefinitionFormat,
+)
+from rosbags.rosbag2 import Reader
+from rosbags.rosbag2.storage_mcap import Channel, McapReader, Schema, read_string
+from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
+
+from fss_arm_bags.definitions import NotInstalledError, NotUnderstoodError, hash_of, installed
+from fss_arm_model.files import short
+
+FORMATS = ("ros2msg", "ros2idl", "omgidl")  # of definitions that rosbags reads
+FRAME = b"\x28\xb5\x2f\xfd"  # begins what zstd has packed
+NONE, MSG = MessageDefinitionFormat.NONE, MessageDefinitionFormat.MSG
+
+
+class _Schemas(dict[int, Schema]):
+    """Those of an MCAP file; what is in another format counts as not there."""
+
+    def __setitem__(self, key: int, schema: Schema) -> None:
+        known = schema.encoding in FORMATS
+        super().__setitem__(key, schema if known else schema._replace(encoding="", data=""))
+
+
+class _McapReader(McapReader):
+    def __init__(self, path: Any) -> None:
+        super().__init__(path)
+        self.schemas = _Schemas()
+
+    def open(self) -> None:
+        """Open the file; where there is no definition the hash counts, which rosbags leaves."""
+        super().open()
+        self.connections = [
+            c._replace(digest=_hash(self.channels[c.id])) if c.msgdef.format is NONE else c
+            for c in self.connections
+        ]
+
+
+def _hash(channel: Channel) -> str:
+    """What a channel's metadata, texts and their lengths by turns, says of the hash of its type."""
+    file, texts = BytesIO(channel.metadata), list[str]()
+    while file.tell() < len(channel.metadata):
+        texts.append(read_string(file))
+    return dict(zip(texts[::2], texts[1::2], strict=False)).get("topic_type_hash", "")
+
+
+class _Sqlite3Reader(Sqlite3Reader):
+    def messages(
+        self,
+        connections: Collection[Connection],
+        start: int | None = None,
+        stop: int | None = None,
+    ) -> Generator[tuple[Connection, int, bytes], None, None]:
+        """Those of `--compression-mode message` unpacked; no other begins as such a one."""
+        for connection, receipt, data in super().messages(connections, start, stop):
+            yield connection, receipt, zstd.decompress(data) if data[:4] == FRAME else data
+
+
+class TopicReader(Reader):
+    """Reads the topics that can be told, by the bag's definitions or by those installed."""
+
+    STORAGE_PLUGINS: Mapping[str, type[Any]] = {".mcap": _McapReader, ".db3": _Sqlite3Reader}
+
+    def open(self) -> None:
+        """Open the bag."""
+        super().open()
+        self.left_out: dict[str, str] = {}  # why, by topic
+        self._told = []
+        for c in self.storage.connections:
+            try:
+                self._told.append(_told(c))
+            except (NotInstalledError, NotUnderstoodError) as error:
+                self.left_out[c.topic] = str(error)
+
+    @property
+    def connections(self) -> list[Connection]:
+        """What can be read."""
+        return self._told
+
+
+def _told(c: Connection) -> Connection:
+    """A topic with a definition that its messages can be read by.
+
+    Raises:
+        NotInstalledError: there is none in the bag, nor the same here.
+        NotUnderstoodError: that in the bag is nothing to read by.
+    """
+    if (serialized := cast(ConnectionExtRosbag2, c.ext).serialization_format) != "cdr":
+        raise NotUnderstoodError(f"it is serialized as {short(repr(serialized))}")
+    if c.msgdef.format is not NONE:
+        idl = c.msgdef.format is not MSG
+        if c.digest not in ("", hash_of(c.msgtype, c.msgdef.data, idl=idl)):
+            raise NotUnderstoodError(
+                f"its definition of {short(c.msgtype)} has not the hash {short(c.digest)} "
+                "that the bag gives it"
+            )
+        return c
+    text, digest = installed(c.msgtype, c.digest)
+    return c._replace(msgdef=MessageDefinition(MSG, text), digest=digest)

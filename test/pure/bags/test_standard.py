@@ -1,0 +1,131 @@
+"""Bags of the standard recorder, in all its ways, and as it leaves them when it is killed."""
+
+import sqlite3
+from contextlib import closing
+from dataclasses import replace
+
+import pytest
+from ros_bags import states
+from standard_bags import EVENTS, FEEDBACK, JOINTS, SILENT, UNDEFINED, Standard
+
+from fss_arm_bags.doctor.command import main as doctor
+from fss_arm_bags.reader import digest, open_bags
+
+WAYS = {
+    "mcap": Standard(),
+    "fastwrite": Standard(preset="fastwrite"),
+    "zstd_fast": Standard(preset="zstd_fast"),
+    "zstd_small": Standard(preset="zstd_small"),
+    "mcap, each file packed": Standard(mode="file"),
+    "sqlite3": Standard("sqlite3"),
+    "sqlite3, each file packed": Standard("sqlite3", mode="file"),
+    "sqlite3, each message packed": Standard("sqlite3", mode="message"),
+    "sqlite3, resilient": Standard("sqlite3", preset="resilient"),
+}
+OF_ANOTHER_VERSION = replace(UNDEFINED, name="/older", msgtype="std_msgs/msg/Empty")
+LEFT_OUT = (FEEDBACK, *EVENTS, OF_ANOTHER_VERSION)
+
+
+@pytest.fixture(params=WAYS.values(), ids=WAYS)
+def way(request):
+    return request.param
+
+
+@pytest.mark.parametrize("files", [1, 3])
+def test_all_is_read_and_healthy(way, tmp_path, capsys, files):
+    bag = replace(way, files=files, others=(SILENT,)).record(tmp_path / "bag")
+    with open_bags(bag) as bags:
+        assert not bags.recovered
+        assert not bags.left_out
+        assert states(bags.messages()) == list(range(30 * files))
+        assert bags.topics[JOINTS.name].messages == 30 * files
+        assert bags.topics[JOINTS.name].hash == JOINTS.hash
+    assert doctor([str(bag)]) == (0 if way.storage == "mcap" else 2)
+    silent = f"{SILENT.name}: has no messages"  # SQLite's files know of it
+    assert (silent in capsys.readouterr().out) == (way.storage == "sqlite3")
+
+
+def test_topics_that_cannot_be_told_are_left_out_by_themselves(way, tmp_path, capsys):
+    bag = replace(way, others=(UNDEFINED, *LEFT_OUT)).record(tmp_path / "bag")
+    with open_bags(bag) as bags:
+        assert not bags.recovered
+        assert set(bags.topics) == {JOINTS.name, UNDEFINED.name}
+        assert {line.partition(": ")[2].partition(" ")[0] for line in bags.left_out} == {
+            one.name for one in LEFT_OUT
+        }
+        messages = list(bags.messages())
+    assert states(messages) == list(range(30))
+    assert [m.data for topic, _, _, m in messages if topic == UNDEFINED.name] == ["a text"]
+    assert doctor([str(bag)]) == 2
+    assert f"{FEEDBACK.name} is left out" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("others", [(), (UNDEFINED, *LEFT_OUT)], ids=["", "others"])
+def test_after_a_kill_what_is_there_is_read(way, tmp_path, capsys, others):
+    bag = replace(way, files=3, killed=True, others=others).record(tmp_path / "bag")
+    with open_bags(bag) as bags:
+        (recovered,) = bags.recovered
+        read = states(bags.messages())
+        assert (UNDEFINED.name in bags.topics) == bool(others)
+        assert not any(one.name in bags.topics for one in LEFT_OUT)
+    assert recovered.path == bag
+    assert "it has no metadata.yaml" in str(recovered) or "without an index" in str(recovered)
+    assert read == list(range(len(read)))
+    assert len(read) == 90 if way.storage == "sqlite3" else 60 < len(read) <= 90
+    assert doctor([str(bag)]) == 2
+    mends = way.storage == "mcap" and not way.mode
+    advice = "doctor --repair" if mends else "ros2 bag reindex"
+    assert f"{advice} makes it whole" in capsys.readouterr().out
+    doctor(["--repair", str(bag)])
+    assert ("repaired" in capsys.readouterr().out) == mends
+
+
+def test_packed_files_tell_bags_apart(tmp_path):
+    ways = [replace(WAYS["mcap, each file packed"], each=each) for each in (10, 11)]
+    bags = [one.record(tmp_path / str(one.each)) for one in ways]
+    assert len({digest(bag) for bag in bags}) == 2
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_a_file_that_was_being_packed_counts_once(tmp_path, storage):
+    bag = Standard(storage, mode="file", files=2).record(tmp_path / "bag")
+    last = sorted(bag.glob("*.zstd"))[-1]
+    whole = Standard(storage, files=2).record(tmp_path / "whole")
+    packed = last.read_bytes()
+    (bag / last.stem).write_bytes((whole / last.stem.replace("bag_", "whole_")).read_bytes())
+    last.write_bytes(packed[: len(packed) // 2])
+    with open_bags(bag) as bags:
+        assert states(bags.messages()) == list(range(60))
+
+
+def test_of_a_packed_file_without_its_end_the_begin_is_read(tmp_path):
+    bag = replace(WAYS["mcap, each file packed"], each=3000).record(tmp_path / "bag")
+    (file,) = bag.glob("*.zstd")
+    file.write_bytes(file.read_bytes()[:-10_000])
+    with open_bags(bag) as bags:
+        (recovered,) = bags.recovered
+        read = states(bags.messages())
+    assert recovered.path == bag
+    assert read == list(range(len(read)))
+    assert 100 < len(read) < 3000
+
+
+def test_a_bag_of_sqlite_is_read_by_its_files_whatever_metadata_says_of_qos(tmp_path):
+    """rosbags leaves a topic out, without a word, whose QoS metadata.yaml gives otherwise."""
+    bag = WAYS["sqlite3"].record(tmp_path / "bag")
+    metadata = bag / "metadata.yaml"
+    metadata.write_text(metadata.read_text().replace("depth: 10", "depth: 11"))
+    with open_bags(bag) as bags:
+        assert states(bags.messages()) == list(range(30))
+
+
+def test_a_bag_of_before_definitions_is_read_by_those_installed(tmp_path):
+    """As Humble writes it: version 3 of the tables."""
+    bag = WAYS["sqlite3"].record(tmp_path / "bag")
+    with closing(sqlite3.connect(next(bag.glob("*.db3")))) as db, db:
+        db.execute("DROP TABLE message_definitions")
+        db.execute("ALTER TABLE topics DROP COLUMN type_description_hash")
+        db.execute("UPDATE schema SET schema_version = 3")
+    with open_bags(bag) as bags:
+        assert states(bags.messages()) == list(range(30))
+    assert doctor([str(bag)]) == 0
