@@ -72,6 +72,13 @@ def hold(p: Floats, q: Floats, pose: npt.ArrayLike) -> Floats:
     return np.array([apart.real + _length(p), apart.imag, body_heading - heading])
 
 
+def held_at(p: Floats, q: Floats, place: Floats) -> Floats:
+    """(..., 2): where a body held at `place` in the last link's frame is, by q (..., 3 + n)."""
+    x, y, heading = np.moveaxis(tip_pose(p, q), -1, 0)
+    apart = complex(place[0] - _length(p), place[1]) * np.exp(1j * (heading - p[layout.TIP_ANGLE]))
+    return np.stack([x + apart.real, y + apart.imag], axis=-1)
+
+
 def held(p: Floats, q: Floats, qd: Floats, place: Floats) -> Floats:
     """Pose and twist (2, 3) of a body held at `place` in the frame of the last link."""
     x, y, heading = tip_pose(p, q)

@@ -8,7 +8,7 @@ from capturing import POSTURE, SETTINGS, Case, Flight
 
 from fss_arm_model.description import paper_arm
 from fss_arm_model.dynamics import inertia_matrix
-from fss_arm_model.held import Target, hold
+from fss_arm_model.held import Target, held, held_at, hold
 from fss_arm_model.kinematics import tip_pose
 from fss_gnc.guidance.abort import Abort
 from fss_gnc.guidance.activity import Craft, Seen
@@ -217,6 +217,18 @@ def test_an_abort_takes_the_joints_reaction_for_no_drift():
     rest = replace(moving, t=1.0, base=Body(q[:3], np.zeros(3)), qd=np.zeros(4))
     assert abort.step(rest).path is None
     assert abort.safe
+
+
+def test_a_held_target_keeps_off_the_edge_too():
+    q = at(-0.9, 0.0, 1.0)
+    x, y, _ = tip_pose(P, q)
+    place = hold(P, q, (x - 0.15, y + 0.1, 0.3))
+    states = np.stack([q, at(-0.2, 0.5, 0.7)])
+    there = [held(P, each, AT_REST, place)[0, :2] for each in states]
+    np.testing.assert_allclose(held_at(P, states, place), there, atol=1e-12)
+    alone, both = (Drifting(P, SETTINGS, one).clearances(q, None)[0] for one in (None, place))
+    assert both == pytest.approx(2.0 - np.abs(there[0]).max() - SETTINGS.target_radius)
+    assert both < alone
 
 
 def test_an_abort_takes_what_joints_do_that_fell_silent_for_no_drift():

@@ -55,7 +55,7 @@ class Abort:
         self._push: Path | None = None
         self._busy = -np.inf  # until when it is pushed, or held [s]
         self._leaks = False  # a valve
-        self._held = False
+        self._held: Floats | None = None  # place of the target in the gripper (held.py)
         self._known = self._quiet = np.nan  # since when; NaN: it has not begun
         self._heard = np.nan  # when the joints were last, or it began [s]
 
@@ -90,12 +90,11 @@ class Abort:
         self._heard = self._heard if seen.q is None else seen.t
         qd_m = np.zeros(q_m.size) if seen.qd is None else seen.qd
         q, qd = np.concatenate([seen.base.pose, q_m]), np.concatenate([seen.base.twist, qd_m])
-        if seen.holds and seen.target is not None and not self._held:
-            self._held = True
-            place = hold(self.p, q, seen.target.pose)
-            self.p = with_held(self.p, self.settings.target, place)
+        if seen.holds and seen.target is not None and self._held is None:
+            self._held = hold(self.p, q, seen.target.pose)
+            self.p = with_held(self.p, self.settings.target, self._held)
         target = None if seen.holds else seen.target
-        drifting = Drifting(self.p, self.settings)
+        drifting = Drifting(self.p, self.settings, self._held if seen.holds else None)
         if seen.t < self._busy and not seen.propellant <= EMPTY:
             if self._leaks and self._push is not None and seen.t > self._push.end:
                 self._make_room(drifting, seen.t, q, target)

@@ -7,6 +7,7 @@ import numpy.typing as npt
 
 from fss_arm_model import layout
 from fss_arm_model.clearance import gaps, sizes, with_edge, with_target
+from fss_arm_model.held import held_at
 from fss_gnc.guidance.approach import Body as Rigid
 from fss_gnc.guidance.approach import coasted
 from fss_gnc.guidance.mission_settings import MissionSettings
@@ -32,17 +33,23 @@ class Drift(NamedTuple):
 
 
 class Drifting:
-    """Looks ahead; p is what it says on Planner."""
+    """Looks ahead; p is what it says on Planner.
 
-    def __init__(self, p: Floats, settings: MissionSettings) -> None:
-        self.p, self.settings = p, settings
+    Args:
+        p: see there.
+        settings: sizes, limits.
+        held: (3,) where the gripper holds the target (held.py), which keeps off the edge, too.
+    """
+
+    def __init__(self, p: Floats, settings: MissionSettings, held: Floats | None = None) -> None:
+        self.p, self.settings, self.held = p, settings, held
         n = (p.size - layout.BASE_SIZE) // layout.LINK_SIZE
         self._edge, self._target = list(with_edge(n)), list(with_target(n))
         self._sizes = sizes(settings, settings.target_radius, settings.gripper_length)
 
     def clearances(self, q: Floats, target: Floats | None) -> tuple[float, float]:
         """Least gaps to the edge, and of base and links, without the gripper, to the target [m]."""
-        edge = float(gaps(self.p, q, self._edge, self._sizes).min())
+        edge = float(self._edge_gap(q))
         if target is None:
             return edge, np.inf
         apart = gaps(self.p, q, self._target[:-1], self._sizes, target[:2])
@@ -83,6 +90,14 @@ class Drifting:
         room = [min(drift.edge, drift.target) for drift in stays]
         return np.asarray(poses[safe[0] if safe else int(np.argmax(room))])
 
+    def _edge_gap(self, states: Floats) -> Floats:
+        """Least gap to the edge in states (..., 3 + n), (...) [m]."""
+        least: Floats = gaps(self.p, states, self._edge, self._sizes).min(axis=-1)
+        if self.held is None:
+            return least
+        room = self._sizes[-2:] - np.abs(held_at(self.p, states, self.held))
+        return np.minimum(least, room.min(axis=-1) - self.settings.target_radius)
+
     def _looked(
         self,
         body: Rigid,
@@ -97,7 +112,8 @@ class Drifting:
         poses = coasted(q[None, None, :3], twists[:, None, :], body.com, ahead)
         held = np.broadcast_to(body.q_m, (*poses.shape[:2], body.q_m.size))
         states = np.concatenate([poses, held], axis=-1)
-        edge = gaps(self.p, states, self._edge, self._sizes).min(axis=(1, 2))
+        gap = self._edge_gap(states)
+        edge = gap.min(axis=1)
         near = np.full(len(twists), np.inf)
         kept = np.ones(len(twists), dtype=bool)
         if target is not None:
@@ -107,8 +123,7 @@ class Drifting:
             # What is near already, as the gripper at the fixture is, comes no nearer.
             kept = near >= np.minimum(s.least_target + more, all_gaps[:, 0] - 1e-3)
             kept &= all_gaps[:, -1] >= s.least_target + more
-        first = gaps(self.p, states[:, 0], self._edge, self._sizes).min(axis=1)
-        kept &= edge >= np.minimum(s.least_edge + more, first - 1e-3)
+        kept &= edge >= np.minimum(s.least_edge + more, gap[:, 0] - 1e-3)
         return [
             Drift(twist, float(e), float(t), bool(k))
             for twist, e, t, k in zip(twists, edge, near, kept, strict=True)
