@@ -232,7 +232,10 @@ def kills(logs: Path, given: argparse.Namespace) -> bool:
 def missions(logs: Path, given: argparse.Namespace) -> bool:
     """Runs of the grid; whether all ended without contact."""
     rows = []
-    head = subprocess.run(["git", "rev-parse", "--short", "HEAD"], capture_output=True, text=True)
+    head = subprocess.run(
+        ["git", "rev-parse", "--short", "HEAD"], cwd=Path(__file__).parent, capture_output=True,
+        text=True,
+    )  # fmt: skip
     commit = head.stdout.strip()
     if given.out and given.out.exists():
         rows = [json.loads(line) for line in given.out.read_text().splitlines()]
