@@ -16,6 +16,7 @@ import argparse
 import json
 import subprocess
 import sys
+from collections.abc import Callable, Iterable
 from itertools import islice, product
 from pathlib import Path
 from tempfile import mkdtemp
@@ -57,6 +58,7 @@ FAULTS = {
 }
 STILL = 0.02  # of a joint [rad/s]
 AFTER = 30.0  # for which it is looked at what comes of a kill [s]
+Flown = tuple[list[str], dict[str, float], bool]  # a row's cells, `least`, whether it is as meant
 TARGET = {"target_mass": SETTINGS.target_mass, "target_inertia": SETTINGS.target_inertia}
 
 
@@ -171,61 +173,53 @@ def least(rows: list[SimTruth]) -> dict[str, float]:
 
 
 def faults(logs: Path, given: argparse.Namespace) -> bool:
-    """The table; whether all is safe."""
+    """The table of faults; whether all is safe."""
+
+    def fly(run: Run, phase: str, fault: str) -> Flown:
+        gaps = run.fail(*FAULTS[fault], phase)
+        ended = "captured and stopped" if run.result.stopped else f"aborted: {run.result.message}"
+        return [ended], gaps, True
+
     print("| phase | fault | mission | least gap of bodies [m] | to the edge [m] | holds |")
     print("|---|---|---|---:|---:|---|")
-    safe = True
-    for phase, (words, (parameters, lasts)) in product(given.phases, FAULTS.items()):
-        if given.fault and given.fault not in words:
-            continue
-        with Nodes(logs / f"{phase}_{words.replace(' ', '_')}", print, OWN) as nodes:
-            run = Run(nodes, Case(), given.speed)
-            try:
-                run.begin()
-                r = run.fail(parameters, lasts, phase)
-            except (TimeoutError, AssertionError) as error:
-                print(f"| {phase} | {words} | not flown: {error} |", flush=True)
-                safe = False
-                continue
-            finally:
-                run.close()
-        fine = min(r["apart"], r["edge"]) > 0.0
-        safe &= fine
-        ended = "captured and stopped" if run.result.stopped else f"aborted: {run.result.message}"
-        print(
-            f"| {phase} | {words} | {ended} | {r['apart']:.3f} | {r['edge']:.2f} | "
-            f"{'yes' if r['holds'] else 'no'} |{'' if fine else ' UNSAFE'}",
-            flush=True,
-        )
-    return safe
+    return table(logs, given, [each for each in FAULTS if (given.fault or "") in each], fly)
 
 
 def kills(logs: Path, given: argparse.Namespace) -> bool:
-    """The table; whether all is safe."""
+    """The table of kills; whether all is safe."""
+
+    def fly(run: Run, phase: str, node: str) -> Flown:
+        r = run.kill(node, phase)
+        in_time = r["shut"] < given.shut or node not in LAST
+        return [f"{r['shut']:.2f}", f"{r['still']:.2f}"], r, in_time
+
     print("| phase | killed | last valve shut [s] | joints at rest [s] | least gap of bodies [m] "
           "| to the edge [m] | holds |")  # fmt: skip
     print("|---|---|---:|---:|---:|---:|---|")
+    return table(logs, given, given.nodes, fly)
+
+
+def table(
+    logs: Path, given: argparse.Namespace, names: Iterable[str], fly: Callable[..., Flown]
+) -> bool:
+    """Print a row for each phase and name, flown on a graph of its own; whether all is safe."""
     safe = True
-    for phase, name in product(given.phases, given.nodes):
-        with Nodes(logs / f"{phase}_{name}", print, OWN) as nodes:
+    for phase, name in product(given.phases, names):
+        with Nodes(logs / f"{phase}_{name.replace(' ', '_')}", print, OWN) as nodes:
             run = Run(nodes, Case(), given.speed)
             try:
                 run.begin()
-                r = run.kill(name, phase)
+                cells, gaps, fine = fly(run, phase, name)
+                holds = "yes" if gaps["holds"] else "no"
+                cells += [f"{gaps['apart']:.3f}", f"{gaps['edge']:.2f}", holds]
+                fine &= min(gaps["apart"], gaps["edge"]) > 0.0
+                verdict = "" if fine else " UNSAFE"
             except (TimeoutError, AssertionError) as error:
-                print(f"| {phase} | {name} | not flown: {error} |", flush=True)
-                safe = False
-                continue
+                cells, verdict = [str(error)], " NOT FLOWN"
             finally:
                 run.close()
-        fine = min(r["apart"], r["edge"]) > 0.0
-        fine &= r["shut"] < given.shut or name not in LAST
-        safe &= fine
-        print(
-            f"| {phase} | {name} | {r['shut']:.2f} | {r['still']:.2f} | {r['apart']:.3f} | "
-            f"{r['edge']:.2f} | {'yes' if r['holds'] else 'no'} |{'' if fine else ' UNSAFE'}",
-            flush=True,
-        )
+        print(f"| {' | '.join([phase, name, *cells])} |{verdict}", flush=True)
+        safe &= not verdict
     return safe
 
 
