@@ -23,10 +23,10 @@ from fss_arm_model.settings import default_in
 from fss_arm_model.vehicle import Vehicle
 from fss_arm_ros.calibrated import Calibrated
 from fss_arm_ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
-from fss_arm_ros.door import subscribe
 from fss_arm_ros.memory import give_back
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED, subscribe_sensor
+from fss_arm_ros.validation import subscribe
 
 BASE = Vehicle.__dataclass_fields__["base_frame"]
 

@@ -59,7 +59,7 @@ class ArmNode(Node):
 
     def close(self) -> None:
         """Give back what a node does not destroy by itself."""
-        self.streams.ear.close()
+        self.streams.listening.close()
         self.moves.server.destroy()
         self.trajectories.server.destroy()
 

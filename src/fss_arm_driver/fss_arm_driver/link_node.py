@@ -37,13 +37,13 @@ from fss_arm_driver.transport import Transport, is_exposed, open_transport
 from fss_arm_msgs.msg import CommandStatus, LinkCommand, LinkPath, LinkTelemetry
 from fss_arm_ros.convert import SECOND, stamp_ns
 from fss_arm_ros.diagnostics import Diagnostics, Health
-from fss_arm_ros.door import subscribe
-from fss_arm_ros.ear import Ear
 from fss_arm_ros.events import report
-from fss_arm_ros.pace import pace
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import COMMAND, SENSOR
 from fss_arm_ros.run import RCLError
+from fss_arm_ros.subscriptions import SubscriptionThread
+from fss_arm_ros.timer_clock import timer_clock
+from fss_arm_ros.validation import subscribe
 
 PATH_RATE = 10.0  # of commands, below which they are doubled while a path is followed [1/s]
 SIMULATED_STEP = 0.01  # of /clock [s]
@@ -114,7 +114,7 @@ class LinkNode(Node):
         group = ReentrantCallbackGroup()  # the answer waits for the link's; all else goes on
         self.create_service(SetBool, f"{self.name}/arm", self.on_arm, callback_group=group)
         self.create_service(Trigger, f"{self.name}/clear_faults", self.on_clear_faults)
-        self.pacer, clock = Pacer(settings.max_rate), pace(self)
+        self.pacer, clock = Pacer(settings.max_rate), timer_clock(self)
         period = 1.0 / settings.rate
         self.steady = self.create_timer(period, self.send, clock=clock)
         self.late = self.create_timer(period, self.send, clock=clock, autostart=False)
@@ -123,9 +123,9 @@ class LinkNode(Node):
         self.diagnostics = Diagnostics(self, self.health, settings.url)
         self.news = self.create_guard_condition(self.answer)
         self.receiver = Receiver(self.transport, self.poll, self.news)
-        self.ears = (
-            Ear(self, Empty, "arm/stop", QoSProfile(depth=10), self.on_stop),
-            Ear(self, LinkCommand, f"{self.name}/command", COMMAND, self.on_command),
+        self.listening = (
+            SubscriptionThread(self, Empty, "arm/stop", QoSProfile(depth=10), self.on_stop),
+            SubscriptionThread(self, LinkCommand, f"{self.name}/command", COMMAND, self.on_command),
         )
 
     def simulated_now(self) -> int:
@@ -335,8 +335,8 @@ class LinkNode(Node):
 
     def close(self) -> None:
         """Give the port back."""
-        for ear in self.ears:
-            ear.close()
+        for thread in self.listening:
+            thread.close()
         self.receiver.close()
         self.transport.close()
 

@@ -38,10 +38,10 @@ from fss_arm_msgs.msg import DynamicCalibration, KinematicCalibration, MotionRep
 from fss_arm_ros.calibrated import Calibrated
 from fss_arm_ros.convert import SECOND, joint_readings, planar_pose, stamp_ns, to_time
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
-from fss_arm_ros.door import subscribe
-from fss_arm_ros.pace import pace
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED, subscribe_sensor
+from fss_arm_ros.timer_clock import timer_clock
+from fss_arm_ros.validation import subscribe
 
 CONTROLLER = "arm_controller/follow_joint_trajectory"
 CALIBRATIONS = {
@@ -90,7 +90,7 @@ class MotionNode(Node):
             goal_callback=self.on_goal, cancel_callback=self.on_cancel,
         )  # fmt: skip
         self.alive = self.create_publisher(UUID, "arm_controller/alive", 10)
-        self.create_timer(0.1, self.tick, clock=pace(self))
+        self.create_timer(0.1, self.tick, clock=timer_clock(self))
         # In real time, as whoever listens counts it, also while a simulated one stands still.
         self.create_timer(0.2, self.show_life, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.diagnostics = Diagnostics(self, self.health)

@@ -8,8 +8,8 @@ from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
 
-from fss_arm_ros.door import refusals
 from fss_arm_ros.sources import rivals
+from fss_arm_ros.validation import refusals
 
 OK = DiagnosticStatus.OK
 WARN = DiagnosticStatus.WARN

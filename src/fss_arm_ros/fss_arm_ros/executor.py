@@ -24,7 +24,7 @@ from rclpy.node import Node
 from rclpy.subscription import Subscription
 from rclpy.waitable import NumberOfEntities
 
-from fss_arm_ros.ear import OutsideExecutors
+from fss_arm_ros.subscriptions import OutsideExecutors
 
 # rclpy keeps these classes in its extension and offers no public names for them.
 from rclpy._rclpy_pybind11 import InvalidHandle, WaitSet  # isort: skip

@@ -21,7 +21,7 @@ from rclpy.parameter import Parameter
 
 from fss_arm_model.files import read_yaml
 from fss_arm_model.settings import SettingError, converted, default_in, meaning, refuse
-from fss_arm_ros import alone
+from fss_arm_ros import duplicates
 
 Settings = TypeVar("Settings")
 
@@ -39,9 +39,9 @@ def declare(node: Node, kind: type[Settings], live: bool = False) -> Settings:
         DuplicateError: another node has its name.
     """
     hints = get_type_hints(kind)
-    about = ParameterDescriptor(description=alone.ABOUT, read_only=True, dynamic_typing=True)
-    allowed = node.declare_parameter(alone.ALLOW, False, about).value
-    allowed = converted(alone.ALLOW, allowed, bool)
+    about = ParameterDescriptor(description=duplicates.ABOUT, read_only=True, dynamic_typing=True)
+    allowed = node.declare_parameter(duplicates.ALLOW, False, about).value
+    allowed = converted(duplicates.ALLOW, allowed, bool)
     if not live:
         _refuse(_given(node) - set(hints), hints)
     values = {}
@@ -50,7 +50,7 @@ def declare(node: Node, kind: type[Settings], live: bool = False) -> Settings:
         values[f.name] = converted(f.name, value, hints[f.name])
     settings = kind(**values)
     if not allowed:
-        alone.check_name(node)
+        duplicates.check_name(node)
     return settings
 
 

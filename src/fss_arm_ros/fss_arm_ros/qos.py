@@ -8,7 +8,7 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
 
-from fss_arm_ros.door import subscribe
+from fss_arm_ros.validation import subscribe
 
 #: Publishers of measurements: bursts must not be lost, and a stalled reader must not stall them.
 SENSOR = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)

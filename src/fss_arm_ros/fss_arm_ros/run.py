@@ -11,7 +11,7 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
 
-from fss_arm_ros import alone, memory
+from fss_arm_ros import duplicates, memory
 from fss_arm_ros.executor import BatchExecutor
 
 # rclpy keeps these classes in its extension and offers no public names for them.
@@ -60,10 +60,10 @@ def run(
         signal.signal(signal.SIGINT, _interrupt_next)
         rclpy.init(args=argv)
         begun = True
-        with alone.looking():
+        with duplicates.looking():
             made = make_node(*plain)
             nodes = made if isinstance(made, Sequence) else [made]
-            alone.check_services(nodes)
+            duplicates.check_services(nodes)
         spinner = BatchExecutor()
         for node in nodes:
             spinner.add_node(node)
@@ -81,7 +81,7 @@ def run(
                 raise
             return _failed(name, error, 2)
     except (ValueError, OSError, ParameterException) as error:
-        if nodes and not isinstance(error, alone.DuplicateError):
+        if nodes and not isinstance(error, duplicates.DuplicateError):
             raise
         return _failed(name, error, 1)
     finally:

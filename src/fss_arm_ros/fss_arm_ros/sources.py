@@ -8,7 +8,7 @@ from collections.abc import Iterable
 
 from rclpy.node import Node
 
-from fss_arm_ros.door import doors
+from fss_arm_ros.validation import validators
 
 #: Types that say how things are. Commands have many who may give them, and take turns.
 MEASURED = {
@@ -21,16 +21,16 @@ TELEMETRY = "/telemetry"  # of a link, whose driver publishes its joint, too
 def rivals(node: Node) -> str:
     """Topics of a node with more sources than one, and their names; empty: there are none."""
     found = []
-    for door in doors(node):
-        if door.kind not in MEASURED or door.topic.endswith("commands"):
+    for each in validators(node):
+        if each.kind.__name__ not in MEASURED or each.topic.endswith("commands"):
             continue
         sources = {
             (info.node_name, info.node_namespace)
-            for info in node.get_publishers_info_by_topic(door.topic)
+            for info in node.get_publishers_info_by_topic(each.topic)
         }
         if len(sources) > 1 and not _each_its_own(node, sources):
             names = sorted(f"{space.rstrip('/')}/{name}" for name, space in sources)
-            found.append(f"{door.topic} has {len(names)} sources: {', '.join(names)}")
+            found.append(f"{each.topic} has {len(names)} sources: {', '.join(names)}")
     return "; ".join(found)
 
 

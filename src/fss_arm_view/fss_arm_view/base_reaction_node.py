@@ -27,12 +27,12 @@ from fss_arm_ros.convert import (
     to_time,
 )
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
-from fss_arm_ros.door import subscribe
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED, SENSOR, sensor, subscribe_sensor
 from fss_arm_ros.stamps import Stamps
+from fss_arm_ros.validation import subscribe
 from fss_gnc.navigation import BodyFilter
-from fss_gnc.navigation.messages import StateImage, TransformImage
+from fss_gnc.navigation.messages import SerializedState, SerializedTransform
 
 from .base_reaction import BaseReaction, Reaction
 from .programs import base_reaction as main
@@ -60,7 +60,7 @@ class BaseReactionNode(Node):
         self.occluded = 0
         self.published = monotonic()  # when the last reaction was
         frames = s.world_frame, s.base_frame
-        self.images = StateImage(*frames), TransformImage(*frames)
+        self.images = SerializedState(*frames), SerializedTransform(*frames)
         self.state = self.transform = None
         if s.publish_state:
             self.state = self.create_publisher(Odometry, "base/state", SENSOR)

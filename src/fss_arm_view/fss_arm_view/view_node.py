@@ -40,10 +40,10 @@ from fss_arm_msgs.msg import (
 from fss_arm_ros.calibrated import Calibrated
 from fss_arm_ros.convert import SECOND, PoseError, joint_readings, planar_pose, stamp_ns
 from fss_arm_ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
-from fss_arm_ros.door import subscribe
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED, sensor
 from fss_arm_ros.stamps import Stamps
+from fss_arm_ros.validation import subscribe
 
 from . import scene
 from .programs import view as main

@@ -25,11 +25,11 @@ from fss_arm_msgs.msg import (
 from fss_arm_ros.calibrated import Calibrated
 from fss_arm_ros.convert import PoseError, joint_readings, planar_pose
 from fss_arm_ros.diagnostics import ERROR, OK, Diagnostics, Health
-from fss_arm_ros.door import subscribe
-from fss_arm_ros.glance import Glance
-from fss_arm_ros.pace import pace
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED, subscribe_sensor
+from fss_arm_ros.subscriptions import PolledSubscription
+from fss_arm_ros.timer_clock import timer_clock
+from fss_arm_ros.validation import subscribe
 from fss_arm_workspace import messages
 from fss_arm_workspace.analysis import analyse, load_kernels, straight_workspaces
 from fss_arm_workspace.programs import workspace as main
@@ -77,8 +77,8 @@ class WorkspaceNode(Node):
         ):
             subscribe(self, kind, topic, partial(self.on_calibration, topic), LATCHED)
         subscribe_sensor(self, JointState, s.joints_topic, self.on_joints)
-        self.base = Glance(self, PoseStamped, s.base_topic, self.on_pose)
-        self.create_timer(1.0 / s.rate, self.on_timer, clock=pace(self))
+        self.base = PolledSubscription(self, PoseStamped, s.base_topic, self.on_pose)
+        self.create_timer(1.0 / s.rate, self.on_timer, clock=timer_clock(self))
         self.diagnostics = Diagnostics(self, self.health)
 
     def on_calibration(self, topic: str, message: Any) -> None:
@@ -103,7 +103,7 @@ class WorkspaceNode(Node):
         known, q = self.known, self.posture()
         if q is None:
             return
-        self.base.look()
+        self.base.poll()
         header = self.header(self.settings.base_frame)
         self.publish(
             "ellipsoids", messages.ellipsoid_markers(known.arm, q, self.settings.scale, header)

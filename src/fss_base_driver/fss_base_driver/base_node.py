@@ -29,12 +29,12 @@ from fss_arm_driver.transport import Transport, is_exposed, open_transport
 from fss_arm_msgs.msg import BaseTelemetry, GripperState, ThrusterCommand, ThrusterHealth
 from fss_arm_ros.convert import SECOND, stamp_ns
 from fss_arm_ros.diagnostics import Diagnostics, Health
-from fss_arm_ros.door import subscribe
 from fss_arm_ros.events import report
-from fss_arm_ros.pace import pace
 from fss_arm_ros.parameters import declare, declare_live
 from fss_arm_ros.qos import LATCHED, SENSOR, command
 from fss_arm_ros.run import RCLError
+from fss_arm_ros.timer_clock import timer_clock
+from fss_arm_ros.validation import subscribe
 from fss_base_driver import messages
 from fss_base_driver.allocation import Allocation
 from fss_base_driver.gyro import BiasError, BiasSearch, Sums
@@ -109,7 +109,7 @@ class BaseNode(Node):
         group = ReentrantCallbackGroup()  # answers wait for the board's; all else goes on
         self.create_service(SetBool, "base/arm", self.on_arm, callback_group=group)
         self.create_service(Trigger, "base/find_gyro_bias", self.on_find, callback_group=group)
-        clock_of_timers = pace(self)
+        clock_of_timers = timer_clock(self)
         self.steady = self.create_timer(1.0 / s.rate, self.send, clock=clock_of_timers)
         self.sharing = self.create_timer(s.wrench_period, self.share, clock=clock_of_timers)
         declare_live(self, live_kinds(), self.on_live)

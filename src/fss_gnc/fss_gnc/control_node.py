@@ -5,7 +5,6 @@ a trajectory without points asks it to coast.
 """
 
 import sys
-from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -21,10 +20,10 @@ from fss_arm_model.held import Target, hold
 from fss_arm_msgs.msg import GripperState, MassProperties
 from fss_arm_ros.convert import SECOND, stamp_ns, to_time
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
-from fss_arm_ros.inbox import Inbox
-from fss_arm_ros.pace import pace
 from fss_arm_ros.parameters import declare
-from fss_arm_ros.qos import command
+from fss_arm_ros.qos import command, sensor
+from fss_arm_ros.subscriptions import PolledSubscription
+from fss_arm_ros.timer_clock import timer_clock
 from fss_gnc import messages
 from fss_gnc.control.mass import present
 from fss_gnc.control.planned import PlannedRates
@@ -54,17 +53,21 @@ class ControlNode(Node):
         self.place: Floats | None = None  # of what is held, in the last link's frame
         self.measured: tuple[Target, Floats] | None = None  # it and its place, once known
         self.trouble, self.acting = "", False
-        self.inbox = Inbox(self)
+        self.polled: list[PolledSubscription] = []
         for topic in (self.base, self.target):
             self.listen(Odometry, topic, messages.body)
         self.listen(JointState, self.joints, lambda message: messages.joints(message, self.arm.n))
-        self.inbox.listen(MultiDOFJointTrajectory, "base/trajectory", self.on_trajectory)
-        self.inbox.listen(JointTrajectory, "arm/planned", self.on_planned)
-        self.inbox.listen(GripperState, "gripper/state", self.on_gripper)
-        self.inbox.listen(MassProperties, "target/mass_properties", self.on_mass)
-        self.inbox.listen(Float64, "base/propellant", self.on_propellant)
+        for kind, name, callback in (
+            (MultiDOFJointTrajectory, "base/trajectory", self.on_trajectory),
+            (JointTrajectory, "arm/planned", self.on_planned),
+            (GripperState, "gripper/state", self.on_gripper),
+            (MassProperties, "target/mass_properties", self.on_mass),
+            (Float64, "base/propellant", self.on_propellant),
+        ):
+            all_of_them = sensor(best_effort=True)
+            self.polled.append(PolledSubscription(self, kind, name, callback, all_of_them))
         self.wrench = self.create_publisher(WrenchStamped, "base/wrench", command(0.3))
-        self.create_timer(1.0 / s.rate, self.tick, clock=pace(self))
+        self.create_timer(1.0 / s.rate, self.tick, clock=timer_clock(self))
         self.diagnostics = Diagnostics(self, self.health)
 
     def now(self) -> int:
@@ -80,7 +83,7 @@ class ControlNode(Node):
             except ValueError as error:
                 self.warn(topic.name, error)
 
-        self.inbox.listen(kind, topic.name, take, last=True)
+        self.polled.append(PolledSubscription(self, kind, topic.name, take))
 
     def warn(self, topic: str, error: ValueError) -> None:
         """Say that a message is left out, now and then."""
@@ -104,8 +107,7 @@ class ControlNode(Node):
 
     def on_propellant(self, message: Float64) -> None:
         """What is left of it."""
-        if isfinite(message.data):
-            self.used = self.settings.full_tank - message.data
+        self.used = self.settings.full_tank - message.data
 
     def on_gripper(self, message: GripperState) -> None:
         """Whether the target is part of the arm."""
@@ -122,7 +124,8 @@ class ControlNode(Node):
 
     def tick(self) -> None:
         """Publish the wrench for the next period; none to act: once zero, then nothing."""
-        self.inbox.take()
+        for subscription in self.polled:
+            subscription.poll()
         wrench = self.following()
         if wrench is not None:
             self.publish(wrench)

@@ -25,11 +25,11 @@ from fss_arm_model.description import described
 from fss_arm_msgs.msg import GripperState, MassProperties, MissionState, ThrusterHealth
 from fss_arm_ros.convert import SECOND, stamp_ns, to_time
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
-from fss_arm_ros.door import subscribe
-from fss_arm_ros.glance import Glance
-from fss_arm_ros.pace import pace
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import COMMAND, LATCHED, command, subscribe_sensor
+from fss_arm_ros.subscriptions import PolledSubscription
+from fss_arm_ros.timer_clock import timer_clock
+from fss_arm_ros.validation import subscribe
 from fss_gnc import messages
 from fss_gnc.guidance import capture
 from fss_gnc.guidance.account import Account
@@ -84,8 +84,8 @@ class GuidanceNode(Node):
         self.valves = ThrusterHealth()
         self.holds = Latest[bool]("gripper/state", FORGETFUL)
         self.propellant = Latest[float]("base/propellant", FORGETFUL)
-        self.glances = [
-            Glance(self, Odometry, topic.name, partial(self.on_body, topic))
+        self.polled = [
+            PolledSubscription(self, Odometry, topic.name, partial(self.on_body, topic))
             for topic in (self.base, self.target)
         ]
         subscribe_sensor(self, JointState, self.joints.name, self.on_joints)
@@ -109,7 +109,7 @@ class GuidanceNode(Node):
             for kind in KINDS
         ]  # fmt: skip
         self.state.publish(self.mission(None, Orders("idle")))
-        self.create_timer(1.0 / s.rate, self.tick, clock=pace(self))
+        self.create_timer(1.0 / s.rate, self.tick, clock=timer_clock(self))
         self.diagnostics = Diagnostics(self, self.health)
 
     def close(self) -> None:
@@ -123,8 +123,8 @@ class GuidanceNode(Node):
 
     def look(self) -> None:
         """See where base and target are."""
-        for glance in self.glances:
-            glance.look()
+        for subscription in self.polled:
+            subscription.poll()
 
     def on_body(self, topic: Latest[Body], message: Odometry) -> None:
         """Where base or target is; nothing if that is no number."""

@@ -26,13 +26,13 @@ from fss_arm_msgs.msg import (
 from fss_arm_ros.calibrated import Calibrated
 from fss_arm_ros.convert import SECOND, PoseError, joint_readings, planar_pose, stamp_ns, to_time
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
-from fss_arm_ros.door import subscribe
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED, SENSOR, subscribe_sensor
 from fss_arm_ros.stamps import SAMPLES, Stamps
+from fss_arm_ros.validation import subscribe
 from fss_gnc.navigation import Navigation
 from fss_gnc.navigation.body_filter import POSE, RATE, BodyFilter
-from fss_gnc.navigation.messages import StateImage, TransformImage
+from fss_gnc.navigation.messages import SerializedState, SerializedTransform
 from fss_gnc.navigation.settings import NavigationSettings
 from fss_gnc.navigation.valve_faults import Faults
 from fss_gnc.programs import navigation as main
@@ -77,9 +77,9 @@ class NavigationNode(Node):
         self.held = self.create_publisher(MassProperties, "target/mass_properties", SENSOR)
         self.valves = self.create_publisher(ThrusterHealth, "thrusters/health", LATCHED)
         self.transform = self.create_publisher(TFMessage, "/tf", SENSOR)
-        self.images = StateImage(s.world_frame, s.base_frame)
-        self.transforms = TransformImage(s.world_frame, s.base_frame)
-        self.target_images = StateImage(s.world_frame, s.target_frame)
+        self.images = SerializedState(s.world_frame, s.base_frame)
+        self.transforms = SerializedTransform(s.world_frame, s.base_frame)
+        self.target_images = SerializedState(s.world_frame, s.target_frame)
         self.begin()
         subscribe_sensor(self, PoseStamped, s.base_topic, self.on_base)
         subscribe_sensor(self, PoseStamped, s.target_topic, self.on_target)

@@ -9,7 +9,7 @@ from sensor_msgs.msg import Imu
 
 from fss_arm_msgs.msg import GripperState, SimTruth
 from fss_arm_ros.convert import pose_stamped, to_time
-from fss_arm_ros.image import Image
+from fss_arm_ros.serialized import SerializedMessage
 from fss_sim.plant.bed import Clearance
 from fss_sim.plant.plant import Vehicle
 from fss_sim.sensors import Seen
@@ -17,7 +17,7 @@ from fss_sim.sensors import Seen
 EDGE = "table edge"  # as clearances name it
 
 
-class PoseImage(Image):
+class SerializedPose(SerializedMessage):
     """A PoseStamped as the common VICON receivers publish it."""
 
     def __init__(self, frame_id: str) -> None:
@@ -34,7 +34,7 @@ class PoseImage(Image):
         return self.bytes()
 
 
-class GyroImage(Image):
+class SerializedGyro(SerializedMessage):
     """An Imu of which the rate about z is measured alone, with a standard deviation [rad/s]."""
 
     def __init__(self, frame_id: str, deviation: float) -> None:
@@ -51,7 +51,7 @@ class GyroImage(Image):
         return self.bytes()
 
 
-class ClockImage(Image):
+class SerializedClock(SerializedMessage):
     """A Clock."""
 
     def __init__(self) -> None:

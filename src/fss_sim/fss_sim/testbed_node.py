@@ -23,7 +23,7 @@ from fss_arm_ros.convert import SECOND, to_time
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.parameters import declare, declare_live
 from fss_arm_ros.qos import SENSOR
-from fss_sim.messages import ClockImage
+from fss_sim.messages import SerializedClock
 from fss_sim.pace import Clocked, FlatOut, Pace
 from fss_sim.programs import testbed as main
 from fss_sim.sensors import RATE
@@ -59,7 +59,7 @@ class TestbedNode(Node):
         check_keys(self.vehicles)
         if settings.keep_clock:
             self.clock = self.create_publisher(ClockMessage, "/clock", SENSOR)
-        self.clock_image = ClockImage()
+        self.clock_image = SerializedClock()
         self.told = 0.0  # when the time was [s]
         self.seed, self.paused = settings.seed, settings.paused
         self.begin([v.settings.begin(v.n) for v in self.vehicles])

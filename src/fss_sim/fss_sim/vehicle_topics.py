@@ -16,11 +16,11 @@ from fss_arm_driver.protocol import load_keys
 from fss_arm_model.description import Arm
 from fss_arm_msgs.msg import GripperState, SimFaults, SimTruth, ThrusterCommand
 from fss_arm_ros.convert import to_time
-from fss_arm_ros.door import subscribe
 from fss_arm_ros.qos import COMMAND, LATCHED, SENSOR
+from fss_arm_ros.validation import subscribe
 from fss_sim.faults import kinds, read_script
 from fss_sim.link.radio import Air
-from fss_sim.messages import GyroImage, PoseImage, clearances, gripper_state, truth
+from fss_sim.messages import SerializedGyro, SerializedPose, clearances, gripper_state, truth
 from fss_sim.plant.plant import Vehicle
 from fss_sim.sensors import RATE, Sight
 from fss_sim.settings import TestbedSettings
@@ -73,8 +73,8 @@ class VehicleTopics:
             self.target = node.create_publisher(PoseStamped, settings.target_topic, SENSOR)
         self.truth = node.create_publisher(SimTruth, f"{self.space}sim/truth", SENSOR)
         self.faults = node.create_publisher(SimFaults, f"{self.space}sim/faults", LATCHED)
-        self.pose_image = PoseImage(settings.world_frame)
-        self.gyro_image = GyroImage(settings.base_frame, settings.noise().gyro_noise)
+        self.pose_image = SerializedPose(settings.world_frame)
+        self.gyro_image = SerializedGyro(settings.base_frame, settings.noise().gyro_noise)
         self.set_faults: dict[tuple[str, str], float] = {}
 
     def take_base(self) -> None:

@@ -19,8 +19,8 @@ from fss_arm_model.thrusters import layout
 from fss_arm_msgs.msg import GripperState, MassProperties, ThrusterCommand, ThrusterHealth
 from fss_arm_ros.convert import SECOND, pose_stamped, stamp_ns, to_time
 from fss_arm_ros.diagnostics import OK, WARN
-from fss_arm_ros.door import refusals
 from fss_arm_ros.qos import LATCHED, SENSOR, sensor
+from fss_arm_ros.validation import refusals
 from fss_gnc.navigation_node import NavigationNode
 
 BEGIN = 500 * SECOND

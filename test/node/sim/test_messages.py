@@ -6,7 +6,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu
 
 from fss_arm_ros.convert import pose_stamped, to_time
-from fss_sim.messages import ClockImage, GyroImage, PoseImage
+from fss_sim.messages import SerializedClock, SerializedGyro, SerializedPose
 from fss_sim.sensors import Seen
 
 STAMP = 1_700_000_000_123_456_789
@@ -14,14 +14,14 @@ STAMP = 1_700_000_000_123_456_789
 
 def test_a_pose_is_that_of_the_conversion_whatever_the_length_of_the_frame_id():
     for frame_id in ("", "w", "world", "a_longer_name_of_the_world"):
-        image = PoseImage(frame_id)
+        image = SerializedPose(frame_id)
         for pose in ((1.5, -2.5, 3.0), (0.0, 1e-9, -0.1)):
             got = deserialize_message(image.of(STAMP, Seen(pose)), PoseStamped)
             assert got == pose_stamped(STAMP, frame_id, pose)
 
 
 def test_an_occluded_subject_is_zero_throughout_and_the_next_pose_is_whole():
-    image = PoseImage("world")
+    image = SerializedPose("world")
     got = deserialize_message(image.of(STAMP, Seen((1.0, 2.0, 3.0), occluded=True)), PoseStamped)
     expected = PoseStamped()
     expected.header.stamp, expected.header.frame_id = to_time(STAMP), "world"
@@ -32,7 +32,7 @@ def test_an_occluded_subject_is_zero_throughout_and_the_next_pose_is_whole():
 
 
 def test_the_gyro_tells_its_rate_and_what_it_does_not_measure():
-    got = deserialize_message(GyroImage("fss", 0.01).of(STAMP, -0.25), Imu)
+    got = deserialize_message(SerializedGyro("fss", 0.01).of(STAMP, -0.25), Imu)
     expected = Imu()
     expected.header.stamp, expected.header.frame_id = to_time(STAMP), "fss"
     expected.orientation_covariance[0] = expected.linear_acceleration_covariance[0] = -1.0
@@ -41,4 +41,4 @@ def test_the_gyro_tells_its_rate_and_what_it_does_not_measure():
 
 
 def test_the_clock_is_exact():
-    assert deserialize_message(ClockImage().of(STAMP), Clock) == Clock(clock=to_time(STAMP))
+    assert deserialize_message(SerializedClock().of(STAMP), Clock) == Clock(clock=to_time(STAMP))

@@ -37,9 +37,9 @@ from fss_arm_msgs.msg import (
 )
 from fss_arm_ros.convert import SECOND, stamp_ns
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
-from fss_arm_ros.door import subscribe
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED
+from fss_arm_ros.validation import subscribe
 
 ROUNDS = 3  # of repeating the rejected rests, or a maneuver, at most
 STALL = 2.0  # of this process, after which only a person has the arm move on [s]

@@ -24,7 +24,7 @@ from fss_arm_driver.settings import ArmSettings
 from fss_arm_model.description import Arm
 from fss_arm_motion.guard import Guard
 from fss_arm_ros.convert import SECOND, PoseError, planar_pose, stamp_ns
-from fss_arm_ros.glance import Glance
+from fss_arm_ros.subscriptions import PolledSubscription
 
 
 class GuardTopics:
@@ -43,9 +43,9 @@ class GuardTopics:
             self.guard, self.under_way = Guard(arm, settings), Guard(arm, half)
         self.base: tuple[int, Floats, Floats] = 0, np.zeros(3), np.zeros(3)  # stamp, pose, twist
         self.target: tuple[int, Floats] = 0, np.zeros(3)  # heard, pose
-        self.glances = (
-            Glance(node, Odometry, "base/state", self.on_base),
-            Glance(node, PoseStamped, settings.target_topic, self.on_target),
+        self.polled = (
+            PolledSubscription(node, Odometry, "base/state", self.on_base),
+            PolledSubscription(node, PoseStamped, settings.target_topic, self.on_target),
         )
 
     def now(self) -> int:
@@ -54,8 +54,8 @@ class GuardTopics:
 
     def look(self) -> None:
         """See where base and target are, often enough to know how old that is."""
-        for glance in self.glances:
-            glance.look()
+        for subscription in self.polled:
+            subscription.poll()
 
     def on_base(self, message: Odometry) -> None:
         """Learn where the base is, and how it moves: its twist is along its own axes."""

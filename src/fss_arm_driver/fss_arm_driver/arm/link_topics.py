@@ -14,8 +14,8 @@ from fss_arm_driver.watch import Stall
 from fss_arm_model.description import Arm
 from fss_arm_msgs.msg import LinkCommand, LinkPath, LinkTelemetry
 from fss_arm_ros.convert import SECOND, stamp_ns, to_time
-from fss_arm_ros.pace import pace
 from fss_arm_ros.qos import command, subscribe_sensor
+from fss_arm_ros.timer_clock import timer_clock
 
 Take = Callable[[LinkCommand], None]
 
@@ -50,7 +50,7 @@ class LinkTopics:
         self.numbers = range(1, arm.n + 1)
         self.states: dict[int, LinkState] = {}
         self.turn, self.path = Turn(), 0
-        self.clock, self.stall = pace(node), Stall(settings.time_to_live)
+        self.clock, self.stall = timer_clock(node), Stall(settings.time_to_live)
         self.ticked: Future = Future()
         lifespan = command(settings.time_to_live)
         self.commands: dict[int, Take] = {

@@ -18,7 +18,7 @@ from fss_arm_motion.guard import GuardError
 from fss_arm_msgs.action import MoveArm
 from fss_arm_msgs.msg import LinkCommand
 from fss_arm_ros.convert import SECOND
-from fss_arm_ros.door import subscribe
+from fss_arm_ros.validation import subscribe
 
 ASKING = "arm/move/_action/get_result"  # the service that whoever asked for a move is a client of
 

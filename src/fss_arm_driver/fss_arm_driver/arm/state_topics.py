@@ -18,8 +18,8 @@ from fss_arm_model.urdf import Frame, frames, urdf
 from fss_arm_msgs.msg import DynamicCalibration, KinematicCalibration
 from fss_arm_ros.calibrated import Calibrated
 from fss_arm_ros.convert import to_time
-from fss_arm_ros.door import subscribe
 from fss_arm_ros.qos import LATCHED, SENSOR, subscribe_sensor
+from fss_arm_ros.validation import subscribe
 
 CALIBRATIONS = (
     ("calibration/kinematic", KinematicCalibration),

@@ -31,7 +31,7 @@ from fss_arm_driver.arm.turn import Motion
 from fss_arm_driver.watch import Asker
 from fss_arm_motion.guard import GuardError
 from fss_arm_ros.convert import SECOND, to_time
-from fss_arm_ros.door import subscribe
+from fss_arm_ros.validation import subscribe
 
 CONTROLLER = "arm_controller"
 CANCELLED = "cancelled"

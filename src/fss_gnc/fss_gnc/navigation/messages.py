@@ -7,7 +7,7 @@ from geometry_msgs.msg import TransformStamped
 from nav_msgs.msg import Odometry
 from tf2_msgs.msg import TFMessage
 
-from fss_arm_ros.image import Image
+from fss_arm_ros.serialized import SerializedMessage
 
 from .body_filter import BodyState
 
@@ -15,7 +15,7 @@ COVARIANCE, TWIST, TWIST_COVARIANCE = 7, 43, 49  # where they begin among an Odo
 PLANE = 0, 1, 5  # x, y and heading among six
 
 
-class StateImage(Image):
+class SerializedState(SerializedMessage):
     """Pose in the world, twist along the body's own axes, as the type has it, with covariances."""
 
     def __init__(self, world_frame: str, body_frame: str) -> None:
@@ -39,7 +39,7 @@ class StateImage(Image):
         return self.bytes()
 
 
-class TransformImage(Image):
+class SerializedTransform(SerializedMessage):
     """From the world to the body, for /tf."""
 
     def __init__(self, world_frame: str, body_frame: str) -> None:

@@ -4,7 +4,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 
-def pace(node: Node) -> Clock:
+def timer_clock(node: Node) -> Clock:
     """Simulated time if the node uses it, else a clock that nobody sets.
 
     A timer that keeps the system's clock stands still for as long as that is set back

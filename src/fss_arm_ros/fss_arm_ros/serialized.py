@@ -14,7 +14,7 @@ STAMP = 4  # where it is: after the encapsulation's header
 DOUBLE = 8  # bytes
 
 
-class Image:
+class SerializedMessage:
     """A serialized message (CDR, little-endian) that begins with a stamp and ends with doubles.
 
     Args:

@@ -1,4 +1,4 @@
-"""What comes from outside is looked at before a node's callbacks see it.
+"""Validation of messages before a node's callbacks see them.
 
 Anybody on the network may publish anything. A rule for each type of message, declared in RULES,
 says what its consumers rely on: how large it is, which numbers may be missing, which arrays go
@@ -21,7 +21,9 @@ from fss_arm_ros.convert import PoseError, planar_pose
 
 MAGNITUDE = 1e12  # of any number: its square and cube are far from the largest
 ALL = frozenset({"*"})
-DOORS = "_doors"  # of a node, its own attribute: whatever else knew them would keep it alive
+# A node's own attribute: whatever else knew them would keep it alive.
+VALIDATORS = "_validators"
+
 
 Check = Callable[[Any], str]
 
@@ -109,6 +111,7 @@ RULES = {
         (("name", "position"), ("name", "velocity"), ("name", "effort")),
     ),
     "trajectory_msgs/JointTrajectory": Rule(size=1_000_000),
+    "trajectory_msgs/MultiDOFJointTrajectory": Rule(size=1_000_000),
     "visualization_msgs/MarkerArray": RESULT,
 }
 
@@ -219,8 +222,8 @@ def _member(name: str, one: Check, many: bool) -> Check:
     return of_many if many else of_one
 
 
-class Door:
-    """Counts what is refused on one topic of a node.
+class Validator:
+    """Passes on what the rule of its type allows on one topic of a node, and counts the rest.
 
     Args:
         node: who listens.
@@ -229,14 +232,13 @@ class Door:
     """
 
     def __init__(self, node: Node, kind: type, topic: str) -> None:
-        self._node, self._kind, self.topic = node, kind, topic
-        self.kind = kind.__name__
+        self._node, self.kind, self.topic = node, kind, topic
         self._check, self.refused, self.reason = check(kind), 0, ""
         name = f"{kind.__module__.partition('.')[0]}/{kind.__name__}"
         self.most = RULES.get(name, Rule()).size
-        vars(node).setdefault(DOORS, []).append(self)
+        vars(node).setdefault(VALIDATORS, []).append(self)
 
-    def lets_in(self, message: Any) -> bool:
+    def accepts(self, message: Any) -> bool:
         """Whether the rule allows a message."""
         why = self._check(message)
         if why:
@@ -245,13 +247,13 @@ class Door:
             self.reason = ""
         return not why
 
-    def opened(self, data: bytes) -> Any:
+    def message(self, data: bytes) -> Any:
         """The message that these bytes are, or None: they are too many, or the rule forbids it."""
         if len(data) > self.most:
             self.refuse(f"it has {len(data)} bytes, expected at most {self.most}")
             return None
-        message = deserialize_message(data, self._kind)
-        return message if self.lets_in(message) else None
+        message = deserialize_message(data, self.kind)
+        return message if self.accepts(message) else None
 
     def refuse(self, why: str) -> None:
         """Count, and log the first of a row."""
@@ -260,14 +262,14 @@ class Door:
         self.refused, self.reason = self.refused + 1, why
 
 
-def doors(node: Node) -> Sequence[Door]:
+def validators(node: Node) -> Sequence[Validator]:
     """All of a node."""
-    return tuple(vars(node).get(DOORS, ()))
+    return tuple(vars(node).get(VALIDATORS, ()))
 
 
 def refusals(node: Node) -> dict[str, int]:
     """How many messages a node has refused, by topic."""
-    return {f"refused on {door.topic}": door.refused for door in doors(node) if door.refused}
+    return {f"refused on {each.topic}": each.refused for each in validators(node) if each.refused}
 
 
 def subscribe(
@@ -275,10 +277,10 @@ def subscribe(
     qos: QoSProfile | int, **options: Any,
 ) -> Any:  # fmt: skip
     """A subscription whose callback gets what the rule of its type allows."""
-    door = Door(node, kind, topic)
+    validator = Validator(node, kind, topic)
 
     def take(data: bytes) -> None:
-        message = door.opened(data)
+        message = validator.message(data)
         if message is not None:
             callback(message)
 

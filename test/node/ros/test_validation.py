@@ -1,4 +1,4 @@
-"""The door of a subscription: what is let in, what is refused, and what is said of it."""
+"""Validation of a subscription: what passes, what is refused, and what is said of it."""
 
 import gc
 from math import inf, nan
@@ -24,8 +24,8 @@ from fss_arm_msgs.msg import (
     Maneuvers,
 )
 from fss_arm_ros.diagnostics import WARN, Diagnostics, Health
-from fss_arm_ros.door import check, refusals, subscribe
 from fss_arm_ros.sources import rivals
+from fss_arm_ros.validation import check, refusals, subscribe
 
 
 def odometry(**numbers):
@@ -113,7 +113,7 @@ def test_a_node_counts_what_it_refuses_and_goes_on(spin):
     assert refusals(node) == {"refused on joint_states": 2}
 
 
-def test_a_node_that_nobody_holds_is_gone_with_its_doors(ros):
+def test_a_node_that_nobody_holds_is_gone_with_its_validators(ros):
     node = Node("forgotten")
     subscribe(node, JointState, "joint_states", print, 10)
     known = ref(node)

@@ -1,8 +1,8 @@
-"""A thread that takes a topic's messages the moment they come.
+"""Subscriptions that no executor handles: polled by their node, or with a thread of their own.
 
 An executor asks all of a node's entities what they have every time that one of them wakes it, some
-tenths of a millisecond for a node with services and actions. Here a thread waits for one
-subscription alone, and the executor does not see it.
+tenths of a millisecond for a node with services and actions. A node that acts five times a second
+need not be woken by each of a hundred poses; and a command to stop need not wait for a turn.
 """
 
 import sys
@@ -14,7 +14,8 @@ from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
-from fss_arm_ros.door import Door
+from fss_arm_ros.qos import LAST
+from fss_arm_ros.validation import Validator
 
 # rclpy keeps these classes in its extension and offers no public names for them.
 from rclpy._rclpy_pybind11 import RCLError, WaitSet  # isort: skip
@@ -38,11 +39,40 @@ class OutsideExecutors(CallbackGroup):
         """Nothing has begun."""
 
 
-class Ear(Thread):
-    """Calls `take` with each message, in a thread of its own.
+class PolledSubscription:
+    """A topic whose messages wait until the node takes them.
 
     Args:
-        node: whose subscription it is; close the ear before it is destroyed.
+        node: whose subscription it is.
+        kind: of message.
+        topic: its name.
+        take: what to do with a message.
+        qos: of the subscription, which tells how many wait; by default the last one alone.
+    """
+
+    def __init__(
+        self, node: Node, kind: type, topic: str, take: Callable[[Any], None],
+        qos: QoSProfile = LAST,
+    ) -> None:  # fmt: skip
+        self._validator, self._take = Validator(node, kind, topic), take
+        self._subscription = node.create_subscription(
+            kind, topic, take, qos, callback_group=OutsideExecutors(), raw=True
+        )
+
+    def poll(self) -> None:
+        """Take all messages that have come, oldest first."""
+        handle, validator = self._subscription.handle, self._validator
+        with handle:
+            while taken := handle.take_message(validator.kind, True):
+                if (message := validator.message(taken[0])) is not None:
+                    self._take(message)
+
+
+class SubscriptionThread(Thread):
+    """Takes a topic's messages the moment they come, in a thread of its own.
+
+    Args:
+        node: whose subscription it is; close the thread before it is destroyed.
         kind: of message.
         topic: its name.
         qos: of the subscription.
@@ -54,7 +84,7 @@ class Ear(Thread):
     ) -> None:
         super().__init__()  # no daemon: one that waits in C++ must end before Python does
         self._context, self._kind, self._take = node.context, kind, take
-        self._door = Door(node, kind, topic)
+        self._validator = Validator(node, kind, topic)
         self._failed = node.create_guard_condition(self._raise)
         outside = OutsideExecutors()
         self._ended = node.create_guard_condition(lambda: None, outside)
@@ -78,7 +108,7 @@ class Ear(Thread):
                     waiting.add_guard_condition(ended)
                     waiting.wait(AWAKE)
                     while (taken := handle.take_message(self._kind, False)) and self._goes_on():
-                        if self._door.lets_in(taken[0]):
+                        if self._validator.accepts(taken[0]):
                             self._take(taken[0])
         except RCLError:
             if self._context.ok():  # else it was shut down meanwhile
