@@ -1,22 +1,18 @@
 """The node of one link: its telemetry to topics, commands to its electronics.
 
-A thread takes the link's datagrams and publishes what they say, others take commands and stops and
-send them; all else happens in the executor. What they share is the session, under a lock.
+Commands and stops come in threads of their own, and are sent by these.
 """
 
 import sys
 from collections import deque
-from threading import RLock
 from typing import Any
 
-from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
-from rclpy.task import Future
 from sensor_msgs.msg import BatteryState, JointState
 from std_msgs.msg import Empty
-from std_srvs.srv import SetBool, Trigger
+from std_srvs.srv import Trigger
 
 from fss_arm_driver.host_clock import HostClock
 from fss_arm_driver.messages import (
@@ -29,27 +25,24 @@ from fss_arm_driver.messages import (
 from fss_arm_driver.pacer import Pacer
 from fss_arm_driver.programs import link as main
 from fss_arm_driver.protocol import Slow
-from fss_arm_driver.receiver import Receiver
 from fss_arm_driver.scale import CommandError
-from fss_arm_driver.session import Arming, LinkSession, News, Progress
+from fss_arm_driver.session import LinkSession, Progress
+from fss_arm_driver.session_node import SessionNode
 from fss_arm_driver.settings import LinkSettings
-from fss_arm_driver.transport import Transport, is_exposed, open_transport
+from fss_arm_driver.transport import Transport, open_transport
 from fss_arm_msgs.msg import CommandStatus, LinkCommand, LinkPath, LinkTelemetry
 from fss_arm_ros.convert import SECOND, stamp_ns
-from fss_arm_ros.diagnostics import Diagnostics, Health
-from fss_arm_ros.events import report
+from fss_arm_ros.diagnostics import Health
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import COMMAND, SENSOR
-from fss_arm_ros.run import RCLError
 from fss_arm_ros.subscriptions import SubscriptionThread
 from fss_arm_ros.timer_clock import timer_clock
 from fss_arm_ros.validation import subscribe
 
 PATH_RATE = 10.0  # of commands, below which they are doubled while a path is followed [1/s]
-SIMULATED_STEP = 0.01  # of /clock [s]
 
 
-class LinkNode(Node):
+class LinkNode(SessionNode):
     """Publishes what one link measures, as it comes, and sends it commands at a steady rate.
 
     Args:
@@ -59,6 +52,9 @@ class LinkNode(Node):
         clock: the computer's, but for tests.
         kind: LinkSettings, or more than these.
     """
+
+    session: LinkSession
+    unconfirmed = "does not say that it is off"
 
     def __init__(
         self,
@@ -72,81 +68,45 @@ class LinkNode(Node):
         overrides = [Parameter("link", value=number), *options.pop("parameter_overrides", ())]
         if url:
             overrides.append(Parameter("url", value=url))
-        super().__init__(f"link_{number}", parameter_overrides=overrides, **options)
-        self.settings = settings = declare(self, kind)
-        simulated = self.get_parameter("use_sim_time").value
-        if simulated:
-            clock = HostClock(self.simulated_now, self.simulated_now)
-        self.clock = clock or HostClock()
-        self.now = self.clock.now
+        super().__init__(f"link_{number}", kind, clock, parameter_overrides=overrides, **options)
+        settings: LinkSettings = self.settings
         self.session = LinkSession(
             number,
             settings.link_description(),
             settings.timeout,
             settings.watchdog,
-            SIMULATED_STEP if simulated else 0.0,
+            self.resolution,
             settings.key(),
             settings.empty,
             self.clock.ahead,
             settings.arm,
         )
-        self.transport = transport or open_transport(settings.url, number, settings.key())
-        self.name, self.lock = f"link_{number}", RLock()
-        self.warned = {"trouble": self.transport.trouble, "strain": ""}  # by kind
-        self.changes = News(self.session)
+        transport = transport or open_transport(settings.url, number, settings.key())
+        self.connect(self.session, transport, "move the link")
+        self.name = f"link_{number}"
         self.reported: tuple[Any, ...] = ()  # of the last command
         self.given = 0, 0  # when that was given: by the session, and by the time of day then
-        self.waiting: list[Future] = []
         self.replaced: deque[Progress] = deque()  # by others, whose end is yet to be reported
         self.period = round(SECOND / settings.rate)  # of commands that are not new [ns]
         self.path_period = self.period // 2 if settings.rate < PATH_RATE else self.period
-        if is_exposed(settings.url, settings.keys):
-            self.get_logger().warning(
-                f"{settings.url}: frames are not signed, so anybody on this network can move the "
-                "link; see docs/how-to/security.md"
-            )
-
         self.joint_states = self.create_publisher(JointState, "joint_states", SENSOR)
         self.telemetry = self.create_publisher(LinkTelemetry, f"{self.name}/telemetry", SENSOR)
         self.battery = self.create_publisher(BatteryState, f"{self.name}/battery", SENSOR)
         self.status = self.create_publisher(CommandStatus, f"{self.name}/command_status", SENSOR)
         subscribe(self, LinkPath, f"{self.name}/path", self.on_path, 10)
-        group = ReentrantCallbackGroup()  # the answer waits for the link's; all else goes on
-        self.create_service(SetBool, f"{self.name}/arm", self.on_arm, callback_group=group)
         self.create_service(Trigger, f"{self.name}/clear_faults", self.on_clear_faults)
-        self.pacer, clock = Pacer(settings.max_rate), timer_clock(self)
+        self.pacer = Pacer(settings.max_rate)
         period = 1.0 / settings.rate
-        self.steady = self.create_timer(period, self.send, clock=clock)
-        self.late = self.create_timer(period, self.send, clock=clock, autostart=False)
+        self.late = self.create_timer(period, self.send, clock=timer_clock(self), autostart=False)
         self.messages = SampleMessages(self.session, self.settings.frame_prefix)
         self.link_health = LinkHealth(self.session, self.transport, bool(settings.keys))
-        self.diagnostics = Diagnostics(self, self.health, settings.url)
-        self.news = self.create_guard_condition(self.answer)
-        self.receiver = Receiver(self.transport, self.poll, self.news)
+        self.begin(f"{self.name}/arm")
         self.listening = (
             SubscriptionThread(self, Empty, "arm/stop", QoSProfile(depth=10), self.on_stop),
             SubscriptionThread(self, LinkCommand, f"{self.name}/command", COMMAND, self.on_command),
         )
 
-    def simulated_now(self) -> int:
-        """The time of /clock [ns]; 0 before its first message."""
-        return int(self.get_clock().now().nanoseconds)
-
-    def poll(self, datagrams: list[bytes]) -> None:
-        """Take what has come. Without a clock yet nothing can be stamped: it is dropped."""
-        with self.lock:
-            now = self.now()  # not before: it would run back in the session
-            try:
-                for data in datagrams if now else ():
-                    self.publish(data, now)
-            except RCLError:
-                if self.context.ok():
-                    raise
-                return  # shut down meanwhile
-        if self.waiting or self.progressed():
-            self.news.trigger()
-
-    def publish(self, data: bytes, now: int) -> None:
+    def take(self, data: bytes, now: int) -> None:
         """Publish what a datagram says; the joint's state before all else."""
         sample = self.session.measure(data, now)
         if sample is None:
@@ -159,23 +119,10 @@ class LinkNode(Node):
         if sample.frame.slow_id == Slow.BATTERY:
             self.battery.publish(self.messages.battery(sample))
 
-    def send(self) -> None:
-        """Send the command of the moment, and say what has become of earlier ones."""
-        self.transmit()
-        self.answer()
-        self.complain()
-
     def complain(self) -> None:
         """Log what has changed, and what is wrong, once each time that it begins."""
-        with self.lock:
-            news = self.changes(self.now())
-        report(self, news)
-        session, trouble = self.session, self.transport.trouble
-        self.warn("trouble", trouble and f"{self.settings.url}: {trouble}")
-        self.warn("rival", session.rival)
-        self.warn("path", session.breakage)
-        if bool(session.strain) != bool(self.warned["strain"]):  # its figures change all the time
-            self.warn("strain", session.strain)
+        super().complain()
+        self.warn("path", self.session.breakage)
 
     def transmit(self) -> None:
         """Send the command of the moment; the next one follows sooner while a path is followed."""
@@ -205,15 +152,15 @@ class LinkNode(Node):
             given = stamp_ns(message.header.stamp)
             given = min(given - ahead, now) if given else now
             try:
-                self.take(message, given, now)
-                self.warn("refused", "")
+                self.order(message, given, now)
+                self.warn("command refused", "")
                 self.pass_on(now)
             except CommandError as error:
                 self.refuse("command", error, given)
             if before and before is not self.session.progress:
                 self.replaced.append(before)
 
-    def take(self, message: LinkCommand, given: int, now: int) -> None:
+    def order(self, message: LinkCommand, given: int, now: int) -> None:
         """Have the session take a command given then, or raise CommandError."""
         if not 0.0 < (lives := message.time_to_live) <= 3600.0:
             raise CommandError(f"time_to_live is {lives} s, expected above 0")
@@ -243,7 +190,7 @@ class LinkNode(Node):
             knots = message.time, message.position, message.velocity
             try:
                 self.session.give_path(message.path, begin, *knots, now)
-                self.warn("refused", "")
+                self.warn("path refused", "")
             except CommandError as error:
                 self.refuse("path", error, now)
             self.send_path(now)
@@ -252,7 +199,7 @@ class LinkNode(Node):
         """Say that a command or a path is not taken."""
         ahead = self.clock.ahead
         self.status.publish(command_refused(str(error), given + ahead, self.now() + ahead))
-        self.warn("refused", f"{what} refused: {error}")
+        self.warn(f"{what} refused", f"{what} refused: {error}")
 
     def on_stop(self, _: Empty) -> None:
         """Stop at once, in a thread of its own as well: however busy the executor is."""
@@ -261,31 +208,9 @@ class LinkNode(Node):
         self.transmit()
         self.news.trigger()
 
-    async def on_arm(self, request: SetBool.Request, response: SetBool.Response) -> Any:
-        """Arm or disarm; answer when the link has."""
-        try:
-            with self.lock:
-                if request.data:
-                    self.session.arm(self.now())
-                else:
-                    self.session.disarm()
-            self.waiting.append(settled := Future())
-            self.send()
-            await settled
-            response.success, response.message = self.outcome(request.data)
-        except CommandError as error:
-            response.success, response.message = False, str(error)
-        return response
-
-    def outcome(self, arm: bool) -> tuple[bool, str]:
-        """Whether the link has armed or disarmed, and how it is in words."""
-        session = self.session
-        done = session.armed if arm else session.released
-        if done or arm or session.arming is not Arming.DISARMED:
-            words = state_words(session), "" if done else session.strain
-            return done, "; ".join(filter(None, words))
-        how = "is lost" if session.lost else "does not say that it is off"
-        return False, f"{self.name} {how}: asked to disarm, not confirmed"
+    def state_words(self) -> str:
+        """How the link is, for people."""
+        return state_words(self.session)
 
     def on_clear_faults(self, _: Trigger.Request, response: Trigger.Response) -> Any:
         """Disarm and clear what the drive has latched; telemetry says what remains."""
@@ -296,10 +221,11 @@ class LinkNode(Node):
         response.message = "asked for" if response.success else f"{self.name} is lost"
         return response
 
-    def progressed(self) -> bool:
-        """Whether the last command has a status that is not yet reported."""
+    def has_news(self) -> bool:
+        """Whether somebody waits, or the last command has a status that is not yet reported."""
         progress = self.session.progress
-        return progress is not None and (progress.given, progress.status) != self.reported
+        progressed = progress and (progress.given, progress.status) != self.reported
+        return bool(self.waiting or progressed)
 
     def report(self, progress: Progress) -> None:
         """Publish how far a command has come, if that is new."""
@@ -311,15 +237,12 @@ class LinkNode(Node):
 
     def answer(self) -> None:
         """Report what has changed: how far the last command has come, whether arming has ended."""
-        if self.receiver.error and self.context.ok():
-            raise self.receiver.error
         with self.lock:
             while self.replaced:
                 self.report(self.replaced.popleft())
             if self.session.progress:
                 self.report(self.session.progress)
-        while self.waiting and self.session.settled:
-            self.waiting.pop().set_result(None)
+        super().answer()
 
     def health(self) -> Health:
         """For diagnostics; it comes also while a stream of commands leaves the beat no turn."""
@@ -327,18 +250,11 @@ class LinkNode(Node):
         with self.lock:
             return self.link_health(self.now())
 
-    def warn(self, kind: str, text: str) -> None:
-        """Log a warning once in a row."""
-        if text not in ("", self.warned.get(kind)):
-            self.get_logger().warning(text)
-        self.warned[kind] = text
-
     def close(self) -> None:
         """Give the port back."""
         for thread in self.listening:
             thread.close()
-        self.receiver.close()
-        self.transport.close()
+        super().close()
 
 
 def make_nodes(kind: type[LinkSettings] = LinkSettings) -> list[LinkNode]:

@@ -96,7 +96,7 @@ RULES = {
     "fss_arm_msgs/KinematicObservation": Rule(ALL, also=(_is_observation,)),
     "fss_arm_msgs/KinematicObservations": DATA,
     "fss_arm_msgs/LinkCommand": Rule(ALL),  # drivers answer what they refuse
-    "fss_arm_msgs/LinkPath": Rule(ALL),
+    "fss_arm_msgs/LinkPath": Rule(ALL, size=1_600_000),  # as long as a path may be
     "fss_arm_msgs/LinkTelemetry": Rule(frozenset({"clock_deviation", "round_trip"})),
     "fss_arm_msgs/Maneuver": Rule(ALL, also=(_is_maneuver,)),
     "fss_arm_msgs/Maneuvers": DATA,

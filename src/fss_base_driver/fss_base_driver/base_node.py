@@ -1,38 +1,30 @@
-"""The node of the base's board: its telemetry to topics, wrenches and pulses to its valves.
-
-A thread takes the board's datagrams and publishes what they say; all else happens in the executor.
-What they share is the session, under a lock.
-"""
+"""The node of the base's board: its telemetry to topics, wrenches and pulses to its valves."""
 
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from math import isfinite
-from threading import RLock
 from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
 from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.task import Future
 from sensor_msgs.msg import BatteryState, FluidPressure, Imu
 from std_msgs.msg import Bool, Empty, Float64
-from std_srvs.srv import SetBool, Trigger
+from std_srvs.srv import Trigger
 
 from fss_arm_driver.host_clock import HostClock
-from fss_arm_driver.receiver import Receiver
-from fss_arm_driver.session import Arming, CommandError, News
-from fss_arm_driver.transport import Transport, is_exposed, open_transport
+from fss_arm_driver.session import CommandError
+from fss_arm_driver.session_node import SessionNode
+from fss_arm_driver.transport import Transport, open_transport
 from fss_arm_msgs.msg import BaseTelemetry, GripperState, ThrusterCommand, ThrusterHealth
 from fss_arm_ros.convert import SECOND, stamp_ns
-from fss_arm_ros.diagnostics import Diagnostics, Health
-from fss_arm_ros.events import report
-from fss_arm_ros.parameters import declare, declare_live
+from fss_arm_ros.diagnostics import Health
+from fss_arm_ros.parameters import declare_live
 from fss_arm_ros.qos import LATCHED, SENSOR, command
-from fss_arm_ros.run import RCLError
 from fss_arm_ros.timer_clock import timer_clock
 from fss_arm_ros.validation import subscribe
 from fss_base_driver import messages
@@ -40,15 +32,14 @@ from fss_base_driver.allocation import Allocation
 from fss_base_driver.gyro import BiasError, BiasSearch, Sums
 from fss_base_driver.programs import base as main
 from fss_base_driver.protocol import BOARD, TIME_UNIT, VALVES, BaseSlow
-from fss_base_driver.session import NO_PULSE, BoardSession, Heard
+from fss_base_driver.session import NO_PULSE, BoardSession, Heard, Pulse
 from fss_base_driver.settings import BaseSettings, live_kinds
 
-SIMULATED_STEP = 0.01  # of /clock [s]
 AHEAD = 0.5  # by which a stamp may seem to come from the future [s]
 OFF = VALVES * (0.0,)
 
 
-class BaseNode(Node):
+class BaseNode(SessionNode):
     """Publishes what the base's board measures, and opens its valves when asked.
 
     Args:
@@ -56,22 +47,20 @@ class BaseNode(Node):
         clock: the computer's, but for tests.
     """
 
+    session: BoardSession
+    unconfirmed = "does not say that its valves are closed"
+
     def __init__(
         self, transport: Transport | None = None, clock: HostClock | None = None, **options: Any
     ) -> None:
-        super().__init__("base", **options)
-        self.settings = s = declare(self, BaseSettings, live=True)
-        simulated = self.get_parameter("use_sim_time").value
-        if simulated:
-            clock = HostClock(self.simulated_now, self.simulated_now)
-        self.clock = clock or HostClock()
-        self.now = self.clock.now
+        super().__init__("base", BaseSettings, clock, live=True, **options)
+        s: BaseSettings = self.settings
         self.session = BoardSession(
-            s.timeout, s.watchdog, s.command_lifetime, s.max_on_time,
-            SIMULATED_STEP if simulated else 0.0, s.key(), s.empty, self.clock.ahead,
+            s.timeout, s.watchdog, s.command_lifetime, s.max_on_time, self.resolution, s.key(),
+            s.empty, self.clock.ahead,
         )  # fmt: skip
-        self.transport = transport or open_transport(s.url, BOARD, s.key())
-        self.lock = RLock()
+        transport = transport or open_transport(s.url, BOARD, s.key())
+        self.connect(self.session, transport, "open the valves")
         self.live: dict[str, Any] = {name: kind() for name, kind in live_kinds().items()}
         self.found = ThrusterHealth()  # of the valves, by the navigation
         self.wrench: tuple[tuple[float, float, float], int] | None = None  # and when given
@@ -79,15 +68,8 @@ class BaseNode(Node):
         self.sums = Sums()
         self.search: BiasSearch | None = None
         self.result: tuple[float, float] | str | None = None  # of it
-        self.changes = News(self.session)
-        self.sent, self.warned = NO_PULSE, {"trouble": self.transport.trouble}
-        self.waiting: list[Future] = []
+        self.sent = NO_PULSE
         self.seeking: Future | None = None  # who asked for the gyro's bias
-        if is_exposed(s.url, s.keys):
-            self.get_logger().warning(
-                f"{s.url}: frames are not signed, so anybody on this network can open the valves; "
-                "see docs/how-to/security.md"
-            )
 
         def publish(kind: type, topic: str) -> Any:
             return self.create_publisher(kind, topic, SENSOR)
@@ -106,37 +88,18 @@ class BaseNode(Node):
         subscribe(self, ThrusterHealth, "thrusters/health", self.on_found, LATCHED)
         for topic in ("base/stop", "arm/stop"):
             self.create_subscription(Empty, topic, self.on_stop, 10)
-        group = ReentrantCallbackGroup()  # answers wait for the board's; all else goes on
-        self.create_service(SetBool, "base/arm", self.on_arm, callback_group=group)
+        group = ReentrantCallbackGroup()  # the answer takes its time; all else goes on
         self.create_service(Trigger, "base/find_gyro_bias", self.on_find, callback_group=group)
-        clock_of_timers = timer_clock(self)
-        self.steady = self.create_timer(1.0 / s.rate, self.send, clock=clock_of_timers)
-        self.sharing = self.create_timer(s.wrench_period, self.share, clock=clock_of_timers)
+        self.sharing = self.create_timer(s.wrench_period, self.share, clock=timer_clock(self))
         declare_live(self, live_kinds(), self.on_live)
         self.allocation = self.new_allocation()
         self.board_health = messages.BoardHealth(self.session, self.transport, bool(s.keys))
-        self.diagnostics = Diagnostics(self, self.health, s.url)
-        self.news = self.create_guard_condition(self.answer)
-        self.receiver = Receiver(self.transport, self.poll, self.news)
+        self.begin("base/arm")
 
-    def simulated_now(self) -> int:
-        """The time of /clock [ns]; 0 before its first message."""
-        return int(self.get_clock().now().nanoseconds)
-
-    def poll(self, datagrams: list[bytes]) -> None:
-        """Take what has come. Without a clock yet nothing can be stamped: it is dropped."""
-        with self.lock:
-            now = self.now()
-            try:
-                for data in datagrams if now else ():
-                    if heard := self.session.feed(data, now):
-                        self.publish(heard, now)
-            except RCLError:
-                if self.context.ok():
-                    raise
-                return  # shut down meanwhile
-        if self.waiting:
-            self.news.trigger()
+    def take(self, data: bytes, now: int) -> None:
+        """Publish what a datagram says."""
+        if heard := self.session.feed(data, now):
+            self.publish(heard, now)
 
     def publish(self, heard: Heard, now: int) -> None:
         """Publish what the board says; its rate of turn before all else."""
@@ -178,27 +141,24 @@ class BaseNode(Node):
             self.search = None
             self.news.trigger()
 
-    def send(self) -> None:
-        """Send the command of the moment, and say what has become of earlier requests."""
-        with self.lock:
-            self.transmit()
-        self.answer()
-        self.complain()
-
     def transmit(self) -> None:
         """Send the command of the moment, and publish what is new in it."""
-        now = self.now()
-        self.transport.send(self.session.command(now))
-        self.steady.reset()
-        pulse, last = self.session.pulse, self.sent
+        with self.lock:
+            now = self.now()
+            self.transport.send(self.session.command(now))
+            self.steady.reset()
+            self.tell(now, self.session.pulse, self.sent)
+            self.sent = self.session.pulse
+
+    def tell(self, now: int, pulse: Pulse, last: Pulse) -> None:
+        """Publish a pulse that is new, and that the last one was closed before its time."""
+        stamp = now + self.clock.ahead
         if pulse.number == last.number:
             return
-        self.sent = pulse
-        stamp = now + self.clock.ahead
         if pulse.number:
             times = [1e-6 * TIME_UNIT * time for time in pulse.on_times]
             self.pulses.publish(messages.pulses(stamp, times))
-        elif now < last.given + last.longest:  # closed before its time
+        elif now < last.given + last.longest:
             self.pulses.publish(messages.pulses(stamp, OFF))
 
     @contextmanager
@@ -207,10 +167,10 @@ class BaseNode(Node):
         with self.lock:
             try:
                 yield
-                self.warn("refused", "")
+                self.warn(topic, "")
             except CommandError as error:
                 self.session.counts["commands_refused"] += 1
-                self.warn("refused", f"{topic} is refused: {error}")
+                self.warn(topic, f"{topic} is refused: {error}")
 
     def on_thrust(self, message: ThrusterCommand) -> None:
         """Open the valves that a person asks for; a wrench waits for the next one."""
@@ -301,31 +261,9 @@ class BaseNode(Node):
             self.session.stop()
         self.send()
 
-    async def on_arm(self, request: SetBool.Request, response: SetBool.Response) -> Any:
-        """Arm or disarm; answer when the board has."""
-        try:
-            with self.lock:
-                if request.data:
-                    self.session.arm(self.now())
-                else:
-                    self.session.disarm()
-            self.waiting.append(settled := Future())
-            self.send()
-            await settled
-            response.success, response.message = self.outcome(request.data)
-        except CommandError as error:
-            response.success, response.message = False, str(error)
-        return response
-
-    def outcome(self, arm: bool) -> tuple[bool, str]:
-        """Whether the board has armed or disarmed, and how it is in words."""
-        session = self.session
-        done = session.armed if arm else session.released
-        if done or arm or session.arming is not Arming.DISARMED:
-            words = messages.state_words(session), "" if done else session.strain
-            return done, "; ".join(filter(None, words))
-        how = "is lost" if session.lost else "does not say that its valves are closed"
-        return False, f"{session.partner.name} {how}: asked to disarm, not confirmed"
+    def state_words(self) -> str:
+        """How the board is, for people."""
+        return messages.state_words(self.session)
 
     async def on_find(self, _: Trigger.Request, response: Trigger.Response) -> Any:
         """Find the gyro's bias while the base is at rest, and set it."""
@@ -354,27 +292,9 @@ class BaseNode(Node):
             self.live[prefix] = replace(self.live[prefix], **{field: value})
             self.allocation = self.new_allocation()
 
-    def complain(self) -> None:
-        """Log what has changed, and what is wrong, once each time that it begins."""
-        with self.lock:
-            news = self.changes(self.now())
-        report(self, news)
-        session, trouble = self.session, self.transport.trouble
-        self.warn("trouble", trouble and f"{self.settings.url}: {trouble}")
-        self.warn("rival", session.rival)
-
-    def warn(self, kind: str, text: str) -> None:
-        """Log a warning once in a row."""
-        if text not in ("", self.warned.get(kind)):
-            self.get_logger().warning(text)
-        self.warned[kind] = text
-
     def answer(self) -> None:
         """Answer requests that have come to an end."""
-        if self.receiver.error and self.context.ok():
-            raise self.receiver.error
-        while self.waiting and self.session.settled:
-            self.waiting.pop().set_result(None)
+        super().answer()
         if self.search and self.session.lost:
             self.search, self.result = None, self.session.absence
         if self.seeking and self.result and not self.seeking.done():
@@ -398,8 +318,7 @@ class BaseNode(Node):
         with self.lock:
             self.session.disarm()
             self.transport.send(self.session.command(self.now()))
-        self.receiver.close()
-        self.transport.close()
+        super().close()
 
 
 if __name__ == "__main__":

@@ -36,6 +36,10 @@ class Lines:
         self.counts = Counts()
         self._rest: bytes | None = None  # None: up to the next end of line all is skipped
 
+    def begin(self) -> None:
+        """Begin anew, as the port was opened again; counts go on."""
+        self._rest = None
+
     def feed(self, data: bytes) -> list[float]:
         """The rates whose lines end in `data`, in order [rad/s]."""
         first, *ended = data.split(b"\n")

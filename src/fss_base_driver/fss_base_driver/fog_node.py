@@ -11,6 +11,7 @@ from typing import Any
 from rclpy.node import Node
 from sensor_msgs.msg import Imu
 
+from fss_arm_driver.host_clock import HostClock
 from fss_arm_driver.transport import Serial, open_port, readable
 from fss_arm_ros.convert import SECOND
 from fss_arm_ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
@@ -24,18 +25,24 @@ from fss_base_driver.settings import FogCorrection, FogSettings
 
 AGAIN = 0.5  # from one try to open the port to the next [s]
 AWAKE = 0.2  # so often the thread sees that it shall end [s]
+DOUBT = "is it a DSP-3000 in its mode `rate`, and at this baud rate?"
 
 
 class FogNode(Node):
-    """Publishes the rate of turn that a KVH DSP-3000 measures, in place of the board's gyro."""
+    """Publishes the rate of turn that a KVH DSP-3000 measures, in place of the board's gyro.
 
-    def __init__(self, **options: Any) -> None:
+    Args:
+        clock: the computer's, but for tests.
+    """
+
+    def __init__(self, clock: HostClock | None = None, **options: Any) -> None:
         super().__init__("fog", **options)
         self.settings = settings = declare(self, FogSettings, live=True)
+        self.clock = clock or HostClock()
         self.correction, self.lines = FogCorrection(), Lines()
         self.imu = self.create_publisher(Imu, "fog/imu", SENSOR)
         self.lock, self.closing = Lock(), Event()
-        self.trouble, self.stamp = "nothing heard yet", 0
+        self.trouble, self.measured = "nothing heard yet", 0
         self.before, self.then = self.lines.counts, time.monotonic()
         declare_live(self, {"gyro": FogCorrection}, self.on_live)
         self.port: Serial | None = open_port(settings.device, settings.baud)
@@ -53,9 +60,9 @@ class FogNode(Node):
             try:
                 if self.port is None:
                     self.port = open_port(self.settings.device, self.settings.baud)
-                    self.lines = Lines()
+                    self.lines.begin()
                 if readable([self.port], AWAKE):
-                    self.take(os.read(self.port.fileno(), 4096), time.time_ns())
+                    self.take(os.read(self.port.fileno(), 4096), self.clock.now())
             except RCLError:
                 return  # shut down meanwhile
             except (OSError, ValueError) as error:
@@ -72,13 +79,13 @@ class FogNode(Node):
         for late, rate in zip(range(len(rates) - 1, -1, -1), rates, strict=True):
             self.publish(arrival - round(SECOND * (self.settings.latency + 0.01 * late)), rate)
 
-    def publish(self, stamp: int, rate: float) -> None:
-        """Publish a rate; stamps never run back."""
-        self.stamp, self.trouble = max(stamp, self.stamp + 1), ""
+    def publish(self, measured: int, rate: float) -> None:
+        """Publish a rate; stamps never run back, unless the time of day is set back."""
+        self.measured, self.trouble = max(measured, self.measured + 1), ""
         settings, gyro = self.settings, self.correction
         rate = gyro.scale * rate - gyro.bias
-        message = messages.imu(self.stamp, rate, settings.gyro_noise, settings.base_frame)
-        self.imu.publish(message)
+        stamp = self.measured + self.clock.ahead
+        self.imu.publish(messages.imu(stamp, rate, settings.gyro_noise, settings.base_frame))
 
     def drop(self) -> None:
         """Close the port."""
@@ -91,12 +98,14 @@ class FogNode(Node):
         """Whether rates come, and are valid."""
         now, counts = time.monotonic(), self.lines.counts
         grown = [new - old for new, old in zip(counts, self.before, strict=True)]
-        rate = max(grown[0], 0) / max(now - self.then, 1e-9)
+        rate = grown[0] / max(now - self.then, 1e-9)
         self.before, self.then = counts, now
         values = {"rate [1/s]": rate, **counts._asdict()}
         if not rate:
-            why = self.trouble or "its rates are not valid" * bool(grown[1])
-            return Health(ERROR, f"the gyro is lost: {why or 'silent'}", values)
+            why = self.trouble or "silent"
+            if grown[1] or grown[2]:
+                why = "its rates are not valid" if grown[1] else f"what comes are no rates: {DOUBT}"
+            return Health(ERROR, f"the gyro is lost: {why}", values)
         if grown[1] or grown[2]:
             return Health(WARN, "some lines are not valid", values)
         return Health(OK, "the gyro is heard", values)

@@ -8,20 +8,34 @@ from typing import Any
 
 from geometry_msgs.msg import PoseStamped
 from rclpy.clock import Clock, ClockType
+from rclpy.exceptions import NameValidationException
 from rclpy.node import Node
 from rclpy.publisher import Publisher
+from rclpy.validate_topic_name import validate_topic_name
 from std_srvs.srv import Trigger
 
+from fss_arm_model.settings import SettingError
 from fss_arm_ros.convert import SECOND, stamp_ns, to_time
 from fss_arm_ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import SENSOR, subscribe_sensor
-from fss_base_driver.mocap import Pose, Receiver, RelayError, Subjects, message_type, named_poses
-from fss_base_driver.mocap.subjects import Bounds
+from fss_arm_ros.run import RCLError
+from fss_base_driver.mocap import (
+    MOST,
+    Bounds,
+    Pose,
+    Receiver,
+    Relay,
+    RelayError,
+    Subjects,
+    message_type,
+    named_poses,
+)
 from fss_base_driver.programs import mocap as main
 from fss_base_driver.settings import MocapSettings
 
 STAMPS = {True: "stamped by the relayed header", False: "stamped by arrival"}
+CHOOSE = "name those that are wanted in the parameter subjects"
 
 
 class MocapNode(Node):
@@ -31,75 +45,115 @@ class MocapNode(Node):
         super().__init__("mocap", **options)
         self.settings = s = declare(self, MocapSettings)
         self.subjects = Subjects(Bounds(s.max_speed, s.max_turn, s.settle_time))
-        self.topics, self.poses = s.topics(), dict[str, Publisher]()
-        self.waiting = [relay.rpartition("=")[::2] for relay in s.relays]
+        self.places = s.places()
+        self.poses: dict[str, Publisher | None] = {}  # None: the subject's name makes no topic
+        for name in self.places:
+            self.poses[name] = self.new_publisher(name)
+        self.relays = [Relay(relay.rpartition("=")[0], self.topic_of(relay)) for relay in s.relays]
         self.lock = Lock()  # frames come in a thread of their own
         self.frames, self.heard, self.by_header = 0, time.monotonic_ns(), False
-        self.trouble = ""  # until a frame comes
+        self.empty = False  # the last frame had no subject
+        self.trouble = self.told = ""  # why the receiver ended, and what was logged last
         self.create_service(Trigger, "mocap/accept", self.on_accept)
         self.create_timer(0.5, self.look_for_relays, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.diagnostics = Diagnostics(self, self.health, s.host)
-        host = [f"hostname={s.host}"] if s.host else []
-        self.receiver = (
-            Receiver(s.system, [*host, *s.options], self.on_frame, self.on_end)
-            if s.system
-            else None
-        )
+        self.receiver: Receiver | None = None
+        if s.system:
+            self.get_logger().info(f"waiting for {self.source}")
+            host = [f"hostname={s.host}"] if s.host else []
+            self.receiver = Receiver(s.system, [*host, *s.options], self.on_frame, self.on_end)
+
+    @property
+    def source(self) -> str:
+        """Where poses come from, in words."""
+        s = self.settings
+        return " at ".join(filter(None, (s.system, s.host))) or ", ".join(s.relays)
 
     def on_frame(self, arrival: int, poses: dict[str, Pose]) -> None:
         """Publish a frame of the system."""
         self.take(arrival - round(self.settings.latency * SECOND), poses)
 
-    def on_message(self, subject: str, message: Any) -> None:
+    def on_message(self, relay: Relay, message: Any) -> None:
         """Publish what another receiver says."""
         stamp = stamp_ns(message.header.stamp) if hasattr(message, "header") else 0
         self.by_header = bool(stamp)
         arrival = time.time_ns() - round(self.settings.latency * SECOND)
-        self.take(stamp or arrival, dict(named_poses(message, subject, self.settings.relay_scale)))
+        poses = named_poses(message, relay.subject, self.settings.relay_scale)
+        self.take(stamp or arrival, {name or relay.last_name: pose for name, pose in poses})
 
     def take(self, stamp: int, poses: dict[str, Pose]) -> None:
         """Publish those of a frame's poses that are believed."""
-        wanted = {n: p for n, p in poses.items() if not self.topics or n in self.topics}
+        wanted = {n: p for n, p in poses.items() if not self.places or n in self.places}
         with self.lock:
-            self.frames, self.heard, self.trouble = self.frames + 1, time.monotonic_ns(), ""
-            for name, pose in self.subjects.take(stamp, wanted).items():
+            self.frames, arrival = self.frames + 1, time.monotonic_ns()
+            self.empty = not poses  # as of a VRPN server that is not there
+            if poses:
+                self.heard, self.trouble, self.told = arrival, "", ""
+            for name, pose in self.subjects.take(stamp, wanted, arrival).items():
                 self.publish(name, stamp, pose)
 
     def publish(self, name: str, stamp: int, pose: Pose) -> None:
-        """Publish a pose of a subject."""
+        """Publish a pose of a subject, if its name makes a topic."""
         if name not in self.poses:
-            place = self.topics.get(name, f"{name}/{name}")
-            topic = f"{self.settings.prefix}/{place}"
-            self.poses[name] = self.create_publisher(PoseStamped, topic, SENSOR)
-        message = PoseStamped()
-        message.header.stamp = to_time(stamp)
-        message.header.frame_id = self.settings.frame_id
-        at, turn = message.pose.position, message.pose.orientation
-        at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w = pose
-        self.poses[name].publish(message)
+            try:
+                self.poses[name] = self.new_publisher(name)
+            except SettingError:
+                self.poses[name] = None
+        if publisher := self.poses[name]:
+            message = PoseStamped()
+            message.header.stamp = to_time(stamp)
+            message.header.frame_id = self.settings.frame_id
+            at, turn = message.pose.position, message.pose.orientation
+            at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w = pose
+            publisher.publish(message)
+
+    def new_publisher(self, name: str) -> Publisher:
+        """A publisher of a subject's poses, or SettingError: they would have no valid topic."""
+        topic = f"{self.settings.prefix}/{self.places.get(name, f'{name}/{name}')}"
+        try:
+            return self.create_publisher(PoseStamped, topic, SENSOR)
+        except (NameValidationException, RCLError) as error:
+            raise SettingError(f"subjects: {topic!r} is no name of a topic: {error}") from None
+
+    def topic_of(self, relay: str) -> str:
+        """What a relay names, with its namespace, or SettingError."""
+        topic = relay.rpartition("=")[2]
+        try:
+            validate_topic_name(topic)
+            return self.resolve_topic_name(topic)
+        except NameValidationException as error:
+            raise SettingError(f"relays: {topic!r} is no name of a topic: {error}") from None
 
     def look_for_relays(self) -> None:
-        """Subscribe to topics to relay as soon as their types are known."""
-        types = dict(self.get_topic_names_and_types()) if self.waiting else {}
-        for subject, topic in list(self.waiting):
-            if kinds := types.get(self.resolve_topic_name(topic)):
-                self.waiting.remove((subject, topic))
-                try:
-                    take = partial(self.on_message, subject or topic.rpartition("/")[2])
-                    subscribe_sensor(self, message_type(kinds[0]), topic, take)
-                except RelayError as error:
-                    self.on_end(f"{topic}: {error}")
+        """Subscribe to topics to relay as soon as there is one of a type that can be read."""
+        waiting = [relay for relay in self.relays if relay.lacks]
+        types = dict(self.get_topic_names_and_types()) if waiting else {}
+        for relay in waiting:
+            try:
+                if kinds := types.get(relay.topic):
+                    take = partial(self.on_message, relay)
+                    subscribe_sensor(self, message_type(kinds), relay.topic, take)
+                    relay.lacks = ""
+            except RelayError as error:
+                if relay.lacks != (lacks := str(error)):
+                    self.get_logger().error(f"{relay.topic}: {lacks}")
+                relay.lacks = lacks
 
     def on_end(self, why: str) -> None:
-        """Log, once, why no frames come: the receiving process has ended, or hears nothing."""
-        if why != self.trouble and self.context.ok():
-            self.get_logger().error(why)
+        """Learn why the receiving process has ended."""
         self.trouble = why
+        self.tell(why)
+
+    def tell(self, why: str) -> None:
+        """Log, once, why no poses come."""
+        if why != self.told and self.context.ok():
+            self.get_logger().error(why)
+        self.told = why
 
     def on_accept(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """A person says that each subject is what it is called."""
         with self.lock:
-            doubts = self.subjects.doubts(time.time_ns())
+            doubts = self.subjects.doubts(time.monotonic_ns())
             self.subjects.accept()
         response.success = True
         response.message = f"believed again: {', '.join(doubts) or 'none was in doubt'}"
@@ -107,21 +161,43 @@ class MocapNode(Node):
 
     def health(self) -> Health:
         """For diagnostics."""
-        now, timeout = time.time_ns(), self.settings.timeout
+        now, timeout = time.monotonic_ns(), self.settings.timeout
         with self.lock:
-            silence = (time.monotonic_ns() - self.heard) / SECOND
-            doubts, silent = self.subjects.doubts(now), self.subjects.silent(now, timeout)
+            silence = (now - self.heard) / SECOND
+            words = self.doubts(now)
             counts = {name: dict(s.counts) for name, s in self.subjects.subjects.items()}
         values = {"frames": self.frames, "time": STAMPS[self.by_header], **counts}
-        if silence > timeout and not self.trouble:
-            places = ", ".join(self.settings.relays)
-            origin = f"{self.settings.system} {self.settings.host}".strip() or places
-            self.on_end(f"no frame {'any more' if self.frames else 'yet'} from {origin}")
-        if self.trouble:
-            return Health(ERROR, f"{self.trouble} ({silence:.1f} s)", values)
-        words = [f"{name} {why}" for name, why in doubts.items()]
-        words += [f"{name} not seen anew for {age:.1f} s" for name, age in silent.items()]
+        if why := self.trouble or (self.absence() if silence > timeout else ""):
+            self.tell(why)
+            return Health(ERROR, f"{why} ({silence:.1f} s)", values)
         return Health(WARN if words else OK, "; ".join(words) or "receiving", values)
+
+    def absence(self) -> str:
+        """What does not come, in words."""
+        if self.receiver and not self.receiver.connected:
+            return f"waiting for {self.source}: it does not answer"
+        if self.empty:
+            return f"no subject in the frames of {self.source}"
+        if not self.receiver and (lacking := self.lacking()):
+            return f"waiting for {'; '.join(lacking)}"
+        return f"no frame {'any more' if self.frames else 'yet'} from {self.source}"
+
+    def lacking(self) -> list[str]:
+        """The topics that cannot be relayed yet, and why."""
+        return [f"{relay.topic}: {relay.lacks}" for relay in self.relays if relay.lacks]
+
+    def doubts(self, now: int) -> list[str]:
+        """What is not received as it should be, in words."""
+        subjects, known = self.subjects, self.subjects.subjects
+        words = [f"{name} {why}" for name, why in subjects.doubts(now).items()]
+        silent = subjects.silent(now, self.settings.timeout).items()
+        words += [f"{name} not seen anew for {age:.1f} s" for name, age in silent]
+        words += [f"{name} not seen yet" for name in self.places if name not in known]
+        nameless = [name for name, publisher in self.poses.items() if publisher is None]
+        words += [f"{name!r} is no name for a topic: rename it, or {CHOOSE}" for name in nameless]
+        if subjects.left_out:
+            words.append(f"subjects beyond the first {MOST} are left out: {CHOOSE}")
+        return words + self.lacking()
 
     def close(self) -> None:
         """End the receiving process."""

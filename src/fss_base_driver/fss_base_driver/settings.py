@@ -83,7 +83,7 @@ class MocapSettings(Settings):
             if "=" not in option:
                 raise SettingError(f"options holds {option!r}, expected OPTION=VALUE")
 
-    def topics(self) -> dict[str, str]:
+    def places(self) -> dict[str, str]:
         """By name of a subject, what follows the prefix in its topic; empty: any subject."""
         pairs = (subject.partition("=")[::2] for subject in self.subjects)
         return {name: place or f"{name}/{name}" for name, place in pairs}

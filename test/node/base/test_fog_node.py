@@ -1,7 +1,9 @@
 """The node `fog`: a gyro at the other end of a pseudo-terminal."""
 
+import functools
 import os
 import pty
+import time
 import tty
 from math import radians
 
@@ -11,7 +13,8 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import Imu
 
-from fss_arm_ros.convert import stamp_ns
+from fss_arm_driver.host_clock import HostClock
+from fss_arm_ros.convert import SECOND, stamp_ns
 from fss_base_driver.fog_node import FogNode
 
 
@@ -49,3 +52,52 @@ def test_rates_are_published_corrected_and_in_order(spin, gyro):
 def test_a_port_that_cannot_be_opened_is_named(ros, tmp_path):
     with pytest.raises(OSError, match="No such file"):
         FogNode(parameter_overrides=[Parameter("device", value=str(tmp_path / "none"))])
+
+
+def test_what_is_no_line_of_the_gyro_is_said(spin, gyro):
+    end, device = gyro
+    node = FogNode(parameter_overrides=[Parameter("device", value=device)])
+    spin(node, lambda: node.health().message == "the gyro is lost: nothing heard yet")
+    os.write(end, b"\x00\xfe garbage\r\n" * 3)
+    words = "the gyro is lost: what comes are no rates: "
+    spin(node, lambda: node.health().message.startswith(words))
+
+
+@pytest.mark.parametrize("step", [-3600, 3600])
+def test_a_clock_that_is_set_shows_in_the_stamps_and_nowhere_else(spin, gyro, step):
+    end, device = gyro
+    day = [0]  # what was added to the time of day [ns]
+    clock = HostClock(day=lambda: time.time_ns() + day[0])
+    node = FogNode(clock, parameter_overrides=[Parameter("device", value=device)])
+    user, heard = Node("user"), []
+    user.create_subscription(Imu, "fog/imu", heard.append, 100)
+    spin([node, user], node.imu.get_subscription_count)
+    for count in (1, 2):
+        os.write(end, b"\r\n0.500000 1\r\n")
+        spin([node, user], lambda count=count: len(heard) == count)
+        day[0] = step * SECOND
+    first, second = (stamp_ns(imu.header.stamp) for imu in heard)
+    assert second - first == pytest.approx(step * SECOND, abs=30 * SECOND)  # a slow computer
+
+
+def test_a_gyro_that_is_plugged_in_again_is_heard_without_a_warning(spin, gyro, tmp_path):
+    end, device = gyro
+    link = tmp_path / "gyro"
+    link.symlink_to(device)
+    node = FogNode(parameter_overrides=[Parameter("device", value=str(link))])
+    write = functools.partial(os.write, end, b"\r\n0.500000 1\r\n0.500000 1\r\n")
+    spin(node, lambda: write() and node.lines.counts.rates > 3)
+    node.health()
+    other, again = pty.openpty()
+    tty.setraw(other)
+    link.unlink()
+    link.symlink_to(os.ttyname(again))
+    before = node.port
+    node.drop()  # as reading it fails
+    spin(node, lambda: node.port not in (None, before))
+    write = functools.partial(os.write, other, b"\r\n0.500000 1\r\n0.500000 1\r\n")
+    rates = node.lines.counts.rates
+    spin(node, lambda: write() and node.lines.counts.rates > rates)
+    assert node.health().level == DiagnosticStatus.OK
+    for file in (other, again):
+        os.close(file)

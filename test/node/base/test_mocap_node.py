@@ -1,19 +1,30 @@
 """The mocap node: against a server of a real protocol, the library's mock, and other receivers."""
 
 import struct
+import subprocess
+import sys
 import time
+from functools import partial
 from math import cos, sin
+from socket import AF_INET, SOCK_DGRAM, socket
+from subprocess import PIPE
+from threading import Event, Thread
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, TransformStamped
 from natnet import NatNetServer
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from running import wait_until
+from std_msgs.msg import Empty
 from std_srvs.srv import Trigger
 
 from fss_arm_ros.convert import SECOND, stamp_ns, to_time
 from fss_arm_ros.qos import SENSOR, subscribe_sensor
+from fss_base_driver.mocap import Receiver, receiving
 from fss_base_driver.mocap_node import MocapNode
 
 NAMES = ["fss", "end_effector"]
@@ -118,6 +129,69 @@ def test_a_server_that_falls_silent_is_reported(spin, served):
     spin(nodes, lambda: node.health().message.startswith("no frame any more from "))
 
 
+def test_a_subject_whose_name_makes_no_topic_is_named_and_the_others_are_published(spin):
+    """Motive calls what nobody has named `Rigid Body 1`."""
+    server, user, k = NatNetServer(["fss", "Rigid Body 1"]), User(), 0
+    node = MocapNode(
+        parameter_overrides=parameters(system="optitrack", host="127.0.0.1", options=server.options)
+    )
+
+    def send():
+        nonlocal k
+        k += 1
+        server.send({"fss": pose(k), "Rigid Body 1": pose(k, 1.0)})
+
+    spin([node, user], lambda: send() or len(user.heard["fss"]) > 3, 30.0)
+    spin([node, user], lambda: send() or node.health().message.startswith("'Rigid Body 1' is no "))
+    assert node.health().level == DiagnosticStatus.WARN
+    server.close()
+
+
+def test_frames_without_any_subject_are_no_sign_of_life(spin, served):
+    """As the library makes them up for a VRPN server that is not there."""
+    server, node, _, nodes = served
+
+    def send():
+        server.send({})
+        return node.health().message
+
+    wanted = "no subject in the frames of optitrack at 127.0.0.1"
+    spin(nodes, lambda: send().startswith(wanted))
+    assert node.health().level == DiagnosticStatus.ERROR
+
+
+def test_a_host_that_does_not_answer_is_told_at_once_and_left_at_once(start):
+    with socket(AF_INET, SOCK_DGRAM) as deaf:
+        deaf.bind(("127.0.0.1", 0))
+        options = f"options:=['port_command={deaf.getsockname()[1]}']"
+        given = ("system:=optitrack", "host:=127.0.0.1", options)
+        node = start(
+            "fss_base_driver.mocap_node", "--ros-args", *(w for g in given for w in ("-p", g))
+        )
+        said = "waiting for optitrack at 127.0.0.1"
+        told = f"{said}: it does not answer"
+        wait_until(lambda: told in node.output, 30.0, partial(time.sleep, 0.05))
+        assert node.output.count(said) == 2  # at the start, and after the timeout
+        assert node.stop(timeout=3.0) == 0
+
+
+def test_a_receiver_that_is_closed_as_its_process_begins_ends(monkeypatch):
+    begun, closing = Event(), Event()
+
+    def popen(*args, **options):
+        process = subprocess.Popen([sys.executable, "-c", "input()"], stdin=PIPE, **options)
+        begun.set()
+        assert closing.wait(10.0)
+        return process
+
+    monkeypatch.setattr(receiving, "subprocess", SimpleNamespace(Popen=popen, PIPE=PIPE))
+    receiver = Receiver("mock", [], lambda *_: None, lambda _: None)
+    assert begun.wait(10.0)
+    monkeypatch.setattr(receiver, "join", lambda: closing.set() or Thread.join(receiver, 10.0))
+    receiver.close()
+    assert not receiver.is_alive()
+
+
 def test_the_librarys_mock_and_only_the_subjects_asked_for(spin):
     user = User()
     bodies = "rigid_bodies=fss(1,2,0,1,0,0,0);other(0,0,0,1,0,0,0)"
@@ -157,6 +231,45 @@ def test_other_receivers_are_relayed_with_their_stamps(spin):
     assert user.heard["fss"][0].header.stamp == stamp
 
 
+def test_what_is_to_be_relayed_and_does_not_come_is_named(spin):
+    node, user = MocapNode(parameter_overrides=parameters(relays=["fss=/a", "/b"])), User()
+    spin([node, user], lambda: node.health().level == DiagnosticStatus.ERROR)
+    wanted = "waiting for /a: nobody publishes it; /b: nobody publishes it ("
+    assert node.health().message.startswith(wanted)
+    poses = user.create_publisher(PoseStamped, "/a", SENSOR)
+    strange = user.create_publisher(Empty, "/b", SENSOR)
+    spin([node, user], poses.get_subscription_count)
+    message, k = PoseStamped(), 0
+    message.pose.orientation.w = 1.0
+
+    def said(words):
+        nonlocal k
+        k += 1
+        message.pose.position.x = 1e-4 * k
+        poses.publish(message)
+        return node.health().message == words
+
+    is_none = "/b: std_msgs/msg/Empty is no type of poses; there are "
+    spin([node, user], lambda: said("") or node.health().message.startswith(is_none))
+    user.destroy_publisher(strange)
+    tips = user.create_publisher(TransformStamped, "/b", SENSOR)
+    spin([node, user], lambda: said("receiving") and tips.get_subscription_count())
+    tip = TransformStamped(child_frame_id="end_effector")
+    tip.transform.rotation.w = 1.0
+    tips.publish(tip)
+    spin([node, user], lambda: user.heard["end_effector"])
+
+
+def test_a_subject_that_is_wanted_and_never_seen_is_named(spin):
+    node = MocapNode(
+        parameter_overrides=parameters(
+            system="mock", options=["rigid_bodies=fss(1,2,0,1,0,0,0)"], subjects=["fss", "tip"]
+        )
+    )
+    spin(node, lambda: "tip not seen yet" in node.health().message, 30.0)
+    assert node.health().level == DiagnosticStatus.WARN
+
+
 @pytest.mark.parametrize(
     ("given", "expected"),
     [
@@ -164,6 +277,8 @@ def test_other_receivers_are_relayed_with_their_stamps(spin):
         ({"system": "viconn"}, "system is 'viconn', expected one of"),
         ({"system": "vicon"}, "host is '', expected the address of the vicon computer"),
         ({"system": "mock", "options": ["x"]}, "options holds 'x', expected OPTION=VALUE"),
+        ({"system": "mock", "subjects": ["fss=a b"]}, "subjects: 'vicon/a b' is no name of a "),
+        ({"relays": ["fss=a b"]}, "relays: 'a b' is no name of a topic"),
     ],
 )
 def test_wrong_settings_are_named(ros, given, expected):

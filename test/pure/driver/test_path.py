@@ -1,5 +1,6 @@
 """Paths in time: what a link keeps of them and how it follows, and what the computer sends."""
 
+from array import array
 from dataclasses import replace
 from itertools import pairwise
 from math import inf, nan
@@ -9,11 +10,13 @@ import pytest
 from driver_path import SECOND, PathBed, path_at, spread
 from hypothesis import given
 from hypothesis import strategies as st
+from rclpy.serialization import serialize_message
 from scipy.interpolate import CubicHermiteSpline
 
 from fss_arm_driver.knots import knots
 from fss_arm_driver.protocol import (
     LAST,
+    MAX_INDEX,
     Command,
     Mode,
     Order,
@@ -26,6 +29,8 @@ from fss_arm_driver.protocol import (
 from fss_arm_driver.scale import CommandError, Scale
 from fss_arm_driver.session import Status
 from fss_arm_model.description import paper_arm
+from fss_arm_msgs.msg import LinkPath
+from fss_arm_ros.validation import RULES
 
 NOW = 50_000_000  # of the link's clock [us]
 STEP = 20_000  # [us]
@@ -35,6 +40,12 @@ ORDER = Command(
     watchdog=2000, set_point=5, velocity=10 * int(FASTEST), acceleration=7639,
 )  # fmt: skip
 KNOTS = [(0, 0, 0), (1_000_000, 5000, 60_000), (2_000_000, 9000, -20_000), (3_000_000, 0, 0)]
+
+
+def test_the_longest_path_passes_the_links_door():
+    longest = array("d", bytes(8 * (MAX_INDEX + 2)))
+    sent = serialize_message(LinkPath(path=1, time=longest, position=longest, velocity=longest))
+    assert len(sent) <= RULES["fss_arm_msgs/LinkPath"].size
 
 
 def path(number=5, begin=NOW + 1_000_000, told=KNOTS, last=True):

@@ -1,5 +1,7 @@
 """Trajectories as asked for, the paths made of them, and what is refused."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from control_msgs.action import FollowJointTrajectory
@@ -100,6 +102,15 @@ def test_names_come_in_any_order():
     np.testing.assert_array_equal(straight.q, other.q)
     np.testing.assert_array_equal(straight.qd, other.qd)
     assert np.isnan(straight.qd[-1]).all()
+
+
+@pytest.mark.parametrize("n", [1, 9, 10, 12])
+def test_an_arm_may_have_any_number_of_joints(n):
+    """`joint_10` comes before `joint_2` in the order of letters."""
+    arm = replace(ARM, links=(ARM.links * 3)[:n])
+    names = [f"joint_{i}" for i in range(n, 0, -1)]
+    asked = requested(arm, message([(1.0, np.arange(n, 0, -1))], names))
+    assert asked.q[0].tolist() == list(range(1, n + 1))
 
 
 def test_a_path_begins_where_the_arm_is_and_reaches_every_point():

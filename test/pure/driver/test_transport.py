@@ -5,11 +5,20 @@ import resource
 import socket
 import termios
 import time
+from threading import Event, Thread
+from types import SimpleNamespace
 
 import pytest
 from driver_wire import ENDS, TIMEOUT, go_in_mid_open
 
-from fss_arm_driver.transport import BATCH, FORMS, TransportError, UdpTransport, open_transport
+from fss_arm_driver.transport import (
+    BATCH,
+    FORMS,
+    TransportError,
+    UdpTransport,
+    open_transport,
+    stream,
+)
 from fss_arm_driver.transport.udp import HELD, SKB
 
 DOWN, UP = bytes(range(72)), bytes(range(72, 144))
@@ -195,6 +204,34 @@ def test_a_lost_connection_is_said(joined):
         if transport.trouble:
             assert transport.trouble.startswith(("connection lost", "cannot connect"))
     assert transport.trouble.startswith("cannot connect: ")
+
+
+def test_a_stream_is_not_closed_while_a_frame_is_written_to_it(opened, monkeypatch):
+    """Its file descriptor might be another file's by then."""
+    end = ENDS["tcp"](None)
+    transport = opened(end.url)
+    meet(transport, end)
+    line, writing, go_on = transport._line, Event(), Event()
+
+    def write(number, data):
+        writing.set()
+        assert go_on.wait(TIMEOUT)
+        return os.write(number, data)
+
+    monkeypatch.setattr(stream, "os", SimpleNamespace(write=write, read=os.read))
+    sender = Thread(target=transport.send, args=(DOWN,))
+    sender.start()
+    assert writing.wait(TIMEOUT)
+    transport._break(ConnectionResetError())
+    waiter = Thread(target=transport.wait, args=(0.0,))
+    waiter.start()
+    waiter.join(0.2)
+    assert line.fileno() >= 0
+    go_on.set()
+    sender.join()
+    waiter.join()
+    assert line.fileno() == -1
+    end.close()
 
 
 @pytest.fixture

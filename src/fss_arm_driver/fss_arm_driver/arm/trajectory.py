@@ -86,7 +86,7 @@ def requested(arm: Arm, message: Any) -> Request:
     joints = [f"joint_{i}" for i in range(1, arm.n + 1)]
     if unknown := [name for name in names if name not in joints]:
         raise TrajectoryError(Code.INVALID_JOINTS, f"{unknown[0]!r} is none of {_listed(joints)}")
-    if sorted(names) != joints:
+    if sorted(names) != sorted(joints):
         raise TrajectoryError(
             Code.INVALID_JOINTS, f"joint_names is {_listed(names)}, expected each of "
             f"{_listed(joints)} once",

@@ -7,7 +7,7 @@ import termios
 from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
-from threading import Event
+from threading import Event, Lock
 
 from serial import EIGHTBITS, PARITY_NONE, STOPBITS_ONE, Serial, SerialException
 
@@ -22,7 +22,8 @@ NOISE = 1000  # bytes without a frame that are noise beyond doubt
 class StreamTransport:
     """Frames over a byte stream that `connect` opens, and opens again when it is lost.
 
-    Only `wait` opens and closes, so that no other thread's file descriptor goes away under it.
+    Only `wait` opens and closes, and not while another thread sends: a file descriptor that is
+    closed may be another file's a moment later.
 
     Args:
         connect: opens the stream within CONNECTING, or raises OSError.
@@ -37,6 +38,7 @@ class StreamTransport:
         self._decoder = StreamDecoder()
         self._silent = 0  # bytes since the last frame
         self._broken, self._closed = False, Event()
+        self._sending = Lock()
 
     def open(self) -> None:
         """Open the stream now.
@@ -53,9 +55,10 @@ class StreamTransport:
         """Send a frame. One that does not fit into the system's buffer is torn and so lost."""
         packed = pack(data)
         try:
-            if self._line is None or self._broken:
-                raise ConnectionError
-            sent = os.write(self._line.fileno(), packed)
+            with self._sending:
+                if self._line is None or self._broken:
+                    raise ConnectionError
+                sent = os.write(self._line.fileno(), packed)
         except BlockingIOError:
             sent = 0
         except (OSError, ValueError) as error:
@@ -114,10 +117,11 @@ class StreamTransport:
             self.trouble = f"connection lost: {getattr(error, 'strerror', None) or error}"
 
     def _drop(self) -> None:
-        line, self._line = self._line, None
-        if line:
-            with suppress(OSError):
-                line.close()
+        with self._sending:
+            line, self._line = self._line, None
+            if line:
+                with suppress(OSError):
+                    line.close()
 
 
 def tcp(host: str, port: int) -> StreamTransport:

@@ -2,8 +2,9 @@
 
 The library motioncapture waits for a system that does not answer with Python's lock held, writes to
 the standard output, and reads datagrams of anybody on the network without looking at their sizes.
-So a process of its own runs it (`main` here), and is run again when it ends. It writes one line of
-JSON a frame: [time of arrival in ns, {name: pose}].
+So a process of its own runs it (`main` here), and is run again when it ends. It writes lines of
+JSON: null once the library has connected, then for each frame [time of arrival in ns,
+{name: pose}], and at the end a string if there is a reason to tell.
 """
 
 import ctypes
@@ -45,29 +46,43 @@ class Receiver(Thread):
         self.command = [sys.executable, "-c", PROGRAM, system, *options]
         self.take, self.ended = take, ended
         self.process: subprocess.Popen[str] | None = None
+        self.connected = False  # the library has; some of its systems only begin to try then
         self._closing = Event()
         self.start()
 
     def run(self) -> None:
         """Receive until closed."""
         while not self._closing.is_set():
-            with subprocess.Popen(self.command, stdout=subprocess.PIPE, text=True) as process:
-                self.process = process
-                try:
-                    why = self._read(process)
-                except Exception as error:  # of whoever takes the frames, too
-                    process.kill()
-                    why = f"{END}: {error}"
+            try:
+                why = self._receive()
+            except Exception as error:  # of whoever takes the frames, too
+                why = f"{END}: {error}"
             if not self._closing.is_set():
-                self.ended(why or f"{END} with {_in_words(process.returncode)}")
+                self.ended(why)
             self._closing.wait(PAUSE)
+
+    def _receive(self) -> str:
+        """Run the process until it ends; why it did."""
+        self.connected = False
+        with subprocess.Popen(self.command, stdout=subprocess.PIPE, text=True) as process:
+            self.process = process
+            if self._closing.is_set():  # `close` may have found no process to kill
+                process.kill()
+            try:
+                why = self._read(process)
+            except Exception:
+                process.kill()
+                raise
+        return why or f"{END} with {_in_words(process.returncode)}"
 
     def _read(self, process: "subprocess.Popen[str]") -> str:
         """Take frames; return the reason that the process gives for its end, if it does."""
         why = ""
         for line in process.stdout or ():
             said = json.loads(line)
-            if isinstance(said, str):
+            if said is None:
+                self.connected = True
+            elif isinstance(said, str):
                 why = f"{END}: {said}"
             else:
                 arrival, poses = said
@@ -97,6 +112,7 @@ def main() -> int:
 
         system, *options = sys.argv[1:]
         capture = motioncapture.connect(system, dict(option.split("=", 1) for option in options))
+        output.write("null\n")
         while True:
             capture.waitForNextFrame()
             arrival, poses = time.time_ns(), {}

@@ -1,6 +1,7 @@
 """Messages of the receivers that laboratories run, as poses in metres by subject."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
 
@@ -13,19 +14,35 @@ class RelayError(ValueError):
     """A topic's messages cannot be read; the message says why."""
 
 
-def message_type(name: str) -> Any:
-    """The class of a type such as geometry_msgs/msg/PoseStamped.
+@dataclass
+class Relay:
+    """A topic to pass on."""
+
+    subject: str  # whose poses they are; empty: the messages say it, or else the topic's last name
+    topic: str
+    lacks: str = "nobody publishes it"  # why it is not passed on yet, in words; empty: it is
+
+    @property
+    def last_name(self) -> str:
+        """Of the topic."""
+        return self.topic.rpartition("/")[2]
+
+
+def message_type(names: Iterable[str]) -> Any:
+    """The class of the first of a topic's types, as geometry_msgs/msg/PoseStamped, that is one.
 
     Raises:
-        RelayError: its package is not there, or its messages tell no pose that we know of.
+        RelayError: none of them tells a pose that we know of, or its package is not there.
     """
-    package, _, kind = name.partition("/msg/")
-    if kind not in READERS:
-        raise RelayError(f"{name} is no type of poses; there are {', '.join(READERS)}")
+    known = [name for name in names if name.rpartition("/")[2] in READERS]
+    if not known:
+        have = ", ".join(names)
+        raise RelayError(f"{have} is no type of poses; there are {', '.join(READERS)}")
+    package, _, kind = known[0].partition("/msg/")
     try:
         return getattr(import_module(f"{package}.msg"), kind)
     except (ImportError, AttributeError):
-        raise RelayError(f"{name} is published, but its package is not installed here") from None
+        raise RelayError(f"{known[0]} is published, but its package is not installed") from None
 
 
 def named_poses(message: Any, subject: str, scale: float) -> Iterator[tuple[str, Pose]]:
@@ -33,7 +50,7 @@ def named_poses(message: Any, subject: str, scale: float) -> Iterator[tuple[str,
 
     Args:
         message: of one of READERS.
-        subject: whose pose it is, where the message itself has no name for it.
+        subject: whose pose it is; empty: the message's own name for it, if it has one.
         scale: of its lengths [m]; vicon_receiver's Position has millimetres in any case.
     """
     return READERS[type(message).__name__](message, subject, scale)

@@ -16,6 +16,7 @@ Pose = tuple[float, float, float, float, float, float, float]
 """x, y, z [m], quaternion x, y, z, w."""
 
 SECOND = 1_000_000_000
+MOST = 100  # subjects that are looked after: whoever sends names may send any number of them
 NOISE, TURN_NOISE = 0.03, 0.2  # more than an undisturbed pose jumps [m], [rad]
 
 
@@ -32,42 +33,53 @@ class Bounds:
 class Subject:
     """One subject."""
 
-    seen: tuple[int, Pose]  # the last pose, with its time [ns]
+    seen: tuple[int, Pose]  # the last pose, with its stamp [ns]
     believed: tuple[int, Pose]  # the last that was believed
-    jumped: int = 0  # when it last did [ns]; 0: it is believed
+    arrival: int  # of the last pose [ns]
+    jumped: int = 0  # arrival of the pose that last did [ns]; 0: it is believed
     place_of: str = ""  # whose place it jumped to
     counts: Counter[str] = field(default_factory=Counter)
 
 
 class Subjects:
-    """Decides frame by frame which poses to believe."""
+    """Decides frame by frame which poses to believe.
+
+    Stamps say how far a subject may have moved, and may be anybody's. How long ago something was
+    is told by times of arrival [ns], of a clock that nobody sets.
+    """
 
     def __init__(self, bounds: Bounds) -> None:
         self.bounds = bounds
         self.subjects: dict[str, Subject] = {}
+        self.left_out = 0  # poses of subjects beyond MOST
 
-    def take(self, time: int, poses: Mapping[str, Pose]) -> dict[str, Pose]:
-        """The poses of a frame, seen at `time` [ns], that are believed."""
+    def take(self, stamp: int, poses: Mapping[str, Pose], arrival: int) -> dict[str, Pose]:
+        """The poses of a frame that are believed."""
         believed, jumpers = {}, []
         for name, pose in poses.items():
             if not is_pose(pose):
                 self._count(name, "invalid")
             elif name not in self.subjects:
-                self.subjects[name] = Subject((time, pose), (time, pose))
-                believed[name] = pose
+                if len(self.subjects) < MOST:
+                    self.subjects[name] = Subject((stamp, pose), (stamp, pose), arrival)
+                    believed[name] = pose
+                else:
+                    self.left_out += 1
             elif pose == self.subjects[name].seen[1]:
                 self._count(name, "unchanged")
             else:
-                jumped = not self._is_near(self.subjects[name].seen, time, pose)
-                if self._is_believed(self.subjects[name], time, pose, jumped):
+                subject = self.subjects[name]
+                subject.arrival = arrival
+                jumped = not self._is_near(subject.seen, stamp, pose)
+                if self._is_believed(subject, stamp, pose, jumped):
                     believed[name] = pose
                 elif jumped:
                     jumpers.append(name)
-                self.subjects[name].seen = time, pose
+                subject.seen = stamp, pose
         for name in jumpers:
-            self.subjects[name].place_of = self._whose_place(name, time, poses)
+            self.subjects[name].place_of = self._whose_place(name, stamp, poses)
         for name, pose in believed.items():
-            self.subjects[name].believed = time, pose
+            self.subjects[name].believed = stamp, pose
             self._count(name, "believed")
         return believed
 
@@ -76,49 +88,49 @@ class Subjects:
         for subject in self.subjects.values():
             subject.believed, subject.jumped, subject.place_of = subject.seen, 0, ""
 
-    def doubts(self, time: int) -> dict[str, str]:
+    def doubts(self, now: int) -> dict[str, str]:
         """By subject, why it is not believed, in words."""
         return {
-            name: f"jumped {(time - s.jumped) / SECOND:.1f} s ago"
+            name: f"jumped {(now - s.jumped) / SECOND:.1f} s ago"
             + (f" to where {s.place_of} was: swapped names?" if s.place_of else "")
             for name, s in self.subjects.items()
             if s.jumped
         }
 
-    def silent(self, time: int, timeout: float) -> dict[str, float]:
+    def silent(self, now: int, timeout: float) -> dict[str, float]:
         """By subject, for how long no new pose came [s], if for longer than the timeout [s]."""
-        ages = {name: (time - s.seen[0]) / SECOND for name, s in self.subjects.items()}
+        ages = {name: (now - s.arrival) / SECOND for name, s in self.subjects.items()}
         return {name: age for name, age in ages.items() if age > timeout}
 
-    def _is_believed(self, subject: Subject, time: int, pose: Pose, jumped: bool) -> bool:
+    def _is_believed(self, subject: Subject, stamp: int, pose: Pose, jumped: bool) -> bool:
         if not subject.jumped and not jumped:
             return True
-        if jumped and subject.jumped and self._is_near(subject.believed, time, pose):
+        if jumped and subject.jumped and self._is_near(subject.believed, stamp, pose):
             settled = True
         elif jumped:
             subject.counts["jumped"] += 1
-            subject.jumped, settled = time, False
+            subject.jumped, settled = subject.arrival, False
         else:
-            since = (time - subject.jumped) / SECOND
+            since = (subject.arrival - subject.jumped) / SECOND
             settled = not subject.place_of and since > self.bounds.settle_time
         if settled:
             subject.jumped, subject.place_of = 0, ""
         return settled
 
-    def _is_near(self, last: tuple[int, Pose], time: int, pose: Pose) -> bool:
+    def _is_near(self, last: tuple[int, Pose], stamp: int, pose: Pose) -> bool:
         """Whether a subject could have come from its last pose to this one."""
-        elapsed = abs(time - last[0]) / SECOND
+        elapsed = abs(stamp - last[0]) / SECOND
         way, angle = dist(last[1][:3], pose[:3]), _angle(last[1][3:], pose[3:])
         return (
             way <= NOISE + self.bounds.speed * elapsed
             and angle <= TURN_NOISE + self.bounds.turn * elapsed
         )
 
-    def _whose_place(self, name: str, time: int, poses: Mapping[str, Pose]) -> str:
+    def _whose_place(self, name: str, stamp: int, poses: Mapping[str, Pose]) -> str:
         """The subject whose place this one may have taken; empty: nobody's."""
         for other, subject in self.subjects.items():
             gone = other not in poses or subject.jumped
-            if other != name and gone and self._is_near(subject.believed, time, poses[name]):
+            if other != name and gone and self._is_near(subject.believed, stamp, poses[name]):
                 return other
         return ""
 
