@@ -24,7 +24,8 @@ from fss_arm_calib.kinematic.kind import KINEMATIC
 from fss_arm_calib.kinematic.problem import KinematicProblem, quantization_bound, solve
 from fss_arm_calib.kinematic.settings import KinematicSettings
 from fss_arm_calib.state import read
-from fss_arm_model.description import kinematic_index, load
+from fss_arm_model.description_file import load
+from fss_arm_model.layout import kinematic_index
 from fss_arm_msgs.msg import KinematicCalibration, LinkTelemetry
 from fss_arm_ros.qos import LATCHED, SENSOR
 

@@ -17,9 +17,10 @@ from fss_arm_calib.segments.drifts import Drift
 from fss_arm_calib.segments.maneuvers import Maneuver
 from fss_arm_calib.segments.rests import Observation
 from fss_arm_model import base_motion
-from fss_arm_model.description import Arm, Known, kinematic_index, paper_arm
+from fss_arm_model.description import Arm, Known, paper_arm
 from fss_arm_model.drifting import drift, whole
 from fss_arm_model.kinematics import tip_in_base
+from fss_arm_model.layout import kinematic_index
 from fss_arm_model.parameters import parameter_names, values, with_values
 from fss_arm_model.planar import wrap
 from fss_arm_model.units import GRAVITY

@@ -20,7 +20,7 @@ from fss_arm_calib.joint.problem import solve
 from fss_arm_calib.joint.report import joint_report
 from fss_arm_calib.joint.settings import JointSettings
 from fss_arm_calib.kinds import JOINED
-from fss_arm_model.description import from_yaml
+from fss_arm_model.description_file import from_yaml
 from fss_arm_model.parameters import values
 from fss_arm_model.planar import wrap
 

@@ -16,8 +16,9 @@ from fss_arm_calib.kinematic.problem import (
     quantization_bound,
     solve,
 )
-from fss_arm_model.description import Arm, Link, kinematic_names, paper_arm
+from fss_arm_model.description import Arm, Link, paper_arm
 from fss_arm_model.kinematics import tip_in_base
+from fss_arm_model.layout import kinematic_names
 from fss_arm_model.planar import wrap
 
 HALF_COUNT = np.pi / 240_000

@@ -37,7 +37,8 @@ from fss_arm_calib.experiment.settings import JOINT, KINDS, Conditions
 from fss_arm_calib.kinematic.problem import FULL, KinematicProblem, solve
 from fss_arm_calib.outcome import LIVE
 from fss_arm_calib.result import arm_of
-from fss_arm_model.description import Arm, described, from_yaml
+from fss_arm_model.description import Arm
+from fss_arm_model.description_file import described, from_yaml
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_ros.command_line import in_one_line
 

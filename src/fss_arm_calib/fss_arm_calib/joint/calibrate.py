@@ -35,7 +35,8 @@ from fss_arm_calib.joint.settings import JointSettings
 from fss_arm_calib.outcome import LIVE, Datum, Estimate, Outcome, concluded
 from fss_arm_calib.segments.rests import homed
 from fss_arm_calib.segments.streams import Streams
-from fss_arm_model.description import Arm, from_yaml
+from fss_arm_model.description import Arm
+from fss_arm_model.description_file import from_yaml
 from fss_arm_model.parameters import parameter_names, unit, values
 from fss_arm_model.planar import wrap
 from fss_arm_model.units import GRAVITY

@@ -42,8 +42,9 @@ from fss_arm_calib.estimation.least_squares import (
 )
 from fss_arm_calib.estimation.noise import Left
 from fss_arm_calib.estimation.statistics import root_mean_square
-from fss_arm_model.description import Arm, kinematic_index, kinematic_names
+from fss_arm_model.description import Arm
 from fss_arm_model.kinematics import tip_in_base, tip_regressor
+from fss_arm_model.layout import kinematic_index, kinematic_names
 from fss_arm_model.planar import wrap
 
 FULL, EQUAL, OFFSETS = "full", "equal", "offsets"
