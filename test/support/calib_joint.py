@@ -7,12 +7,12 @@ from typing import NamedTuple
 import numpy as np
 
 from fss_arm_calib.drift.settings import DriftSettings
-from fss_arm_calib.dynamic.problem import solve as solve_dynamics
 from fss_arm_calib.dynamic.settings import HEADING, DynamicSettings
 from fss_arm_calib.dynamic.solution import problem_of as dynamic_problem
-from fss_arm_calib.kinematic.problem import solve as fit_kinematics
+from fss_arm_calib.dynamic.solve import solve as solve_dynamics
 from fss_arm_calib.kinematic.settings import KinematicSettings
 from fss_arm_calib.kinematic.solution import problem_of as kinematic_problem
+from fss_arm_calib.kinematic.solve import solve as fit_kinematics
 from fss_arm_calib.segments.drifts import Drift
 from fss_arm_calib.segments.maneuvers import Maneuver
 from fss_arm_calib.segments.rests import Observation

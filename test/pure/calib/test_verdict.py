@@ -18,9 +18,9 @@ from fss_arm_calib.kinematic.problem import (
     OFFSETS,
     POSITION_DEVIATION,
     KinematicProblem,
-    solve,
 )
 from fss_arm_calib.kinematic.settings import KinematicSettings
+from fss_arm_calib.kinematic.solve import solve
 from fss_arm_calib.outcome import settings_of
 from fss_arm_calib.segments.rests import Observation
 from fss_arm_calib.segments.streams import Streams
