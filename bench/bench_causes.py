@@ -25,7 +25,7 @@ from fss_arm_calib.dynamic.parameters import parameter_names
 from fss_arm_calib.dynamic.parameters import values as dynamic_values
 from fss_arm_calib.from_bag import solve_bag
 from fss_arm_calib.kinds import KINDS
-from fss_arm_model.description import kinematic_index, kinematic_names
+from fss_arm_model.layout import kinematic_index, kinematic_names
 
 SIZES = (3, 6)
 FLIGHTS = 5  # of each arm and kind, flown by so many arms

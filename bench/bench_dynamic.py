@@ -26,7 +26,8 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
 from fss_arm_calib.dynamic.parameters import Choice
-from fss_arm_calib.dynamic.problem import DynamicProblem, solve, solve_all
+from fss_arm_calib.dynamic.problem import DynamicProblem
+from fss_arm_calib.dynamic.solve import solve, solve_all
 from fss_arm_model import base_motion, dynamics
 from fss_arm_model.description import paper_arm
 

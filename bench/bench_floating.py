@@ -30,7 +30,7 @@ from sim_rehearsal import DYNAMIC, Rehearsal  # isort: skip
 from fss_arm_calib.dynamic.calibrate import calibrate as calibrate_dynamics
 from fss_arm_calib.kinematic.calibrate import calibrate
 from fss_arm_calib.kinematic.settings import KinematicSettings
-from fss_arm_model.description import from_yaml, load
+from fss_arm_model.description_file import from_yaml, load
 from fss_arm_model.kinematics import tip_pose
 from fss_arm_msgs.msg import BaseReaction
 from fss_arm_ros.convert import stamp_ns

@@ -276,7 +276,7 @@ def race():
     print(
         f"a tenth: {span:.3f} s, scipy and ODE {step:.1f} s for as many iterations, ratio "
         f"{step / span:.0f} (at least 100); there the peer's costs are {2.0 * found.cost:.3f} and "
-        f"ours {result.minimum.linear.cost:.3f}, its next step at most {away:.1e} deviations, its "
+        f"ours {result.minimum.cost:.3f}, its next step at most {away:.1e} deviations, its "
         f"deviations {alike.min():.3f} to {alike.max():.3f} of ours"
     )
 

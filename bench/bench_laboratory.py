@@ -31,7 +31,7 @@ from fss_arm_calib.dynamic.calibrate import calibrate as calibrate_dynamics
 from fss_arm_calib.dynamic.parameters import parameter_names, values
 from fss_arm_calib.kinematic.calibrate import calibrate
 from fss_arm_calib.kinematic.settings import KinematicSettings
-from fss_arm_model.description import kinematic_index
+from fss_arm_model.layout import kinematic_index
 
 ROOT = Path(__file__).parents[1]
 KINEMATIC = KinematicSettings(

@@ -31,7 +31,8 @@ from std_msgs.msg import Empty
 from std_srvs.srv import SetBool
 
 from fss_arm_driver.protocol import Command, Order, decode
-from fss_arm_model.description import paper_arm, save
+from fss_arm_model.description import paper_arm
+from fss_arm_model.description_file import save
 from fss_arm_msgs.msg import LinkTelemetry
 from fss_arm_ros.qos import sensor
 

@@ -12,6 +12,7 @@ from threading import Event
 import numpy as np
 import pytest
 import rclpy
+from calib_quantization import quantization_bound
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -21,10 +22,12 @@ from std_srvs.srv import SetBool, Trigger
 from fss_arm_bags.reader import open_bags
 from fss_arm_calib.from_bag import solve_bag
 from fss_arm_calib.kinematic.kind import KINEMATIC
-from fss_arm_calib.kinematic.problem import KinematicProblem, quantization_bound, solve
+from fss_arm_calib.kinematic.problem import KinematicProblem
 from fss_arm_calib.kinematic.settings import KinematicSettings
+from fss_arm_calib.kinematic.solve import solve
 from fss_arm_calib.state import read
-from fss_arm_model.description import kinematic_index, load
+from fss_arm_model.description_file import load
+from fss_arm_model.layout import kinematic_index
 from fss_arm_msgs.msg import KinematicCalibration, LinkTelemetry
 from fss_arm_ros.qos import LATCHED, SENSOR
 

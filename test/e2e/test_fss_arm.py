@@ -22,7 +22,8 @@ from std_srvs.srv import SetBool, Trigger
 from fss_arm_driver.arm_node import ArmNode
 from fss_arm_driver.link_node import LinkNode
 from fss_arm_driver.protocol import Order, State
-from fss_arm_model.description import paper_arm, save
+from fss_arm_model.description import paper_arm
+from fss_arm_model.description_file import save
 from fss_arm_msgs.msg import BaseTelemetry, LinkCommand, LinkTelemetry, SimTruth
 from fss_arm_ros.convert import stamp_ns, to_time
 from fss_arm_ros.qos import SENSOR

@@ -12,7 +12,8 @@ from running import free_port
 from std_srvs.srv import SetBool
 
 from fss_arm_driver.link_node import LinkNode
-from fss_arm_model.description import paper_arm, save
+from fss_arm_model.description import paper_arm
+from fss_arm_model.description_file import save
 from fss_arm_msgs.action import MoveArm
 from fss_arm_msgs.msg import LinkCommand, SimTruth
 from fss_arm_ros.convert import SECOND, stamp_ns

@@ -32,9 +32,9 @@ ALLOWED = {
     | {"fss_arm_model.files", "fss_arm_model.settings", "fss_arm_ros"}
     | {"numpy", "rosbags", "mcap", "backports", "rich"},
     "fss_arm_driver": ROS
-    | {"fss_arm_model.description", "fss_arm_model.settings", "fss_arm_model.urdf"}
-    | {"fss_arm_model.vehicle"}
-    | {"fss_arm_model.files", *GUARD, "fss_arm_ros", "numpy", "serial"},
+    | {f"fss_arm_model.{name}" for name in ("description", "description_file", "files")}
+    | {f"fss_arm_model.{name}" for name in ("settings", "urdf", "vehicle")}
+    | {*GUARD, "fss_arm_ros", "numpy", "serial"},
     "fss_sim": ROS | {"fss_arm_model", "fss_arm_ros", PROTOCOL, BOARD, "numpy"},
     "fss_sim.rehearsal": ROS
     | {
@@ -306,7 +306,7 @@ def test_the_plot_library_is_imported_only_where_it_is_used() -> None:
 @pytest.mark.parametrize(
     "module",
     [
-        "fss_arm_model.description",
+        "fss_arm_model.description_file",
         PROTOCOL,
         "fss_arm_driver.session",
         f"{REGIONS}.fixed",

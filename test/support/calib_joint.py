@@ -7,19 +7,20 @@ from typing import NamedTuple
 import numpy as np
 
 from fss_arm_calib.drift.settings import DriftSettings
-from fss_arm_calib.dynamic.problem import solve as solve_dynamics
 from fss_arm_calib.dynamic.settings import HEADING, DynamicSettings
 from fss_arm_calib.dynamic.solution import problem_of as dynamic_problem
-from fss_arm_calib.kinematic.problem import solve as fit_kinematics
+from fss_arm_calib.dynamic.solve import solve as solve_dynamics
 from fss_arm_calib.kinematic.settings import KinematicSettings
 from fss_arm_calib.kinematic.solution import problem_of as kinematic_problem
+from fss_arm_calib.kinematic.solve import solve as fit_kinematics
 from fss_arm_calib.segments.drifts import Drift
 from fss_arm_calib.segments.maneuvers import Maneuver
 from fss_arm_calib.segments.rests import Observation
 from fss_arm_model import base_motion
-from fss_arm_model.description import Arm, Known, kinematic_index, paper_arm
+from fss_arm_model.description import Arm, Known, paper_arm
 from fss_arm_model.drifting import drift, whole
 from fss_arm_model.kinematics import tip_in_base
+from fss_arm_model.layout import kinematic_index
 from fss_arm_model.parameters import parameter_names, values, with_values
 from fss_arm_model.planar import wrap
 from fss_arm_model.units import GRAVITY

@@ -15,7 +15,8 @@ from model_oracles import mujoco_model
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from fss_arm_model.description import Arm, Base, Link, save
+from fss_arm_model.description import Arm, Base, Link
+from fss_arm_model.description_file import save
 
 SECOND = 1_000_000_000
 START = 1_750_000_000 * SECOND

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fss_arm_model.description import load
+from fss_arm_model.description_file import load
 from fss_arm_model.held import Target
 from fss_gnc.navigation import Navigation
 from fss_gnc.navigation.body_filter import POSE

@@ -9,15 +9,9 @@ from typing import Any
 from rosbags.rosbag2 import Reader
 
 from fss_arm_bags.definitions import NotUnderstoodError, hash_of
-from fss_arm_bags.integrity import (
-    Contents,
-    DamageError,
-    disagreement,
-    examine,
-    metadata,
-    unlisted,
-)
+from fss_arm_bags.integrity import Contents, DamageError, examine
 from fss_arm_bags.layout import storage_files
+from fss_arm_bags.metadata import disagreement, metadata, unlisted
 from fss_arm_bags.readers import TopicReader
 from fss_arm_bags.recovery import BagError
 from fss_arm_model.files import short

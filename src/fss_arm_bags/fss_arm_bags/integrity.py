@@ -1,4 +1,4 @@
-"""Whether an MCAP file is whole, and whether a bag's metadata.yaml agrees with its files.
+"""Whether an MCAP file is whole.
 
 By the checksums of its data and its summary, if it has both, as ours have. Else record by record:
 lengths, the index and the statistics against what there is, chunks by their checksums, or by what
@@ -8,7 +8,6 @@ is written once cannot be seen: the messages themselves.
 
 import struct
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from io import BytesIO
@@ -24,7 +23,6 @@ from rosbags.rosbag2.metadata import parse_qos
 from rosbags.rosbag2.storage_mcap import decompress
 
 from fss_arm_bags.chunks import CHANNEL, CHUNK, CRC, HEAD, MESSAGE, RECORD, SCHEMA, records
-from fss_arm_bags.layout import names_by, names_of
 from fss_arm_bags.storage import FOOTER
 from fss_arm_model.files import read_yaml, short
 
@@ -33,7 +31,6 @@ HEADER, MESSAGE_INDEX, CHUNK_INDEX, STATISTICS, DATA_END = 1, 7, 8, 11, 15
 LAST = 2**63 - 1  # [ns] a time is at most
 MOST_QOS = 2**16  # characters of a channel's QoS profiles
 BLOCK = 2**20  # [bytes] read at once
-TOLERANCE = 10**9  # [ns] of the times in metadata.yaml
 
 
 class DamageError(ValueError):
@@ -340,99 +337,3 @@ class _Walk:
             ):
                 raise DamageError("it does not hold the messages that its index counts")
         known.checked = met.checked
-
-
-def metadata(path: Path) -> Mapping[str, Any]:
-    """What the metadata.yaml of a bag says.
-
-    Raises:
-        DamageError: it is not to be read, or not of a bag.
-    """
-    try:
-        about = read_yaml(path / "metadata.yaml")["rosbag2_bagfile_information"]
-    except FileNotFoundError:
-        raise DamageError("it has no metadata.yaml") from None
-    except Exception as error:
-        raise DamageError(f"metadata.yaml: {short(str(error).removeprefix(str(path)))}") from None
-    if not isinstance(about, dict):
-        raise DamageError(f"metadata.yaml says {short(repr(about))} of the bag")
-    return about
-
-
-def unlisted(about: Mapping[str, Any], files: Iterable[Path]) -> str:
-    """How the files of a metadata.yaml differ from those of its bag, packed or not; empty: not."""
-    try:
-        return next(_listing(about, files), "")
-    except Exception as error:  # anything may be of any type
-        return _not_understood(error)
-
-
-def disagreement(
-    about: Mapping[str, Any], files: Mapping[Path, Contents], hashes: Mapping[str, str]
-) -> str:
-    """What in a metadata.yaml is not as it is in the bag's files; empty: nothing.
-
-    Args:
-        about: what it says.
-        files: what the files hold.
-        hashes: RIHS01 of the types by their names.
-    """
-    try:
-        return next(_disagreements(about, files, hashes), "")
-    except Exception as error:  # as above
-        return _not_understood(error)
-
-
-def _not_understood(error: Exception) -> str:
-    return f"metadata.yaml is not understood: {short(repr(error))}"
-
-
-def _differs(what: str, said: object, present: object) -> Iterator[str]:
-    if said != present:
-        yield f"{what} is {short(repr(said))} in metadata.yaml, {short(repr(present))} in fact"
-
-
-def _listing(about: Mapping[str, Any], files: Iterable[Path]) -> Iterator[str]:
-    yield from _differs("the list of files", names_by(about), names_of(files))
-
-
-def _disagreements(
-    about: Mapping[str, Any], files: Mapping[Path, Contents], hashes: Mapping[str, str]
-) -> Iterator[str]:
-    yield from _listing(about, files)
-    yield from _differs("the storage", about["storage_identifier"], "mcap")
-    if about["version"] not in range(1, 10):
-        yield f"version {short(repr(about['version']))} in metadata.yaml is not known"
-    counts: Counter[tuple[str, str]] = Counter()
-    offered: dict[tuple[str, str], list[Qos]] = {}
-    for contents in files.values():
-        each = contents.statistics.channel_message_counts if contents.statistics else {}
-        for key, channel in contents.channels.items():
-            name = channel.topic, contents.schemas[channel.schema_id].name
-            counts[name] += each.get(key, 0)
-            offered[name] = qos(channel)
-    topics = [(t["topic_metadata"], t["message_count"]) for t in about["topics_with_message_count"]]
-    said = {(t["name"], t["type"]): count for t, count in topics if count}
-    if any(contents.statistics is None for contents in files.values()):
-        return
-    yield from _differs("the number of messages by topic", said, dict(+counts))
-    yield from _differs("the number of messages", about["message_count"], counts.total())
-    if len(said) != sum(bool(count) for _, count in topics):
-        yield "a topic is twice in metadata.yaml"
-    for topic, _ in topics:
-        name, kind = topic["name"], topic["type"]
-        yield from _differs(f"{short(name)}'s format", topic["serialization_format"], "cdr")
-        if digest := topic.get("type_description_hash"):
-            yield from _differs(f"the hash of {short(kind)}", digest, hashes.get(kind, digest))
-        if (name, kind) in offered:
-            given = topic.get("offered_qos_profiles", [])
-            read = profiles(given) if isinstance(given, str) else parse_qos(given)
-            yield from _differs(f"{short(name)}'s QoS", read, offered[name, kind])
-    if counts.total():
-        ends = [s for c in files.values() if (s := c.statistics) and s.message_count]
-        begin = min(s.message_start_time for s in ends)
-        last = max(s.message_end_time for s in ends)
-        start = about["starting_time"]["nanoseconds_since_epoch"]
-        lasts = about["duration"]["nanoseconds"]
-        if abs(start - begin) > TOLERANCE or abs(start + lasts - last) > TOLERANCE:
-            yield "its times in metadata.yaml are not those of its messages"

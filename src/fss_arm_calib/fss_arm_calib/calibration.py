@@ -11,7 +11,8 @@ from fss_arm_calib.outcome import Datum, Outcome
 from fss_arm_calib.report import Report, Table
 from fss_arm_calib.report_tables import table_report
 from fss_arm_calib.segments.streams import Streams
-from fss_arm_model.description import Arm, from_yaml
+from fss_arm_model.description import Arm
+from fss_arm_model.description_file import from_yaml
 from fss_arm_model.files import write_text
 from fss_arm_model.settings import Settings
 from fss_arm_model.urdf import urdf

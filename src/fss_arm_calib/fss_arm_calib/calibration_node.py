@@ -18,7 +18,7 @@ from fss_arm_calib.programs import drift, drives, dynamic, joint, kinematic
 from fss_arm_calib.report import write
 from fss_arm_calib.segments.streams import Streams, newest
 from fss_arm_calib.state import Flags, StateError, Writes, restore, save
-from fss_arm_model.description import described
+from fss_arm_model.description_file import described
 from fss_arm_model.settings import default_in
 from fss_arm_model.vehicle import Vehicle
 from fss_arm_ros.calibrated import Calibrated

@@ -25,7 +25,8 @@ from fss_arm_calib.kinds import KINDS
 from fss_arm_calib.outcome import Datum, Outcome
 from fss_arm_calib.segments.streams import newest
 from fss_arm_calib.settings import KindSettings
-from fss_arm_model.description import Arm, described, from_yaml, load
+from fss_arm_model.description import Arm
+from fss_arm_model.description_file import described, from_yaml, load
 from fss_arm_ros.calibrated import with_kinematics_of
 from fss_arm_ros.command_line import in_one_line
 

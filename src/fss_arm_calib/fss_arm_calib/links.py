@@ -13,7 +13,8 @@ from rich.table import Table
 
 from fss_arm_calib import report
 from fss_arm_calib.result import passed
-from fss_arm_model.description import Arm, from_yaml, link_file, load, read_link, save_links
+from fss_arm_model.description import Arm
+from fss_arm_model.description_file import from_yaml, link_file, load, read_link, save_links
 from fss_arm_model.files import ContentError
 from fss_arm_ros.command_line import Parser, in_one_line
 

@@ -13,7 +13,7 @@ from fss_arm_calib.calibration import Input
 from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.outcome import Provenance as Origin
 from fss_arm_calib.segments.finder import Finder
-from fss_arm_model.description import to_yaml
+from fss_arm_model.description_file import to_yaml
 from fss_arm_msgs.msg import Calibration, Check, LinkTelemetry, Provenance
 from fss_arm_ros.convert import PoseError, joint_readings, planar_pose, stamp_ns, to_time
 

@@ -22,7 +22,8 @@ from fss_arm_calib.acceptance import (
 )
 from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.segments.streams import Streams
-from fss_arm_model.description import Arm, to_yaml
+from fss_arm_model.description import Arm
+from fss_arm_model.description_file import to_yaml
 from fss_arm_model.units import SECOND
 
 LIVE = "live"  # source of data that came by topics

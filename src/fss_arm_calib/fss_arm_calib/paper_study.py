@@ -12,10 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
-from fss_arm_calib.dynamic.problem import DynamicResult
-from fss_arm_calib.dynamic.problem import solve as solve_dynamics
+from fss_arm_calib.dynamic.result import DynamicResult
 from fss_arm_calib.dynamic.settings import DynamicSettings
 from fss_arm_calib.dynamic.solution import known_beforehand
+from fss_arm_calib.dynamic.solve import solve as solve_dynamics
 from fss_arm_calib.experiment.design import (
     Planned,
     design,
@@ -26,7 +26,7 @@ from fss_arm_calib.experiment.design import (
 from fss_arm_calib.experiment.postures import DEFAULT
 from fss_arm_calib.experiment.settings import Conditions
 from fss_arm_calib.kinematic.problem import EQUAL, KinematicProblem
-from fss_arm_calib.kinematic.problem import solve as solve_kinematics
+from fss_arm_calib.kinematic.solve import solve as solve_kinematics
 from fss_arm_model.base_motion import base_poses, path
 from fss_arm_model.description import paper_arm
 from fss_arm_model.kinematics import tip_in_base

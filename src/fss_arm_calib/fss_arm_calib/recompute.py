@@ -16,7 +16,7 @@ from fss_arm_calib.messages import NUMBERS, common
 from fss_arm_calib.outcome import LIVE, Outcome, settings_of
 from fss_arm_calib.recompute_options import parser
 from fss_arm_calib.segments.streams import Streams
-from fss_arm_model.description import from_yaml
+from fss_arm_model.description_file import from_yaml
 from fss_arm_ros.command_line import in_one_line
 from fss_arm_ros.convert import stamp_ns
 

@@ -9,7 +9,8 @@ import numpy as np
 from fss_arm_calib.acceptance import FAIL, NOT_EVALUATED, PASS, count
 from fss_arm_calib.outcome import Outcome, Provenance
 from fss_arm_calib.report import Figure, Report, Table
-from fss_arm_model.description import Arm, to_yaml
+from fss_arm_model.description import Arm
+from fss_arm_model.description_file import to_yaml
 from fss_arm_model.planar import wrap
 
 

@@ -12,7 +12,8 @@ from typing import Any
 from fss_arm_calib import state
 from fss_arm_calib.acceptance import PASS
 from fss_arm_calib.outcome import Outcome
-from fss_arm_model.description import Arm, from_yaml
+from fss_arm_model.description import Arm
+from fss_arm_model.description_file import from_yaml
 from fss_arm_model.files import ContentError, write_text
 
 SCHEMA = "fss_arm_calib/result/1"

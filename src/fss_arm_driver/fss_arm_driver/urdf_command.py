@@ -3,7 +3,7 @@
 import argparse
 import sys
 
-from fss_arm_model.description import described
+from fss_arm_model.description_file import described
 from fss_arm_model.files import write_text
 from fss_arm_model.urdf import urdf
 from fss_arm_ros.command_line import Parser, in_one_line

@@ -2,42 +2,22 @@
 
 SI units and radians throughout; `g`, the distance from joint to centre of mass, follows from the
 stored `a` and `b` (a = g + b). A description is checked when it is made, so that one in hand is a
-valid one, and `from_yaml(to_yaml(arm)) == arm` to the last bit.
+valid one.
 """
 
-import json
 import math
 import operator
-import os
-import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass, replace
-from itertools import dropwhile
-from pathlib import Path
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import yaml
 
-from .files import ContentError, read_text, read_yaml, short, write_text
-from .layout import BASE_SIZE as BASE_SIZE
-from .layout import LINK_SIZE as LINK_SIZE
-from .layout import kinematic_index as kinematic_index
-from .layout import kinematic_names as kinematic_names
+from .files import ContentError
 
 MAX_LINKS = 12
-
-#: A link's own parameter, by its place or, where links are told by serial numbers, by that.
-OF_PLACE = re.compile(r"(a|theta_0|m|b|I)_([1-9]\d*)")
-OF_SERIAL = re.compile(r"(a|theta_0|m|b|I)_#(\d+)")
-
-#: 1 sigma of an angle of which nothing is known since another link was first [rad].
-ANY_ANGLE = math.radians(5.0)
-
-#: Descriptions that come with the package, by the name that settings take.
-ARMS = {"paper": "arm.yaml", "cad": "cad.yaml", "truth": "truth.yaml"}
 
 
 class DescriptionError(ContentError):
@@ -45,7 +25,7 @@ class DescriptionError(ContentError):
 
 
 @contextmanager
-def _within(part: str) -> Iterator[None]:
+def within(part: str) -> Iterator[None]:
     """Name the fields of errors raised inside as fields of `part`, if it has a name."""
     try:
         yield
@@ -117,7 +97,8 @@ def _rows(value: Any) -> tuple[tuple[float, ...], ...]:
     return tuple(_numbers(len(value))(row) for row in value)
 
 
-def _check_count(links: Sequence[Any]) -> None:
+def check_count(links: Sequence[Any]) -> None:
+    """Raise DescriptionError if there are too few links or too many."""
     if not 1 <= len(links) <= MAX_LINKS:
         raise DescriptionError("links", len(links), f"1 to {MAX_LINKS} links")
 
@@ -327,7 +308,7 @@ class Arm:
 
     def __post_init__(self) -> None:
         _check(self)
-        _check_count(self.links)
+        check_count(self.links)
         if self.links[0].theta_0 != 0.0:
             raise DescriptionError(
                 "link 1: theta_0", self.links[0].theta_0, "0, as theta_BJ1 takes its place"
@@ -365,9 +346,9 @@ class Arm:
         offsets = [0.0, *xi[self.n : 2 * self.n - 1]]
         links = []
         for i, link in enumerate(self.links):
-            with _within(f"link {i + 1}"):
+            with within(f"link {i + 1}"):
                 links.append(replace(link, a=xi[i], theta_0=offsets[i]))
-        with _within("base"):
+        with within("base"):
             base = replace(self.base, mount=tuple(xi[-3:]))
         return replace(self, base=base, links=tuple(links))
 
@@ -382,257 +363,3 @@ def paper_arm() -> Arm:
     )
     base = Base(mass=10.0, inertia=0.25, mount=(0.2058, 0.0155, math.radians(18.211)))
     return Arm(name="paper", base=base, links=links)
-
-
-def _entries(kind: type[Any]) -> str:
-    return f"the entries {', '.join(f.name for f in fields(kind))}"
-
-
-def _build(kind: type[Any], given: Any) -> Any:
-    """Make a `kind` from what YAML gave; a part that is no mapping is left for `kind` to refuse."""
-    known = {f.name: f for f in fields(kind)}
-    for key, value in given.items():
-        if key not in known:
-            raise DescriptionError(short(str(key)), value, f"only {_entries(kind)}")
-    for f in known.values():
-        required = f.default is MISSING and f.default_factory is MISSING
-        if required and f.name not in given:
-            raise DescriptionError(f.name, None, f.metadata["expected"])
-    return kind(**{key: _read(key, value) for key, value in given.items()})
-
-
-_PARTS = {"base": Base, "drive": Drive, "torque_sensor": TorqueSensor, "known": Known}
-
-
-def _read(key: str, value: Any, kind: type[Any] | None = None) -> Any:
-    if key == "links" and isinstance(value, list):
-        _check_count(value)
-        return [_read(f"link {i}", link, Link) for i, link in enumerate(value, 1)]
-    kind = kind or _PARTS.get(key)
-    if kind is None or not isinstance(value, dict):
-        return value
-    with _within(key):
-        return _build(kind, value)
-
-
-def link_file(folder: str | os.PathLike[str], serial: int) -> Path:
-    """Where the physical link of this serial number is described."""
-    return Path(folder) / f"link_{serial}.yaml"
-
-
-def read_link(path: Path) -> tuple[Link, list[dict[str, Any]]]:
-    """A physical link by its file, and its calibrations so far.
-
-    Raises:
-        DescriptionError: it cannot be read, or what it says cannot be right.
-    """
-    try:
-        with _within(str(path)):
-            given = read_yaml(read_text(path))
-            if not isinstance(given, dict):
-                raise DescriptionError("link", given, _entries(Link))
-            history = given.pop("history", [])
-            if not (isinstance(history, list) and all(isinstance(h, dict) for h in history)):
-                raise DescriptionError("history", history, "a list of calibrations")
-            link: Link = _build(Link, given)
-            if link_file(path.parent, link.serial) != path:
-                expected = f"that of the file's name, {path.name}"
-                raise DescriptionError("serial", link.serial, expected)
-    except OSError as error:
-        raise DescriptionError("links", path.name, f"a file: {error.strerror or error}") from None
-    return link, history
-
-
-def _mounted(given: dict[str, Any], folder: str | os.PathLike[str]) -> dict[str, Any]:
-    """An arm's entries with the files of links that are given by their serial numbers.
-
-    The first joint's angle is then the base's part and the link's, as the link may be moved.
-    """
-    links = given.get("links")
-    if not isinstance(links, list) or not any(type(link) is int for link in links):
-        return given
-    links = [read_link(link_file(folder, k))[0] if type(k) is int else k for k in links]
-    base = _read("base", given.get("base"))
-    if isinstance(base, Base) and type(given["links"][0]) is int:
-        x, y, angle = base.mount
-        base = replace(base, mount=(x, y, angle + links[0].theta_0))
-        links[0] = replace(links[0], theta_0=0.0)
-    known = _read("known", given.get("known", Known()))
-    if isinstance(known, Known):
-        known = _remounted(known, links)
-    return {**given, "base": base, "links": links, "known": known}
-
-
-def _remounted(known: Known, links: Sequence[Any]) -> Known:
-    """What is known of links by serial number, by their places now.
-
-    What is known of a link goes with it, and of one that is not mounted it is left out. The first
-    link's offset is part of theta_BJ1: if another one is first now, neither is known any more.
-    """
-    if by_place := [name for name in known.names if OF_PLACE.fullmatch(name)]:
-        expected = "names by serial number as a_#7, as links are"
-        raise DescriptionError("known: names", by_place[0], expected)
-    place = {link.serial: i for i, link in enumerate(links, 1) if isinstance(link, Link)}
-    found = [OF_SERIAL.fullmatch(name) for name in known.names]
-    then = [int(m[2]) for m in found if m and m[1] == "a"]  # from the base on
-    names = [
-        f"{m[1]}_{place.get(int(m[2]), m[2] + ' is not mounted')}" if m else name
-        for m, name in zip(found, known.names, strict=True)
-    ]
-    here = [k for k in names if not k.endswith("mounted") and k != "theta_0_1"]
-    moved = Known(tuple(names), known.covariance)
-    moved = Known.of(here, moved.over(here, np.zeros(len(here))))
-    lost: list[str] = []
-    if then and place.get(then[0]) != 1:
-        lost = ["theta_BJ1", *(f"theta_0_{place[k]}" for k in then[:1] if k in place)]
-    return moved.told(lost, ANY_ANGLE**2 * np.eye(len(lost))) if lost else moved
-
-
-def from_yaml(text: str, folder: str | os.PathLike[str] = ".") -> Arm:
-    """The arm that `text` describes; `folder` has the files of links told by serial number.
-
-    Raises:
-        DescriptionError: it is not YAML, or an entry is missing, unknown, given twice or wrong.
-    """
-    with _within(""):
-        given = read_yaml(text)
-    if not isinstance(given, dict):
-        raise DescriptionError("arm", given, _entries(Arm))
-    arm: Arm = _build(Arm, _mounted(given, folder))
-    return arm
-
-
-def load(path: str | os.PathLike[str]) -> Arm:
-    """Read a description.
-
-    Raises:
-        OSError: the file cannot be read.
-        DescriptionError: what it says cannot be right; the message names the file and the field.
-    """
-    with _within(""):
-        text = read_text(path)
-    with _within(str(path)):
-        return from_yaml(text, Path(path).parent)
-
-
-def described(arm: str) -> Arm:
-    """The arm that a setting names: one of ARMS, or a file; empty: the paper's.
-
-    Raises:
-        OSError: the file cannot be read.
-        DescriptionError: there is no arm of that name, or what the file says cannot be right.
-    """
-    if not arm:
-        return paper_arm()
-    if arm in ARMS:
-        return load(_installed() / ARMS[arm])
-    if Path(arm).name == arm and not Path(arm).suffix and not Path(arm).exists():
-        raise DescriptionError("arm", arm, f"a file or one of {', '.join(ARMS)}")
-    return load(arm)
-
-
-def _installed() -> Path:
-    """The folder of the descriptions in ARMS: in the source tree, or in share where installed."""
-    here = Path(__file__).resolve()
-    if (here.parents[1] / "package.xml").exists():
-        return here.parents[1] / "config"
-    places = (folder / "share/fss_arm_model/config" for folder in here.parents)
-    return next(filter(Path.is_dir, places))
-
-
-def _scalar(value: Any) -> str:
-    """YAML of a value, exact: the shortest decimals that read back as the same float."""
-    if isinstance(value, tuple):
-        return f"[{', '.join(map(_scalar, value))}]"
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False)
-    text = repr(value)
-    return text.replace("e", ".0e") if "e" in text and "." not in text else text
-
-
-def _lines(part: Any, indent: str) -> Iterator[str]:
-    """The entries of a description's part, each with its unit and meaning as a comment."""
-    for f in fields(part):
-        value = getattr(part, f.name)
-        if f.name in ("known", "serial") and value == f.default:
-            continue
-        if is_dataclass(value):
-            yield f"{indent}{f.name}:"
-            yield from _lines(value, indent + "  ")
-        elif f.name == "links":
-            yield f"{indent}links:"
-            for i, link in enumerate(value, 1):
-                yield f"{indent}  # link {i}"
-                first, *others = _lines(link, indent + "    ")
-                yield f"{indent}  - {first.strip()}"
-                yield from others
-        elif f.name == "covariance":
-            yield f"{indent}covariance:{_comment(f, value)}"
-            yield from (f"{indent}  - {_scalar(row)}" for row in value)
-        else:
-            yield f"{indent}{f.name}: {_scalar(value)}{_comment(f, value)}"
-
-
-def _comment(f: Field[Any], value: Any) -> str:
-    unit, about = f.metadata["unit"], f.metadata["about"]
-    angle = value[-1] if isinstance(value, tuple) else value
-    if unit.split(", ")[-1] == "rad":
-        unit += f" = {math.degrees(angle):.6g} deg"
-    words = f"{f'[{unit}] ' if unit else ''}{about}".strip()
-    return f"  # {words}" if words else ""
-
-
-def to_yaml(arm: Arm, origin: Sequence[str] = ()) -> str:
-    """The description as YAML, from which from_yaml makes an equal one.
-
-    Lines that say where it is from become comments.
-    """
-    head = "An arm and its base. SI units and radians; degrees in comments are not read."
-    comments = [f"# {' '.join(line.split())}" for line in (head, *origin)]
-    return "\n".join([*comments, *_lines(arm, "")]) + "\n"
-
-
-def save(arm: Arm, path: str | os.PathLike[str]) -> None:
-    """Write the description, and make its folder; a reader sees the old file or the new one.
-
-    Raises:
-        OSError: the file cannot be written.
-    """
-    write_text(path, to_yaml(arm))
-
-
-def save_links(
-    arm: Arm,
-    path: str | os.PathLike[str],
-    histories: Mapping[int, Sequence[Mapping[str, Any]]],
-) -> None:
-    """Write the description as a list of serial numbers, and the links' files beside it.
-
-    What is `known` of links is by serial number, too, as `histories`: it goes with them. The first
-    link keeps its file's theta_0, as theta_BJ1 has it and the mount's.
-
-    Raises:
-        OSError: a file cannot be written.
-        DescriptionError: the first link's file is wrong.
-    """
-    folder, first = Path(path).parent, arm.links[0]
-    if (file := link_file(folder, first.serial)).exists():
-        first = replace(first, theta_0=read_link(file)[0].theta_0)
-    for link in (first, *arm.links[1:]):
-        entries = {"history": [*map(dict, histories[link.serial])]}
-        history = yaml.safe_dump(entries, sort_keys=False, default_flow_style=None)
-        head = "# A physical link. SI units and radians; a calibration's: value, deviation.\n"
-        text = head + "\n".join(_lines(link, "")) + "\n" + history
-        write_text(link_file(folder, link.serial), text)
-    x, y, angle = arm.base.mount
-    base = replace(arm.base, mount=(x, y, angle - first.theta_0))
-    serials = [link.serial for link in arm.links]
-    names = [
-        f"{m[1]}_#{serials[int(m[2]) - 1]}" if (m := OF_PLACE.fullmatch(name)) else name
-        for name in arm.known.names
-    ]
-    known = Known(tuple(names), arm.known.covariance)
-    before, _, after = to_yaml(replace(arm, base=base, known=known)).partition("links:\n")
-    rest = dropwhile(lambda line: line.startswith(" "), after.splitlines())
-    links = f"links: {serials}  # link_<serial>.yaml beside this file, from the base on"
-    write_text(path, "\n".join([before + links, *rest]) + "\n")

@@ -24,7 +24,7 @@ from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectoryPoint
 from unique_identifier_msgs.msg import UUID
 
-from fss_arm_model.description import described
+from fss_arm_model.description_file import described
 from fss_arm_model.kernels import Floats
 from fss_arm_model.momentum import momentum
 from fss_arm_motion import plan_command

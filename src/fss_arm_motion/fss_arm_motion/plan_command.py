@@ -10,7 +10,8 @@ from typing import Any, get_args, get_type_hints
 import numpy as np
 
 from fss_arm_model import layout
-from fss_arm_model.description import Arm, described
+from fss_arm_model.description import Arm
+from fss_arm_model.description_file import described
 from fss_arm_model.files import write_text
 from fss_arm_model.kernels import Floats
 from fss_arm_model.settings import meaning

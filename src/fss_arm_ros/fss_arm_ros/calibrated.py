@@ -7,14 +7,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from fss_arm_model.description import (
-    BASE_SIZE,
-    LINK_SIZE,
-    Arm,
-    from_yaml,
-    kinematic_index,
-    kinematic_names,
-)
+from fss_arm_model.description import Arm
+from fss_arm_model.description_file import from_yaml
+from fss_arm_model.layout import BASE_SIZE, LINK_SIZE, kinematic_index, kinematic_names
 
 Floats = npt.NDArray[np.float64]
 

@@ -14,7 +14,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import Imu, JointState
 from tf2_msgs.msg import TFMessage
 
-from fss_arm_model.description import described
+from fss_arm_model.description_file import described
 from fss_arm_msgs.msg import BaseReaction as BaseReactionMessage
 from fss_arm_msgs.msg import DynamicCalibration, KinematicCalibration, ThrusterCommand
 from fss_arm_ros.calibrated import Calibrated

@@ -26,7 +26,7 @@ from std_msgs.msg import Empty, Float64
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 from visualization_msgs.msg import Marker, MarkerArray
 
-from fss_arm_model.description import described
+from fss_arm_model.description_file import described
 from fss_arm_msgs.msg import (
     BaseReaction,
     BaseTelemetry,

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fss_arm_model.description import to_yaml
+from fss_arm_model.description_file import to_yaml
 from fss_arm_model.kinematics import joint_positions
 from fss_arm_model.momentum import system_com
 from fss_arm_workspace.analysis import Analysis

@@ -10,7 +10,8 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from fss_arm_bags.reader import BagError, open_bags
-from fss_arm_model.description import load, paper_arm
+from fss_arm_model.description import paper_arm
+from fss_arm_model.description_file import load
 from fss_arm_ros.calibrated import TOPICS, Calibrated
 from fss_arm_ros.command_line import in_one_line
 from fss_arm_workspace.analysis import Analysis, AnalysisSettings, analyse, straight_workspaces

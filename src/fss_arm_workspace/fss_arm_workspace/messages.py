@@ -11,7 +11,8 @@ from nav_msgs.msg import OccupancyGrid
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
-from fss_arm_model.description import Arm, to_yaml
+from fss_arm_model.description import Arm
+from fss_arm_model.description_file import to_yaml
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_model.momentum import system_com
 from fss_arm_msgs.msg import ManipulabilityMap, Provenance, StraightPaths, Workspace

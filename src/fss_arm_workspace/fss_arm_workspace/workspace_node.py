@@ -14,7 +14,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 from visualization_msgs.msg import MarkerArray
 
-from fss_arm_model.description import described
+from fss_arm_model.description_file import described
 from fss_arm_msgs.msg import (
     DynamicCalibration,
     KinematicCalibration,

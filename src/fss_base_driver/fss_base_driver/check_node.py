@@ -19,7 +19,8 @@ from rich.table import Table
 from sensor_msgs.msg import Imu, JointState
 from std_srvs.srv import SetBool
 
-from fss_arm_model.description import Arm, described
+from fss_arm_model.description import Arm
+from fss_arm_model.description_file import described
 from fss_arm_model.settings import default_in
 from fss_arm_model.thrusters import COUNT, layout
 from fss_arm_msgs.msg import BaseTelemetry, ThrusterCommand

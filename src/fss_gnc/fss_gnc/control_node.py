@@ -15,7 +15,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
 
-from fss_arm_model.description import described
+from fss_arm_model.description_file import described
 from fss_arm_model.held import Target, hold
 from fss_arm_msgs.msg import GripperState, MassProperties
 from fss_arm_ros.convert import SECOND, stamp_ns, to_time

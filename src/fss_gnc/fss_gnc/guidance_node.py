@@ -21,7 +21,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Empty, Float64
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
-from fss_arm_model.description import described
+from fss_arm_model.description_file import described
 from fss_arm_msgs.msg import GripperState, MassProperties, MissionState, ThrusterHealth
 from fss_arm_ros.convert import SECOND, stamp_ns, to_time
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health

@@ -13,7 +13,7 @@ from sensor_msgs.msg import Imu, JointState
 from tf2_msgs.msg import TFMessage
 from trajectory_msgs.msg import JointTrajectory
 
-from fss_arm_model.description import described
+from fss_arm_model.description_file import described
 from fss_arm_model.thrusters import COUNT
 from fss_arm_msgs.msg import (
     DynamicCalibration,

@@ -5,7 +5,8 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
-from fss_arm_model.description import Arm, Base, described
+from fss_arm_model.description import Arm, Base
+from fss_arm_model.description_file import described
 from fss_arm_model.files import read_text
 from fss_arm_model.held import Target
 from fss_arm_model.settings import (

@@ -11,7 +11,8 @@ from running import wait_until
 from std_srvs.srv import SetBool
 
 from fss_arm_calib.experiment.design_command import main as design
-from fss_arm_model.description import paper_arm, save
+from fss_arm_model.description import paper_arm
+from fss_arm_model.description_file import save
 from fss_arm_msgs.msg import DynamicCalibration, LinkTelemetry
 from fss_arm_ros.qos import LATCHED, SENSOR
 

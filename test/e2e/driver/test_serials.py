@@ -7,7 +7,8 @@ from rclpy.node import Node
 from running import OWN
 from std_srvs.srv import SetBool
 
-from fss_arm_model.description import paper_arm, save
+from fss_arm_model.description import paper_arm
+from fss_arm_model.description_file import save
 from fss_sim.rehearsal.processes import Nodes
 
 SLACK = {"timeout": 4.0, "watchdog": 6.0}  # of a busy computer

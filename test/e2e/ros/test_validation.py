@@ -12,7 +12,8 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from running import OWN
 
-from fss_arm_model.description import paper_arm, to_yaml
+from fss_arm_model.description import paper_arm
+from fss_arm_model.description_file import to_yaml
 from fss_arm_ros.qos import LATCHED
 from fss_sim.rehearsal.processes import Nodes
 

@@ -17,7 +17,8 @@ from running import DOMAIN, OWN, wait_until
 
 from fss_arm_bags.inspection import is_sound
 from fss_arm_bags.reader import find, open_bags
-from fss_arm_model.description import paper_arm, save
+from fss_arm_model.description import paper_arm
+from fss_arm_model.description_file import save
 
 SCRIPTS = Path(__file__).resolve().parents[3] / "scripts"
 PAUSE = partial(Event().wait, 0.05)

@@ -14,7 +14,7 @@ from running import DOMAIN, OWN
 
 from fss_arm_bags.reader import open_bags
 from fss_arm_calib.experiment.postures import DEFAULT
-from fss_arm_model.description import load
+from fss_arm_model.description_file import load
 
 ROOT = Path(__file__).resolve().parents[3]
 

@@ -10,7 +10,8 @@ from running import wait_until
 from std_srvs.srv import SetBool, Trigger
 
 from fss_arm_bags.reader import open_bags
-from fss_arm_model.description import kinematic_index, load
+from fss_arm_model.description_file import load
+from fss_arm_model.layout import kinematic_index
 from fss_arm_msgs.msg import KinematicCalibration, LinkTelemetry, SimFaults
 from fss_arm_ros.convert import stamp_ns
 from fss_arm_ros.qos import LATCHED, SENSOR

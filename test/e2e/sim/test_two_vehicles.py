@@ -15,7 +15,8 @@ from std_srvs.srv import SetBool
 
 from fss_arm_bags.reader import open_bags
 from fss_arm_driver.protocol import State
-from fss_arm_model.description import paper_arm, save
+from fss_arm_model.description import paper_arm
+from fss_arm_model.description_file import save
 from fss_arm_msgs.msg import LinkCommand, LinkTelemetry
 from fss_arm_ros.convert import SECOND, stamp_ns
 from fss_arm_ros.qos import SENSOR, command

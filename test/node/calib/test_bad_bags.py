@@ -17,7 +17,7 @@ from fss_arm_calib.kinematic.kind import KINEMATIC
 from fss_arm_calib.kinematic.problem import OFFSETS
 from fss_arm_calib.kinematic.settings import KinematicSettings
 from fss_arm_calib.segments.rests import BASE, TIP
-from fss_arm_model.description import save
+from fss_arm_model.description_file import save
 from fss_arm_ros.convert import SECOND
 
 

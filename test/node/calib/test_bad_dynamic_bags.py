@@ -15,7 +15,7 @@ from fss_arm_calib.dynamic.settings import DynamicSettings
 from fss_arm_calib.experiment.design_command import main as design
 from fss_arm_calib.from_bag import EXIT_CODES, solve_bag
 from fss_arm_calib.from_bag import main as from_bag
-from fss_arm_model.description import save
+from fss_arm_model.description_file import save
 from fss_arm_ros.convert import SECOND
 
 PRECISE = {"position_deviation": 0.0005, "heading_deviation": 0.001, "max_relative": 2.0}

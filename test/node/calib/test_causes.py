@@ -24,7 +24,7 @@ from fss_arm_calib.acceptance import CAUSE, PASS
 from fss_arm_calib.from_bag import main as from_bag
 from fss_arm_calib.from_bag import solve_bag
 from fss_arm_calib.kinds import KINDS
-from fss_arm_model.description import from_yaml, save
+from fss_arm_model.description_file import from_yaml, save
 
 QUICK = ["millimetres", "one sign", "swapped", "an hour", "other names", "taken as equal"]
 KINDS_OF_BAGS = [(False, kind) for kind in KINEMATIC] + [(True, kind) for kind in DYNAMIC]

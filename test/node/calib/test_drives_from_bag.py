@@ -13,7 +13,7 @@ from fss_arm_calib.experiment.design_command import main as design
 from fss_arm_calib.experiment.postures import DEFAULT
 from fss_arm_calib.from_bag import main as from_bag
 from fss_arm_calib.result import arm_of
-from fss_arm_model.description import described, load, to_yaml
+from fss_arm_model.description_file import described, load, to_yaml
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ from fss_arm_bags.recorder import Recording
 from fss_arm_calib.dynamic.kind import DYNAMIC
 from fss_arm_calib.from_bag import main as from_bag
 from fss_arm_calib.from_bag import solve_bag
-from fss_arm_model.description import load, save
+from fss_arm_model.description_file import load, save
 from fss_arm_msgs.msg import LinkTelemetry
 from fss_arm_ros.convert import to_time
 from fss_arm_ros.qos import SENSOR

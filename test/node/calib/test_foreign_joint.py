@@ -6,7 +6,7 @@ from foreign_bags import arm, flight, heard, write
 
 from fss_arm_calib.from_bag import main as from_bag
 from fss_arm_calib.result import passed
-from fss_arm_model.description import load
+from fss_arm_model.description_file import load
 from fss_arm_model.parameters import parameter_names, values
 from fss_arm_model.planar import wrap
 from fss_arm_ros.command_line import USER_ERROR

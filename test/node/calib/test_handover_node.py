@@ -14,7 +14,7 @@ from fss_arm_calib.from_bag import solve_bag
 from fss_arm_calib.kinds import KINDS
 from fss_arm_calib.messages import common
 from fss_arm_calib.recompute import again
-from fss_arm_model.description import from_yaml, load, to_yaml
+from fss_arm_model.description_file import from_yaml, load, to_yaml
 from fss_arm_ros.qos import LATCHED
 
 FOUND = kinematics(rests(ARM, 13, np.random.default_rng(0)))

@@ -21,7 +21,7 @@ from fss_arm_calib.kinds import JOINED
 from fss_arm_calib.messages import common
 from fss_arm_calib.recompute import again, recompute
 from fss_arm_calib.recompute import main as recompute_command
-from fss_arm_model.description import from_yaml
+from fss_arm_model.description_file import from_yaml
 from fss_arm_ros.convert import SECOND
 from fss_arm_ros.diagnostics import OK, WARN, Health
 from fss_arm_ros.qos import LATCHED

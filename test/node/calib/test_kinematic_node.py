@@ -5,6 +5,7 @@ from math import pi
 import numpy as np
 import pytest
 from calib_kinds import Bed, ask, make_node, play
+from calib_quantization import quantization_bound
 from calib_rig import ARM, TYPES, Rig, Sample, at, message, record
 from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
@@ -16,7 +17,7 @@ from fss_arm_calib.experiment.postures import DEFAULT
 from fss_arm_calib.from_bag import main as from_bag
 from fss_arm_calib.from_bag import solve_bag
 from fss_arm_calib.kinematic.kind import KINEMATIC
-from fss_arm_calib.kinematic.problem import FULL, KinematicProblem, quantization_bound
+from fss_arm_calib.kinematic.problem import FULL, KinematicProblem
 from fss_arm_calib.segments.rests import TIP
 from fss_arm_msgs.msg import LinkTelemetry
 from fss_arm_ros.convert import SECOND, to_time

@@ -8,7 +8,7 @@ from calib_float import ARM, Float, postures, record
 from fss_arm_calib.experiment.design_command import main as design
 from fss_arm_calib.from_bag import main as from_bag
 from fss_arm_calib.result import passed
-from fss_arm_model.description import save
+from fss_arm_model.description_file import save
 
 SEEN = ["--position-deviation", "0.0005", "--heading-deviation", "0.001"]
 MAX = ["--max-relative", "2"]

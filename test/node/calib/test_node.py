@@ -24,7 +24,7 @@ from fss_arm_calib.node_settings import node_settings
 from fss_arm_calib.recompute import again, recompute
 from fss_arm_calib.recompute import main as recompute_command
 from fss_arm_calib.state import StateError
-from fss_arm_model.description import load
+from fss_arm_model.description_file import load
 from fss_arm_model.urdf import urdf
 from fss_arm_ros.convert import SECOND
 from fss_arm_ros.diagnostics import ERROR, OK, WARN

@@ -20,7 +20,8 @@ from unique_identifier_msgs.msg import UUID
 from fss_arm_driver.arm_node import ArmNode
 from fss_arm_driver.link_node import LinkNode
 from fss_arm_driver.protocol import State
-from fss_arm_model.description import paper_arm, save
+from fss_arm_model.description import paper_arm
+from fss_arm_model.description_file import save
 from fss_arm_model.urdf import urdf
 from fss_arm_msgs.action import MoveArm
 from fss_arm_msgs.msg import LinkCommand

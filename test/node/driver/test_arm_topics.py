@@ -27,7 +27,7 @@ from fss_arm_driver.arm.guard_topics import GuardTopics
 from fss_arm_driver.arm.trajectory import Trajectory
 from fss_arm_driver.arm_node import ArmNode
 from fss_arm_driver.settings import ArmSettings
-from fss_arm_model.description import to_yaml
+from fss_arm_model.description_file import to_yaml
 from fss_arm_model.kinematics import tip_pose
 from fss_arm_model.urdf import urdf
 from fss_arm_motion.guard import GuardError

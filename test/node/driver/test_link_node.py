@@ -27,7 +27,8 @@ from fss_arm_driver import link_node
 from fss_arm_driver.host_clock import HostClock
 from fss_arm_driver.link_node import LinkNode
 from fss_arm_driver.protocol import Mode, Order, Slow, State
-from fss_arm_model.description import paper_arm, save
+from fss_arm_model.description import paper_arm
+from fss_arm_model.description_file import save
 from fss_arm_msgs.msg import CommandStatus, LinkCommand, LinkPath, LinkTelemetry
 from fss_arm_ros.convert import stamp_ns, to_time
 

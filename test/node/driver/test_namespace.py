@@ -12,7 +12,8 @@ from tf2_msgs.msg import TFMessage
 
 from fss_arm_driver.arm_node import ArmNode
 from fss_arm_driver.link_node import LinkNode
-from fss_arm_model.description import paper_arm, save
+from fss_arm_model.description import paper_arm
+from fss_arm_model.description_file import save
 from fss_arm_msgs.msg import LinkTelemetry
 from fss_arm_ros.qos import SENSOR
 

@@ -11,7 +11,8 @@ from sensor_msgs.msg import Imu, JointState
 from view_bench import BEGIN, Bench
 from view_flight import paper_flight
 
-from fss_arm_model.description import load, paper_arm, to_yaml
+from fss_arm_model.description import paper_arm
+from fss_arm_model.description_file import load, to_yaml
 from fss_arm_msgs.msg import Calibration, DynamicCalibration, KinematicCalibration, ThrusterCommand
 from fss_arm_ros.convert import SECOND, pose_stamped, stamp_ns, to_time
 from fss_arm_ros.diagnostics import OK

@@ -15,7 +15,8 @@ from running import wait_until
 from sensor_msgs.msg import JointState
 from visualization_msgs.msg import MarkerArray
 
-from fss_arm_model.description import from_yaml, paper_arm, save, to_yaml
+from fss_arm_model.description import paper_arm
+from fss_arm_model.description_file import from_yaml, save, to_yaml
 from fss_arm_msgs.msg import (
     Calibration,
     DynamicCalibration,

@@ -59,7 +59,7 @@ def test_errors_are_as_large_as_the_deviations_say():
         torques.append((mean - truth.hose_torque) / deviation)
         values, deviations = result.momenta
         momenta.append((values - truth.momenta) / deviations)
-        costs.append(result.minimum.linear.cost / result.problem.degrees_of_freedom)
+        costs.append(result.minimum.cost / result.problem.degrees_of_freedom)
     # The mean of 40 squares of deviation 1 is 1 +- 0.22.
     squares = np.mean(np.square(shared), axis=0)
     assert ((squares > 0.5) & (squares < 1.7)).all(), squares

@@ -13,7 +13,8 @@ from fss_arm_calib.drives.motion import Samples, ripple
 from fss_arm_calib.drives.report import drives_report
 from fss_arm_calib.drives.settings import DrivesSettings
 from fss_arm_calib.segments.excitations import Excitation
-from fss_arm_model.description import Arm, Base, Drive, Link, TorqueSensor, described, from_yaml
+from fss_arm_model.description import Arm, Base, Drive, Link, TorqueSensor
+from fss_arm_model.description_file import described, from_yaml
 from fss_sim.plant.joints import PRESETS as JOINTS
 
 COUNT = tau / 240_000

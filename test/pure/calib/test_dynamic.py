@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
 from fss_arm_calib.dynamic.parameters import Choice, Knowledge, to_vector, values
-from fss_arm_calib.dynamic.problem import solve, solve_all
+from fss_arm_calib.dynamic.solve import solve, solve_all
 from fss_arm_model import dynamics
 from fss_arm_model.base_motion import stack
 from fss_arm_model.description import DescriptionError, paper_arm

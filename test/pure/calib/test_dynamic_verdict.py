@@ -14,7 +14,8 @@ from fss_arm_calib.dynamic.settings import HEADING, DynamicSettings
 from fss_arm_calib.outcome import settings_of
 from fss_arm_calib.segments.maneuvers import ManeuverFinder
 from fss_arm_calib.segments.streams import Streams
-from fss_arm_model.description import BASE_SIZE, LINK_SIZE, from_yaml
+from fss_arm_model.description_file import from_yaml
+from fss_arm_model.layout import BASE_SIZE, LINK_SIZE
 from fss_arm_ros.calibrated import Calibrated
 
 STATE = np.array([0.1, 0.2, 3.0, 0.2, -0.1, 0.03, 0.0002, -0.0001])

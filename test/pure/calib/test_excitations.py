@@ -15,7 +15,7 @@ from fss_arm_calib.drives.settings import DrivesSettings
 from fss_arm_calib.segments.excitations import BLOCK, LATE, ExcitationFinder, Frame
 from fss_arm_calib.segments.samples import SECOND
 from fss_arm_calib.segments.settings import ExcitationSettings
-from fss_arm_model.description import described
+from fss_arm_model.description_file import described
 
 ARM = described("truth")
 START = 1_700_000_000 * SECOND  # a multiple of BLOCK

@@ -27,14 +27,10 @@ from fss_arm_calib import result
 from fss_arm_calib.drift.solution import uncertainty
 from fss_arm_calib.dynamic.calibrate import calibrate as calibrate_dynamics
 from fss_arm_calib.kinematic.calibrate import calibrate
-from fss_arm_model.description import (
-    DescriptionError,
-    Known,
-    from_yaml,
-    kinematic_names,
-    to_yaml,
-)
+from fss_arm_model.description import DescriptionError, Known
+from fss_arm_model.description_file import from_yaml, to_yaml
 from fss_arm_model.files import ContentError
+from fss_arm_model.layout import kinematic_names
 from fss_arm_model.parameters import parameter_names, values
 from fss_arm_ros.calibrated import Calibrated, with_kinematics_of
 

@@ -17,7 +17,7 @@ from fss_arm_calib.dynamic.identifiability import (
     invisible,
 )
 from fss_arm_calib.dynamic.parameters import Choice, Knowledge
-from fss_arm_calib.dynamic.problem import solve
+from fss_arm_calib.dynamic.solve import solve
 from fss_arm_model.description import Link
 
 KNOWN = Knowledge()

@@ -20,7 +20,7 @@ from fss_arm_calib.joint.problem import solve
 from fss_arm_calib.joint.report import joint_report
 from fss_arm_calib.joint.settings import JointSettings
 from fss_arm_calib.kinds import JOINED
-from fss_arm_model.description import from_yaml
+from fss_arm_model.description_file import from_yaml
 from fss_arm_model.parameters import values
 from fss_arm_model.planar import wrap
 
@@ -62,7 +62,7 @@ def trial(seed, zeros=0.02, counts=(13, 12, 3)):
     assert result.minimum.converged
     error = off(known, result.values, truth)
     nees = error @ np.linalg.solve(result.covariance, error) / len(error)
-    return nees, result.minimum.linear.cost / known.degrees_of_freedom
+    return nees, result.minimum.cost / known.degrees_of_freedom
 
 
 def test_errors_are_as_large_as_claimed():
@@ -115,7 +115,7 @@ def test_what_is_eliminated_is_where_the_sum_of_squares_is_least(two):
         dx = 1e-3 * np.sqrt(np.diag(found.basis.covariance())) * rng.standard_normal(p)
         there = found.x + found.linear.extend(dx)
         least = known.linearize(there).cost
-        assert least - found.linear.cost == pytest.approx(dx @ N @ dx, rel=0.01)
+        assert least - found.cost == pytest.approx(dx @ N @ dx, rel=0.01)
         # Any other unknowns beside the same dx make it larger, either way alike.
         aside = np.concatenate([np.zeros(p), 1e-6 * rng.standard_normal(len(there) - p)])
         up, down = (known.linearize(there + sign * aside).cost - least for sign in (1.0, -1.0))

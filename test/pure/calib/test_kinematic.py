@@ -4,20 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from calib_quantization import quantization_bound
 
 from fss_arm_calib.estimation.least_squares import CAUCHY, HUBER, SQUARE
 from fss_arm_calib.experiment.postures import DEFAULT
-from fss_arm_calib.kinematic.problem import (
-    EQUAL,
-    FULL,
-    OFFSETS,
-    KinematicProblem,
-    NotIdentifiable,
-    quantization_bound,
-    solve,
-)
-from fss_arm_model.description import Arm, Link, kinematic_names, paper_arm
+from fss_arm_calib.kinematic.problem import EQUAL, FULL, OFFSETS, KinematicProblem
+from fss_arm_calib.kinematic.solve import NotIdentifiable, solve
+from fss_arm_model.description import Arm, Link, paper_arm
 from fss_arm_model.kinematics import tip_in_base
+from fss_arm_model.layout import kinematic_names
 from fss_arm_model.planar import wrap
 
 HALF_COUNT = np.pi / 240_000

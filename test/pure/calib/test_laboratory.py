@@ -7,8 +7,8 @@ import pytest
 from calib_float import COUNT
 
 from fss_arm_calib.dynamic.parameters import to_vector, values
-from fss_arm_calib.dynamic.problem import solve
 from fss_arm_calib.dynamic.settings import DynamicSettings
+from fss_arm_calib.dynamic.solve import solve
 from fss_arm_calib.experiment.design import design, problem, windowed
 from fss_arm_calib.experiment.settings import Conditions
 from fss_arm_model.base_motion import base_poses, path, sampled, stack

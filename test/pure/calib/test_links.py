@@ -8,15 +8,8 @@ import pytest
 
 from fss_arm_calib.links import main
 from fss_arm_calib.result import SCHEMA
-from fss_arm_model.description import (
-    ANY_ANGLE,
-    DescriptionError,
-    Known,
-    load,
-    paper_arm,
-    save,
-    to_yaml,
-)
+from fss_arm_model.description import DescriptionError, Known, paper_arm
+from fss_arm_model.description_file import ANY_ANGLE, load, save, to_yaml
 from fss_arm_model.parameters import parameter_names
 from fss_arm_ros.command_line import USER_ERROR
 

@@ -12,8 +12,9 @@ from fss_arm_calib.experiment.postures import DEFAULT
 from fss_arm_calib.kinematic.calibrate import calibrate
 from fss_arm_calib.kinematic.settings import KinematicSettings
 from fss_arm_calib.segments.rests import Observation
-from fss_arm_model.description import kinematic_index, paper_arm
+from fss_arm_model.description import paper_arm
 from fss_arm_model.kinematics import tip_in_base
+from fss_arm_model.layout import kinematic_index
 
 ARM = paper_arm()
 CAMERA = np.array([0.001, 0.001, np.radians(0.1)])

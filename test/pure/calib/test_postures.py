@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from fss_arm_calib.experiment.postures import APART, DEFAULT, clear, default, design
-from fss_arm_calib.kinematic.problem import FULL, KinematicProblem, solve
+from fss_arm_calib.kinematic.problem import FULL, KinematicProblem
+from fss_arm_calib.kinematic.solve import solve
 from fss_arm_model.description import Arm, paper_arm
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_motion.guard import Guard

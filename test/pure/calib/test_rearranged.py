@@ -12,7 +12,8 @@ from fss_arm_calib.acceptance import PASS
 from fss_arm_calib.dynamic.calibrate import calibrate as calibrate_dynamics
 from fss_arm_calib.kinematic.calibrate import calibrate
 from fss_arm_calib.links import main
-from fss_arm_model.description import from_yaml, load, paper_arm, save
+from fss_arm_model.description import paper_arm
+from fss_arm_model.description_file import from_yaml, load, save
 from fss_arm_model.parameters import parameter_names, values
 from fss_sim.rehearsal.dynamic import draw_truth
 

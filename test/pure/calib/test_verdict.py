@@ -18,14 +18,15 @@ from fss_arm_calib.kinematic.problem import (
     OFFSETS,
     POSITION_DEVIATION,
     KinematicProblem,
-    solve,
 )
 from fss_arm_calib.kinematic.settings import KinematicSettings
+from fss_arm_calib.kinematic.solve import solve
 from fss_arm_calib.outcome import settings_of
 from fss_arm_calib.segments.rests import Observation
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_calib.settings import CalibrationSettings
-from fss_arm_model.description import from_yaml, paper_arm, to_yaml
+from fss_arm_model.description import paper_arm
+from fss_arm_model.description_file import from_yaml, to_yaml
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_model.planar import inverse
 

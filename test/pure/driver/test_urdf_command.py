@@ -3,7 +3,8 @@
 import sys
 
 from fss_arm_driver import urdf_command
-from fss_arm_model.description import paper_arm, save
+from fss_arm_model.description import paper_arm
+from fss_arm_model.description_file import save
 from fss_arm_model.urdf import urdf
 
 

@@ -11,7 +11,7 @@ import pytest
 from scipy.stats import chi2
 from tracking import SECOND, nees, track
 
-from fss_arm_model.description import load
+from fss_arm_model.description_file import load
 from fss_gnc.navigation import EstimatorSettings, Navigation
 from fss_gnc.navigation.settings import TargetErrors
 from fss_sim.noise import PRESETS, VICON

@@ -9,7 +9,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from fss_arm_model.description import load, paper_arm
+from fss_arm_model.description import paper_arm
+from fss_arm_model.description_file import load
 from fss_arm_model.dynamics import inertia_matrix
 from fss_arm_model.kinematics import tip_pose
 from fss_arm_model.urdf import urdf

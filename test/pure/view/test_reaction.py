@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from view_flight import STEP, Flight, paper_flight
 
-from fss_arm_model.description import load, paper_arm
+from fss_arm_model.description import paper_arm
+from fss_arm_model.description_file import load
 from fss_arm_model.dynamics import bias, inertia_matrix
 from fss_arm_model.layout import kinematic_index
 from fss_arm_model.units import GRAVITY

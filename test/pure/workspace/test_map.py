@@ -9,7 +9,8 @@ from rclpy.serialization import serialize_message
 
 from fss_arm_bags.reader import BagError
 from fss_arm_bags.recorder import Recording
-from fss_arm_model.description import from_yaml, paper_arm, save, to_yaml
+from fss_arm_model.description import paper_arm
+from fss_arm_model.description_file import from_yaml, save, to_yaml
 from fss_arm_msgs.msg import Calibration, DynamicCalibration, KinematicCalibration
 from fss_arm_ros.calibrated import Calibrated
 from fss_arm_ros.qos import LATCHED

@@ -15,9 +15,10 @@ from fss_arm_calib.acceptance import (
     outliers,
     quiet,
 )
-from fss_arm_calib.drift.problem import MAX_CONDITION, TOLERANCE
+from fss_arm_calib.drift.problem import TOLERANCE
 from fss_arm_calib.drift.settings import DriftSettings
 from fss_arm_calib.drift.solution import Solution
+from fss_arm_calib.estimation.least_squares import MAX_CONDITION
 from fss_arm_calib.segments.drifts import Drift
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_model.units import GRAVITY
@@ -39,7 +40,7 @@ def evaluate(solution: Solution, s: DriftSettings) -> list[Check]:
         quiet(determined(r.undetermined, r.missing, r.condition_number, MAX_CONDITION)),
         converged(m.converged, m.iterations, m.last_update, TOLERANCE),
         by_chance(
-            "fit", m.linear.cost, r.problem.degrees_of_freedom, s.min_probability,
+            "fit", m.cost, r.problem.degrees_of_freedom, s.min_probability,
             "something else moved the base, or it errs by more than assumed",
         ),
         outliers(

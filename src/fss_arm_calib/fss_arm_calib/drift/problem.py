@@ -8,11 +8,13 @@ masses' errors scale torque and momentum.
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import compress
 from typing import NamedTuple
 
 import numpy as np
 
 from fss_arm_calib.estimation.least_squares import (
+    NOTICEABLE,
     Decomposition,
     Floats,
     Linear,
@@ -32,8 +34,6 @@ OWN = 8  # unknowns of each drift: pose, twist, centre of mass in the base
 
 #: Half the differences that derivatives are taken over: far above rounding, far below curvature.
 STEPS = np.array([1e-5, 1e-5, 3e-7, 1e-5, 1e-4, *[1e-3] * 3, 1e-4, 1e-4, 1e-5, *[1e-3] * 2])
-MAX_CONDITION = 1e6
-NOTICEABLE = 1e-6  # share of an unknown in undetermined directions from which on it is named
 ALONE = 1e-9  # redundancy below which a drift alone determines something
 TOLERANCE = 1e-4  # of the last update [deviations]; integration errs by less
 
@@ -122,7 +122,7 @@ class DriftProblem:
         off = (expected - unknowns)[believed] / known[believed]
         J = np.concatenate([J, np.eye(len(unknowns))[believed] / known[believed, None]])
         r = np.concatenate([r, off])
-        return Linear(r, J, float(r @ r))
+        return Linear(r, J, r @ r)
 
     @cached_property
     def known(self) -> Floats:
@@ -170,7 +170,7 @@ class DriftResult:
     def undetermined(self) -> tuple[str, ...]:
         """Names of what acts from outside that the drifts cannot tell apart."""
         lost = (self.minimum.basis.undetermined() > NOTICEABLE) & self._free
-        return tuple(name for name, one in zip(NAMES, lost, strict=False) if one)
+        return tuple(compress(NAMES, lost))
 
     @property
     def missing(self) -> int:
@@ -181,7 +181,7 @@ class DriftResult:
     def condition_number(self) -> float:
         """Of the column-scaled regressor of the unknowns that are estimated."""
         Phi = self.minimum.linear.regressor[:, self._free]
-        return Decomposition.of(Phi, MAX_CONDITION).condition
+        return Decomposition.of(Phi).condition
 
     @cached_property
     def _hat(self) -> list[tuple[Floats, Floats]]:
@@ -262,6 +262,6 @@ def solve(problem: DriftProblem) -> DriftResult:
     for one in (plain, problem):
         low, high = np.full(len(x), -np.inf), np.full(len(x), np.inf)
         low[3:5] = 0.0
-        minimum = minimize(one.linearize, x, (low, high), TOLERANCE, max_condition=MAX_CONDITION)
+        minimum = minimize(one.linearize, x, (low, high), TOLERANCE)
         x = minimum.x
     return DriftResult(problem, minimum, minimum.basis.covariance())

@@ -118,7 +118,7 @@ def estimate_of(drifts: Sequence[Drift], solution: Solution | None) -> Estimate:
         reasons=solution.reasons,
         position_residual=root_mean_square(residuals[:, :2]),
         heading_residual=root_mean_square(residuals[:, 2]),
-        chi_square=minimum.linear.cost,
+        chi_square=minimum.cost,
         degrees_of_freedom=r.problem.degrees_of_freedom,
         condition_number=r.condition_number,
         iterations=minimum.iterations,

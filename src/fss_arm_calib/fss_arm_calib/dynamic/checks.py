@@ -23,9 +23,12 @@ from fss_arm_calib.acceptance import (
     quiet,
 )
 from fss_arm_calib.dynamic.identifiability import INVISIBLE
-from fss_arm_calib.dynamic.problem import MAX_CONDITION, DynamicProblem, DynamicResult, solve
+from fss_arm_calib.dynamic.problem import DynamicProblem
+from fss_arm_calib.dynamic.result import DynamicResult
 from fss_arm_calib.dynamic.settings import DynamicSettings
 from fss_arm_calib.dynamic.solution import Solution
+from fss_arm_calib.dynamic.solve import solve
+from fss_arm_calib.estimation.least_squares import MAX_CONDITION
 from fss_arm_calib.estimation.noise import assumed
 from fss_arm_calib.segments.maneuvers import Maneuver
 from fss_arm_calib.segments.streams import Streams

@@ -9,8 +9,10 @@ import numpy as np
 from fss_arm_calib.acceptance import TOLERANCE
 from fss_arm_calib.dynamic.identifiability import Combination, Direction, combinations, directions
 from fss_arm_calib.dynamic.parameters import Choice
-from fss_arm_calib.dynamic.problem import DynamicProblem, DynamicResult, solve
+from fss_arm_calib.dynamic.problem import DynamicProblem
+from fss_arm_calib.dynamic.result import DynamicResult
 from fss_arm_calib.dynamic.settings import HEADING, DynamicSettings
+from fss_arm_calib.dynamic.solve import solve
 from fss_arm_calib.estimation.least_squares import Floats, Mask
 from fss_arm_calib.estimation.noise import Left, Noise, Solved, assumed, estimated
 from fss_arm_calib.estimation.outliers import weighed, without_outliers

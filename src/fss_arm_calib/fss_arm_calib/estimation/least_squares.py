@@ -7,7 +7,7 @@ Phi' Phi is the covariance of what is estimated.
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import inf
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -46,6 +46,14 @@ ROUNDING = 1e-13
 #: A step below this is taken without asking whether it lowers the sum of squares [deviations].
 SHORT = 1e-6
 
+#: Beyond this condition number of the column-scaled regressor rounding has the say.
+MAX_CONDITION = 1e6
+
+#: A parameter's share in undetermined directions from which on it is named.
+NOTICEABLE = 1e-6
+
+MAX_ITERATIONS = 50
+
 
 class Decomposition(NamedTuple):
     """Singular values of the column-scaled regressor, Phi / scale = U diag(s) Vt.
@@ -60,11 +68,9 @@ class Decomposition(NamedTuple):
     condition: float
 
     @classmethod
-    def of(cls, Phi: Floats, max_condition: float) -> "Decomposition":
+    def of(cls, Phi: Floats, max_condition: float = MAX_CONDITION) -> "Decomposition":
         """Decompose a regressor (m, p); a column of zeros stands for a parameter held."""
-        norms = np.sqrt(np.einsum("ij,ij->j", Phi, Phi))
-        scale = np.where(norms > 0.0, norms, 1.0)
-        U, s, Vt = np.linalg.svd(Phi / scale, full_matrices=False)
+        scale, U, s, Vt = _scaled(Phi)
         keep = s * max_condition > s[0]
         condition = s[0] / s[-1] if len(s) == len(scale) and s[-1] > 0.0 else inf
         return cls(scale, U[:, keep], s[keep], Vt[keep], float(condition))
@@ -88,7 +94,7 @@ class Linear(NamedTuple):
 
     residuals: Floats  # (m,)
     regressor: Floats  # (m, p)
-    cost: Any  # a number: the sum of squares that is to become least
+    cost: Floats  # () the sum of squares that is to become least
     extend: Callable[[Floats], Floats] | None = None  # from dx (p,) to a step of all unknowns
     taken: Floats = np.empty(0)  # (rows,) share of each that unknowns eliminated take
 
@@ -105,14 +111,19 @@ class Minimum:
     last_update: float  # the largest step that would be next, in the parameter's deviations
     converged: bool
 
+    @property
+    def cost(self) -> float:
+        """The sum of squares there."""
+        return float(self.linear.cost)
+
 
 def minimize(
     linearize: Callable[[Floats], Linear],
     start: Floats,
     bounds: tuple[Floats, Floats] | None = None,
     tolerance: float = 1e-9,
-    max_iterations: int = 50,
-    max_condition: float = 1e3,
+    max_iterations: int = MAX_ITERATIONS,
+    max_condition: float = MAX_CONDITION,
 ) -> Minimum:
     """Gauss-Newton; a step that would not lower the sum of squares is damped until it does.
 
@@ -157,8 +168,6 @@ def minimize_all(
     start: Floats,
     bounds: tuple[Floats, Floats] | None = None,
     tolerance: float = 1e-9,
-    max_iterations: int = 50,
-    max_condition: float = 1e3,
 ) -> list[Minimum | None]:
     """`minimize` of many problems side by side, as far as plain Gauss-Newton steps lead.
 
@@ -168,27 +177,23 @@ def minimize_all(
     Args:
         linearize: the problems of such numbers, a batch, near x (batch, unknowns).
         start: (N, unknowns), else as in `minimize`.
-        bounds: as in `minimize`, and all that follow.
-        tolerance: see there.
-        max_iterations: see there.
-        max_condition: see there.
+        bounds: as in `minimize`.
+        tolerance: as in `minimize`.
     """
     found: list[Minimum | None] = [None] * len(start)
     which, x, linear = np.arange(len(start)), start, linearize(start, np.arange(len(start)))
     p = linear.regressor.shape[-1]
     low, high = bounds if bounds else (np.full(p, -inf), np.full(p, inf))
     downhill = np.full(len(start), True)
-    for iteration in range(max_iterations + 1):
+    for iteration in range(MAX_ITERATIONS + 1):
         with np.errstate(all="ignore"):  # of those that are inseparable
-            norms = np.sqrt(np.einsum("kij,kij->kj", linear.regressor, linear.regressor))
-            scale = np.where(norms > 0.0, norms, 1.0)
-            U, s, Vt = np.linalg.svd(linear.regressor / scale[:, None], full_matrices=False)
+            scale, U, s, Vt = _scaled(linear.regressor)
             roots = np.swapaxes(Vt, 1, 2) / s[:, None] / scale[..., None]
             step = _times(roots, _times(np.swapaxes(U, 1, 2), linear.residuals))
             condition, deviations = s[:, 0] / s[:, -1], np.sqrt(np.sum(roots**2, axis=2))
             sizes = np.abs(step)
             update, there = np.max(sizes / deviations, axis=1), x[:, :p] + step
-            plain = downhill & (s.shape[1] == p) & (condition < max_condition)
+            plain = downhill & (s.shape[1] == p) & (condition < MAX_CONDITION)
             plain &= ((there >= low) & (there <= high)).all(axis=1)
         done = plain & ((update < tolerance) | (sizes.max(axis=1) < ROUNDING))
         for k in np.flatnonzero(done):
@@ -205,6 +210,13 @@ def minimize_all(
         linear = linearize(x, which)
         downhill = short | (linear.cost <= cost)
     return found
+
+
+def _scaled(Phi: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """Lengths of the columns of (..., m, p), 1 of zeros, and U, s, Vt of Phi over them."""
+    norms = np.sqrt(np.einsum("...ij,...ij->...j", Phi, Phi))
+    scale = np.where(norms > 0.0, norms, 1.0)
+    return scale, *np.linalg.svd(Phi / scale[..., None, :], full_matrices=False)
 
 
 def _largest(step: Floats, basis: Decomposition) -> float:

@@ -19,15 +19,12 @@ from math import inf, nan
 import numpy as np
 import yaml
 
-from fss_arm_calib.dynamic.problem import (
-    DynamicProblem,
-    DynamicResult,
-    information,
-    propagated,
-    solve,
-)
+from fss_arm_calib.dynamic.information import information, propagated
+from fss_arm_calib.dynamic.problem import DynamicProblem
+from fss_arm_calib.dynamic.result import DynamicResult
 from fss_arm_calib.dynamic.settings import HEADING, DynamicSettings
 from fss_arm_calib.dynamic.solution import known_beforehand
+from fss_arm_calib.dynamic.solve import solve
 from fss_arm_calib.estimation.least_squares import Floats, Mask
 from fss_arm_calib.estimation.noise import assumed
 from fss_arm_calib.experiment.settings import LOOP, SINGLE, Conditions

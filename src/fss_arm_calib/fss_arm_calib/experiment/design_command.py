@@ -17,7 +17,8 @@ from fss_arm_bags.reader import BagError, open_bags
 from fss_arm_calib import report
 from fss_arm_calib.bag_data import fed
 from fss_arm_calib.dynamic.kind import DYNAMIC
-from fss_arm_calib.dynamic.problem import DynamicProblem, DynamicResult
+from fss_arm_calib.dynamic.problem import DynamicProblem
+from fss_arm_calib.dynamic.result import DynamicResult
 from fss_arm_calib.dynamic.settings import DynamicSettings
 from fss_arm_calib.dynamic.solution import nothing_seen, problem_of
 from fss_arm_calib.estimation.noise import assumed
@@ -34,10 +35,12 @@ from fss_arm_calib.experiment.design import (
 from fss_arm_calib.experiment.design_options import CONDITIONS, parser
 from fss_arm_calib.experiment.excitation import excitation
 from fss_arm_calib.experiment.settings import JOINT, KINDS, Conditions
-from fss_arm_calib.kinematic.problem import FULL, KinematicProblem, solve
+from fss_arm_calib.kinematic.problem import FULL, KinematicProblem
+from fss_arm_calib.kinematic.solve import solve
 from fss_arm_calib.outcome import LIVE
 from fss_arm_calib.result import arm_of
-from fss_arm_model.description import Arm, described, from_yaml
+from fss_arm_model.description import Arm
+from fss_arm_model.description_file import described, from_yaml
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_ros.command_line import in_one_line
 

@@ -24,7 +24,8 @@ from fss_arm_calib.experiment.postures import default
 from fss_arm_calib.experiment.settings import ExperimentSettings
 from fss_arm_calib.messages import common
 from fss_arm_calib.programs import experiment as main
-from fss_arm_model.description import Arm, described
+from fss_arm_model.description import Arm
+from fss_arm_model.description_file import described
 from fss_arm_model.files import read_yaml
 from fss_arm_motion.guard import Guard, GuardError
 from fss_arm_motion.guard_settings import GuardSettings

@@ -23,9 +23,8 @@ from fss_arm_calib.acceptance import (
     quiet,
 )
 from fss_arm_calib.calibration import Calibration
-from fss_arm_calib.estimation.least_squares import Floats
+from fss_arm_calib.estimation.least_squares import MAX_CONDITION, Floats
 from fss_arm_calib.joint.problem import (
-    MAX_CONDITION,
     TOLERANCE,
     JointProblem,
     JointResult,
@@ -35,7 +34,8 @@ from fss_arm_calib.joint.settings import JointSettings
 from fss_arm_calib.outcome import LIVE, Datum, Estimate, Outcome, concluded
 from fss_arm_calib.segments.rests import homed
 from fss_arm_calib.segments.streams import Streams
-from fss_arm_model.description import Arm, from_yaml
+from fss_arm_model.description import Arm
+from fss_arm_model.description_file import from_yaml
 from fss_arm_model.parameters import parameter_names, unit, values
 from fss_arm_model.planar import wrap
 from fss_arm_model.units import GRAVITY
@@ -294,7 +294,7 @@ def evaluate(r: JointResult, s: JointSettings) -> list[Check]:
         converged(m.converged, m.iterations, m.last_update, TOLERANCE),
         Check("bounds", FAIL if held else PASS, len(held), 0, words),
         by_chance(
-            "fit", m.linear.cost, problem.degrees_of_freedom, s.min_probability,
+            "fit", m.cost, problem.degrees_of_freedom, s.min_probability,
             "residuals are larger than the deviations allow",
         ),
         *each,
@@ -321,7 +321,7 @@ def estimate_of(r: JointResult) -> Estimate:
     return Estimate(
         r.problem.names, r.problem.units, r.problem.guess, r.values, r.covariance,
         undetermined=r.undetermined,
-        chi_square=m.linear.cost,
+        chi_square=m.cost,
         degrees_of_freedom=r.problem.degrees_of_freedom,
         condition_number=m.basis.condition,
         iterations=m.iterations,

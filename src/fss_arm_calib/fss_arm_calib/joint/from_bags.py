@@ -18,7 +18,8 @@ from fss_arm_calib.joint.report import joint_report
 from fss_arm_calib.joint.settings import JointSettings
 from fss_arm_calib.kinds import JOINED
 from fss_arm_calib.outcome import Outcome
-from fss_arm_model.description import Arm, described, load
+from fss_arm_model.description import Arm
+from fss_arm_model.description_file import described, load
 from fss_arm_model.files import ContentError, read_yaml
 
 

@@ -15,6 +15,7 @@ Then dy_s, dw_d follow from dx backwards. The covariance of x includes that of a
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import compress
 from math import inf
 from typing import NamedTuple
 
@@ -23,6 +24,7 @@ import numpy.typing as npt
 
 from fss_arm_calib.estimation.evidence import Evidence
 from fss_arm_calib.estimation.least_squares import (
+    NOTICEABLE,
     Decomposition,
     Floats,
     Linear,
@@ -35,10 +37,7 @@ from fss_arm_model.description import Arm
 from fss_arm_model.drifting import SURROUNDINGS
 from fss_arm_model.parameters import parameter_names, to_vector, unit, values, with_values
 
-#: Beyond this condition number of the column-scaled regressor rounding has the say.
-MAX_CONDITION = 1e6
 TOLERANCE = 1e-5  # of the last update [deviations]; differences as derivatives err by less
-NOTICEABLE = 1e-6  # share of a parameter in undetermined directions from which on it is named
 FIRST = 2  # iterations of the data's own unknowns alone
 
 
@@ -196,15 +195,15 @@ class JointProblem:
             x: all unknowns.
             without: a kind of data to leave out.
         """
-        p, cost, few, found = len(self.names), 0.0, [], []
+        p, cost, few, found = len(self.names), np.zeros(()), [], []
         for k in range(len(self.sessions)):
             parts = [part for part in self.parts(x, k) if part.kind != without]
             A, B, r = self.rows(x, k, parts)
             reduced = eliminate(A[None], B[None], r[None])
             few.append(_compressed(np.column_stack([reduced.regressor, reduced.residuals])))
             found.append((k, parts, reduced))
-            cost += float(np.sum(r[len(r) - len(B.T) :] ** 2)) + sum(
-                part.linear.cost for part in parts
+            cost = (
+                cost + np.sum(r[len(r) - len(B.T) :] ** 2) + sum(one.linear.cost for one in parts)
             )
         off = self.prior_rows @ (self.guess - x[:p])
         rows = np.concatenate([*few, np.column_stack([self.prior_rows, off])])
@@ -217,7 +216,7 @@ class JointProblem:
                 steps += [dy, *(_step(linear, dz) for _, linear, _ in parts)]
             return np.concatenate(steps)
 
-        return Linear(rows[:, p], rows[:, :p], cost + float(off @ off), extend)
+        return Linear(rows[:, p], rows[:, :p], cost + off @ off, extend)
 
     @property
     def kinds(self) -> tuple[str, ...]:
@@ -262,15 +261,13 @@ class JointResult:
     @cached_property
     def undetermined(self) -> tuple[str, ...]:
         """Names of parameters that the data cannot tell apart, those at a bound left out."""
-        shares = self.minimum.basis.undetermined()
-        lost = (shares > NOTICEABLE) & ~self.minimum.held
-        return tuple(name for name, one in zip(self.problem.names, lost, strict=True) if one)
+        lost = (self.minimum.basis.undetermined() > NOTICEABLE) & ~self.minimum.held
+        return tuple(compress(self.problem.names, lost))
 
     @property
     def at_bound(self) -> tuple[str, ...]:
         """Names of parameters that the data would move out of their bounds."""
-        pairs = zip(self.problem.names, self.minimum.held, strict=True)
-        return tuple(name for name, held in pairs if held)
+        return tuple(compress(self.problem.names, self.minimum.held))
 
     def session(self, k: int) -> tuple[Floats, Floats]:
         """Values and deviations of a session's own parameters."""
@@ -287,7 +284,7 @@ class JointResult:
         for k, session in enumerate(self.problem.sessions):
             for kind, linear, _ in self.problem.parts(self.minimum.x, k):
                 cost, free = found[kind]
-                found[kind] = cost + linear.cost, free + session[kind].free
+                found[kind] = cost + float(linear.cost), free + session[kind].free
         return found
 
     @cached_property
@@ -296,7 +293,7 @@ class JointResult:
         found = {}
         for kind in self.problem.kinds:
             Phi = self.problem.linearize(self.minimum.x, kind).regressor
-            basis = Decomposition.of(Phi, MAX_CONDITION)
+            basis = Decomposition.of(Phi)
             lost = basis.undetermined() > NOTICEABLE
             found[kind] = np.where(lost, inf, np.sqrt(np.diag(basis.covariance())))
         return found
@@ -327,9 +324,4 @@ def solve(
     """
     begin = problem.start() if start is None else start
     bounds = problem.bounds if bounded else None
-    return JointResult(
-        problem,
-        minimize(
-            problem.linearize, begin, bounds, tolerance=TOLERANCE, max_condition=MAX_CONDITION
-        ),
-    )
+    return JointResult(problem, minimize(problem.linearize, begin, bounds, TOLERANCE))

@@ -24,15 +24,11 @@ from fss_arm_calib.acceptance import (
 )
 from fss_arm_calib.estimation.least_squares import CAUCHY, Floats, Mask
 from fss_arm_calib.estimation.statistics import probability, redundancy
-from fss_arm_calib.kinematic.problem import (
-    ALIKE,
-    FULL,
-    KinematicProblem,
-    KinematicResult,
-    fit,
-)
+from fss_arm_calib.kinematic.problem import ALIKE, FULL, KinematicProblem
+from fss_arm_calib.kinematic.result import KinematicResult
 from fss_arm_calib.kinematic.settings import KinematicSettings
 from fss_arm_calib.kinematic.solution import ANY, Solution, fewest
+from fss_arm_calib.kinematic.solve import fit
 from fss_arm_calib.segments.rests import Observation, homed, since_homed, unrepeated
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_model.description import DescriptionError

@@ -42,7 +42,7 @@ class RestEvidence:
         J[:, 2, layout.TIP_ANGLE] = 1.0
         r = problem.normalized(off).ravel()
         rows = problem.in_deviations(J).reshape(len(r), len(z))
-        return Linear(r, rows, float(r @ r), lambda dz: dz)
+        return Linear(r, rows, r @ r, lambda dz: dz)
 
 
 def evidence(rests: Sequence[Observation], arm: Arm, settings: KinematicSettings) -> RestEvidence:

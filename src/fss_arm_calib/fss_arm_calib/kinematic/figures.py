@@ -11,8 +11,8 @@ from fss_arm_calib.kinematic.solution import Solution
 from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.report_figures import figure
 from fss_arm_calib.segments.rests import Observation
-from fss_arm_model.description import kinematic_index, kinematic_names
 from fss_arm_model.kinematics import joint_positions
+from fss_arm_model.layout import kinematic_index, kinematic_names
 
 PAPER_POSITION_RESIDUAL = 0.015  # [m], section 4.1
 PAPER_HEADING_RESIDUAL = float(np.radians(0.683))

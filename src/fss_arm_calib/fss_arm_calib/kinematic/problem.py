@@ -27,7 +27,6 @@ observation k's difference in deviations; each step then weighs an observation b
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import hypot, inf
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -37,13 +36,10 @@ from fss_arm_calib.estimation.least_squares import (
     SQUARE,
     Floats,
     Linear,
-    Minimum,
-    minimize,
 )
-from fss_arm_calib.estimation.noise import Left
-from fss_arm_calib.estimation.statistics import root_mean_square
-from fss_arm_model.description import Arm, kinematic_index, kinematic_names
+from fss_arm_model.description import Arm
 from fss_arm_model.kinematics import tip_in_base, tip_regressor
+from fss_arm_model.layout import kinematic_index, kinematic_names
 from fss_arm_model.planar import wrap
 
 FULL, EQUAL, OFFSETS = "full", "equal", "offsets"
@@ -57,20 +53,6 @@ POSITION_DEVIATION = 0.0177  # [m], each axis
 HEADING_DEVIATION = float(np.radians(0.715))
 
 RIPPLE = 60  # periods a turn of a joint: two a turn of the wave generator, at 30 : 1
-
-#: A parameter's share in the undetermined directions from which on it is named.
-NOTICEABLE = 1e-3
-
-
-class NotIdentifiable(ValueError):  # noqa: N818
-    """The observations cannot tell some parameters apart; the message names them."""
-
-    def __init__(self, parameters: tuple[str, ...], undetermined: int, condition: float) -> None:
-        self.parameters, self.undetermined, self.condition = parameters, undetermined, condition
-        super().__init__(
-            f"{', '.join(parameters)} cannot be told apart ({undetermined} "
-            f"combination{'s' * (undetermined > 1)} undetermined, condition number {condition:.3g})"
-        )
 
 
 @dataclass(frozen=True)
@@ -278,7 +260,7 @@ class KinematicProblem:
         return Linear(
             residuals=root * self.normalized(self.residuals(xi)).ravel(),
             regressor=root[:, None] * self.regressor(xi),
-            cost=float(np.sum(LOSSES[self.loss].cost(distances))),
+            cost=LOSSES[self.loss].cost(distances).sum(),
         )
 
     def is_mirrored(self, xi: Floats) -> bool:
@@ -299,283 +281,3 @@ class KinematicProblem:
         values[n : 2 * n - 1] = wrap(np.diff(headings))
         values[-2:] = wrap([headings[0], values[-1] - turned[-1]])
         return self.chosen(values)
-
-
-class Prediction(NamedTuple):
-    """What a result says of k observations that it is not from."""
-
-    residuals: Floats  # (k, 3) observed minus predicted [m, m, rad]
-    normalized: Floats  # (k,) their lengths by the covariance of each, as in KinematicResult
-    chi_square: float  # of all together, 3k degrees of freedom
-
-
-@dataclass(frozen=True)
-class KinematicResult:
-    """p parameters from s observations, and how far to believe them.
-
-    With a robust loss the covariance is that of the weighted observations.
-    """
-
-    problem: KinematicProblem
-    values: Floats  # (p,) in the order and units of problem.names and problem.units
-    covariance: Floats  # (p, p)
-    weighted: Floats  # (p, p) the part of it that the weights stand for, (Phi_k' W Phi_k)^-1
-    residuals: Floats  # (s, 3) observed minus predicted [m, m, rad]
-    weights: Floats  # (s,) of the loss: 1, or less for an observation far off
-    chi_square: float  # weighted sum of squared residuals
-    condition_number: float  # of the column-scaled regressor
-    iterations: int
-    last_update: float  # largest change in the last iteration, in the parameter's deviations
-    converged: bool
-    undetermined: tuple[str, ...] = ()  # parameters that the observations cannot tell apart
-    missing: int = 0  # combinations of them that are undetermined
-
-    @property
-    def deviations(self) -> Floats:
-        """(p,) 1 sigma of each parameter."""
-        return np.sqrt(np.diag(self.covariance))
-
-    @property
-    def degrees_of_freedom(self) -> int:
-        """3s - p."""
-        return self.residuals.size - self.values.size
-
-    @property
-    def position_residual(self) -> float:
-        """Standard deviation of the 2s position residuals: root mean square about zero [m]."""
-        return root_mean_square(self.residuals[:, :2])
-
-    @property
-    def heading_residual(self) -> float:
-        """Standard deviation of the s heading residuals: root mean square about zero [rad]."""
-        return root_mean_square(self.residuals[:, 2])
-
-    def _spread(self, problem: KinematicProblem, covariance: Floats) -> Floats:
-        """(s, 3, 3) what the parameters' covariance makes of predictions, in deviations."""
-        Phi = problem.regressor(self.values).reshape(-1, 3, len(self.values))
-        return np.asarray(Phi @ covariance @ np.swapaxes(Phi, 1, 2))
-
-    @property
-    def left(self) -> Left | None:
-        """What the residuals of positions and headings tell of the deviations."""
-        if self.undetermined:
-            return None
-        hat = np.diagonal(self._spread(self.problem, self.weighted), axis1=1, axis2=2)
-        squares = self.weights[:, None] * self.problem.normalized(self.residuals) ** 2
-        freedom = self.weights[:, None] * (1.0 - self.weights[:, None] * hat)
-        parts = [np.array([np.sum(x[:, :2]), np.sum(x[:, 2])]) for x in (squares, freedom)]
-        return Left(*parts)
-
-    @cached_property
-    def leverage(self) -> Floats:
-        """(s,) how far an observation determines its own prediction, 0 to 1.
-
-        The mean of its three diagonal elements of the hat matrix; p / 3s on average.
-        """
-        hat = self.weights * np.trace(self._spread(self.problem, self.weighted), axis1=1, axis2=2)
-        return np.asarray(hat / 3.0)
-
-    @cached_property
-    def normalized_residuals(self) -> Floats:
-        """(s,) lengths of the residuals by their own covariance, 1 - hat.
-
-        The squares of correct ones are distributed as chi-square with 3 degrees of freedom.
-        """
-        hat = self.weights[:, None, None] * self._spread(self.problem, self.weighted)
-        return _lengths(self.problem.normalized(self.residuals), np.eye(3) - hat)
-
-    def predicted(self, problem: KinematicProblem) -> Prediction:
-        """Predict observations that were not solved from."""
-        residuals = problem.residuals(self.values)
-        z, Phi = problem.normalized(residuals), problem.regressor(self.values)
-        # z' (1 + Phi C Phi')^-1 z, by the matrix inversion lemma
-        v, C = Phi.T @ z.ravel(), self.covariance
-        chi_square = float(
-            np.sum(z**2) - v @ np.linalg.solve(np.eye(len(v)) + C @ Phi.T @ Phi, C @ v)
-        )
-        return Prediction(residuals, _lengths(z, np.eye(3) + self._spread(problem, C)), chi_square)
-
-    def calibrated(self) -> Arm:
-        """The initial arm with the estimated parameters.
-
-        Raises:
-            DescriptionError: a length is not positive.
-        """
-        problem, arm = self.problem, self.problem.arm
-        *values, theta_E = problem.all_parameters(self.values).tolist()
-        names = (*kinematic_names(arm.n), "theta_E")
-        cross = problem.basis @ problem.influence(self.values, self.weighted) @ problem.assumed
-        C = problem.basis @ self.covariance @ problem.basis.T + problem.assumed - cross - cross.T
-        uncertain = np.flatnonzero(np.diag(C) > 0.0)
-        known = arm.known.told([names[k] for k in uncertain], C[np.ix_(uncertain, uncertain)])
-        return replace(arm.with_kinematics(values), theta_E=theta_E, known=known)
-
-
-def _lengths(z: Floats, covariance: Floats) -> Floats:
-    """sqrt(z' covariance^-1 z) of each, (s,), along the directions that have any."""
-    inverse = np.linalg.pinv(covariance, rcond=1e-9, hermitian=True)
-    return np.sqrt(np.maximum(np.einsum("ki,kij,kj->k", z, inverse, z), 0.0))
-
-
-def solve(
-    problem: KinematicProblem,
-    tolerance: float = 1e-9,
-    max_iterations: int = 200,
-    max_condition: float = 1e3,
-    start: npt.ArrayLike | None = None,
-) -> KinematicResult:
-    """As `fit`, all parameters determined.
-
-    Raises:
-        NotIdentifiable: the observations are too few or too alike for all parameters.
-    """
-    result = fit(problem, tolerance, max_iterations, max_condition, start)
-    if result.undetermined:
-        raise NotIdentifiable(result.undetermined, result.missing, result.condition_number)
-    return result
-
-
-def fit(
-    problem: KinematicProblem,
-    tolerance: float = 1e-9,
-    max_iterations: int = 200,
-    max_condition: float = 1e3,
-    start: npt.ArrayLike | None = None,
-) -> KinematicResult:
-    """Iterate Eq. 4 (Gauss-Newton) to the lowest cost that its starts lead to.
-
-    It starts from the guess with its lengths and mount solved for, as these are linear once the
-    angles are known, and from the closed form. Mirrored solutions are folded back. Parameters that
-    the observations cannot tell apart are named in the result.
-
-    Args:
-        problem: observations and initial guess.
-        tolerance: the update below which it has converged, in the parameter's deviations.
-        max_iterations: it gives up after so many, `converged` then is False.
-        max_condition: of the column-scaled regressor, beyond it parameters count as inseparable.
-        start: (p,) guess in place of the arm's, which cannot have lengths of zero.
-    """
-    guess = problem.initial if start is None else np.asarray(start, dtype=float)
-    starts = [_linear_stage(problem, guess), *_closed_form(problem)]
-    freedom = max(problem.tip.size - len(guess), 1)
-    fits: list[Minimum] = []
-
-    def iterate(xi: Floats) -> Minimum:
-        fits.append(
-            minimize(
-                problem.linear,
-                problem.folded(xi),
-                tolerance=tolerance,
-                max_iterations=max_iterations,
-                max_condition=max_condition,
-            )
-        )
-        return fits[-1]
-
-    for xi in sorted(starts, key=problem.cost):
-        fit = iterate(xi)
-        if problem.is_mirrored(fit.x):
-            fit = iterate(fit.x)
-        if fit.converged and fit.linear.cost < freedom + 10.0 * np.sqrt(2.0 * freedom):
-            break  # no other minimum can be so much better that chance does not explain it
-    best = min(fits, key=lambda fit: (not fit.converged, fit.linear.cost))
-    shares = zip(problem.names, best.basis.undetermined(), strict=True)
-    missing = len(best.x) - len(best.basis.s)
-    angles = np.array(problem.units) == "rad"
-    weights, P = problem.weights(best.x), best.basis.covariance()
-    G = problem.influence(best.x, P)
-    return KinematicResult(
-        problem=problem,
-        values=np.where(angles, wrap(best.x), best.x),
-        covariance=P + problem.repeated(best.x, P) + G @ problem.assumed @ G.T,
-        weighted=P,
-        residuals=problem.residuals(best.x),
-        weights=weights,
-        chi_square=float(weights @ problem.distances(best.x)),
-        condition_number=best.basis.condition,
-        iterations=best.iterations,
-        last_update=best.last_update,
-        converged=best.converged,
-        undetermined=tuple(name for name, share in shares if missing and share > NOTICEABLE),
-        missing=missing,
-    )
-
-
-def _turns(problem: KinematicProblem) -> npt.NDArray[np.complex128]:
-    """exp(i Q_i) with Q_i = q_1 + .. + q_i, (s, n)."""
-    return np.asarray(np.exp(1j * np.cumsum(problem.q, axis=1)))
-
-
-def _linear_stage(problem: KinematicProblem, xi: Floats) -> Floats:
-    """The start with xi's angles and the lengths and mount that suit them best.
-
-    What the observations do not determine stays as it is in xi.
-    """
-    n = problem.arm.n
-    values = problem.all_parameters(xi)
-    headings = np.cumsum([values[-2], *values[n : 2 * n - 1]])
-    ones = np.ones(len(problem.q))
-    columns = np.column_stack([_turns(problem) * np.exp(1j * headings), ones, 1j * ones])
-    linear = np.flatnonzero(np.array(problem.units) == "m")
-    rows = [*range(n), 2 * n - 1, 2 * n]  # of lengths and mount
-    by_linear = columns @ problem.basis[np.ix_(rows, linear)]
-    off = problem.tip[:, 0] + 1j * problem.tip[:, 1] - columns @ values[rows]
-    stacked = np.concatenate([by_linear.real, by_linear.imag])
-    xi = xi.copy()
-    xi[linear] += np.linalg.lstsq(stacked, np.concatenate([off.real, off.imag]))[0]
-    return xi
-
-
-def _closed_form(problem: KinematicProblem) -> list[Floats]:
-    """A start that needs no guess, from the positions alone; none if they do not suffice.
-
-    With complex numbers for the plane's vectors and Q_i = q_1 + .. + q_i, the end effector is at
-
-        x + i y = m + sum_i z_i exp(i Q_i)
-        z_i = a_i exp(i (theta_BJ1 + theta_0_2 + .. + theta_0_i))
-
-    which is linear in the mount m and the z_i. Lengths found as |z_i| are never negative, so this
-    start also keeps the iteration from the mirrored arms that fit the positions as well.
-    """
-    n, turns = problem.arm.n, _turns(problem)
-    columns = np.column_stack([np.ones(len(turns)), turns])
-    positions = problem.tip[:, 0] + 1j * problem.tip[:, 1]
-    z, _, rank, _ = np.linalg.lstsq(columns, positions)
-    if rank < n + 1 or not np.all(z[1:]):
-        return []
-    headings = np.angle(z[1:])
-    seen = np.exp(1j * (problem.tip[:, 2] - headings[-1])) / turns[:, -1]
-    mount = [z[0].real, z[0].imag, headings[0], np.angle(np.mean(seen))]
-    return [problem.chosen(np.concatenate([np.abs(z[1:]), wrap(np.diff(headings)), mount]))]
-
-
-def quantization_bound(
-    problem: KinematicProblem, half_count: float, values: npt.ArrayLike | None = None
-) -> Floats:
-    """How far readings off by up to `half_count` can move the parameters, to first order, (p,).
-
-    If the readings are q + e while the poses are exact, the fit obeys Phi dxi + Phi_q e = 0 in the
-    weighted least squares sense, Phi_q holding the poses' derivatives by each reading, so that
-
-        dxi = -Phi^+ Phi_q e
-        |dxi_j| <= half_count * sum_k |(Phi^+ Phi_q)_jk|        for all |e_k| <= half_count
-
-    with equality for the worst signs of e. A reading enters as its joint's offset does, therefore
-    Phi_q takes the columns of theta_BJ1, theta_0_2 .. theta_0_n, each observation's own.
-    Second-order terms are of the size of half_count^2 [m, rad]: 1e-10 for 240,000 counts a turn.
-
-    Args:
-        problem: the observations; its deviations are the weights.
-        half_count: largest error of a reading [rad]: half an encoder count, pi / counts_per_turn,
-            plus what the joint may move within the rest beside its average.
-        values: (p,) where to linearize, the problem's initial guess by default.
-
-    Returns:
-        (p,) bound of each parameter's error, in its unit.
-    """
-    n, s = problem.arm.n, len(problem.q)
-    xi = problem.initial if values is None else np.asarray(values, dtype=float)
-    Phi_q = np.zeros((s, 3, s, n))
-    Phi_q[np.arange(s), :, np.arange(s), :] = problem.in_deviations(problem.by_readings(xi))
-    influence = np.linalg.pinv(problem.regressor(xi)) @ Phi_q.reshape(3 * s, s * n)
-    return half_count * np.sum(np.abs(influence), axis=1)

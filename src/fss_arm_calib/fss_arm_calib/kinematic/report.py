@@ -18,7 +18,8 @@ from fss_arm_calib.report import Figure, Report, Table
 from fss_arm_calib.report_figures import correlation, influence
 from fss_arm_calib.report_tables import difference, number, reported, shown_unit, text
 from fss_arm_calib.segments.rests import Observation
-from fss_arm_model.description import Arm, kinematic_index, kinematic_names, paper_arm
+from fss_arm_model.description import Arm, paper_arm
+from fss_arm_model.layout import kinematic_index, kinematic_names
 
 
 def kinematic_report(outcome: Outcome[Observation, Solution], truth: Arm | None = None) -> Report:

@@ -11,19 +11,10 @@ from fss_arm_calib.estimation.least_squares import Floats, Mask
 from fss_arm_calib.estimation.noise import Left, Noise, Solved, assumed, estimated
 from fss_arm_calib.estimation.outliers import without_outliers
 from fss_arm_calib.estimation.statistics import as_if_known
-from fss_arm_calib.kinematic.problem import (
-    ALIKE,
-    DESCRIBED,
-    EQUAL,
-    FULL,
-    KinematicProblem,
-    KinematicResult,
-    NotIdentifiable,
-    Prediction,
-    fit,
-    solve,
-)
+from fss_arm_calib.kinematic.problem import ALIKE, DESCRIBED, EQUAL, FULL, KinematicProblem
+from fss_arm_calib.kinematic.result import KinematicResult, Prediction
 from fss_arm_calib.kinematic.settings import KinematicSettings
+from fss_arm_calib.kinematic.solve import NotIdentifiable, fit, solve
 from fss_arm_calib.outcome import Estimate
 from fss_arm_calib.segments.rests import Observation
 from fss_arm_model.description import Arm

@@ -21,7 +21,8 @@ from std_srvs.srv import SetBool
 
 from fss_arm_bags.reader import open_bags
 from fss_arm_calib.report import Figure
-from fss_arm_model.description import Arm, load
+from fss_arm_model.description import Arm
+from fss_arm_model.description_file import load
 from fss_arm_model.held import Target, hold
 from fss_arm_model.kinematics import joint_positions
 from fss_arm_msgs.action import Capture

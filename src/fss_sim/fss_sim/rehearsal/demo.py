@@ -25,7 +25,7 @@ from fss_arm_calib.kinematic.solution import Solution
 from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.recompute import again
 from fss_arm_calib.segments.rests import Observation
-from fss_arm_model import description
+from fss_arm_model.description_file import load
 from fss_arm_msgs.msg import KinematicCalibration, KinematicObservations
 from fss_arm_ros.qos import LATCHED
 from fss_sim.rehearsal.domain import CONFIG, Domain
@@ -225,7 +225,7 @@ def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
             soft_wrap=True,
         )
         result = observe(options, out, console, domain)
-    found = KINEMATIC.report_of(result, description.load(CONFIG / "truth.yaml"))
+    found = KINEMATIC.report_of(result, load(CONFIG / "truth.yaml"))
     console.print(report.printed(found))
     again = from_bag(out / "bag", result)
     console.print(again.happened)

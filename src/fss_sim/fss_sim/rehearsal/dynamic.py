@@ -35,7 +35,8 @@ from fss_arm_calib.experiment.settings import Conditions
 from fss_arm_calib.from_bag import solve_bag
 from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.segments.maneuvers import Maneuver
-from fss_arm_model.description import Arm, paper_arm, save
+from fss_arm_model.description import Arm, paper_arm
+from fss_arm_model.description_file import save
 from fss_sim.rehearsal.domain import Domain
 from fss_sim.rehearsal.person import LINKS, Operator, own_domain
 from fss_sim.rehearsal.processes import Nodes, RehearsalError

@@ -1,0 +1,156 @@
+"""The lengths and angles that fit the observations best (Eq. 4), from several starts."""
+
+from itertools import compress
+
+import numpy as np
+import numpy.typing as npt
+
+from fss_arm_calib.estimation.least_squares import Floats, Minimum, minimize
+from fss_arm_calib.kinematic.problem import KinematicProblem
+from fss_arm_calib.kinematic.result import KinematicResult
+from fss_arm_model.planar import wrap
+
+#: A parameter's share in the undetermined directions from which on it is named.
+NOTICEABLE = 1e-3
+
+MAX_ITERATIONS = 200
+
+
+class NotIdentifiable(ValueError):  # noqa: N818
+    """The observations cannot tell some parameters apart; the message names them."""
+
+    def __init__(self, parameters: tuple[str, ...], undetermined: int, condition: float) -> None:
+        self.parameters, self.undetermined, self.condition = parameters, undetermined, condition
+        super().__init__(
+            f"{', '.join(parameters)} cannot be told apart ({undetermined} "
+            f"combination{'s' * (undetermined > 1)} undetermined, condition number {condition:.3g})"
+        )
+
+
+def solve(
+    problem: KinematicProblem,
+    tolerance: float = 1e-9,
+    max_condition: float = 1e3,
+    start: npt.ArrayLike | None = None,
+) -> KinematicResult:
+    """As `fit`, all parameters determined.
+
+    Raises:
+        NotIdentifiable: the observations are too few or too alike for all parameters.
+    """
+    result = fit(problem, tolerance, max_condition, start)
+    if result.undetermined:
+        raise NotIdentifiable(result.undetermined, result.missing, result.condition_number)
+    return result
+
+
+def fit(
+    problem: KinematicProblem,
+    tolerance: float = 1e-9,
+    max_condition: float = 1e3,
+    start: npt.ArrayLike | None = None,
+) -> KinematicResult:
+    """Iterate Eq. 4 (Gauss-Newton) to the lowest cost that its starts lead to.
+
+    It starts from the guess with its lengths and mount solved for, as these are linear once the
+    angles are known, and from the closed form. Mirrored solutions are folded back. Parameters that
+    the observations cannot tell apart are named in the result.
+
+    Args:
+        problem: observations and initial guess.
+        tolerance: the update below which it has converged, in the parameter's deviations.
+        max_condition: of the column-scaled regressor, beyond it parameters count as inseparable.
+        start: (p,) guess in place of the arm's, which cannot have lengths of zero.
+    """
+    guess = problem.initial if start is None else np.asarray(start, dtype=float)
+    starts = [_linear_stage(problem, guess), *_closed_form(problem)]
+    freedom = max(problem.tip.size - len(guess), 1)
+    fits: list[Minimum] = []
+
+    def iterate(xi: Floats) -> Minimum:
+        fits.append(
+            minimize(
+                problem.linear,
+                problem.folded(xi),
+                tolerance=tolerance,
+                max_iterations=MAX_ITERATIONS,
+                max_condition=max_condition,
+            )
+        )
+        return fits[-1]
+
+    for xi in sorted(starts, key=problem.cost):
+        fit = iterate(xi)
+        if problem.is_mirrored(fit.x):
+            fit = iterate(fit.x)
+        if fit.converged and fit.cost < freedom + 10.0 * np.sqrt(2.0 * freedom):
+            break  # no other minimum can be so much better that chance does not explain it
+    best = min(fits, key=lambda fit: (not fit.converged, fit.cost))
+    missing = len(best.x) - len(best.basis.s)
+    lost = best.basis.undetermined() > NOTICEABLE
+    angles = np.array(problem.units) == "rad"
+    weights, P = problem.weights(best.x), best.basis.covariance()
+    G = problem.influence(best.x, P)
+    return KinematicResult(
+        problem=problem,
+        values=np.where(angles, wrap(best.x), best.x),
+        covariance=P + problem.repeated(best.x, P) + G @ problem.assumed @ G.T,
+        weighted=P,
+        residuals=problem.residuals(best.x),
+        weights=weights,
+        chi_square=float(weights @ problem.distances(best.x)),
+        condition_number=best.basis.condition,
+        iterations=best.iterations,
+        last_update=best.last_update,
+        converged=best.converged,
+        undetermined=tuple(compress(problem.names, lost)) if missing else (),
+        missing=missing,
+    )
+
+
+def _turns(problem: KinematicProblem) -> npt.NDArray[np.complex128]:
+    """exp(i Q_i) with Q_i = q_1 + .. + q_i, (s, n)."""
+    return np.asarray(np.exp(1j * np.cumsum(problem.q, axis=1)))
+
+
+def _linear_stage(problem: KinematicProblem, xi: Floats) -> Floats:
+    """The start with xi's angles and the lengths and mount that suit them best.
+
+    What the observations do not determine stays as it is in xi.
+    """
+    n = problem.arm.n
+    values = problem.all_parameters(xi)
+    headings = np.cumsum([values[-2], *values[n : 2 * n - 1]])
+    ones = np.ones(len(problem.q))
+    columns = np.column_stack([_turns(problem) * np.exp(1j * headings), ones, 1j * ones])
+    linear = np.flatnonzero(np.array(problem.units) == "m")
+    rows = [*range(n), 2 * n - 1, 2 * n]  # of lengths and mount
+    by_linear = columns @ problem.basis[np.ix_(rows, linear)]
+    off = problem.tip[:, 0] + 1j * problem.tip[:, 1] - columns @ values[rows]
+    stacked = np.concatenate([by_linear.real, by_linear.imag])
+    xi = xi.copy()
+    xi[linear] += np.linalg.lstsq(stacked, np.concatenate([off.real, off.imag]))[0]
+    return xi
+
+
+def _closed_form(problem: KinematicProblem) -> list[Floats]:
+    """A start that needs no guess, from the positions alone; none if they do not suffice.
+
+    With complex numbers for the plane's vectors and Q_i = q_1 + .. + q_i, the end effector is at
+
+        x + i y = m + sum_i z_i exp(i Q_i)
+        z_i = a_i exp(i (theta_BJ1 + theta_0_2 + .. + theta_0_i))
+
+    which is linear in the mount m and the z_i. Lengths found as |z_i| are never negative, so this
+    start also keeps the iteration from the mirrored arms that fit the positions as well.
+    """
+    n, turns = problem.arm.n, _turns(problem)
+    columns = np.column_stack([np.ones(len(turns)), turns])
+    positions = problem.tip[:, 0] + 1j * problem.tip[:, 1]
+    z, _, rank, _ = np.linalg.lstsq(columns, positions)
+    if rank < n + 1 or not np.all(z[1:]):
+        return []
+    headings = np.angle(z[1:])
+    seen = np.exp(1j * (problem.tip[:, 2] - headings[-1])) / turns[:, -1]
+    mount = [z[0].real, z[0].imag, headings[0], np.angle(np.mean(seen))]
+    return [problem.chosen(np.concatenate([np.abs(z[1:]), wrap(np.diff(headings)), mount]))]
