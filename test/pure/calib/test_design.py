@@ -31,8 +31,9 @@ from fss_arm_calib.experiment.design import (
 from fss_arm_calib.experiment.design_command import main
 from fss_arm_calib.experiment.settings import LOOP, SINGLE, SWEEP, Conditions
 from fss_arm_model import dynamics
-from fss_arm_model.base_motion import base_poses, path
+from fss_arm_model.base_motion import base_poses
 from fss_arm_model.description import Link, paper_arm
+from fss_arm_model.joint_path import path
 from fss_arm_model.kinematics import joint_positions
 
 ARM = paper_arm()

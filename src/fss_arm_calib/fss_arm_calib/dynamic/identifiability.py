@@ -17,8 +17,9 @@ from fss_arm_calib.dynamic.information import information
 from fss_arm_calib.dynamic.parameters import Choice, Knowledge, to_vector, values
 from fss_arm_calib.dynamic.result import DynamicResult
 from fss_arm_calib.estimation.least_squares import Floats
-from fss_arm_model.base_motion import Law, base_pose_sensitivities, path, stack
+from fss_arm_model.base_motion import base_pose_sensitivities
 from fss_arm_model.description import Arm
+from fss_arm_model.joint_path import Law, path, stack
 
 INVISIBLE, HARDLY, SEEN = "invisible", "hardly seen", "seen"
 

@@ -24,13 +24,10 @@ import numpy as np
 import numpy.typing as npt
 
 from fss_arm_calib.dynamic.parameters import Choice, to_vector, unit, values
-from fss_arm_calib.estimation.least_squares import (
-    Floats,
-    Linear,
-    eliminate,
-)
-from fss_arm_model.base_motion import Path, base_pose_sensitivities, base_poses
+from fss_arm_calib.estimation.least_squares import Floats, Linear, eliminate
+from fss_arm_model.base_motion import base_pose_sensitivities, base_poses
 from fss_arm_model.description import Arm
+from fss_arm_model.joint_path import Path
 
 TILT = ("g_x", "g_y")  # acceleration of a free body down the table, world axes
 

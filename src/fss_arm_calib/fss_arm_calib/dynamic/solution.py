@@ -19,8 +19,8 @@ from fss_arm_calib.estimation.outliers import weighed, without_outliers
 from fss_arm_calib.estimation.statistics import root_mean_square
 from fss_arm_calib.outcome import Estimate
 from fss_arm_calib.segments.maneuvers import Maneuver
-from fss_arm_model.base_motion import Path, stack
 from fss_arm_model.description import Arm
+from fss_arm_model.joint_path import Path, stack
 from fss_arm_model.units import GRAVITY
 
 

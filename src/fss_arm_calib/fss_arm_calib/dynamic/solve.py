@@ -4,13 +4,7 @@ import numpy as np
 
 from fss_arm_calib.dynamic.problem import DynamicProblem
 from fss_arm_calib.dynamic.result import DynamicResult
-from fss_arm_calib.estimation.least_squares import (
-    Floats,
-    Indices,
-    Linear,
-    minimize,
-    minimize_all,
-)
+from fss_arm_calib.estimation.least_squares import Floats, Indices, Linear, minimize, minimize_all
 
 DRAWS = 128  # that are solved side by side: as many as the processor's caches hold
 

@@ -28,9 +28,10 @@ from fss_arm_calib.dynamic.solve import solve
 from fss_arm_calib.estimation.least_squares import Floats, Mask
 from fss_arm_calib.estimation.noise import assumed
 from fss_arm_calib.experiment.settings import LOOP, SINGLE, Conditions
-from fss_arm_model.base_motion import Law, Path, base_poses, path, stack
+from fss_arm_model.base_motion import base_poses
 from fss_arm_model.description import Arm
 from fss_arm_model.free_floating import free_torques
+from fss_arm_model.joint_path import Law, Path, path, stack
 from fss_arm_motion.guard import Guard, GuardError
 
 RAMP = 1.0 / 3.0  # share of a move's time in which it accelerates, and again decelerates

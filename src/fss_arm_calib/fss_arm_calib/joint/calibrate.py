@@ -24,12 +24,7 @@ from fss_arm_calib.acceptance import (
 )
 from fss_arm_calib.calibration import Calibration
 from fss_arm_calib.estimation.least_squares import MAX_CONDITION, Floats
-from fss_arm_calib.joint.problem import (
-    TOLERANCE,
-    JointProblem,
-    JointResult,
-    solve,
-)
+from fss_arm_calib.joint.problem import TOLERANCE, JointProblem, JointResult, solve
 from fss_arm_calib.joint.settings import JointSettings
 from fss_arm_calib.outcome import LIVE, Datum, Estimate, Outcome, concluded
 from fss_arm_calib.segments.rests import homed

@@ -31,12 +31,7 @@ from math import hypot, inf
 import numpy as np
 import numpy.typing as npt
 
-from fss_arm_calib.estimation.least_squares import (
-    LOSSES,
-    SQUARE,
-    Floats,
-    Linear,
-)
+from fss_arm_calib.estimation.least_squares import LOSSES, SQUARE, Floats, Linear
 from fss_arm_model.description import Arm
 from fss_arm_model.kinematics import tip_in_base, tip_regressor
 from fss_arm_model.layout import kinematic_index, kinematic_names
