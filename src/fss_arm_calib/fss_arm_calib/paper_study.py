@@ -16,13 +16,8 @@ from fss_arm_calib.dynamic.result import DynamicResult
 from fss_arm_calib.dynamic.settings import DynamicSettings
 from fss_arm_calib.dynamic.solution import known_beforehand
 from fss_arm_calib.dynamic.solve import solve as solve_dynamics
-from fss_arm_calib.experiment.design import (
-    Planned,
-    design,
-    expected,
-    timed,
-    together,
-)
+from fss_arm_calib.experiment.design import design, expected
+from fss_arm_calib.experiment.planned import Planned, timed, together
 from fss_arm_calib.experiment.postures import DEFAULT
 from fss_arm_calib.experiment.settings import Conditions
 from fss_arm_calib.kinematic.problem import EQUAL, KinematicProblem

@@ -24,13 +24,8 @@ from fss_arm_calib.dynamic.kind import DYNAMIC
 from fss_arm_calib.dynamic.parameters import values
 from fss_arm_calib.dynamic.settings import DynamicSettings
 from fss_arm_calib.dynamic.solution import Solution
-from fss_arm_calib.experiment.design import (
-    Planned,
-    design,
-    expected,
-    from_yaml,
-    to_yaml,
-)
+from fss_arm_calib.experiment.design import design, expected
+from fss_arm_calib.experiment.planned import Planned, from_yaml, to_yaml
 from fss_arm_calib.experiment.settings import Conditions
 from fss_arm_calib.from_bag import solve_bag
 from fss_arm_calib.outcome import Outcome
