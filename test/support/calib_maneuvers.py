@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from fss_arm_calib.dynamic.parameters import Choice, Knowledge, to_vector
+from fss_arm_calib.dynamic.parameters import Choice, Knowledge
 from fss_arm_calib.dynamic.problem import DynamicProblem
 from fss_arm_model import base_motion, joint_path
 from fss_arm_model.description import paper_arm
+from fss_arm_model.parameters import to_vector
 
 ARM = paper_arm()
 NAMES = "b_i I_i I_0 com_0"

@@ -19,11 +19,10 @@ import numpy as np
 from fss_arm_calib.dynamic.information import information, propagated
 from fss_arm_calib.dynamic.problem import DynamicProblem
 from fss_arm_calib.dynamic.result import DynamicResult
-from fss_arm_calib.dynamic.settings import HEADING, DynamicSettings
-from fss_arm_calib.dynamic.solution import known_beforehand
+from fss_arm_calib.dynamic.settings import DynamicSettings
+from fss_arm_calib.dynamic.solution import known_beforehand, pose_deviations
 from fss_arm_calib.dynamic.solve import solve
 from fss_arm_calib.estimation.least_squares import Floats, Mask
-from fss_arm_calib.estimation.noise import assumed
 from fss_arm_calib.experiment.planned import PAUSE, NoManeuver, Planned, least_time, timed, together
 from fss_arm_calib.experiment.settings import LOOP, SINGLE, Conditions
 from fss_arm_model.base_motion import base_poses
@@ -131,10 +130,7 @@ def problem(
         before: maneuvers made already.
     """
     batch, fresh = windowed(plan, settings, rest)
-    deviations = assumed(settings).deviations[[0, 0, 1]]
-    if settings.residuals == HEADING:
-        deviations[:2] = inf
-    sigma = np.tile(deviations / np.sqrt(fresh), (*batch.marks.shape[:2], 1))
+    sigma = np.tile(pose_deviations(settings) / np.sqrt(fresh), (*batch.marks.shape[:2], 1))
     if before:
         paths = [Path(*rows) for part in (batch, before.path) for rows in zip(*part, strict=True)]
         batch, parts = stack(paths), (sigma, before.sigma)

@@ -63,8 +63,7 @@ def made(bag: str, arm: Arm, settings: DynamicSettings) -> Before:
         raise BagError(f"no maneuver of {bag} can be used{why}")
     used = outcome.used
     if outcome.solution:
-        position, heading = outcome.solution.noise.deviations.tolist()
-        settings = replace(settings, position_deviation=position, heading_deviation=heading)
+        settings = outcome.solution.noise.given_to(settings)
         used = tuple(compress(used, outcome.solution.kept))
     arm = from_yaml(outcome.description) if outcome.description else arm
     return Before(arm, settings, problem_of(used, arm, settings))

@@ -21,7 +21,6 @@ from fss_arm_calib import report
 from fss_arm_calib.acceptance import PASS
 from fss_arm_calib.dynamic.calibrate import calibrate
 from fss_arm_calib.dynamic.kind import DYNAMIC
-from fss_arm_calib.dynamic.parameters import values
 from fss_arm_calib.dynamic.settings import DynamicSettings
 from fss_arm_calib.dynamic.solution import Solution
 from fss_arm_calib.experiment.design import design, expected
@@ -32,6 +31,7 @@ from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.segments.maneuvers import Maneuver
 from fss_arm_model.description import Arm, paper_arm
 from fss_arm_model.description_file import save
+from fss_arm_model.parameters import values
 from fss_sim.rehearsal.domain import Domain
 from fss_sim.rehearsal.person import LINKS, Operator, own_domain
 from fss_sim.rehearsal.processes import Nodes, RehearsalError
