@@ -19,8 +19,9 @@ from fss_arm_bags.recorder import Recording
 from fss_arm_calib.experiment.postures import DEFAULT
 from fss_arm_calib.from_bag import solve_bag
 from fss_arm_calib.kinds import KINDS
-from fss_arm_model.base_motion import base_poses, path
+from fss_arm_model.base_motion import base_poses
 from fss_arm_model.description import paper_arm
+from fss_arm_model.joint_path import path
 from fss_arm_model.kinematics import tip_pose
 from fss_arm_ros.qos import SENSOR
 

@@ -21,11 +21,11 @@ sys.path.append(str(Path(__file__).parents[1] / "test" / "support"))
 from foreign_bags import DYNAMIC, KINEMATIC, arm, make
 
 from fss_arm_calib.acceptance import CAUSE, PASS
-from fss_arm_calib.dynamic.parameters import parameter_names
-from fss_arm_calib.dynamic.parameters import values as dynamic_values
 from fss_arm_calib.from_bag import solve_bag
 from fss_arm_calib.kinds import KINDS
 from fss_arm_model.layout import kinematic_index, kinematic_names
+from fss_arm_model.parameters import parameter_names
+from fss_arm_model.parameters import values as dynamic_values
 
 SIZES = (3, 6)
 FLIGHTS = 5  # of each arm and kind, flown by so many arms

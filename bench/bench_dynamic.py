@@ -28,7 +28,7 @@ from scipy.optimize import least_squares
 from fss_arm_calib.dynamic.parameters import Choice
 from fss_arm_calib.dynamic.problem import DynamicProblem
 from fss_arm_calib.dynamic.solve import solve, solve_all
-from fss_arm_model import base_motion, dynamics
+from fss_arm_model import base_motion, dynamics, joint_path
 from fss_arm_model.description import paper_arm
 
 ARM, N = paper_arm(), 4
@@ -56,12 +56,12 @@ def maneuvers() -> list[tuple[list, list, list]]:
     ]
 
 
-def prepare(samples: list[tuple[list, list, list]]) -> base_motion.Path:
-    laws = [base_motion.sampled(*one) for one in samples]
-    return base_motion.stack([base_motion.path(law, edges, [0.0, 3.0]) for law, edges in laws])
+def prepare(samples: list[tuple[list, list, list]]) -> joint_path.Path:
+    laws = [joint_path.sampled(*one) for one in samples]
+    return joint_path.stack([joint_path.path(law, edges, [0.0, 3.0]) for law, edges in laws])
 
 
-def problem(path: base_motion.Path, words: str) -> DynamicProblem:
+def problem(path: joint_path.Path, words: str) -> DynamicProblem:
     sigma = np.full((8, 2, 3), np.inf)
     sigma[..., 2] = NOISE / np.sqrt(2.0)
     poses = base_motion.base_poses(ARM.vector(), path, np.zeros(8))
@@ -75,11 +75,11 @@ def problem(path: base_motion.Path, words: str) -> DynamicProblem:
 
 
 def by_ode(known: DynamicProblem, samples: list[tuple[list, list, list]]) -> np.ndarray:
-    laws = [base_motion.sampled(*one)[0] for one in samples]
+    laws = [joint_path.sampled(*one)[0] for one in samples]
     seen = np.diff(known.poses[..., 2], axis=1)[:, 0]
     weak = np.isfinite(known.prior)
 
-    def turn(p: np.ndarray, law: base_motion.Law) -> float:
+    def turn(p: np.ndarray, law: joint_path.Law) -> float:
         def rate(t: float, theta: np.ndarray) -> np.ndarray:
             q, qd = law(np.array([t]))
             H = dynamics.inertia_matrix(p, np.concatenate([[0.0, 0.0], theta, q[0]]))
@@ -107,7 +107,7 @@ def timed(work: Callable[[], object], repeats: int) -> float:
     return median(spans)
 
 
-def monte_carlo(known: DynamicProblem, path: base_motion.Path, draws: int, floor: float) -> None:
+def monte_carlo(known: DynamicProblem, path: joint_path.Path, draws: int, floor: float) -> None:
     """Print what a calibration takes of many, of which `floor` [s] is for each prediction."""
     poses = np.tile(base_motion.base_poses(ARM.vector(), path, np.zeros(8)), (draws, 1, 1, 1))
     poses[:, :, 1, 2] += NOISE * np.random.default_rng(2).standard_normal((draws, 8))

@@ -71,7 +71,10 @@ class Flight(Person):
         report = ended.result.report
         begin = stamp_ns(report.header.stamp)
         end = begin + round((report.duration + SETTLED) * SECOND)
-        stamp = lambda one: stamp_ns(one.header.stamp)  # noqa: E731
+
+        def stamp(one):
+            return stamp_ns(one.header.stamp)
+
         self.until(self, lambda: stamp(self.reactions[-1]) > end and stamp(self.truths[-1]) > end)
         during = [
             [one for one in all_ if begin <= stamp(one) <= end]

@@ -60,8 +60,8 @@ from fss_arm_calib.joint.problem import solve
 from fss_arm_calib.joint.settings import JointSettings
 from fss_arm_calib.kinds import JOINED
 from fss_arm_model import dynamics as model
-from fss_arm_model.base_motion import sampled
 from fss_arm_model.drifting import whole
+from fss_arm_model.joint_path import sampled
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_model.momentum import system_com
 

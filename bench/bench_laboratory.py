@@ -28,10 +28,10 @@ from sim_rehearsal import DYNAMIC, Rehearsal
 
 from fss_arm_calib.acceptance import PASS
 from fss_arm_calib.dynamic.calibrate import calibrate as calibrate_dynamics
-from fss_arm_calib.dynamic.parameters import parameter_names, values
 from fss_arm_calib.kinematic.calibrate import calibrate
 from fss_arm_calib.kinematic.settings import KinematicSettings
 from fss_arm_model.layout import kinematic_index
+from fss_arm_model.parameters import parameter_names, values
 
 ROOT = Path(__file__).parents[1]
 KINEMATIC = KinematicSettings(

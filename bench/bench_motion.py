@@ -12,6 +12,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import sys
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -121,8 +122,8 @@ def compare() -> None:
     for _ in range(6):
         begin, end = rng.uniform(-1.3, 1.3, (2, 4))
         start = Start(ARM, begin, limits=limits)
-        seconds, plan = timed(lambda: point_to_point(start, PointToPoint(tuple(end))))  # noqa: B023
-        taken, reference = timed(lambda: direct_transcription(ARM, limits, begin, end, 40))  # noqa: B023
+        seconds, plan = timed(partial(point_to_point, start, PointToPoint(tuple(end))))
+        taken, reference = timed(partial(direct_transcription, ARM, limits, begin, end, 40))
         ours.append(seconds)
         theirs.append(taken)
         ratios.append(plan.duration / reference)

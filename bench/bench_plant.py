@@ -255,7 +255,7 @@ def main():
         links = [random_arm(2, rng).vector()[14:] for _ in range(n - 1)]
         chain, still = np.concatenate([random_arm(1, rng).vector(), *links]), np.zeros(3 + n)
         none = np.zeros((2000, 3 + n))
-        took = [seconds(lambda: rollout(chain, still, still, none)) for _ in range(RUNS)]  # noqa: B023
+        took = [seconds(partial(rollout, chain, still, still, none)) for _ in range(RUNS)]
         print(f"  n = {n:2}  {1e6 * np.median(took) / 2000:8.3f} us")
     beds()
 

@@ -12,6 +12,7 @@ import time
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from statistics import median
 from typing import Any
 
@@ -68,7 +69,7 @@ def main() -> None:
     for name, kind in (("fixed", FIXED), ("floating", FLOATING)):
         for workers in (1, 2, 4):
             taken, processor, maps[name] = timed(
-                lambda: manipulability_map(arm, kind, cell=CELL, workers=workers)  # noqa: B023
+                partial(manipulability_map, arm, kind, cell=CELL, workers=workers)
             )
             cells = int(np.isfinite(maps[name].w).sum())
             print(
@@ -104,7 +105,7 @@ def main() -> None:
     around = np.linspace(0.0, 2.0 * np.pi, 361)[:-1]
     for base in ("fixed", "floating"):
         taken, processor, paths = timed(
-            lambda: straight_paths(arm, arch(arm), around, Rules(base=base))  # noqa: B023
+            partial(straight_paths, arm, arch(arm), around, Rules(base=base))
         )
         print(
             f"straight paths, {base} base, 360 directions, rule {Rules.redundancy}: {taken:.2f} s, "

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from fss_arm_calib.dynamic.kind import DYNAMIC
-from fss_arm_calib.dynamic.parameters import parameter_names, values
 from fss_arm_calib.dynamic.settings import DynamicSettings
 from fss_arm_calib.from_bag import solve_bag
 from fss_arm_calib.recompute import main as recompute
 from fss_arm_model.description_file import load
+from fss_arm_model.parameters import parameter_names, values
 
 
 @pytest.mark.slow

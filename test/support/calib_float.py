@@ -10,7 +10,7 @@ from sensor_msgs.msg import Imu, JointState
 
 from fss_arm_bags.recorder import Recording
 from fss_arm_calib.segments.poses import BASE, TIP
-from fss_arm_model import base_motion
+from fss_arm_model import base_motion, joint_path
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_ros.convert import SECOND, pose_stamped, to_time
 from fss_arm_ros.qos import SENSOR
@@ -72,7 +72,7 @@ class Float:
     def base(self, t):
         """Poses of the base at ascending times (m, 3), its heading counting turns."""
         edges = [e + b for b, (_, part) in zip(self.begins, self.laws, strict=True) for e in part]
-        path = base_motion.path(self.law, edges, [0.0, *t])
+        path = joint_path.path(self.law, edges, [0.0, *t])
         return base_motion.base_poses(self.vector, path, self.state)[1:]
 
     def tip(self, t, base):

@@ -16,7 +16,7 @@ from fss_arm_calib.kinematic.solve import solve as fit_kinematics
 from fss_arm_calib.segments.drifts import Drift
 from fss_arm_calib.segments.maneuvers import Maneuver
 from fss_arm_calib.segments.rests import Observation
-from fss_arm_model import base_motion
+from fss_arm_model import base_motion, joint_path
 from fss_arm_model.description import Arm, Known, paper_arm
 from fss_arm_model.drifting import drift, whole
 from fss_arm_model.kinematics import tip_in_base
@@ -120,7 +120,7 @@ def maneuvers(arm, count, rng, acting, start=0, s=DYNAMIC, ends=None, rest=REST,
             acting[:2],
         ])  # fmt: skip
         # The solver's path is the one through the samples: what they miss is another matter.
-        path = base_motion.path(*base_motion.sampled(times, *zip(*read, strict=True)), seen)
+        path = joint_path.path(*joint_path.sampled(times, *zip(*read, strict=True)), seen)
         poses = base_motion.base_poses(arm.vector(), path, state)
         poses = poses + looks[:, None] * sigma * rng.standard_normal(poses.shape)
         at = start + k * 20 * SECOND

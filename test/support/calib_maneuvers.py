@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from fss_arm_calib.dynamic.parameters import Choice, Knowledge, to_vector
+from fss_arm_calib.dynamic.parameters import Choice, Knowledge
 from fss_arm_calib.dynamic.problem import DynamicProblem
-from fss_arm_model import base_motion
+from fss_arm_model import base_motion, joint_path
 from fss_arm_model.description import paper_arm
+from fss_arm_model.parameters import to_vector
 
 ARM = paper_arm()
 NAMES = "b_i I_i I_0 com_0"
@@ -36,7 +37,7 @@ def maneuver(postures, rest=2.0, marks=4):
     """A path with so many marks in the rests before and after."""
     law, edges = moves(postures)
     within = rest / marks * (np.arange(marks) + 0.5)
-    return base_motion.path(law, edges, [*(within - rest), *(edges[-1] + within)])
+    return joint_path.path(law, edges, [*(within - rest), *(edges[-1] + within)])
 
 
 def several(count, n=4, seed=0, rest=2.0):
@@ -44,7 +45,7 @@ def several(count, n=4, seed=0, rest=2.0):
     rng = np.random.default_rng(seed)
     signs = rng.choice([-1.0, 1.0], (count, 3, n))
     postures = signs * rng.uniform(0.6, 1.5, (count, 3, n))
-    return base_motion.stack([maneuver(q, rest) for q in postures])
+    return joint_path.stack([maneuver(q, rest) for q in postures])
 
 
 def single_joint():
@@ -55,8 +56,8 @@ def single_joint():
         ends = np.array([rest[q], rest[q]])
         ends[:, joint] = np.radians([-60, 60])
         law, edges = moves(ends if q else ends[::-1])
-        paths.append(base_motion.path(law, edges, [edges[0], edges[-1]]))
-    return base_motion.stack(paths)
+        paths.append(joint_path.path(law, edges, [edges[0], edges[-1]]))
+    return joint_path.stack(paths)
 
 
 def problem(path, arm=ARM, words=NAMES, knowledge=None, heading_only=False, **known):

@@ -7,6 +7,7 @@ from math import inf, nan
 import numpy as np
 
 from fss_arm_calib.estimation.least_squares import Floats, Mask
+from fss_arm_calib.estimation.noise import Noise
 from fss_arm_calib.estimation.statistics import probability
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_model.description import Arm
@@ -59,6 +60,14 @@ def by_chance(
     passed = chance >= least
     reason = facts if passed else f"{failing}: {facts}"
     return Check(name, PASS if passed else FAIL, chance, least, reason)
+
+
+def fitting(chi_square: float, freedom: float, least: float, failing: str, noise: Noise) -> Check:
+    """Whether residuals are as small as given, or as is believed of what they are estimated by."""
+    check = by_chance("fit", chi_square, freedom, least, failing)
+    if noise.given.all():
+        return check
+    return replace(check, reason=f"{check.reason}; errors are {noise} by the residuals")
 
 
 def joints_known(streams: Streams, arm: Arm) -> Check:

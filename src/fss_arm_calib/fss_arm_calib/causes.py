@@ -19,11 +19,11 @@ from fss_arm_calib.acceptance import CAUSE, PASS, cause
 from fss_arm_calib.calibration import Calibration
 from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.outcome import Outcome
+from fss_arm_calib.report_tables import difference
 from fss_arm_calib.segments.poses import BASE, TIP
 from fss_arm_calib.segments.samples import LARGEST, SECOND, span
 from fss_arm_calib.segments.tape import Tape, Track, seen_from_above
 from fss_arm_model.description import Arm
-from fss_arm_model.planar import wrap
 
 LONGEST = 900.0  # of what was heard, only so much at its end is tried [s]
 JOINTS, POSES = 0.05, 0.02  # periods that are enough to try it with [s]
@@ -36,6 +36,7 @@ TABLE = 20.0  # no test bed is larger [m]
 TURN = 3.3  # a larger reading is none in radians [rad]
 LENGTH, ANGLE = 0.05, radians(20.0)  # a description is no farther from the truth [m, rad]
 APART = 0.25  # clocks, which is looked at [s]
+STEP = 0.1  # to which the lag of clocks is found [s]
 TILTED = 0.01  # of a quaternion's x and y, squared: the subject does not lie flat
 
 
@@ -108,7 +109,7 @@ def distance(outcome: Outcome[Any, Any]) -> float:
     e = outcome.estimate
     by_unit = {"m": LENGTH, "rad": ANGLE}
     away = [
-        abs(float(wrap(value - initial) if unit == "rad" else value - initial)) / by_unit[unit]
+        abs(difference(value, initial, unit)) / by_unit[unit]
         for value, initial, unit in zip(e.values, e.initial, e.units, strict=True)
         if unit in by_unit
     ]
@@ -226,7 +227,7 @@ def _shifted(track: Track, by: float) -> Track:
     return track._replace(t=track.t + round(by * SECOND))
 
 
-def _lag(tape: Tape, step: float = 0.1) -> float:
+def _lag(tape: Tape) -> float:
     """By how much joints' stamps are later than the subjects' when all move [s]; 0: not known."""
     base, tip = (tape.poses.get(name) for name in (BASE, TIP))
     if base is None or len(base.t) < 10 or any(len(t.t) < 10 for t in tape.joints.values()):
@@ -244,9 +245,9 @@ def _lag(tape: Tape, step: float = 0.1) -> float:
         other = seen_from_above(tip.values)[:, 2]
         seen = np.interp(t, (tip.t - begins[1]) / SECOND, _continued(other)) - _continued(seen)
     seconds = (ends - begins) / SECOND
-    there = np.abs(np.diff(np.interp(np.arange(0.0, seconds[1], step), t, _continued(seen))))
+    there = np.abs(np.diff(np.interp(np.arange(0.0, seconds[1], STEP), t, _continued(seen))))
     here = sum(
-        np.abs(np.diff(np.interp(np.arange(0.0, seconds[0], step), at, track.values[:, 0])))
+        np.abs(np.diff(np.interp(np.arange(0.0, seconds[0], STEP), at, track.values[:, 0])))
         for track in joints
         for at in [(track.t - begins[0]) / SECOND]
     )
@@ -257,7 +258,7 @@ def _lag(tape: Tape, step: float = 0.1) -> float:
         size,
     )
     k = int(np.argmax(found))
-    later = step * (k if k < len(here) else k - size)
+    later = STEP * (k if k < len(here) else k - size)
     return later + float(begins[0] - begins[1]) / SECOND
 
 

@@ -16,19 +16,15 @@ from fss_arm_calib.dynamic.result import DynamicResult
 from fss_arm_calib.dynamic.settings import DynamicSettings
 from fss_arm_calib.dynamic.solution import known_beforehand
 from fss_arm_calib.dynamic.solve import solve as solve_dynamics
-from fss_arm_calib.experiment.design import (
-    Planned,
-    design,
-    expected,
-    timed,
-    together,
-)
+from fss_arm_calib.experiment.design import design, expected
+from fss_arm_calib.experiment.planned import Planned, timed, together
 from fss_arm_calib.experiment.postures import DEFAULT
 from fss_arm_calib.experiment.settings import Conditions
 from fss_arm_calib.kinematic.problem import EQUAL, KinematicProblem
 from fss_arm_calib.kinematic.solve import solve as solve_kinematics
-from fss_arm_model.base_motion import base_poses, path
+from fss_arm_model.base_motion import base_poses
 from fss_arm_model.description import paper_arm
+from fss_arm_model.joint_path import path
 from fss_arm_model.kinematics import tip_in_base
 
 ARM, INERTIA = paper_arm(), 0.034

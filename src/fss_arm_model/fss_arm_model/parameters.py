@@ -9,6 +9,7 @@ Of an arm of n links they are, in this order,
 
 from dataclasses import replace
 from functools import cache
+from math import inf
 
 import numpy as np
 import numpy.typing as npt
@@ -48,6 +49,18 @@ def values(arm: Arm) -> Floats:
     vector, links = arm.vector(), arm.links
     own = [[k.mass for k in links], [k.b for k in links], [k.inertia for k in links]]
     return np.concatenate([vector[:4], vector[kinematic_index(arm.n)], *own])
+
+
+def bounds(arm: Arm) -> tuple[Floats, Floats]:
+    """Least and largest values of an arm's parameters, (5 n + 6,) each.
+
+    Masses, inertias and lengths are above 0, centres of mass between the link's joints.
+    """
+    n, lengths = arm.n, [link.a for link in arm.links]
+    low = np.array([1e-6 if name[0] in "mIa" else -inf for name in parameter_names(n)])
+    high = np.full(len(low), inf)
+    low[3 * n + 6 : 4 * n + 6], high[3 * n + 6 : 4 * n + 6] = 0.0, lengths
+    return low, high
 
 
 def with_values(arm: Arm, v: npt.ArrayLike) -> Arm:

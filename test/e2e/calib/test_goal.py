@@ -36,8 +36,12 @@ class Operator(Node):
         super().__init__("operator")
         self.armed, self.results, self.asked, self.due = {}, [], None, 0.0
         for i in range(1, 5):
-            take = lambda m, i=i: self.armed.update({i: m.armed})  # noqa: E731
-            self.create_subscription(LinkTelemetry, f"link_{i}/telemetry", take, SENSOR)
+            self.create_subscription(
+                LinkTelemetry,
+                f"link_{i}/telemetry",
+                lambda m, i=i: self.armed.update({i: m.armed}),
+                SENSOR,
+            )
         heard = self.results.append
         self.create_subscription(DynamicCalibration, "calibration/dynamic", heard, LATCHED)
         self.enable = self.create_client(SetBool, "arm/enable")

@@ -72,7 +72,7 @@ class Person:
         for command in chain(commands, repeat(commands[-1])):
             self.client.command(**command)
             then = monotonic() + 0.02
-            self.until(lambda: monotonic() >= then)  # noqa: B023
+            self.until(lambda then=then: monotonic() >= then)
             if condition():
                 return
             assert then < deadline, f"{command}: {self.client.q}, {self.client.qd}"

@@ -86,11 +86,14 @@ def test_the_arm_comes_to_rest_when_the_planner_is_killed_and_goes_on_with_the_n
                                                     "--duration", "20"]}  # fmt: skip
     person.send(**goal)
     person.truths.clear()
-    moving = lambda: person.truths and np.abs(person.truths[-1].qd[3:]).max() > 0.05  # noqa: E731
-    person.spin(person, moving, 120.0)
+
+    def fastest():
+        return np.abs(person.truths[-1].qd[3:]).max()
+
+    person.spin(person, lambda: person.truths and fastest() > 0.05, 120.0)
     nodes.processes["motion"].kill()
     killed = len(person.truths)
-    person.spin(person, lambda: np.abs(person.truths[-1].qd[3:]).max() < 0.002, 20.0)
+    person.spin(person, lambda: fastest() < 0.002, 20.0)
     rates = np.array([truth.qd[3:] for truth in person.truths[killed:]])
     took = 1e-9 * (stamp_ns(person.truths[-1].header.stamp)
                    - stamp_ns(person.truths[killed - 1].header.stamp))  # fmt: skip
@@ -105,8 +108,8 @@ def test_the_arm_comes_to_rest_when_the_planner_is_killed_and_goes_on_with_the_n
     while not any(future.done() for future in sent):  # ROS takes the dead one for ready for 20 s
         assert monotonic() < deadline
         sent.append(person.mover.send_goal_async(home))
-        again = monotonic() + 10.0
-        person.spin(person, lambda: sent[-1].done() or monotonic() > again, 20.0)  # noqa: B023
+        again, done = monotonic() + 10.0, sent[-1].done
+        person.spin(person, lambda done=done, again=again: done() or monotonic() > again, 20.0)
     assert person.truths[-1].q[3] == pytest.approx(there, abs=0.005)  # no jump as it comes back
     person.spin(person, lambda: person.reports, 60.0)
     assert person.truths[-1].q[3] == pytest.approx(0.0, abs=0.01)

@@ -4,6 +4,7 @@ import re
 import subprocess
 import sys
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -38,7 +39,7 @@ class Person(Node):
             self.create_subscription(Empty, f"/{vehicle}/arm/stop", self.on_stop, 10)
             for i in LINKS:
                 key, topic = (vehicle, i), f"/{vehicle}/link_{i}"
-                take = lambda m, key=key: self.on_telemetry(key, m)  # noqa: E731
+                take = partial(self.on_telemetry, key)
                 self.create_subscription(LinkTelemetry, f"{topic}/telemetry", take, SENSOR)
                 qos = command(5.0)
                 self.commands[key] = self.create_publisher(LinkCommand, f"{topic}/command", qos)

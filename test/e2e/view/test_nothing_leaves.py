@@ -77,7 +77,10 @@ def may_make_networks():
 @contextmanager
 def network():
     name = f"fss_view_{os.getpid()}"
-    run = lambda *words: subprocess.run(words, check=True)  # noqa: E731
+
+    def run(*words):
+        subprocess.run(words, check=True)
+
     run("ip", "netns", "add", name)
     inside = "ip", "netns", "exec", name
     try:

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from calib_drives import excitation, fly, record, samples
 
-from fss_arm_calib.experiment.design import from_yaml
 from fss_arm_calib.experiment.design_command import main as design
+from fss_arm_calib.experiment.planned import from_yaml
 from fss_arm_calib.experiment.postures import DEFAULT
 from fss_arm_calib.from_bag import main as from_bag
 from fss_arm_calib.result import arm_of

@@ -505,11 +505,11 @@ def test_a_clock_that_is_set_shows_in_the_stamps_and_nowhere_else(spin, tmp_path
     for sign in (1, -1):  # and back
         before, off = transport.link.taken.clock, off + round(sign * step * SECOND)
         heard = len(user.joints)
-        until(lambda: len(user.joints) > heard + 3)  # noqa: B023
+        until(lambda heard=heard: len(user.joints) > heard + 3)
         for message in user.joints[-2:]:
             assert abs(stamp_ns(message.header.stamp) - day()) < 0.5 * SECOND
         command(-0.02 * sign)
-        until(lambda: transport.link.position * sign < -700)  # noqa: B023
+        until(lambda sign=sign: transport.link.position * sign < -700)
         until(lambda: user.status[-1].status == CommandStatus.REACHED)
         assert abs(stamp_ns(user.status[-1].given) - day()) < 5.0 * SECOND
         assert before < transport.link.taken.clock

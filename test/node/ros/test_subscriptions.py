@@ -61,7 +61,10 @@ def test_an_executor_leaves_its_messages_alone_also_when_it_answers(ros):
     asker = talker.create_client(Trigger, "ask")
     for node in (listener, talker):
         executor.add_node(node)
-    ready = lambda: publisher.get_subscription_count() and asker.service_is_ready()  # noqa: E731
+
+    def ready():
+        return publisher.get_subscription_count() and asker.service_is_ready()
+
     wait_until(ready, 10.0, lambda: executor.spin_once(timeout_sec=0.02))
     publisher.publish(Float64(data=1.0))
     answer = asker.call_async(Trigger.Request())

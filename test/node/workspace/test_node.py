@@ -241,7 +241,7 @@ def test_ellipsoids_come_steadily_while_a_map_is_computed(spin, start):
                     calibration=Calibration(verdict="pass", description=to_yaml(arm))
                 )
             )
-        spin(viewer, lambda: len(viewer.heard["ellipsoids"]) > count)  # noqa: B023
+        spin(viewer, lambda count=count: len(viewer.heard["ellipsoids"]) > count)
         beat.append(stamp_ns(viewer.last("ellipsoids").markers[0].header.stamp) * 1e-9)
     gaps = np.diff(beat)
     print(f"largest deviation from 0.1 s: {1e3 * np.abs(gaps - 0.1).max():.1f} ms")

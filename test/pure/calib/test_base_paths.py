@@ -10,9 +10,9 @@ from sim_rehearsal import DYNAMIC, Rehearsal
 
 from fss_arm_calib.acceptance import FAIL, PASS
 from fss_arm_calib.dynamic.calibrate import calibrate
-from fss_arm_calib.dynamic.parameters import parameter_names, values
 from fss_arm_calib.segments.maneuvers import ManeuverFinder
 from fss_arm_model.base_motion import base_poses
+from fss_arm_model.parameters import parameter_names, values
 
 CONFIG = Path(__file__).parents[3] / "config"
 ALONG = replace(DYNAMIC, path_rate=2.0)

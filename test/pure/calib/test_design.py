@@ -11,28 +11,31 @@ import yaml
 from fss_arm_calib.dynamic.information import information, propagated
 from fss_arm_calib.dynamic.settings import DynamicSettings
 from fss_arm_calib.experiment.design import (
+    candidates,
+    design,
+    expected,
+    goal_of,
+    meets,
+    problem,
+    to_goal,
+)
+from fss_arm_calib.experiment.design_command import main
+from fss_arm_calib.experiment.planned import (
     PAUSE,
     RAMP,
     STRENGTH,
     NoManeuver,
-    candidates,
-    design,
-    expected,
     from_yaml,
-    goal_of,
-    meets,
-    problem,
     profile,
     timed,
-    to_goal,
     to_yaml,
     torques,
 )
-from fss_arm_calib.experiment.design_command import main
 from fss_arm_calib.experiment.settings import LOOP, SINGLE, SWEEP, Conditions
 from fss_arm_model import dynamics
-from fss_arm_model.base_motion import base_poses, path
+from fss_arm_model.base_motion import base_poses
 from fss_arm_model.description import Link, paper_arm
+from fss_arm_model.joint_path import path
 from fss_arm_model.kinematics import joint_positions
 
 ARM = paper_arm()

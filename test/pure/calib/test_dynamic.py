@@ -9,11 +9,12 @@ from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
-from fss_arm_calib.dynamic.parameters import Choice, Knowledge, to_vector, values
+from fss_arm_calib.dynamic.parameters import Choice, Knowledge
 from fss_arm_calib.dynamic.solve import solve, solve_all
 from fss_arm_model import dynamics
-from fss_arm_model.base_motion import stack
 from fss_arm_model.description import DescriptionError, paper_arm
+from fss_arm_model.joint_path import stack
+from fss_arm_model.parameters import to_vector, values
 
 PRECISE = Knowledge(
     base_mass_deviation=0.02, base_inertia_deviation=0.005, base_com_deviation=0.002

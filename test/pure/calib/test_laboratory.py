@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 from calib_float import COUNT
 
-from fss_arm_calib.dynamic.parameters import to_vector, values
 from fss_arm_calib.dynamic.settings import DynamicSettings
 from fss_arm_calib.dynamic.solve import solve
 from fss_arm_calib.experiment.design import design, problem, windowed
 from fss_arm_calib.experiment.settings import Conditions
-from fss_arm_model.base_motion import base_poses, path, sampled, stack
+from fss_arm_model.base_motion import base_poses
 from fss_arm_model.description import paper_arm
+from fss_arm_model.joint_path import path, sampled, stack
+from fss_arm_model.parameters import to_vector, values
 
 ARM, REST = paper_arm(), 5.2
 SETTINGS = DynamicSettings()

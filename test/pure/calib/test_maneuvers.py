@@ -10,7 +10,7 @@ from calib_float import ARM, SECOND, Float, Sample, at, feed, postures, telemetr
 from fss_arm_calib.dynamic.settings import DynamicSettings
 from fss_arm_calib.segments.maneuvers import ManeuverFinder
 from fss_arm_calib.segments.settings import ManeuverSettings
-from fss_arm_model import base_motion
+from fss_arm_model import base_motion, joint_path
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_model.planar import wrap
 
@@ -72,8 +72,8 @@ def test_path_and_poses_fit_each_other(rig, found):
         assert seen == pytest.approx(true, abs=2e-5)
         momentum = STATE[3:6] + 21.52 * start * np.array([*STATE[6:], 0.0])
         mark = [0.0, *maneuver.marks]
-        law, edges = base_motion.sampled(maneuver.times, maneuver.q, maneuver.qd)
-        path = base_motion.path(law, edges, mark)
+        law, edges = joint_path.sampled(maneuver.times, maneuver.q, maneuver.qd)
+        path = joint_path.path(law, edges, mark)
         poses = base_motion.base_poses(ARM.vector(), path, [*before[0], *momentum, *STATE[6:]])
         assert poses[1:] == pytest.approx(true, abs=3e-4)
 

@@ -82,7 +82,11 @@ def test_a_valve_that_does_not_open_is_noticed_and_no_other_one_is_blamed():
     for valve in range(COUNT):
         bed, faults = Bed(20 + valve), Faults(closed=frozenset({valve}))
         much = np.arange(COUNT) == valve
-        told = {"shares": lambda: much * bed.rng.uniform(0.3, 1.0), "faults": faults}  # noqa: B023
+
+        def shares(bed=bed, much=much):
+            return much * bed.rng.uniform(0.3, 1.0)
+
+        told = {"shares": shares, "faults": faults}
         found, at = bed.until_found(**told)
         assert found in (faults, Faults(pushed=True))
         assert at < 6.0

@@ -9,7 +9,7 @@ from model_arms import random_arm
 from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
 
-from fss_arm_model import base_motion, dynamics, momentum
+from fss_arm_model import base_motion, dynamics, joint_path, momentum
 from fss_arm_model.description import paper_arm
 
 DURATION = 6.0
@@ -81,7 +81,7 @@ def integrate(p, law, edges, state):
 def test_poses_are_those_of_the_ode(n, state, motion):
     p = random_arm(n, np.random.default_rng(n)).vector()
     law, edges = motion(n)
-    poses = base_motion.base_poses(p, base_motion.path(law, edges, MARKS), state)
+    poses = base_motion.base_poses(p, joint_path.path(law, edges, MARKS), state)
     assert_allclose(poses, integrate(p, law, edges, state), rtol=1e-10, atol=1e-10)
     assert np.abs(poses - state[:3]).max() > 0.005
 
@@ -89,7 +89,7 @@ def test_poses_are_those_of_the_ode(n, state, motion):
 @pytest.mark.parametrize("n", [1, 4, 8])
 def test_sensitivities_are_finite_differences(n):
     p = random_arm(n, np.random.default_rng(n)).vector()
-    path = base_motion.path(*several(n), MARKS)
+    path = joint_path.path(*several(n), MARKS)
     poses, J = base_motion.base_pose_sensitivities(p, path, DRIFTING)
     assert_allclose(poses, base_motion.base_poses(p, path, DRIFTING), rtol=0, atol=1e-14)
     x, step = np.concatenate([p, DRIFTING]), 1e-5
@@ -102,17 +102,17 @@ def test_sensitivities_are_finite_differences(n):
 def test_without_momentum_only_the_path_counts_and_not_its_pace():
     p = random_arm(4, np.random.default_rng(1)).vector()
     law, edges = several(4)
-    at_leisure = base_motion.path(lambda t: (law(t / 3)[0], law(t / 3)[1] / 3), 3 * edges, [0, 18])
+    at_leisure = joint_path.path(lambda t: (law(t / 3)[0], law(t / 3)[1] / 3), 3 * edges, [0, 18])
     poses = [
         base_motion.base_poses(p, path, AT_REST)[-1]
-        for path in (at_leisure, base_motion.path(law, edges, [0, 6]))
+        for path in (at_leisure, joint_path.path(law, edges, [0, 6]))
     ]
     assert_allclose(*poses, rtol=0, atol=1e-12)
 
 
 def test_a_closed_path_of_one_joint_turns_nothing_and_of_several_does():
     p = paper_arm().vector()
-    one = base_motion.path(*cyclic(4), MARKS)
+    one = joint_path.path(*cyclic(4), MARKS)
     turned = base_motion.base_poses(p, one, AT_REST)[-1, 2] - AT_REST[2]
     assert abs(turned) > math.radians(1.0)
 
@@ -120,7 +120,7 @@ def test_a_closed_path_of_one_joint_turns_nothing_and_of_several_does():
         q, qd = single(4)[0](4.0 - abs(t - 4.0))
         return q, np.sign(4.0 - t)[:, None] * qd
 
-    path = base_motion.path(there_and_back, [1.0, 4.0, 7.0], [0.0, 4.0, 8.0])
+    path = joint_path.path(there_and_back, [1.0, 4.0, 7.0], [0.0, 4.0, 8.0])
     poses = base_motion.base_poses(p, path, AT_REST)
     assert_allclose(poses[-1], AT_REST[:3], rtol=0, atol=1e-13)
     assert abs(poses[1] - AT_REST[:3]).max() > 0.1
@@ -129,8 +129,8 @@ def test_a_closed_path_of_one_joint_turns_nothing_and_of_several_does():
 def test_paths_and_parameter_sets_broadcast():
     rng = np.random.default_rng(0)
     p = np.array([random_arm(3, rng).vector() for _ in range(2)])
-    paths = [base_motion.path(*motion(3), MARKS) for motion in (single, several, cyclic)]
-    poses, J = base_motion.base_pose_sensitivities(p[:, None], base_motion.stack(paths), DRIFTING)
+    paths = [joint_path.path(*motion(3), MARKS) for motion in (single, several, cyclic)]
+    poses, J = base_motion.base_pose_sensitivities(p[:, None], joint_path.stack(paths), DRIFTING)
     assert poses.shape == (2, 3, 4, 3)
     assert J.shape == (2, 3, 4, 3, p.shape[1] + 8)
     for i, j in np.ndindex(2, 3):
@@ -147,10 +147,10 @@ def test_a_batch_of_paths_is_made_as_each_alone():
     def batch(t):
         return tuple(part.reshape(*t.shape, 4) for part in law(t.ravel()))
 
-    whole = base_motion.path(batch, begins + lasts * np.linspace(0.0, 1.0, 4), marks)
+    whole = joint_path.path(batch, begins + lasts * np.linspace(0.0, 1.0, 4), marks)
     for one, *own in zip(marks, *whole, strict=True):
         edges = one[0] + (one[-1] - one[0]) * np.linspace(0.0, 1.0, 4)
-        alone = base_motion.path(law, edges, one)
+        alone = joint_path.path(law, edges, one)
         assert_allclose(own[0][: len(alone.nodes)], alone.nodes, rtol=0, atol=1e-14)
         assert_allclose(own[1], alone.marks, rtol=0, atol=1e-14)
     assert len({*whole.marks[:, -1, -2]}) == 3
@@ -158,8 +158,8 @@ def test_a_batch_of_paths_is_made_as_each_alone():
 
 def test_a_batch_repeats_the_last_mark_of_a_path_with_fewer():
     p = paper_arm().vector()
-    paths = [base_motion.path(*several(4), marks) for marks in (MARKS, [0.0, DURATION])]
-    poses = base_motion.base_poses(p, base_motion.stack(paths), DRIFTING)
+    paths = [joint_path.path(*several(4), marks) for marks in (MARKS, [0.0, DURATION])]
+    poses = base_motion.base_poses(p, joint_path.stack(paths), DRIFTING)
     assert_allclose(poses[1, 1:], poses[0, [3, 3, 3]], rtol=0, atol=1e-13)
 
 
@@ -175,10 +175,10 @@ def test_samples_of_a_drives_profile_give_the_path_back():
 
     times = [np.arange(0.03 * i, 5.0, 0.2) for i in range(4)]
     samples = [[part[:, i] for part in law(t)] for i, t in enumerate(times)]
-    measured, edges = base_motion.sampled(times, *zip(*samples, strict=True))
+    measured, edges = joint_path.sampled(times, *zip(*samples, strict=True))
     p, marks = paper_arm().vector(), [0.0, 5.0]
-    ideal = base_motion.path(law, [0.0, 1.0, 2.0, 3.0, 4.0, 5.0], marks)
-    taken = base_motion.path(measured, [*edges, *marks], marks)
+    ideal = joint_path.path(law, [0.0, 1.0, 2.0, 3.0, 4.0, 5.0], marks)
+    taken = joint_path.path(measured, [*edges, *marks], marks)
     poses = [base_motion.base_poses(p, path, DRIFTING)[-1] for path in (ideal, taken)]
     assert_allclose(*poses, rtol=0, atol=2e-4)
     inside = np.array([2.1, 2.25, 2.4])  # speed is constant from 2 to 3 s
@@ -188,16 +188,16 @@ def test_samples_of_a_drives_profile_give_the_path_back():
 
 def test_marks_must_ascend():
     with pytest.raises(ValueError, match="marks are"):
-        base_motion.path(*several(4), [1.0, 0.0, DURATION])
+        joint_path.path(*several(4), [1.0, 0.0, DURATION])
 
 
 def test_edges_beyond_the_marks_do_not_matter():
     law, edges = several(4)
-    few, more = (base_motion.path(law, e, [0.5, 3.0]) for e in (edges[1:4], edges))
+    few, more = (joint_path.path(law, e, [0.5, 3.0]) for e in (edges[1:4], edges))
     assert np.array_equal(few.nodes, more.nodes)
 
 
 def test_shapes_that_do_not_fit_are_refused():
-    path = base_motion.path(*several(3), MARKS)
+    path = joint_path.path(*several(3), MARKS)
     with pytest.raises(ValueError, match=r"expected \(\.\.\., 26\) and \(\.\.\., 8\)"):
         base_motion.base_poses(paper_arm().vector(), path, DRIFTING)

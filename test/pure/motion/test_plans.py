@@ -8,9 +8,10 @@ from model_arms import random_arm
 from motion_oracles import held, open_loop
 from numpy.testing import assert_allclose
 
-from fss_arm_model.base_motion import base_poses, path, sampled
+from fss_arm_model.base_motion import base_poses
 from fss_arm_model.clearance import clearance
 from fss_arm_model.description import paper_arm
+from fss_arm_model.joint_path import path, sampled
 from fss_arm_model.kinematics import tip_pose
 from fss_arm_motion.kinds import KINDS
 from fss_arm_motion.limits import Limits, LimitSettings

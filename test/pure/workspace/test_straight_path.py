@@ -22,7 +22,6 @@ from fss_arm_workspace.straight_path.paths import (
     ZERO_REACTION,
     Rules,
     arch,
-    states_along,
     straight_paths,
     straight_workspace,
 )
@@ -45,17 +44,34 @@ def complex_tip(arm, q):
     return tip[..., 0] + 1j * tip[..., 1]
 
 
-@pytest.mark.parametrize("base", BASES)
-@pytest.mark.parametrize("rule", RULES[:3])
-def test_the_tip_stays_on_its_line_and_the_base_obeys_its_law(base, rule):
-    start, rules = arch(ARM), Rules(base=base, redundancy=rule)
-    limits, p = joint_limits(ARM), ARM.vector()
-    paths = straight_paths(ARM, start, AROUND, rules)
+def on_the_way(start, direction, lengths, rules):
+    """States on a path: where a table that ends after such lengths ends it."""
+    ahead, tip = np.array([np.cos(direction), np.sin(direction)]), complex_tip(ARM, start)
+    found = []
+    for s in lengths:
+        end = np.array([tip.real, tip.imag]) + s * ahead
+        table = *np.where(ahead < 0.0, end, -9.0), *np.where(ahead < 0.0, 9.0, end)
+        path = straight_paths(ARM, start, direction, replace(rules, table=table))
+        found.append(path.last[0])
+    return np.array(found)
+
+
+def good_paths(rules):
+    paths = straight_paths(ARM, arch(ARM), AROUND, rules)
     paths = paths[~paths.grazes]
     assert len(paths.direction) > 0.7 * len(AROUND)
-    for direction, distance in zip(paths.direction[::6], paths.distance[::6], strict=True):
-        s = np.linspace(0.0, distance - 1e-3, 40)  # the samples' steps may end it 1 mm before
-        q, rates = states_along(ARM, start, direction, s, rules)
+    return paths[::6]
+
+
+@pytest.mark.parametrize("base", BASES)
+@pytest.mark.parametrize("rule", RULES[:3])
+def test_the_tip_stays_on_its_line_and_the_base_where_its_law_puts_it(base, rule):
+    start, rules = arch(ARM), Rules(base=base, redundancy=rule)
+    limits, p = joint_limits(ARM), ARM.vector()
+    paths = good_paths(rules)
+    for direction, distance in zip(paths.direction, paths.distance, strict=True):
+        s = np.linspace(0.0, distance - 1e-3, 40)  # other steps may end it 1 mm before
+        q = on_the_way(start, direction, s, rules)
         assert_allclose(complex_tip(ARM, q), paths.tip + s * np.exp(1j * direction), atol=1e-6)
         assert (q[:, 3:] >= limits[:, 0] - 1e-12).all()
         assert (q[:, 3:] <= limits[:, 1] + 1e-12).all()
@@ -63,21 +79,30 @@ def test_the_tip_stays_on_its_line_and_the_base_obeys_its_law(base, rule):
             assert_allclose(q[:, :3], np.broadcast_to(start[:3], (40, 3)), atol=0.0)
             continue
         assert_allclose(system_com(p, q), np.broadcast_to(system_com(p, start), (40, 2)), atol=1e-6)
-        assert_allclose(momentum(p, q, rates), 0.0, atol=1e-10)
         if base == ZERO_REACTION:
             assert_allclose(q[:, 2], start[2], atol=1e-9)
 
 
-@pytest.mark.parametrize("base", BASES)
-def test_the_rates_are_the_derivatives_of_the_states(base):
-    """So that the motion without momentum is the one that the states make."""
-    start, rules = arch(ARM), Rules(base=base, redundancy=MINIMUM_NORM)
-    step = 1e-3
-    s = 0.01 + step * np.arange(-2.0, 3.0)
-    for direction in (0.5, 3.0, 4.0):
-        q, rates = states_along(ARM, start, direction, s, rules)
-        slope = (q[0] - 8.0 * q[1] + 8.0 * q[3] - q[4]) / (12.0 * step)
-        assert_allclose(slope, rates[2], atol=1e-4)
+@pytest.mark.parametrize("base", [FLOATING, ZERO_REACTION])
+@pytest.mark.parametrize("rule", RULES[:3])
+def test_the_motion_that_the_states_make_is_without_momentum(base, rule):
+    """By differences of 4th order, away from limits and singularities, where rates change fast."""
+    start, rules = arch(ARM), Rules(base=base, redundancy=rule)
+    limits, h, seen = joint_limits(ARM), 1e-3, 0
+    paths = good_paths(rules)
+    for direction, distance in zip(paths.direction, paths.distance, strict=True):
+        for share in (0.1, 0.3, 0.5, 0.7, 0.9):
+            s = share * distance + h * np.arange(-2.0, 3.0)
+            if s[0] < 0.0 or s[-1] > distance - 1e-3:
+                continue
+            q = on_the_way(start, direction, s, rules)
+            held = np.minimum(q[:, 3:] - limits[:, 0], limits[:, 1] - q[:, 3:]) < 1e-2
+            slope = (q[0] - 8.0 * q[1] + 8.0 * q[3] - q[4]) / (12.0 * h)
+            if held.any() or np.abs(slope).max() > 10.0:
+                continue
+            assert_allclose(momentum(ARM.vector(), q[2], slope), 0.0, atol=1e-4)  # found: 2e-5
+            seen += 1
+    assert seen > 10
 
 
 @pytest.mark.parametrize("base", BASES)

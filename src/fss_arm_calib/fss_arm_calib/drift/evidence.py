@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fss_arm_calib.drift.problem import STEPS
+from fss_arm_calib.drift.problem import STEPS, begun
 from fss_arm_calib.drift.settings import DriftSettings
 from fss_arm_calib.drift.solution import deviations
 from fss_arm_calib.estimation.least_squares import Floats, Linear, eliminate
@@ -35,11 +35,7 @@ class DriftEvidence:
 
     def begin(self) -> Floats:
         """Each with its mean twist."""
-        parts = []
-        for one in self.drifts:
-            first, last = np.array(one.poses[0]), np.array(one.poses[-1])
-            parts += [first, (last - first) / (one.times[-1] - one.times[0])]
-        return np.concatenate(parts)
+        return np.concatenate([begun(one) for one in self.drifts])
 
     def near(self, z: Floats, own: Floats) -> Linear:
         """Poses of the base, divided by their deviations; as many rows of each as hold the same."""

@@ -52,6 +52,12 @@ def rigid_body(arm: Arm, q: Sequence[float]) -> Body:
     return Body(mass, inertia, complex(*com))
 
 
+def begun(drift: Drift) -> Floats:
+    """(6,) where a drift begins, and its mean twist."""
+    first, last = np.array(drift.poses[0]), np.array(drift.poses[-1])
+    return np.concatenate([first, (last - first) / (drift.times[-1] - drift.times[0])])
+
+
 @dataclass(frozen=True)
 class DriftProblem:
     """Drifts, and what is known beforehand; deviations are 1 sigma, about 0, 0: it is 0."""
@@ -70,9 +76,7 @@ class DriftProblem:
         """All unknowns at the begin: nothing acts, and each drift has its mean twist."""
         parts: list[Floats] = [np.zeros(len(NAMES))]
         for drift, body in zip(self.drifts, self.bodies, strict=True):
-            first, last = np.array(drift.poses[0]), np.array(drift.poses[-1])
-            twist = (last - first) / (drift.times[-1] - drift.times[0])
-            parts += [first, twist, np.array([body.com.real, body.com.imag])]
+            parts += [begun(drift), np.array([body.com.real, body.com.imag])]
         return np.concatenate(parts)
 
     def motion(self, k: int, shared: Floats, own: Floats) -> tuple[Floats, Floats]:

@@ -20,6 +20,7 @@ from fss_arm_calib.estimation.outliers import weighed, without_outliers
 from fss_arm_calib.estimation.statistics import root_mean_square
 from fss_arm_calib.outcome import Estimate
 from fss_arm_calib.segments.drifts import Drift
+from fss_arm_calib.segments.poses import independent
 from fss_arm_model.description import Arm
 from fss_arm_model.drifting import whole, whole_sensitivities
 from fss_arm_model.parameters import parameter_names, to_vector
@@ -63,7 +64,7 @@ def deviations(drifts: Sequence[Drift], s: DriftSettings, weights: Floats) -> li
     of_one = np.array([s.position_deviation, s.position_deviation, s.heading_deviation])
     sigma = []
     for drift, weight in zip(drifts, weights, strict=True):
-        fresh = np.minimum(drift.frames, np.maximum(1.0, s.fresh_rate * np.array(drift.seconds)))
+        fresh = independent(drift.frames, drift.seconds, s.fresh_rate)
         sigma.append(of_one / np.sqrt(fresh * weight)[:, None])
     return sigma
 

@@ -19,6 +19,7 @@ from fss_arm_calib.acceptance import (
     count,
     determined,
     enough,
+    fitting,
     outliers,
     quiet,
 )
@@ -87,7 +88,11 @@ def tips_described(used: Sequence[Maneuver], arm: Arm, s: DynamicSettings) -> li
 def evaluate(solution: Solution, s: DynamicSettings) -> list[Check]:
     """The checks of a solution."""
     r, m = solution.result, solution.result.minimum
-    fit = _fitting(solution, s)
+    left = solution.first.left
+    fit = fitting(
+        float(np.sum(left.squares)), float(np.sum(left.freedom)), s.min_probability,
+        "residuals are larger than the deviations allow", solution.noise,
+    )  # fmt: skip
     found = []
     if fit.verdict == FAIL and _fits_swapped(solution.first.problem, s):
         found = [cause("the end effector is taken for the base")]
@@ -105,18 +110,6 @@ def evaluate(solution: Solution, s: DynamicSettings) -> list[Check]:
         checked(r.redundancy, solution.kept, s.min_redundancy, "maneuver"),
         _precise(r, s),
     ]  # fmt: skip
-
-
-def _fitting(solution: Solution, s: DynamicSettings) -> Check:
-    """Whether residuals are as small as given, or as is believed of what they are estimated by."""
-    left, noise = solution.first.left, solution.noise
-    check = by_chance(
-        "fit", float(np.sum(left.squares)), float(np.sum(left.freedom)), s.min_probability,
-        "residuals are larger than the deviations allow",
-    )  # fmt: skip
-    if noise.given.all():
-        return check
-    return replace(check, reason=f"{check.reason}; errors are {noise} by the residuals")
 
 
 def _measurable(r: DynamicResult) -> Check:

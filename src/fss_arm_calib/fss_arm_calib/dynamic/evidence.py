@@ -27,10 +27,7 @@ class ManeuverEvidence:
 
     def begin(self) -> Floats:
         """At rest where the base is seen first."""
-        first = np.concatenate(
-            [self.problem.poses[:, 0], np.zeros((len(self.problem.poses), 3))], 1
-        )
-        return first[:, self.problem.own].ravel()
+        return self.problem.start[len(self.problem.names) :]
 
     def near(self, z: Floats, own: Floats) -> Linear:
         """Poses of the base, divided by their deviations."""

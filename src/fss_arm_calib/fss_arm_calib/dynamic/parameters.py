@@ -14,9 +14,6 @@ import numpy.typing as npt
 from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_model.description import Arm
 from fss_arm_model.parameters import parameter_names
-from fss_arm_model.parameters import to_vector as to_vector
-from fss_arm_model.parameters import unit as unit
-from fss_arm_model.parameters import values as values
 from fss_arm_model.settings import NOT_NEGATIVE, Settings, setting
 
 GROUPS = {

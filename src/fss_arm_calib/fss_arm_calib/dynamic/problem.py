@@ -23,14 +23,12 @@ from math import inf
 import numpy as np
 import numpy.typing as npt
 
-from fss_arm_calib.dynamic.parameters import Choice, to_vector, unit, values
-from fss_arm_calib.estimation.least_squares import (
-    Floats,
-    Linear,
-    eliminate,
-)
-from fss_arm_model.base_motion import Path, base_pose_sensitivities, base_poses
+from fss_arm_calib.dynamic.parameters import Choice
+from fss_arm_calib.estimation.least_squares import Floats, Linear, eliminate
+from fss_arm_model.base_motion import base_pose_sensitivities, base_poses
 from fss_arm_model.description import Arm
+from fss_arm_model.joint_path import Path
+from fss_arm_model.parameters import bounds, to_vector, unit, values
 
 TILT = ("g_x", "g_y")  # acceleration of a free body down the table, world axes
 
@@ -137,17 +135,12 @@ class DynamicProblem:
 
     @cached_property
     def bounds(self) -> tuple[Floats, Floats]:
-        """Least and largest values, (p,) each.
-
-        Masses, inertias and lengths are above 0, centres of mass between the link's joints.
-        """
-        low = np.array([1e-6 if name[0] in "mIa" else -inf for name in self.names])
-        high = np.full(len(low), inf)
-        n, lengths = self.arm.n, np.array([link.a for link in self.arm.links])
-        places = self.choice.basis[3 * n + 6 : 4 * n + 6].T  # (p, n) whose b each one is
-        for k in np.flatnonzero(places.any(axis=1)):
-            low[k], high[k] = 0.0, lengths[places[k] > 0.0].min()
-        return low, high
+        """Least and largest values, (p,) each, of all that a parameter stands for."""
+        low, high = bounds(self.arm)
+        members = self.choice.basis.T > 0.0
+        free = np.full(len(self.names) - len(members), inf)
+        low = np.where(members, low, -inf).max(axis=1)
+        return np.append(low, -free), np.append(np.where(members, high, inf).min(axis=1), free)
 
     @cached_property
     def start(self) -> Floats:

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from fss_arm_calib.dynamic.figures import motion, residuals
-from fss_arm_calib.dynamic.parameters import Choice, values
+from fss_arm_calib.dynamic.parameters import Choice
 from fss_arm_calib.dynamic.solution import Solution
 from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.outcome import Outcome
@@ -16,6 +16,7 @@ from fss_arm_calib.report_tables import difference, number, reported, shown_unit
 from fss_arm_calib.segments.maneuvers import Maneuver
 from fss_arm_model.description import Arm, paper_arm
 from fss_arm_model.files import read_yaml
+from fss_arm_model.parameters import values
 
 PAPER_HEADING_RESIDUAL = float(np.radians(1.54))  # section 4.2
 

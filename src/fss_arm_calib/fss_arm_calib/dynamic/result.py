@@ -8,13 +8,12 @@ from math import inf
 import numpy as np
 import numpy.typing as npt
 
-from fss_arm_calib.dynamic.parameters import parameter_names, values
 from fss_arm_calib.dynamic.problem import DynamicProblem
 from fss_arm_calib.estimation.least_squares import NOTICEABLE, Decomposition, Floats, Mask, Minimum
 from fss_arm_calib.estimation.noise import Left
 from fss_arm_calib.estimation.statistics import redundancy
 from fss_arm_model.description import Arm, Known
-from fss_arm_model.parameters import with_values
+from fss_arm_model.parameters import parameter_names, values, with_values
 
 
 @dataclass(frozen=True)

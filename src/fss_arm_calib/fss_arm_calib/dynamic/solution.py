@@ -19,8 +19,9 @@ from fss_arm_calib.estimation.outliers import weighed, without_outliers
 from fss_arm_calib.estimation.statistics import root_mean_square
 from fss_arm_calib.outcome import Estimate
 from fss_arm_calib.segments.maneuvers import Maneuver
-from fss_arm_model.base_motion import Path, stack
+from fss_arm_calib.segments.poses import independent
 from fss_arm_model.description import Arm
+from fss_arm_model.joint_path import Path, stack
 from fss_arm_model.units import GRAVITY
 
 
@@ -38,18 +39,24 @@ def problem_of(
     most = max(len(one.marks) for one in maneuvers)
     poses = np.zeros((len(maneuvers), most, 3))
     sigma = np.full_like(poses, inf)
-    deviations = assumed(s).deviations[[0, 0, 1]]
-    if s.residuals == HEADING:
-        deviations[:2] = inf
+    deviations = pose_deviations(s)
     for one, pose, spread in zip(maneuvers, poses, sigma, strict=True):
         pose[: len(one.marks)] = one.poses
-        fresh = np.minimum(one.frames, np.maximum(1.0, s.fresh_rate * np.array(one.seconds)))
+        fresh = independent(one.frames, one.seconds, s.fresh_rate)
         spread[: len(one.marks)] = deviations / np.sqrt(fresh)[:, None]
         if (way := one.underway).any():
             late = s.path_timing * np.gradient(np.array(one.poses), one.marks, axis=0)
             rows = np.flatnonzero(way)
             spread[rows] = np.hypot(spread[rows], late[rows])
     return known_beforehand(arm, s, stack([one.path for one in maneuvers]), poses, sigma)
+
+
+def pose_deviations(s: DynamicSettings) -> Floats:
+    """(3,) of the base's pose where errors are independent; inf: not looked at."""
+    deviations = assumed(s).deviations[[0, 0, 1]]
+    if s.residuals == HEADING:
+        deviations[:2] = inf
+    return deviations
 
 
 def known_beforehand(

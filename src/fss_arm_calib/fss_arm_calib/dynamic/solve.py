@@ -4,13 +4,9 @@ import numpy as np
 
 from fss_arm_calib.dynamic.problem import DynamicProblem
 from fss_arm_calib.dynamic.result import DynamicResult
-from fss_arm_calib.estimation.least_squares import (
-    Floats,
-    Indices,
-    Linear,
-    minimize,
-    minimize_all,
-)
+from fss_arm_calib.estimation.least_squares import Floats, Indices, Linear, minimize, minimize_all
+
+TOLERANCE = 1e-7  # of the last update [deviations]
 
 DRAWS = 128  # that are solved side by side: as many as the processor's caches hold
 
@@ -31,7 +27,9 @@ def underway(problem: DynamicProblem) -> Floats:
     return x
 
 
-def solve(problem: DynamicProblem, bounded: bool = True, tolerance: float = 1e-7) -> DynamicResult:
+def solve(
+    problem: DynamicProblem, bounded: bool = True, tolerance: float = TOLERANCE
+) -> DynamicResult:
     """Iterate Eq. 9 from the guess.
 
     Parameters that the data cannot tell apart stay as near to the guess as the others allow; the
@@ -50,9 +48,7 @@ def solve(problem: DynamicProblem, bounded: bool = True, tolerance: float = 1e-7
     )
 
 
-def solve_all(
-    problem: DynamicProblem, poses: Floats, bounded: bool = True, tolerance: float = 1e-7
-) -> list[DynamicResult]:
+def solve_all(problem: DynamicProblem, poses: Floats, bounded: bool = True) -> list[DynamicResult]:
     """What `solve` finds of each of many draws of the poses, (N, M, m, 3), as in a Monte Carlo."""
     found = []
     for begin in range(0, len(poses), DRAWS):
@@ -63,8 +59,8 @@ def solve_all(
             return some.seeing(some.poses[which]).linearize(x)
 
         bounds = some.bounds if bounded else None
-        minima = minimize_all(linearize, underway(some), bounds, tolerance)
+        minima = minimize_all(linearize, underway(some), bounds, TOLERANCE)
         for one, minimum in zip(some.poses, minima, strict=True):
             own = some.seeing(one)
-            found.append(DynamicResult(own, minimum) if minimum else solve(own, bounded, tolerance))
+            found.append(DynamicResult(own, minimum) if minimum else solve(own, bounded))
     return found

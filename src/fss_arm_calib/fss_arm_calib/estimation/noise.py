@@ -11,8 +11,8 @@ average as their squared errors are, though f is known to about 1 / sqrt(2 nu) o
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Generic, NamedTuple, Protocol, TypeVar
+from dataclasses import dataclass, replace
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
@@ -22,6 +22,10 @@ from fss_arm_calib.estimation.statistics import probability
 FEWEST = 4.0  # degrees of freedom by which a kind's own deviation is estimated
 LEAST = 1e-3  # of the largest deviation: nothing is seen better, and exact data have some
 ROUNDS, SETTLED = 20, 1e-4  # of estimating anew, and the change of f that ends it
+
+
+R = TypeVar("R")
+S = TypeVar("S", bound=Any)
 
 
 class Limits(Protocol):
@@ -69,6 +73,11 @@ class Noise:
         """(2,) which are not estimated."""
         return np.asarray(self.uncertainty == 0.0)
 
+    def given_to(self, settings: S) -> S:
+        """Settings by which these deviations are given."""
+        position, heading = self.deviations.tolist()
+        return replace(settings, position_deviation=position, heading_deviation=heading)
+
     def __str__(self) -> str:
         texts = []
         for k, (scale, unit) in enumerate(((1e3, "mm"), (np.degrees(1.0), "degrees"))):
@@ -79,9 +88,6 @@ class Noise:
             found = f"± {by:.1g} {unit} ({expected})" if by else unit
             texts.append(f"{value:.2g} {found}")
         return " and ".join(texts)
-
-
-R = TypeVar("R")
 
 
 class Solved(NamedTuple, Generic[R]):

@@ -1,148 +1,38 @@
 """Maneuvers worth making: those that determine chosen parameters best, before the arm moves.
 
-A maneuver is a sequence of straight moves in joint space, each from rest to rest with the trapezoid
-of the drives. Candidates stay within joint limits and torque, off the table's edge and the arm's
-own links, and within a time. One after the other, that one is taken which shrinks the volume of the
-chosen parameters' uncertainty most for the time that it takes, rest included (D-optimality); with a
-goal, the sum of their variances by those asked for (A-optimality), which the worst rules. Errors
-of what is assumed count as well: what no maneuver can mend is not sought. Each maneuver has its
-start's pose and momentum as unknowns, and the table may be tilted: what counts is what a drifting
-base leaves visible.
+Candidates stay within joint limits and torque, off the table's edge and the arm's own links, and
+within a time. One after the other, that one is taken which shrinks the volume of the chosen
+parameters' uncertainty most for the time that it takes, rest included (D-optimality); with a goal,
+the sum of their variances by those asked for (A-optimality), which the worst rules. Errors of what
+is assumed count as well: what no maneuver can mend is not sought. Each maneuver has its start's
+pose and momentum as unknowns, and the table may be tilted: what counts is what a drifting base
+leaves visible.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 from itertools import compress
 from math import inf, nan
 
 import numpy as np
-import yaml
 
 from fss_arm_calib.dynamic.information import information, propagated
 from fss_arm_calib.dynamic.problem import DynamicProblem
 from fss_arm_calib.dynamic.result import DynamicResult
-from fss_arm_calib.dynamic.settings import HEADING, DynamicSettings
-from fss_arm_calib.dynamic.solution import known_beforehand
+from fss_arm_calib.dynamic.settings import DynamicSettings
+from fss_arm_calib.dynamic.solution import known_beforehand, pose_deviations
 from fss_arm_calib.dynamic.solve import solve
 from fss_arm_calib.estimation.least_squares import Floats, Mask
-from fss_arm_calib.estimation.noise import assumed
+from fss_arm_calib.experiment.planned import PAUSE, NoManeuver, Planned, least_time, timed, together
 from fss_arm_calib.experiment.settings import LOOP, SINGLE, Conditions
-from fss_arm_model.base_motion import Law, Path, base_poses, path, stack
+from fss_arm_model.base_motion import base_poses
 from fss_arm_model.description import Arm
-from fss_arm_model.free_floating import free_torques
+from fss_arm_model.joint_path import Path, path, stack
 from fss_arm_motion.guard import Guard, GuardError
 
-RAMP = 1.0 / 3.0  # share of a move's time in which it accelerates, and again decelerates
-PAUSE = 0.5  # between two moves of a maneuver, in which the arm is found to have arrived [s]
-STRENGTH = 0.7  # of the drives' torque, to leave them some to correct with
 STEP = np.radians(5.0)  # joint angles are multiples of it
 BETWEEN = slice(None, -1), slice(1, None)  # waypoints: where moves begin, and where they end
 ATTEMPTS = 3  # plans for a goal, of which the shortest is taken
-
-
-@dataclass(frozen=True)
-class Planned:
-    """A maneuver to make."""
-
-    kind: str
-    waypoints: Floats  # (w + 1, n) joint readings, the first is where it begins [rad]
-    durations: Floats  # (w,) of each move [s]
-
-    @cached_property
-    def length(self) -> float:
-        """How long it takes [s]."""
-        return float(self.durations.sum() + PAUSE * (len(self.durations) - 1))
-
-    def law(self) -> tuple[Law, Floats]:
-        """Angles and rates over time, and the times between which they are smooth."""
-        return moves(self.waypoints, self.durations)
-
-
-def moves(waypoints: Floats, durations: Floats) -> tuple[Law, Floats]:
-    """Angles and rates over time of one move after the other, and what times they are smooth from.
-
-    Args:
-        waypoints: (..., w + 1, n) [rad].
-        durations: (..., w) of each move [s]; infinite of those that only fill up a batch.
-    """
-    way, real = np.diff(waypoints, axis=-2), np.isfinite(durations)
-    begins = np.cumsum(durations + PAUSE, axis=-1)
-    begins = np.concatenate([np.zeros_like(begins[..., :1]), begins[..., :-1]], axis=-1)
-    n, first = way.shape[-1], np.arange(durations[..., 0].size).reshape(*durations.shape[:-1], 1)
-
-    def law(t: Floats) -> tuple[Floats, Floats]:
-        k = first * durations.shape[-1]  # which move is on, of all in the batch
-        for begin in np.moveaxis(begins[..., 1:], -1, 0):
-            k = k + (t >= begin[..., None])
-        k = np.broadcast_to(k, t.shape)
-        duration, step = durations.ravel()[k], way.reshape(-1, n)[k]
-        s, rate, _ = profile((t - begins.ravel()[k]) / duration)
-        rate = rate / duration
-        place = waypoints.reshape(-1, n)[k + first]
-        return place + step * s[..., None], step * rate[..., None]
-
-    corners = np.array([0.0, RAMP, 1.0 - RAMP, 1.0])
-    spans = np.where(real, durations, 0.0)[..., None] * corners
-    edges = np.where(real, begins, 0.0)[..., None] + spans
-    return law, edges.reshape(*durations.shape[:-1], -1)
-
-
-def together(plan: Sequence[Planned]) -> tuple[Law, Floats]:
-    """The same for each of several maneuvers, as one batch; times that fill it up are 0."""
-    counts = np.array([len(one.durations) for one in plan])
-    k = np.arange(counts.max() + 1)
-    durations = np.full((len(plan), counts.max()), inf)
-    durations[k[:-1] < counts[:, None]] = np.concatenate([one.durations for one in plan])
-    rows = np.minimum(k, counts[:, None])
-    knots = [one.waypoints[row] for one, row in zip(plan, rows, strict=True)]
-    return moves(np.array(knots), durations)
-
-
-def profile(x: Floats) -> tuple[Floats, Floats, Floats]:
-    """Way from 0 to 1 of a move, its rate and acceleration, over the share x of its time."""
-    x = np.clip(x, 0.0, 1.0)
-    top = 1.0 / (1.0 - RAMP)
-    y = np.minimum(x, 1.0 - x)
-    ramp = y < RAMP
-    way = np.where(ramp, 0.5 * top / RAMP * y**2, top * (y - 0.5 * RAMP))
-    rate = np.where(ramp, top / RAMP * y, top)
-    acceleration = np.where(ramp, np.where(x < 0.5, top / RAMP, -top / RAMP), 0.0)
-    return np.where(x < 0.5, way, 1.0 - way), rate, acceleration
-
-
-class NoManeuver(ValueError):  # noqa: N818
-    """No maneuver keeps to the conditions."""
-
-
-def torques(arm: Arm, q: Floats, qd: Floats, qdd: Floats) -> Floats:
-    """Joint torques of the floating arm without momentum, (..., n) each [N m]."""
-    return free_torques(arm.vector(), q, qd, qdd)[0]
-
-
-def least_time(arm: Arm, way: Floats) -> Floats:
-    """How long moves by `way` (..., n) take by the drives' speed and acceleration alone [s]."""
-    top = 1.0 / (1.0 - RAMP)
-    speeds = np.array([link.drive.max_velocity for link in arm.links])
-    gains = np.array([link.drive.max_acceleration for link in arm.links])
-    speed = np.max(top * np.abs(way) / speeds, axis=-1)
-    gain = np.max(top / RAMP * np.abs(way) / gains, axis=-1)
-    return np.maximum(np.maximum(speed, np.sqrt(gain)), 0.1)
-
-
-def timed(arm: Arm, begin: Floats, end: Floats) -> Floats:
-    """The shortest times for moves (..., n) that the drives' torque allows, too, (...) [s].
-
-    Without momentum the torques of a path scale with the inverse square of its time.
-    """
-    limits = STRENGTH * np.array(
-        [link.drive.torque_constant * link.drive.max_current for link in arm.links]
-    )
-    s, rate, acceleration = (x[:, None] for x in profile(np.linspace(0.0, 1.0, 31) + 1e-9))
-    q, way = begin[..., None, :], (end - begin)[..., None, :]
-    needed = np.abs(torques(arm, q + s * way, rate * way, acceleration * way))
-    least = least_time(arm, end - begin)
-    return np.asarray(np.maximum(least, np.sqrt(np.max(needed / limits, axis=(-2, -1)))))
 
 
 def candidates(
@@ -240,10 +130,7 @@ def problem(
         before: maneuvers made already.
     """
     batch, fresh = windowed(plan, settings, rest)
-    deviations = assumed(settings).deviations[[0, 0, 1]]
-    if settings.residuals == HEADING:
-        deviations[:2] = inf
-    sigma = np.tile(deviations / np.sqrt(fresh), (*batch.marks.shape[:2], 1))
+    sigma = np.tile(pose_deviations(settings) / np.sqrt(fresh), (*batch.marks.shape[:2], 1))
     if before:
         paths = [Path(*rows) for part in (batch, before.path) for rows in zip(*part, strict=True)]
         batch, parts = stack(paths), (sigma, before.sigma)
@@ -418,42 +305,3 @@ def _size(covariance: Floats, asked: Floats) -> Floats:
         shares = np.diagonal(covariance, axis1=-2, axis2=-1) / asked**2
         return np.asarray(np.log(shares.sum(axis=-1)))
     return np.asarray(np.linalg.slogdet(covariance)[1])
-
-
-def to_yaml(plan: Sequence[Planned], promised: Mapping[str, float] | None = None) -> str:
-    """A plan as `experiment` reads it, and the deviations it promises for a report to compare."""
-    rows = [
-        {
-            "kind": one.kind,
-            "q": np.round(one.waypoints, 6).tolist(),
-            "durations": np.round(one.durations, 3).tolist(),
-        }
-        for one in plan
-    ]
-    head = "# Maneuvers: joint readings, the first is where it begins [rad]; times of moves [s].\n"
-    told = {"promised": {k: float(f"{x:.4g}") for k, x in promised.items()}} if promised else {}
-    given = {"maneuvers": rows, **told}
-    return head + yaml.safe_dump(given, sort_keys=False, default_flow_style=None)
-
-
-def from_yaml(text: str, n: int) -> list[Planned]:
-    """The plan that to_yaml wrote.
-
-    Raises:
-        ValueError: it is something else, or for another number of joints.
-    """
-    try:
-        rows = yaml.safe_load(text)["maneuvers"]
-        plan = [
-            Planned(str(row["kind"]), np.array(row["q"], float), np.array(row["durations"], float))
-            for row in rows
-        ]
-    except (yaml.YAMLError, TypeError, KeyError, ValueError) as error:
-        raise ValueError(f"not a plan of maneuvers: {error}") from None
-    for k, one in enumerate(plan, 1):
-        if one.waypoints.shape != (len(one.durations) + 1, n) or not (one.durations > 0.0).all():
-            raise ValueError(
-                f"maneuver {k} has waypoints {one.waypoints.shape} and {len(one.durations)} "
-                f"durations, expected (w + 1, {n}) and w of them, above 0"
-            )
-    return plan

@@ -23,17 +23,10 @@ from fss_arm_calib.dynamic.settings import DynamicSettings
 from fss_arm_calib.dynamic.solution import nothing_seen, problem_of
 from fss_arm_calib.estimation.noise import assumed
 from fss_arm_calib.experiment import postures
-from fss_arm_calib.experiment.design import (
-    Planned,
-    design,
-    expected,
-    goal_of,
-    meets,
-    to_goal,
-    to_yaml,
-)
+from fss_arm_calib.experiment.design import design, expected, goal_of, meets, to_goal
 from fss_arm_calib.experiment.design_options import CONDITIONS, parser
 from fss_arm_calib.experiment.excitation import excitation
+from fss_arm_calib.experiment.planned import Planned, to_yaml
 from fss_arm_calib.experiment.settings import JOINT, KINDS, Conditions
 from fss_arm_calib.kinematic.problem import FULL, KinematicProblem
 from fss_arm_calib.kinematic.solve import solve
@@ -70,8 +63,7 @@ def made(bag: str, arm: Arm, settings: DynamicSettings) -> Before:
         raise BagError(f"no maneuver of {bag} can be used{why}")
     used = outcome.used
     if outcome.solution:
-        position, heading = outcome.solution.noise.deviations.tolist()
-        settings = replace(settings, position_deviation=position, heading_deviation=heading)
+        settings = outcome.solution.noise.given_to(settings)
         used = tuple(compress(used, outcome.solution.kept))
     arm = from_yaml(outcome.description) if outcome.description else arm
     return Before(arm, settings, problem_of(used, arm, settings))

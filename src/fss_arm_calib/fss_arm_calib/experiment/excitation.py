@@ -8,7 +8,7 @@ moves take the same time, so that slow telemetry meets swinging links at another
 import numpy as np
 
 from fss_arm_calib.estimation.least_squares import Floats
-from fss_arm_calib.experiment.design import NoManeuver, Planned, timed
+from fss_arm_calib.experiment.planned import NoManeuver, Planned, timed
 from fss_arm_calib.experiment.settings import JOINT
 from fss_arm_model.description import Arm
 from fss_arm_motion.guard import Guard, GuardError

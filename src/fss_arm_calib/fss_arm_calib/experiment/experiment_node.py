@@ -19,7 +19,8 @@ from unique_identifier_msgs.msg import UUID
 from fss_arm_calib import state
 from fss_arm_calib.acceptance import PASS
 from fss_arm_calib.estimation.least_squares import Floats
-from fss_arm_calib.experiment.design import Planned, from_yaml, goal_of
+from fss_arm_calib.experiment.design import goal_of
+from fss_arm_calib.experiment.planned import Planned, from_yaml
 from fss_arm_calib.experiment.postures import default
 from fss_arm_calib.experiment.settings import ExperimentSettings
 from fss_arm_calib.messages import common

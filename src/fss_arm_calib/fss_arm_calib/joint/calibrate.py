@@ -24,19 +24,14 @@ from fss_arm_calib.acceptance import (
 )
 from fss_arm_calib.calibration import Calibration
 from fss_arm_calib.estimation.least_squares import MAX_CONDITION, Floats
-from fss_arm_calib.joint.problem import (
-    TOLERANCE,
-    JointProblem,
-    JointResult,
-    solve,
-)
+from fss_arm_calib.joint.problem import TOLERANCE, JointProblem, JointResult, solve
 from fss_arm_calib.joint.settings import JointSettings
 from fss_arm_calib.outcome import LIVE, Datum, Estimate, Outcome, concluded
 from fss_arm_calib.segments.rests import homed
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_model.description import Arm
 from fss_arm_model.description_file import from_yaml
-from fss_arm_model.parameters import parameter_names, unit, values
+from fss_arm_model.parameters import unit, values
 from fss_arm_model.planar import wrap
 from fss_arm_model.units import GRAVITY
 
@@ -94,10 +89,7 @@ def stages(session: Session, arm: Arm, kinds: Kinds, settings: Mapping[str, Any]
         used[name] = [one for one, well in zip(outcome.used, kept, strict=True) if well]
         outcomes[name] = outcome
         if noise := getattr(outcome.solution, "noise", None):  # those of drifts are given
-            position, heading = noise.deviations.tolist()
-            known[name] = replace(
-                settings[name], position_deviation=position, heading_deviation=heading
-            )
+            known[name] = noise.given_to(settings[name])
         arm = from_yaml(outcome.description) if outcome.description else arm
     return Stage(arm, used, outcomes, known)
 
@@ -179,8 +171,7 @@ def begin(problem: JointProblem, arms: Sequence[Arm]) -> Floats:
         if "theta_BJ1" in problem.own_names(k):
             own[:n] = wrap((values(arm) - values(last))[zeros])
         moved.append(own)
-    guess = np.array([*values(last), *([last.theta_E] if problem.theta_e else [])])
-    return problem.start(moved, guess)
+    return problem.start(moved, replace(problem, arm=last).guess)
 
 
 def calibrate(
@@ -211,7 +202,6 @@ def calibrate(
     found = [(one, stages(one, arm, kinds, of_kinds)) for one in parts]
     found = [(one, stage) for one, stage in found if stage.used]
     used = [stage.used for _, stage in found]
-    names = (*parameter_names(arm.n), *(["theta_E"] if s.theta_e else []))
     kinds_seen = sorted({kind for data in used for kind in data})
     heard = [one for session in sessions for one in session.streams.values()]
     odd = (one for one in heard if one.silent or one.unknown)
@@ -225,7 +215,7 @@ def calibrate(
     solution = None
     own = [stage.settings for _, stage in found]
     problem = problem_of(used, arm, s, kinds, of_kinds, own)
-    estimate = Estimate(names, problem.units, problem.guess)
+    estimate = Estimate(problem.names, problem.units, problem.guess)
     if found:
         start = begin(problem, [stage.arm for _, stage in found])
         result = solve(problem, start)

@@ -35,7 +35,7 @@ from fss_arm_calib.estimation.least_squares import (
 from fss_arm_model import layout
 from fss_arm_model.description import Arm
 from fss_arm_model.drifting import SURROUNDINGS
-from fss_arm_model.parameters import parameter_names, to_vector, unit, values, with_values
+from fss_arm_model.parameters import bounds, parameter_names, to_vector, unit, values, with_values
 
 TOLERANCE = 1e-5  # of the last update [deviations]; differences as derivatives err by less
 FIRST = 2  # iterations of the data's own unknowns alone
@@ -81,12 +81,10 @@ class JointProblem:
 
     @cached_property
     def bounds(self) -> tuple[Floats, Floats]:
-        """Least and largest values, (p,) each: as a dynamic calibration has them."""
-        low = np.array([1e-6 if name[0] in "mIa" else -inf for name in self.names])
-        high, n = np.full(len(low), inf), self.arm.n
-        low[3 * n + 6 : 4 * n + 6] = 0.0
-        high[3 * n + 6 : 4 * n + 6] = [link.a for link in self.arm.links]
-        return low, high
+        """Least and largest values, (p,) each."""
+        low, high = bounds(self.arm)
+        free = np.full(len(self.names) - len(low), inf)
+        return np.append(low, -free), np.append(high, free)
 
     @cached_property
     def _size(self) -> int:

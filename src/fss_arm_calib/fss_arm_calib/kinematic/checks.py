@@ -19,6 +19,7 @@ from fss_arm_calib.acceptance import (
     count,
     determined,
     enough,
+    fitting,
     numbers,
     outliers,
 )
@@ -77,7 +78,10 @@ def evaluate(solution: Solution, s: KinematicSettings) -> list[Check]:
     except DescriptionError as error:
         least = float(np.min(solution.problem.all_parameters(r.values)[: solution.problem.arm.n]))
         checks.append(Check("lengths", FAIL, least, 0.0, f"a mirrored solution: {error}"))
-    residuals = _fitting(solution, s)
+    residuals = fitting(
+        solution.first.chi_square, solution.first.degrees_of_freedom, s.min_probability,
+        "residuals are larger than the assumed deviations allow", solution.noise,
+    )  # fmt: skip
     far = outliers(
         solution.errors, solution.kept, s.outlier, s.max_outliers, "observation",
         "normalized residual",
@@ -89,18 +93,6 @@ def evaluate(solution: Solution, s: KinematicSettings) -> list[Check]:
         *checks, _lengths_kept(solution, s), residuals, far, _checked(solution, s),
         _predicted(solution, s),
     ]  # fmt: skip
-
-
-def _fitting(solution: Solution, s: KinematicSettings) -> Check:
-    """Whether residuals are as small as given, or as is believed of what they are estimated by."""
-    r, noise = solution.first, solution.noise
-    check = by_chance(
-        "fit", r.chi_square, r.degrees_of_freedom, s.min_probability,
-        "residuals are larger than the assumed deviations allow",
-    )  # fmt: skip
-    if noise.given.all():
-        return check
-    return replace(check, reason=f"{check.reason}; errors are {noise} by the residuals")
 
 
 def _determined(r: KinematicResult, s: KinematicSettings) -> Check:

@@ -12,8 +12,7 @@ from fss_arm_calib.kinematic.solution import problem_of
 from fss_arm_calib.segments.rests import Observation
 from fss_arm_model import layout
 from fss_arm_model.description import Arm
-from fss_arm_model.kinematics import tip_in_base, tip_regressor
-from fss_arm_model.planar import wrap
+from fss_arm_model.kinematics import tip_regressor
 
 
 @dataclass(frozen=True)
@@ -35,12 +34,10 @@ class RestEvidence:
         """Poses of the end effector, divided by their deviations."""
         problem, n = self.problem, self.problem.arm.n
         p = z[: layout.size(n)]
-        off = problem.tip - tip_in_base(p, problem.q)
-        off[:, 2] = wrap(off[:, 2])
-        J = np.zeros((*off.shape, len(z)))
+        J = np.zeros((*problem.tip.shape, len(z)))
         J[..., layout.kinematic_index(n)] = tip_regressor(p, problem.q)
         J[:, 2, layout.TIP_ANGLE] = 1.0
-        r = problem.normalized(off).ravel()
+        r = problem.normalized(problem.away(p)).ravel()
         rows = problem.in_deviations(J).reshape(len(r), len(z))
         return Linear(r, rows, r @ r, lambda dz: dz)
 

@@ -31,15 +31,10 @@ from math import hypot, inf
 import numpy as np
 import numpy.typing as npt
 
-from fss_arm_calib.estimation.least_squares import (
-    LOSSES,
-    SQUARE,
-    Floats,
-    Linear,
-)
+from fss_arm_calib.estimation.least_squares import LOSSES, SQUARE, Floats, Linear
 from fss_arm_model.description import Arm
 from fss_arm_model.kinematics import tip_in_base, tip_regressor
-from fss_arm_model.layout import kinematic_index, kinematic_names
+from fss_arm_model.layout import TIP_ANGLE, kinematic_index, kinematic_names
 from fss_arm_model.planar import wrap
 
 FULL, EQUAL, OFFSETS = "full", "equal", "offsets"
@@ -110,6 +105,11 @@ class KinematicProblem:
         return self.parametrization == EQUAL and self.arm.n > 2
 
     @property
+    def all_names(self) -> tuple[str, ...]:
+        """(2n+3) kinematic_names(n), then theta_E."""
+        return (*kinematic_names(self.arm.n), "theta_E")
+
+    @property
     def names(self) -> tuple[str, ...]:
         """The p parameters, of kinematic_names(n); if equal, `a` stands for a_1 .. a_{n-1}."""
         every, n = kinematic_names(self.arm.n), self.arm.n
@@ -125,16 +125,15 @@ class KinematicProblem:
 
     @cached_property
     def basis(self) -> Floats:
-        """(2n+3, p): kinematic_names(n) and theta_E are fixed + basis @ xi."""
-        every = np.array([*kinematic_names(self.arm.n), "theta_E"])
-        basis = (every[:, None] == np.array(self.names)).astype(float)
+        """(2n+3, p): all parameters are fixed + basis @ xi."""
+        basis = (np.array(self.all_names)[:, None] == np.array(self.names)).astype(float)
         if self.shares_length:
             basis[: self.arm.n - 1, 0] = 1.0
         return basis
 
     @cached_property
     def _index(self) -> npt.NDArray[np.intp]:
-        return np.append(kinematic_index(self.arm.n), 7)
+        return np.append(kinematic_index(self.arm.n), TIP_ANGLE)
 
     @cached_property
     def _guess(self) -> Floats:
@@ -155,7 +154,7 @@ class KinematicProblem:
         return self.chosen(self._guess[self._index])
 
     def all_parameters(self, xi: Floats) -> Floats:
-        """(2n+3,) in the order of kinematic_names(n), theta_E last."""
+        """(2n+3,) in the order of all_names."""
         return self.fixed + self.basis @ xi
 
     @property
@@ -195,9 +194,13 @@ class KinematicProblem:
 
     def residuals(self, xi: Floats) -> Floats:
         """Observed minus predicted poses (Eq. 2), (s, 3) [m, m, rad], the headings wrapped."""
-        residuals = self.tip - tip_in_base(self.vector(xi), self.q)
-        residuals[:, 2] = wrap(residuals[:, 2])
-        return residuals
+        return self.away(self.vector(xi))
+
+    def away(self, p: Floats) -> Floats:
+        """The same of an arm, Arm.vector()."""
+        away = self.tip - tip_in_base(p, self.q)
+        away[:, 2] = wrap(away[:, 2])
+        return away
 
     def regressor(self, xi: Floats) -> Floats:
         """Phi_k (Eq. 5), rows weighted by the root of W: (3s, p)."""
@@ -213,8 +216,7 @@ class KinematicProblem:
     @cached_property
     def assumed(self) -> Floats:
         """(2n+3, 2n+3) covariance of what is not estimated, as the description tells; else 0."""
-        names = (*kinematic_names(self.arm.n), "theta_E")
-        C = self.arm.known.over(names, np.zeros(len(names)))
+        C = self.arm.known.over(self.all_names, np.zeros(len(self.all_names)))
         estimated = self.basis.any(axis=1)
         C[estimated] = C[:, estimated] = 0.0
         return C

@@ -11,7 +11,6 @@ from fss_arm_calib.estimation.noise import Left
 from fss_arm_calib.estimation.statistics import root_mean_square
 from fss_arm_calib.kinematic.problem import KinematicProblem
 from fss_arm_model.description import Arm
-from fss_arm_model.layout import kinematic_names
 
 
 class Prediction(NamedTuple):
@@ -116,11 +115,12 @@ class KinematicResult:
         """
         problem, arm = self.problem, self.problem.arm
         *values, theta_E = problem.all_parameters(self.values).tolist()
-        names = (*kinematic_names(arm.n), "theta_E")
         cross = problem.basis @ problem.influence(self.values, self.weighted) @ problem.assumed
         C = problem.basis @ self.covariance @ problem.basis.T + problem.assumed - cross - cross.T
         uncertain = np.flatnonzero(np.diag(C) > 0.0)
-        known = arm.known.told([names[k] for k in uncertain], C[np.ix_(uncertain, uncertain)])
+        known = arm.known.told(
+            [problem.all_names[k] for k in uncertain], C[np.ix_(uncertain, uncertain)]
+        )
         return replace(arm.with_kinematics(values), theta_E=theta_E, known=known)
 
 

@@ -28,7 +28,7 @@ from fss_arm_calib.segments.poses import BASE, FROZEN, bins, mean_pose, seen_fro
 from fss_arm_calib.segments.samples import SECOND, Gap, Stamps
 from fss_arm_calib.segments.settings import ManeuverSettings
 from fss_arm_calib.segments.streams import Streams
-from fss_arm_model.base_motion import Path, path, sampled
+from fss_arm_model.joint_path import Path, path, sampled
 
 LOOK = SECOND // 10  # over which a pose on the base's way is averaged [ns]
 LEAST_SEEN = 1.0  # squares of the base's turns, of all frames, that the gyro is compared by [rad^2]

@@ -200,6 +200,11 @@ def bins(
             yield Bin(float(np.mean(t[those] - origin)) / SECOND, (x, y, heading), number, seconds)
 
 
+def independent(frames: npt.ArrayLike, seconds: npt.ArrayLike, rate: float) -> Floats:
+    """As how many poses averages (m,) count whose errors are independent at a rate [1/s]."""
+    return np.minimum(frames, np.maximum(1.0, rate * np.asarray(seconds)))
+
+
 def _interpolated(t: Stamps, stamps: Stamps, poses: Floats) -> Floats:
     """Poses at other times, exactly those given where the stamps are equal."""
     columns = [poses[:, 0], poses[:, 1], np.unwrap(poses[:, 2])]

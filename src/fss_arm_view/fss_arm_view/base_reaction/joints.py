@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from fss_arm_model.base_motion import Law, Path, path, sampled
+from fss_arm_model.joint_path import Law, Path, path, sampled
 
 SPARE = 64  # readings that are kept beyond what is asked for, so that forgetting is rare
 

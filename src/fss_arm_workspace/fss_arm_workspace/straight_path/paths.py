@@ -145,38 +145,10 @@ def straight_paths(
     direction = np.atleast_1d(np.asarray(direction, dtype=float))
     start, bounds, tip, options = _prepared(arm, start, direction, rules, limits)
     wish = np.zeros((1, arm.n)) if preferred is None else preferred
-    _, _, last, result = trace(arm.vector(), start, bounds, options, wish, np.zeros(1))
+    last, result = trace(arm.vector(), start, bounds, options, wish)
     length, reason, peak, left = np.moveaxis(result, -1, 0)
     grazes = (peak > GRAZED * rules.stopping_rate) | (left > NEAR)
     return Paths(start, rules.redundancy, tip, direction, length, reason.astype(int), last, grazes)
-
-
-def states_along(
-    arm: Arm,
-    start: npt.ArrayLike,
-    direction: float,
-    lengths: npt.ArrayLike,
-    rules: Rules | None = None,
-    limits: npt.ArrayLike | None = None,
-) -> tuple[Floats, Floats]:
-    """States on one straight path, and their derivatives by its length, (m, 3 + n); NaN beyond it.
-
-    Args:
-        arm: the arm.
-        start: state to begin from, (3 + n,).
-        direction: in the world [rad].
-        lengths: after which the states are asked for, ascending, (m,) [m].
-        rules: how the path is followed.
-        limits: lowest and highest joint readings, (n, 2) [rad]; the arm's by default.
-
-    Raises:
-        ValueError: as straight_paths.
-    """
-    rules = rules or Rules()
-    start, bounds, _, options = _prepared(arm, start, np.array([direction]), rules, limits)
-    wish = np.zeros((1, arm.n))
-    states, rates, _, _ = trace(arm.vector(), start, bounds, options[0], wish, lengths)
-    return states, rates
 
 
 def straight_workspace(

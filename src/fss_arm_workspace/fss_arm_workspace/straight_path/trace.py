@@ -12,7 +12,6 @@ import numpy.typing as npt
 
 from fss_arm_model.kernels import Complexes, Floats, helper, kernel
 from fss_arm_model.kinematics import _chain, _mass, checked
-from fss_arm_workspace.manipulability.measure import _held
 from fss_arm_workspace.straight_path.redundancy import (
     _MET,
     _at_limit,
@@ -133,51 +132,31 @@ def _within(limits: Floats, free: Floats, q: Floats, new: Floats) -> float:
     return share
 
 
-@helper
-def _state_rates(d: Complexes, A: Floats, x: Floats, J: Floats, qd: Floats) -> None:
-    """Write the rates (3 + n,) of base and joints: the base moves as the tip with joints held."""
-    turn, v = 0.0, 0j
-    reach = _held(d, J)
-    for k in range(x.size):
-        turn += A[2, k] * x[k]
-        v += complex(A[0, k] - J[0, k], A[1, k] - J[1, k]) * x[k]
-        qd[3 + k] = x[k]
-    v -= 1j * turn * reach
-    qd[0], qd[1], qd[2] = v.real, v.imag, turn
-
-
-@kernel("(p),(n,k),(m),(o),(c,n),(s),(r)->(s,m),(s,m),(m),(r)")
+@kernel("(p),(n,k),(m),(o),(c,n),(r)->(m),(r)")
 def _traced(  # type: ignore[no-untyped-def]
-    p, limits, start, options, preferred, samples, _r, states, derivatives, q, result,
+    p, limits, start, options, preferred, _r, q, result,
 ):  # fmt: skip
     n = start.size - 3
     d, e = np.empty((2, n + 1), np.complex128)
-    A, J = np.empty((2, 3, n))
-    C, rates = np.empty((3, 3)), np.empty((4, n + 3))
+    A, C, rates = np.empty((3, n)), np.empty((3, 3)), np.empty((4, n + 3))
     free, stage, new, x = np.empty(n), np.empty(n + 3), np.empty(n + 3), np.zeros(n)
     direction, base = complex(options[0], options[1]), options[2]
     fastest, longest_step, far = options[5], options[6], options[7]
     segment = options[8]
     rows = 3 if base == 2.0 else 2
     q[:] = start
-    states[:], derivatives[:] = math.nan, math.nan
     _chain(p, q, d, e)
     origin = complex(q[0], q[1])
     com = origin + _com(p, d, e)
     tip = origin
     for k in range(n + 1):
         tip += d[k]
-    s, peak, highest, reason, sampled, still = 0.0, 0.0, 0.0, _TABLE, 0, 0
+    s, peak, highest, reason, still = 0.0, 0.0, 0.0, _TABLE, 0
     rate, slope, h = 0.0, 0.0, 0.0
     while True:
         wish = preferred[min(int(s / segment), preferred.shape[0] - 1)]
         _rows(p, q, base, d, e, A)
         moving, left = _choose(limits, q, A, rows, options, wish, direction, free, rates, C, x)
-        while sampled < samples.size and samples[sampled] <= s:
-            states[sampled] = q
-            if moving:
-                _state_rates(d, A, x, J, derivatives[sampled])
-            sampled += 1
         if s >= far:
             break
         stuck = 0
@@ -200,8 +179,6 @@ def _traced(  # type: ignore[no-untyped-def]
         h = min(longest_step, far - s, _TURN / max(rate, 1e-9))
         if slope > 0.0:  # towards a singularity
             h = min(h, max(_GROWTH * rate / slope, _SHORTEST))
-        if sampled < samples.size:
-            h = min(h, samples[sampled] - s)
         if options[3] == 2.0:  # its weights grow as fast as the room shrinks
             for k in range(n):
                 if free[k] == 0.0:
@@ -249,8 +226,7 @@ def trace(
     limits: npt.ArrayLike,
     options: npt.ArrayLike,
     preferred: npt.ArrayLike,
-    samples: npt.ArrayLike,
-) -> tuple[Floats, Floats, Floats, Floats]:
+) -> tuple[Floats, Floats]:
     """Draw the tip along straight lines.
 
     Args:
@@ -261,16 +237,14 @@ def trace(
             [rad/m]; joint rate that counts as a singularity [rad/m]; longest step [m]; length at
             which the table ends [m]; length of a segment of z [m].
         preferred: z of the rule "preferred", (..., c, n) [rad/m], one row a segment.
-        samples: lengths (..., s) at which to report the state, ascending [m].
 
     Returns:
-        States at the samples, and their derivatives by the length, (..., s, 3 + n), NaN beyond the
-        end; the last state (..., 3 + n); and (..., 4): length [m], index in REASONS, highest rate
-        that was passed and sank again [rad/m], and estimated length between a stop for the rate
-        and the singularity itself [m].
+        The last state (..., 3 + n); and (..., 4): length [m], index in REASONS, highest rate that
+        was passed and sank again [rad/m], and estimated length between a stop for the rate and the
+        singularity itself [m].
 
     Raises:
         ValueError: shapes do not fit.
     """
     p, q, _ = checked(p, q)
-    return _traced(p, limits, q, options, preferred, samples, np.empty(4))
+    return _traced(p, limits, q, options, preferred, np.empty(4))

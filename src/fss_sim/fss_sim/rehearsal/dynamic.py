@@ -21,22 +21,17 @@ from fss_arm_calib import report
 from fss_arm_calib.acceptance import PASS
 from fss_arm_calib.dynamic.calibrate import calibrate
 from fss_arm_calib.dynamic.kind import DYNAMIC
-from fss_arm_calib.dynamic.parameters import values
 from fss_arm_calib.dynamic.settings import DynamicSettings
 from fss_arm_calib.dynamic.solution import Solution
-from fss_arm_calib.experiment.design import (
-    Planned,
-    design,
-    expected,
-    from_yaml,
-    to_yaml,
-)
+from fss_arm_calib.experiment.design import design, expected
+from fss_arm_calib.experiment.planned import Planned, from_yaml, to_yaml
 from fss_arm_calib.experiment.settings import Conditions
 from fss_arm_calib.from_bag import solve_bag
 from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.segments.maneuvers import Maneuver
 from fss_arm_model.description import Arm, paper_arm
 from fss_arm_model.description_file import save
+from fss_arm_model.parameters import values
 from fss_sim.rehearsal.domain import Domain
 from fss_sim.rehearsal.person import LINKS, Operator, own_domain
 from fss_sim.rehearsal.processes import Nodes, RehearsalError
