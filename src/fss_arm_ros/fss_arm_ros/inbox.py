@@ -10,16 +10,20 @@ from typing import Any
 from rclpy.node import Node
 from rclpy.subscription import Subscription
 
+from fss_arm_ros.door import Door
 from fss_arm_ros.ear import OutsideExecutors
 from fss_arm_ros.qos import LAST, sensor
 
 
 class Inbox:
-    """Subscriptions of a node, of any publisher, that no executor handles."""
+    """Subscriptions of a node, of any publisher, that no executor handles.
+
+    Callbacks get what the rule of the type allows (door.py).
+    """
 
     def __init__(self, node: Node) -> None:
         self._node, self._group = node, OutsideExecutors()
-        self._boxes: list[tuple[Subscription, type, Callable[[Any], None]]] = []
+        self._boxes: list[tuple[Subscription, Door, Callable[[Any], None]]] = []
 
     def listen(
         self, kind: type, topic: str, callback: Callable[[Any], None], last: bool = False
@@ -27,13 +31,14 @@ class Inbox:
         """Have a topic's messages wait, or the last one alone."""
         qos = LAST if last else sensor(best_effort=True)
         subscription = self._node.create_subscription(
-            kind, topic, callback, qos, callback_group=self._group
+            kind, topic, callback, qos, callback_group=self._group, raw=True
         )
-        self._boxes.append((subscription, kind, callback))
+        self._boxes.append((subscription, Door(self._node, kind, topic), callback))
 
     def take(self) -> None:
         """Hand over all messages that have come, topic after topic."""
-        for subscription, kind, callback in self._boxes:
+        for subscription, door, callback in self._boxes:
             with subscription.handle:
-                while taken := subscription.handle.take_message(kind, False):
-                    callback(taken[0])
+                while taken := subscription.handle.take_message(subscription.msg_type, True):
+                    if (message := door.opened(taken[0])) is not None:
+                        callback(message)
