@@ -169,14 +169,15 @@ def spoiled(**changes):
 def test_trajectories_that_make_no_sense_are_left_out(bench):
     bench.acts()
     bench.silent |= {"base/trajectory"}
-    good = bench.control.trajectory.value
     nan = spoiled()
     nan.points[0].transforms[0].translation.x = np.nan
     twice = spoiled()
     twice.points = [twice.points[0]] * 2
     bare = spoiled()
     bare.points[0].transforms = []
-    for message in (nan, twice, bare, spoiled(joint_names=["target"])):
+    elsewhere = spoiled()
+    elsewhere.header.frame_id = "fss"
+    for message in (nan, twice, bare, elsewhere, spoiled(joint_names=["target"])):
         bench.trajectory.publish(message)
     bench.ceases("base/trajectory is ")
     assert bench.control.trajectory.value[1].knots[0, 0, 0] == bench.path.knots[0, 0, 0]
