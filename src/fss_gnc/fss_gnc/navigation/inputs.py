@@ -224,14 +224,16 @@ class KnownInputs:
         self._model(max(now, self._newest), omega)
         return t - round((now - before) * SECOND) if changed else None
 
-    def plan(self, times: Sequence[int], rates: npt.ArrayLike) -> bool:
-        """The joints are to have rates (k, n) [rad/s] at times [ns]; False: that is no plan."""
-        t, qd = np.array([self._seconds(at) for at in times]), np.asarray(rates, dtype=float)
+    def plan(self, stamp: int, ahead: Floats, rates: Floats) -> None:
+        """Take a plan of the joints' rates, which replaces the one before.
+
+        Args:
+            stamp: when it begins [ns].
+            ahead: (k,) times since then, rising [s]; those after the first POINTS do not count.
+            rates: (k, n) of the joints at these times [rad/s].
+        """
+        t, qd = self._seconds(stamp) + ahead[:POINTS], rates[:POINTS]
         k = len(t)
-        if qd.shape != (k, self.n) or not np.isfinite(qd).all() or (np.diff(t) <= 0.0).any():
-            return False
-        if k > POINTS:
-            t, qd, k = t[:POINTS], qd[:POINTS], POINTS
         self._planned_at[:], self._planned[:] = NEVER, 0.0
         if k > 1:
             self._planned_at[-k:] = t
