@@ -338,7 +338,7 @@ class BodyFilter:
             ("heading", P[2, 2], most.max_heading_deviation, "rad"),
             ("speed", max(P[3, 3], P[4, 4]), most.max_speed_deviation, "m/s"),
         ):
-            if variance > bound**2:
+            if not variance <= bound**2:
                 return f"{what} known to {variance**0.5:.2g} {unit} only"
         return ""
 

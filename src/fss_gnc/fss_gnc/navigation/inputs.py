@@ -30,7 +30,10 @@ FOLLOWS = 0.2  # how long a joint may be off from its plan in the same way [s]
 RESTS = 1e-4  # change of a joint's rate that the base does not feel [rad/s]
 LATELY = 0.5  # [s]
 RATE_ERROR = 5e-4  # of a joint's rate that is read, at least [rad/s]
-READINGS, PULSES, POINTS = 8, 32, 16  # kept of each joint, of commands to the valves, of a plan
+FASTEST = 100.0  # a joint's rate beyond which a reading is no measurement [rad/s]
+#: Kept of each joint and of commands to the valves, at 50 a second more than the filter's MEMORY,
+#: within which it may compute anew; and of a plan.
+READINGS, PULSES, POINTS = 64, 64, 16
 NEVER, FOREVER = -np.inf, np.inf
 
 
@@ -213,7 +216,7 @@ class KnownInputs:
         """
         at, rates = self._read_at[i], self._rates[i]
         now = self._seconds(t)
-        if not (isfinite(q) and isfinite(qd)) or now <= at[-1]:
+        if not (isfinite(q) and abs(qd) < FASTEST) or now <= at[-1]:
             return None
         before = float(at[-1])
         if now - before > UNHEARD:  # what it did meanwhile is not known
