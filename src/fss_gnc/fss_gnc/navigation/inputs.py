@@ -65,26 +65,10 @@ def _linearized(  # type: ignore[no-untyped-def]
     work, H = np.empty((3, n + 1), np.complex128), np.empty((3 + n, 3 + n))
     _inertia(p, q, work, H)
     _bias(p, q, qd, work, tau)
-    m, x, y = H[0, 0], H[1, 2] / H[0, 0], -H[0, 2] / H[0, 0]  # all the mass, and its centre
-    about = H[2, 2] - m * (x * x + y * y)  # inertia about that
-    turn = np.array([y, -x, 1.0])  # of the base, as all turns about it
-    for i in range(3):
-        still[i] = 0.0
-        for j in range(3):
-            mobility[i, j] = turn[i] * turn[j] / about
-            if i == j and i < 2:
-                mobility[i, j] += 1.0 / m
-            still[i] += mobility[i, j] * (leaks[j] - tau[j])
-        for k in range(n):
-            by_joint[i, k] = 0.0
-            for j in range(3):
-                by_joint[i, k] -= mobility[i, j] * H[j, 3 + k]
-    for i in range(3):
-        for j in range(3):
-            read[i, j] = tail[i, j] = quiet[i, j]
-            for k in range(n):
-                read[i, j] += by_joint[i, k] * even[k] * by_joint[j, k]
-                tail[i, j] += by_joint[i, k] * loose[k] * by_joint[j, k]
+    M = np.linalg.inv(H[:3, :3])
+    B = -M @ np.ascontiguousarray(H[:3, 3:])
+    mobility[:], by_joint[:], still[:] = M, B, M @ (leaks - tau[:3])
+    read[:], tail[:] = quiet + B * even @ B.T, quiet + B * loose @ B.T
 
 
 @kernel(
@@ -241,7 +225,6 @@ class KnownInputs:
         if k > 1:
             self._planned_at[-k:] = t
             self._planned[-k:-1] = np.diff(qd, axis=0) / np.diff(t)[:, None]
-        return True
 
     def open_times(self, begin: int, end: int) -> Floats:
         """For how long valves are open from one time [ns] to another, (8,) [s].
