@@ -77,13 +77,21 @@ class Path:
 
     def at(self, t: float) -> Reference:
         """Where the base is to be at a time [s]."""
-        if not self.times[0] <= t < self.times[-1]:
-            return Reference.at_rest(self.knots[0 if t < self.times[0] else -1, 0])
-        k = int(np.searchsorted(self.times, t, side="right")) - 1
-        h, c = self.times[k + 1] - self.times[k], self._coefficients[k]
-        s = np.power((t - self.times[k]) / h, _POWERS[: len(c)])
-        slope, bend = _POWERS[1 : len(c)] * s[:-1], _BENDS[: len(c) - 2] * s[:-2]
-        return Reference(s @ c, slope @ c[1:] / h, bend @ c[2:] / h**2)
+        return Reference(*self.states(np.array([t]))[0])
+
+    def states(self, t: Floats) -> Floats:
+        """Pose, twist and acceleration at times (m,) [s], (m, 3, 3)."""
+        found = np.zeros((len(t), 3, 3))
+        found[:, 0] = np.where(t[:, None] < self.times[0], self.knots[0, 0], self.knots[-1, 0])
+        on = (self.times[0] <= t) & (t < self.times[-1])
+        k = np.searchsorted(self.times, t[on], side="right") - 1
+        h, c = (self.times[k + 1] - self.times[k])[:, None], self._coefficients[k]
+        size = c.shape[1]
+        s = ((t[on] - self.times[k])[:, None] / h) ** _POWERS[:size]
+        slope, bend = _POWERS[1:size] * s[:, :-1], _BENDS[: size - 2] * s[:, :-2]
+        for d, part in enumerate((s, slope, bend)):
+            found[on, d] = np.einsum("mj,mji->mi", part, c[:, d:]) / h**d
+        return found
 
     @cached_property
     def _coefficients(self) -> Floats:
@@ -94,10 +102,9 @@ class Path:
         return _solved(depth) @ ends.reshape(len(steps), 2 * depth, 3)
 
     def sampled(self, begin: float, count: int = 65) -> tuple[Floats, Floats]:
-        """Times from `begin` to the end, (count,), and pose, twist, acceleration, (count, 3, 3)."""
+        """Times from `begin` to the end, (count,), and the states then, (count, 3, 3)."""
         times = np.linspace(min(begin, self.end), self.end, count)
-        found = [self.at(t) for t in times]
-        return times, np.array([[r.pose, r.twist, r.acceleration] for r in found])
+        return times, self.states(times)
 
 
 _POWERS = np.arange(6.0)
