@@ -6,11 +6,13 @@ known at both: poses (linear), twists too (cubic), accelerations too (quintic).
 
 from dataclasses import dataclass
 from functools import cache, cached_property
-from math import factorial, pi
+from math import factorial
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+
+from fss_arm_model.planar import wrap
 
 Floats = npt.NDArray[np.float64]
 
@@ -123,13 +125,8 @@ def _solved(depth: int) -> Floats:
     return np.asarray(np.linalg.inv(rows), dtype=float)
 
 
-def wrapped(angle: float) -> float:
-    """The angle from -pi on and below pi."""
-    return float((angle + pi) % (2.0 * pi) - pi)
-
-
 def off(pose: npt.ArrayLike, wanted: npt.ArrayLike) -> Floats:
     """A pose less another, (3,), the heading the shorter way."""
     apart = np.asarray(pose, dtype=float) - np.asarray(wanted, dtype=float)
-    apart[2] = wrapped(apart[2])
+    apart[2] = wrap(apart[2])
     return apart

@@ -16,13 +16,14 @@ import numpy as np
 import numpy.typing as npt
 
 from fss_arm_model.held import Approach, approach, momentum_of_both
+from fss_arm_model.planar import wrap
 from fss_arm_motion.guard import Guard, GuardError
 from fss_gnc.guidance.abort import Abort
 from fss_gnc.guidance.activity import Craft, Ended, Orders, Seen
 from fss_gnc.guidance.approach import Planner, Points, Way
 from fss_gnc.guidance.detumble import Detumble
 from fss_gnc.guidance.drift import Drifting
-from fss_gnc.guidance.reach import Reach, wrapped
+from fss_gnc.guidance.reach import Reach
 from fss_gnc.guidance.rest import braking, slowing
 from fss_gnc.guidance.watch import Watch
 from fss_gnc.reference import Body, Path, off
@@ -189,9 +190,8 @@ class Capture:
 
     def _facing(self, state: Floats, way: Way, ahead: float) -> float:
         """Angle that the fixture has to turn yet to face the arm, a time ahead [s]."""
-        return wrapped(
-            float(way.end[1]) - self.planner.side(float(state[0, 2] + ahead * state[1, 2]))
-        )
+        side = self.planner.side(float(state[0, 2] + ahead * state[1, 2]))
+        return float(wrap(way.end[1] - side))
 
     def _reach(self, seen: Seen, q: Floats, qd: Floats, state: Floats) -> Orders:
         """Towards the fixture, and closing there; the arm goes on following while it closes."""

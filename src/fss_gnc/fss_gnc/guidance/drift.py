@@ -7,9 +7,7 @@ import numpy.typing as npt
 
 from fss_arm_model import layout
 from fss_arm_model.clearance import gaps, sizes, with_edge, with_target
-from fss_arm_model.held import held_at
-from fss_gnc.guidance.approach import Body as Rigid
-from fss_gnc.guidance.approach import coasted
+from fss_gnc.guidance.approach import Rigid, coasted
 from fss_gnc.guidance.mission_settings import MissionSettings
 from fss_gnc.reference import Body
 

@@ -3,7 +3,7 @@
 from collections import deque
 from collections.abc import Sequence
 from functools import partial
-from math import expm1, hypot, pi
+from math import expm1, hypot
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +12,7 @@ from fss_arm_model.description import Arm
 from fss_arm_model.held import Target, held, hold, with_held
 from fss_arm_model.kernels import Floats
 from fss_arm_model.kinematics import tip_jacobian, tip_pose
+from fss_arm_model.planar import wrap
 from fss_arm_model.thrusters import COUNT
 
 from .body_filter import GATE, BodyFilter, BodyState, Free, Pose
@@ -129,7 +130,7 @@ class Navigation:
                 self._weigh()
             else:
                 off = place - self.place
-                off[2] = (off[2] + pi) % (2.0 * pi) - pi
+                off[2] = wrap(off[2])
                 self.place = self.place + EASED * off
         return believed
 
@@ -277,7 +278,7 @@ class Navigation:
                 return name
         if self.base.events and self.inputs.heard:
             x, y, heading = tip_pose(self.p, self._state(t)[0]).tolist()
-            turned = (pose[2] - heading + pi) % (2.0 * pi) - pi
+            turned = wrap(pose[2] - heading)
             if hypot(pose[0] - x, pose[1] - y) < min(SAME[0], within) and abs(turned) < SAME[1]:
                 return "end effector"
         return ""
