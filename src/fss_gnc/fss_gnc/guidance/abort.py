@@ -64,8 +64,8 @@ class Abort:
         if np.isnan(self._known):
             self._known = self._quiet = self._heard = seen.t
         rates = self.joints.rates(self.p, seen)
-        close = None if seen.holds is None else bool(seen.holds)
-        return Orders("abort", self._path(seen), rates, close, ended=self._end(seen))
+        path, ended = self._path(seen), self._end(seen)
+        return Orders("abort", path, rates, seen.keeping, reason=self.reason, ended=ended)
 
     def cancel(self, reason: str) -> None:
         """It goes on: there is nothing safer."""

@@ -33,7 +33,8 @@ class Account:
         self.before = seen.propellant if np.isnan(self.before) else self.before
         self.propellant = self.before - seen.propellant
         if seen.effort is not None:
-            self.largest_torque = float(np.fmax(self.largest_torque, np.abs(seen.effort).max()))
+            most = np.fmax.reduce(np.abs(seen.effort))  # of those that are known
+            self.largest_torque = float(np.fmax(self.largest_torque, most))
         self.momentum, self.edge, self.target = _unknown(), np.nan, np.nan
         if seen.base is None or seen.q is None:
             return

@@ -41,6 +41,11 @@ class Seen:
     pushed: bool = False  # momentum changes as nothing known explains
 
     @property
+    @property
+    def keeping(self) -> bool | None:
+        """What to tell the gripper to keep what it holds, and to be open else; None: nothing."""
+        return None if self.holds is None else bool(self.holds)
+
     def floating(self) -> tuple[Floats, Floats]:
         """State of base and arm and its rate, (3 + n,) each.
 
@@ -72,6 +77,7 @@ class Orders:
     keep_out: float = 0.0  # radius about the target that it keeps off [m]
     fixture_distance: float = np.nan  # from the end effector to the target's fixture [m]
     ended: Ended | None = None
+    reason: str = ""  # why it aborts or brakes; empty: it does not
 
 
 class Activity(Protocol):

@@ -57,7 +57,7 @@ class AlongPath:
             self.phase, self.path = "brake", braking(self.settings, base, seen.t)
         return Orders(
             self.phase if seen.t < self.path.end or self.cancelled else "hold", self.path,
-            keep_out=self.settings.keep_out, ended=self._end(seen.t, base),
+            keep_out=self.settings.keep_out, reason=self.cancelled, ended=self._end(seen.t, base),
         )  # fmt: skip
 
     def cancel(self, reason: str) -> None:
@@ -75,7 +75,11 @@ class AlongPath:
         s = self.settings
         distance, turn = float(np.hypot(*self.offset[:2])), abs(float(self.offset[2]))
         if distance > s.max_offset or turn > s.max_turn:
-            return Ended(False, f"the base is {distance:.3f} m and {np.degrees(turn):.1f} deg off")
+            return Ended(
+                False,
+                f"the base is {distance:.3f} m and {np.degrees(turn):.1f} deg off its reference, "
+                f"expected at most {s.max_offset:g} m and {np.degrees(s.max_turn):.0f} deg",
+            )
         if self.cancelled:
             over = self.well or t >= self.path.end
             return Ended(self.well, "" if self.well else self.cancelled) if over else None
@@ -86,7 +90,9 @@ class AlongPath:
         if self.patience is not None and t > self.path.end + self.patience:
             late = f"{self.patience:g} s after the planned time"
             return Ended(
-                False, f"the base is {distance:.3f} m and {np.degrees(turn):.1f} deg off {late}"
+                False,
+                f"the base is {distance:.3f} m and {np.degrees(turn):.1f} deg off its goal, or not "
+                f"at rest, {self.patience:g} s after the planned time",
             )
         return None
 
@@ -138,6 +144,8 @@ def go_to(
     shortest = least_duration(craft.settings, begin, goal)
     lasts = _duration(duration) or shortest
     if lasts < shortest - 1e-6:
+    if (np.abs(goal[:2]) > 0.5 * np.array(craft.settings.table)).any():
+        raise ActivityError(f"pose is at {goal[0]:g}, {goal[1]:g} m, beyond the table's edge")
         raise ActivityError(
             f"duration is {lasts:g} s, expected at least {shortest:.1f} s for the limits"
         )

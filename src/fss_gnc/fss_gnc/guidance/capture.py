@@ -83,7 +83,7 @@ class Capture:
             return self._grasped(seen)
         if seen.base is None or seen.q is None or seen.target is None:
             self._moved = seen.t
-            return Orders("wait", close=False)
+            return Orders("wait", close=seen.keeping)
         q, qd = seen.floating
         state = np.array([seen.target.pose, seen.target.twist])
         self.met = approach(self.p, q, qd, self.target, state)
@@ -116,10 +116,11 @@ class Capture:
             return "target/state is not known"
         if seen.holds is None and self.phase in ("reach", "grip"):
             return "gripper/state is not known"
-        if self.phase == "wait" and (seen.base is None or seen.q is None or seen.target is None):
+        known = seen.base is not None and seen.q is not None and seen.target is not None
+        if self.phase == "wait" and not known and not seen.open_valves:
             late = seen.t - self.since > s.wait_timeout
             return "base, arm or target are not known" if late else ""
-        return self.watch.reason(seen, self._path, timeouts[self.phase], self.since)
+        return self.watch.reason(seen, self._path, self.phase, timeouts[self.phase], self.since)
 
     def _wait(self, seen: Seen, q: Floats, qd: Floats, state: Floats) -> Orders:
         self._path = None
@@ -131,7 +132,7 @@ class Capture:
         self._moved = self._moved if is_there else seen.t
         if seen.t >= self._moved + SETTLED:
             self._seek(seen.t, q, qd, state)
-        return Orders("wait", None, self._still(q), False)
+        return Orders("wait", None, self._still(q), seen.keeping)
 
     def _seek(self, t: float, q: Floats, qd: Floats, state: Floats) -> None:
         """Look for a way, a few tries in a step, from where base and arm are when it begins."""
@@ -165,7 +166,7 @@ class Capture:
         elif left <= 0.0:
             self._arrived(seen, q, qd, state, way)
         return Orders(
-            "approach", self._path, self._still(q), False, keep_out=self.settings.keep_out,
+            "approach", self._path, self._still(q), seen.keeping, keep_out=self.settings.keep_out,
             fixture_distance=self.met.distance if self.met else np.nan,
         )  # fmt: skip
 

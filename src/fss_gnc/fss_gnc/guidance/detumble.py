@@ -51,7 +51,7 @@ class Detumble:
             self._begun = self._moving = seen.t
         if self.abort is None:
             reason = self.watch.reason(
-                seen, self._path, self.settings.detumble_timeout, self._begun
+                seen, self._path, "detumble", self.settings.detumble_timeout, self._begun
             )
             if reason:
                 self.cancel(reason)
