@@ -50,7 +50,7 @@ class AlongPath:
         self._measure(seen.t, base)
         if seen.t < self.path.end and not self.cancelled and self.patience is not None:
             try:
-                self.room.check(self.path, seen.t, q[3:], None if seen.holds else seen.target)
+                self.room.check(self.path, seen.t, seen)
             except ActivityError as error:
                 self.cancel(str(error))
         if self.cancelled and not self.well and self.phase != "brake":
@@ -88,7 +88,6 @@ class AlongPath:
         if self.reached is not None:
             return Ended(True) if t >= self.reached + self.hold else None
         if self.patience is not None and t > self.path.end + self.patience:
-            late = f"{self.patience:g} s after the planned time"
             return Ended(
                 False,
                 f"the base is {distance:.3f} m and {np.degrees(turn):.1f} deg off its goal, or not "
@@ -113,14 +112,18 @@ def hold(craft: Craft, seen: Seen, pose: npt.ArrayLike, duration: float) -> Alon
         duration: how long [s]; 0: until it is cancelled.
 
     Raises:
-        ActivityError: it makes no sense, or the pose is too far.
+        ActivityError: it makes no sense, the pose is too far, or the way to it is not free.
     """
     q, qd = seen.floating
     pose, lasts = np.asarray(pose, dtype=float), _duration(duration) or inf
     if not pose.size:
         return AlongPath(craft, "hold", braking(craft.settings, Body(q[:3], qd[:3])), lasts, None)
     _check_near(craft.settings, "pose", _pose(pose), q[:3], "; base/go_to goes there")
-    return AlongPath(craft, "hold", Path(np.zeros(1), pose.reshape(1, 1, 3)), lasts, None)
+    found = AlongPath(craft, "hold", Path(np.zeros(1), pose.reshape(1, 1, 3)), lasts, None)
+    goal = q[:3] + off(pose, q[:3])
+    way = Path(np.array([0.0, 1.0]), np.array([[q[:3]], [goal]]))
+    found.room.check(way, 0.0, seen)
+    return found
 
 
 def go_to(
@@ -141,11 +144,11 @@ def go_to(
     q, qd = seen.floating
     begin = Reference(q[:3], qd[:3], np.zeros(3))
     goal = q[:3] + off(_pose(pose), q[:3])
+    if (np.abs(goal[:2]) > 0.5 * np.array(craft.settings.table)).any():
+        raise ActivityError(f"pose is at {goal[0]:g}, {goal[1]:g} m, beyond the table's edge")
     shortest = least_duration(craft.settings, begin, goal)
     lasts = _duration(duration) or shortest
     if lasts < shortest - 1e-6:
-    if (np.abs(goal[:2]) > 0.5 * np.array(craft.settings.table)).any():
-        raise ActivityError(f"pose is at {goal[0]:g}, {goal[1]:g} m, beyond the table's edge")
         raise ActivityError(
             f"duration is {lasts:g} s, expected at least {shortest:.1f} s for the limits"
         )
@@ -194,7 +197,7 @@ def follow(
 
 def _along(craft: Craft, seen: Seen, phase: str, path: Path, hold: float) -> AlongPath:
     found = AlongPath(craft, phase, path, hold, craft.settings.max_overrun)
-    found.room.check(path, 0.0, seen.floating[0][3:], None if seen.holds else seen.target)
+    found.room.check(path, 0.0, seen)
     return found
 
 
@@ -282,6 +285,6 @@ def _pose(pose: npt.ArrayLike) -> Floats:
 
 
 def _duration(value: float, name: str = "duration") -> float:
-    if not value >= 0.0:
+    if not 0.0 <= value < inf:
         raise ActivityError(f"{name} is {value} s, expected 0 or more")
     return float(value)

@@ -9,6 +9,7 @@ from fss_arm_model import layout
 from fss_arm_model.clearance import gaps, sizes, with_edge, with_target
 from fss_gnc.guidance.approach import Rigid, coasted
 from fss_gnc.guidance.mission_settings import MissionSettings
+from fss_gnc.guidance.room import held_gap
 from fss_gnc.reference import Body
 
 Floats = npt.NDArray[np.float64]
@@ -93,8 +94,8 @@ class Drifting:
         least: Floats = gaps(self.p, states, self._edge, self._sizes).min(axis=-1)
         if self.held is None:
             return least
-        room = self._sizes[-2:] - np.abs(held_at(self.p, states, self.held))
-        return np.minimum(least, room.min(axis=-1) - self.settings.target_radius)
+        s = self.settings
+        return np.minimum(least, held_gap(self.p, states, self.held, s.target_radius, s))
 
     def _looked(
         self,
