@@ -10,7 +10,7 @@ heard slow down within their torques. A target that is held stays so: let go, it
 the arm; one that is not is let go.
 
 Where a valve does not close, no drift is safe: the base comes to rest, with room about it, and is
-held there until the gas is spent.
+held there until the gas is spent: by what the tank tells, or else until the valves hold it no more.
 """
 
 import numpy as np
@@ -21,7 +21,7 @@ from fss_gnc.guidance.activity import Craft, Ended, Orders, Seen
 from fss_gnc.guidance.base_motion import least_duration
 from fss_gnc.guidance.drift import Drift, Drifting
 from fss_gnc.guidance.rest import braking, slowing
-from fss_gnc.reference import Body, Path, Reference
+from fss_gnc.reference import Body, Path, Reference, off
 
 Floats = npt.NDArray[np.float64]
 
@@ -55,6 +55,7 @@ class Abort:
         self._push: Path | None = None
         self._busy = -np.inf  # until when it is pushed, or held [s]
         self._leaks = False  # a valve
+        self._gone = False  # the base, from where it is held: the valves do not hold it any more
         self._held: Floats | None = None  # place of the target in the gripper (held.py)
         self._known = self._quiet = np.nan  # since when; NaN: it has not begun
         self._heard = np.nan  # when the joints were last, or it began [s]
@@ -84,7 +85,7 @@ class Abort:
     def _path(self, seen: Seen) -> Path | None:
         q_m = seen.last_q if seen.q is None and not seen.holds else seen.q
         if seen.base is None or q_m is None or seen.holds is None:
-            self._push = None
+            self._push, self._busy = None, -np.inf
             return None
         self._known = seen.t
         self._heard = self._heard if seen.q is None else seen.t
@@ -95,7 +96,12 @@ class Abort:
             self.p = with_held(self.p, self.settings.target, self._held)
         target = None if seen.holds else seen.target
         drifting = Drifting(self.p, self.settings, self._held if seen.holds else None)
-        if seen.t < self._busy and not seen.propellant <= EMPTY:
+        if np.isnan(seen.propellant) and self._leaks and self._push is not None:
+            apart = off(seen.base.pose, self._push.at(seen.t).pose)
+            far = float(np.hypot(*apart[:2])) > self.settings.max_offset
+            self._gone = self._gone or (far and seen.t > self._push.end)
+        gas = not (self._gone or seen.propellant <= EMPTY)
+        if seen.t < self._busy and gas:
             if self._leaks and self._push is not None and seen.t > self._push.end:
                 self._make_room(drifting, seen.t, q, target)
             self._quiet = seen.t
@@ -105,7 +111,6 @@ class Abort:
         if seen.q is None and seen.t < self._heard + LATE:
             return None
         self.drift, self._push = drifting.as_is(q, qd, target), None
-        gas = not seen.propellant <= EMPTY
         self._leaks = gas and (bool(seen.open_valves) or seen.pushed)
         if self._leaks:
             self._push = braking(self.p, q, qd, self.settings, seen.t)
@@ -136,7 +141,15 @@ class Abort:
             return Ended(False, f"{self.reason}; base, joints or gripper not known, valves closed")
         if seen.t - self._quiet < QUIET or self.drift is None or seen.base is None:
             return None
-        return Ended(self.asked and self.drift.safe, self.reason)
+        if self._gone:
+            return Ended(False, f"{self.reason}; the valves do not hold the base any more")
+        if not self.drift.safe:
+            near = f"{self.drift.edge:.2f} m from the table's edge"
+            if np.isfinite(self.drift.target):
+                near = f"{near} and {self.drift.target:.2f} m from the target"
+            horizon = f"{self.settings.drift_horizon:g} s"
+            return Ended(False, f"{self.reason}; it drifts to within {near} in {horizon}")
+        return Ended(self.asked, self.reason)
 
 
 class Stopping:

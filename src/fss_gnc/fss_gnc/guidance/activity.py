@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from fss_arm_model.description import Arm
 from fss_arm_model.held import Target
+from fss_arm_model.settings import SettingError
 from fss_gnc.guidance.mission_settings import MissionSettings
 from fss_gnc.reference import Body, Path
 
@@ -41,11 +42,11 @@ class Seen:
     pushed: bool = False  # momentum changes as nothing known explains
 
     @property
-    @property
     def keeping(self) -> bool | None:
         """What to tell the gripper to keep what it holds, and to be open else; None: nothing."""
         return None if self.holds is None else bool(self.holds)
 
+    @property
     def floating(self) -> tuple[Floats, Floats]:
         """State of base and arm and its rate, (3 + n,) each.
 
@@ -76,8 +77,8 @@ class Orders:
     close: bool | None = None  # the gripper; None: as it is
     keep_out: float = 0.0  # radius about the target that it keeps off [m]
     fixture_distance: float = np.nan  # from the end effector to the target's fixture [m]
-    ended: Ended | None = None
     reason: str = ""  # why it aborts or brakes; empty: it does not
+    ended: Ended | None = None
 
 
 class Activity(Protocol):
@@ -94,7 +95,22 @@ class Activity(Protocol):
 
 @dataclass(frozen=True)
 class Craft:
-    """The spacecraft as the guidance knows it."""
+    """The spacecraft as the guidance knows it.
+
+    Raises:
+        SettingError: the posture is not one of this arm.
+    """
 
     arm: Arm
     settings: MissionSettings = field(default_factory=MissionSettings)
+
+    def __post_init__(self) -> None:
+        posture, links = self.settings.posture, self.arm.links
+        if posture and len(posture) != len(links):
+            raise SettingError(f"posture has {len(posture)} angles, expected {len(links)} or none")
+        for i, (q, link) in enumerate(zip(posture, links, strict=False), 1):
+            if not link.q_min <= q <= link.q_max:
+                raise SettingError(
+                    f"posture has {q:g} rad for joint {i}, expected {link.q_min:g} to "
+                    f"{link.q_max:g} rad"
+                )
