@@ -34,12 +34,12 @@ HOLD = 60.0  # at a place with room, until it is tried again whether a valve lea
 
 
 class Abort:
-    """The activity; asked for as such, it ends well if what drifts is safe.
+    """The activity. Requested as a mission of its own, it ends well if the drift is safe.
 
     Args:
-        craft: whose base and arm.
-        reason: why.
-        asked: for itself, and not as the end of something else.
+        craft: base and arm.
+        reason: why it aborts.
+        asked: whether it was requested for itself, and is not the end of another mission.
     """
 
     blind = True
@@ -69,11 +69,11 @@ class Abort:
         return Orders("abort", path, rates, seen.keeping, reason=self.reason, ended=ended)
 
     def cancel(self, reason: str) -> None:
-        """It goes on: there is nothing safer."""
+        """Go on all the same: there is nothing safer."""
 
     @property
     def safe(self) -> bool:
-        """Whether what drifts meets nothing within the horizon, as far as it is known."""
+        """Whether nothing will be hit within the horizon, as far as that is known."""
         return self.drift is not None and self.drift.safe
 
     @property
@@ -125,7 +125,7 @@ class Abort:
         return self._push
 
     def _make_room(self, drifting: Drifting, t: float, q: Floats, target: Body | None) -> None:
-        """Go on from where it is held, if it cannot stay there."""
+        """Move on from where the base is held, if it cannot stay there."""
         assert self._push is not None
         here = Reference.at_rest(self._push.knots[-1, 0])
         goal = drifting.refuge(np.concatenate([here.pose, q[3:]]), target)

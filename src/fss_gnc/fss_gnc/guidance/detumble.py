@@ -1,7 +1,7 @@
-"""Base, arm and what it holds come to rest, by references that joints and valves can follow.
+"""Bring base, arm and what it holds to rest, by references that joints and valves can follow.
 
-Before the base is slowed down and after it, all is left alone with the valves closed: what pushes
-then is a valve that leaks, and no mass of what is held.
+Before and after the base brakes, everything is left alone for a while with the valves closed: a
+push that is seen then is a leaking valve, and not a wrong mass of what is held.
 """
 
 import numpy as np

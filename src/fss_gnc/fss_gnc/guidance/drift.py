@@ -32,12 +32,13 @@ class Drift(NamedTuple):
 
 
 class Drifting:
-    """Looks ahead; p is what it says on Planner.
+    """Looks ahead along a drift with the joints held.
 
     Args:
-        p: see there.
-        settings: sizes, limits.
-        held: (3,) where the gripper holds the target (held.py), which keeps off the edge, too.
+        p: (8 + 6 n,) Arm.vector(), as heavy as it is now.
+        settings: sizes and limits.
+        held: (3,) place of a held target in the last link's frame (held.py), which must stay on
+            the table as well; None: nothing is held.
     """
 
     def __init__(self, p: Floats, settings: MissionSettings, held: Floats | None = None) -> None:
@@ -57,11 +58,18 @@ class Drifting:
     def as_is(
         self, q: Floats, qd: Floats, target: Body | None, horizon: float | None = None
     ) -> Drift:
-        """What comes of the present motion; the target, if not held, drifts as well."""
+        """The drift that follows from the state q and its rate qd, (3 + n,) each.
+
+        Args:
+            q: state.
+            qd: its rate; those of the joints do not count.
+            target: which drifts as well; None: there is none, or it is held.
+            horizon: how far to look ahead [s]; drift_horizon by default.
+        """
         return self._looked(Rigid(self.p, q[3:]), q, np.atleast_2d(qd[:3]), target, horizon)[0]
 
     def away(self, q: Floats, qd: Floats, target: Body | None) -> Drift:
-        """The motion that is safe and asks for the least change; the best if none is safe."""
+        """The safe drift that asks for the least push; the one with most room if none is safe."""
         s, body = self.settings, Rigid(self.p, q[3:])
         w = body.com * np.exp(1j * q[2])
         around = np.exp(2j * np.pi * np.arange(DIRECTIONS) / DIRECTIONS)
@@ -76,7 +84,7 @@ class Drifting:
         return safe[0] if safe else max(found, key=lambda drift: min(drift.edge, drift.target))
 
     def refuge(self, q: Floats, target: Body | None) -> Floats:
-        """The nearest pose (3,) to q where, at rest, it can stay; the best if it nowhere can."""
+        """The nearest pose (3,) at which the base can rest; the one with most room if none."""
         body, still = Rigid(self.p, q[3:]), np.zeros((1, 3))
         around = np.exp(2j * np.pi * np.arange(DIRECTIONS) / DIRECTIONS)
         steps = np.append(0j, np.outer(STRIDES, around).ravel())

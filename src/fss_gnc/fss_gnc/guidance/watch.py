@@ -1,4 +1,4 @@
-"""What ends a mission: limits, looked at in every step."""
+"""The limits that abort a mission, checked in every step."""
 
 import numpy as np
 
@@ -12,7 +12,7 @@ UNNAMED = 8.0  # for which the valves may balance a push: one that does not open
 
 
 class Watch:
-    """Says why a mission has to be aborted, if it has."""
+    """Checks the limits of one mission."""
 
     def __init__(self, craft: Craft) -> None:
         self.settings = settings = craft.settings
@@ -24,13 +24,13 @@ class Watch:
     def reason(
         self, seen: Seen, path: Path | None, phase: str, timeout: float, since: float
     ) -> str:
-        """Why; empty: there is no reason.
+        """Why the mission must be aborted; empty if it need not be.
 
         Args:
-            seen: now.
-            path: that the base should be on; None: it drifts.
-            phase: its name.
-            timeout: of it [s].
+            seen: what is known now.
+            path: where the base should be; None: it drifts.
+            phase: name of the present phase.
+            timeout: longest that the phase may take [s].
             since: when it began [s].
         """
         s = self.settings
