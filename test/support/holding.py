@@ -79,8 +79,9 @@ def hold(motion, feed_forward, seed=0, gains=None):
             for i in range(arm.n):
                 navigation.joint(i, now, float(plant.q[3 + i]), float(plant.qd[3 + i]))
         if frame % round(PERIOD * RATE) == 0:
-            ahead = [now + k * SECOND // 10 for k in range(6)]
-            navigation.inputs.plan(ahead, [motion.at(at / SECOND)[1] for at in ahead])
+            ahead = 0.1 * np.arange(6)
+            rates = np.array([motion.at(now / SECOND + s)[1] for s in ahead])
+            navigation.inputs.plan(now, ahead, rates)
         navigation.base.rate(now, seen.rate)
         navigation.base.pose(now, *seen.base.pose)
         if frame % round(PERIOD * RATE) == 0:

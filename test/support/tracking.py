@@ -91,9 +91,9 @@ def track(
             for i in range(arm.n):
                 plant.command(i, Demand(VELOCITY, wanted[i], abs(wanted[i]), slopes[i]))
         if planned and frame % PLANNED == 2:  # as the node arm tells it
-            ahead = [now + k * SECOND // 10 for k in range(6)]
-            rates = [ramp(was, wanted, slopes, t / SECOND - since) for t in ahead]
-            navigation.inputs.plan(ahead, rates)
+            ahead = 0.1 * np.arange(6)
+            rates = [ramp(was, wanted, slopes, now / SECOND + s - since) for s in ahead]
+            navigation.inputs.plan(now, ahead, np.array(rates))
         if thrusting and frame % PERIOD == 0:
             on_times = np.round(rng.uniform(0.0, 0.1, 8) * (rng.random(8) < 0.3), 3)
             on_times[on_times < 0.01] = 0.0

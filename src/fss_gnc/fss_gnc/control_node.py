@@ -15,8 +15,9 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
 
+from fss_arm_model import layout
 from fss_arm_model.description_file import described
-from fss_arm_model.held import Target, hold
+from fss_arm_model.held import Target, hold, with_held
 from fss_arm_msgs.msg import GripperState, MassProperties
 from fss_arm_ros.convert import SECOND, stamp_ns, to_time
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
@@ -25,7 +26,6 @@ from fss_arm_ros.qos import command, sensor
 from fss_arm_ros.subscriptions import PolledSubscription
 from fss_arm_ros.timer_clock import timer_clock
 from fss_gnc import messages
-from fss_gnc.control.mass import present
 from fss_gnc.control.planned import PlannedRates
 from fss_gnc.control.pose import PoseControl
 from fss_gnc.control.settings import ControlSettings
@@ -106,8 +106,8 @@ class ControlNode(Node):
             self.warn("arm/planned", error)
 
     def on_propellant(self, message: Float64) -> None:
-        """What is left of it."""
-        self.used = self.settings.full_tank - message.data
+        """What is left of it; a sensor that is off may say less than nothing."""
+        self.used = self.settings.full_tank - max(message.data, 0.0)
 
     def on_gripper(self, message: GripperState) -> None:
         """Whether the target is part of the arm."""
@@ -155,11 +155,18 @@ class ControlNode(Node):
         return self.control.wrench(q, np.concatenate([base.twist, qd_m]), reference, period, qdd_m)
 
     def mass(self, q: Floats, now: int) -> Floats:
-        """Base and arm in the state q, as heavy as they are."""
+        """Parameters of base and arm as they are now, (8 + 6 n,): less gas, with what is held.
+
+        Args:
+            q: (3 + n,) state.
+            now: time [ns].
+        """
         p = self.arm.vector()
         if self.holds and self.place is None and (target := self.target.at(now)):
             self.place = hold(p, q, target.after(self.target.age(now)).pose)
-        return present(p, self.used, *(self.measured or (self.held, self.place)))
+        p[layout.MASS] -= self.used
+        held, place = self.measured or (self.held, self.place)
+        return p if place is None else with_held(p, held, place)
 
     def publish(self, wrench: Floats) -> None:
         """Publish force along the base's axes [N] and torque about its origin [N m]."""

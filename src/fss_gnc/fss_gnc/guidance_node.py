@@ -65,6 +65,7 @@ class Flight:
     account: Account
     over: Future = field(default_factory=Future)  # how it ended
     rates: bool = False  # whether it has moved the arm
+    trouble: str = ""  # why it aborts or brakes, after the phase; empty: it does not
 
 
 class GuidanceNode(Node):
@@ -221,11 +222,11 @@ class GuidanceNode(Node):
         if other and not other.kind.name.startswith(kind.preempts):
             raise ActivityError(f"{other.kind.name} is under way")
         begun = self.now()
-        seen = self.seen(begun)
+        seen, trouble = self.seen(begun), self.trouble()
         try:
             activity = kind.begin(self.craft, seen, handle.request)
-        except ActivityError as error:
-            raise ActivityError(self.trouble() or str(error)) from None
+        except ValueError as error:
+            raise ActivityError(trouble or str(error)) from None
         if other:
             self.end(other, Ended(False, f"preempted by {kind.name}"), coast=False)
         self.flight = Flight(kind, handle, activity, begun, Account(self.craft))
@@ -262,7 +263,10 @@ class GuidanceNode(Node):
 
     def order(self, flight: Flight, orders: Orders, seen: Seen) -> None:
         """Publish what an activity wants."""
-        now = self.now()
+        now, trouble = self.now(), orders.reason and f"{orders.phase}: {orders.reason}"
+        if trouble not in ("", flight.trouble):
+            self.get_logger().warning(f"{flight.kind.name}, {trouble}")
+        flight.trouble = trouble
         self.trajectory.publish(
             messages.trajectory(orders.path, seen.t, now, self.settings.horizon, STEP)
         )
@@ -279,7 +283,7 @@ class GuidanceNode(Node):
         now = self.now()
         if coast:
             self.trajectory.publish(messages.trajectory(None, 0.0, now, 0.0, STEP))
-        if flight.rates:
+        if coast and flight.rates:
             self.rates.publish(self.joint_rates(np.zeros(self.craft.arm.n), now))
         phase = "done" if ended.well else "abort"
         self.state.publish(self.mission(flight, Orders(phase, ended=ended)))
@@ -301,7 +305,7 @@ class GuidanceNode(Node):
         account = flight.account if flight else Account(self.craft)
         state = MissionState(
             mission=flight.kind.name.partition("/")[2] if flight else "",
-            phase=orders.phase, reason=orders.ended.message if orders.ended else "",
+            phase=orders.phase, reason=orders.ended.message if orders.ended else orders.reason,
             elapsed=account.elapsed, reference=np.full(3, np.nan),
             keep_out=orders.keep_out, fixture_distance=orders.fixture_distance,
             edge_clearance=account.edge, target_clearance=account.target,
@@ -316,8 +320,9 @@ class GuidanceNode(Node):
 
     def health(self) -> Health:
         """For diagnostics."""
-        if self.flight:
-            return Health(OK, self.flight.kind.name)
+        if flight := self.flight:
+            words = ", ".join(filter(None, (flight.kind.name, flight.trouble)))
+            return Health(WARN if flight.trouble else OK, words)
         why = self.trouble()
         return Health(WARN if why else OK, why or "ready")
 

@@ -12,7 +12,7 @@ from fss_arm_model.held import Target
 from fss_arm_ros.convert import SECOND, PoseError, joint_readings, planar_pose, stamp_ns, to_time
 from fss_gnc.reference import Body, Floats, Path
 
-BASE = "fss"  # the one "joint" of a base's trajectory: the base's frame
+BASE, WORLD = "fss", "world"  # the one "joint" of a base's trajectory, and its frame
 
 
 def body(message: Any) -> Body:
@@ -77,7 +77,7 @@ def planned_rates(message: Any, n: int) -> tuple[int, Floats, Floats]:
 def trajectory(path: Path | None, t: float, stamp: int, horizon: float, step: float) -> Any:
     """A path from its time t on, for `horizon` [s], as said at `stamp` [ns]; None: no points."""
     message = MultiDOFJointTrajectory(joint_names=[BASE])
-    message.header.stamp, message.header.frame_id = to_time(stamp), "world"
+    message.header.stamp, message.header.frame_id = to_time(stamp), WORLD
     if path is not None:
         ahead = min(horizon, max(0.0, path.end - t))
         count = int(np.ceil(ahead / step - 1e-9)) + 1
@@ -110,6 +110,8 @@ def path(message: Any) -> Path | None:
     """
     if list(message.joint_names) != [BASE]:
         raise ValueError(f"joint_names is {list(message.joint_names)}, expected ['{BASE}']")
+    if (frame := message.header.frame_id) not in ("", WORLD):
+        raise ValueError(f"frame_id is {frame!r}, expected {WORLD!r}")
     if not message.points:
         return None
     given = [(p.transforms, p.velocities, p.accelerations) for p in message.points]

@@ -29,7 +29,9 @@ from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED, SENSOR, subscribe_sensor
 from fss_arm_ros.stamps import SAMPLES, Stamps
+from fss_arm_ros.timer_clock import timer_clock
 from fss_arm_ros.validation import subscribe
+from fss_gnc import messages
 from fss_gnc.navigation import Navigation
 from fss_gnc.navigation.body_filter import POSE, RATE, BodyFilter
 from fss_gnc.navigation.messages import SerializedState, SerializedTransform
@@ -68,6 +70,7 @@ class NavigationNode(Node):
     def __init__(self, **options: Any) -> None:
         super().__init__("navigation", **options)
         s = self.settings = declare(self, NavigationSettings)
+        self.clock = timer_clock(self)
         self.known = Calibrated(described(s.arm))
         self.latency = round(s.latency * SECOND)
         self.refused: Counter[str] = Counter()
@@ -93,7 +96,7 @@ class NavigationNode(Node):
             (DynamicCalibration, "calibration/dynamic"),
         ):
             subscribe(self, kind, topic, partial(self.on_calibration, topic), LATCHED)
-        self.create_timer(1.0 / s.rate, self.go_on)
+        self.create_timer(1.0 / s.rate, self.go_on, clock=self.clock)
         self.diagnostics = Diagnostics(self, self.health)
 
     def begin(self) -> None:
@@ -107,11 +110,11 @@ class NavigationNode(Node):
         self.stamps: dict[str, Stamps] = defaultdict(Stamps)  # by topic
         self.ahead: Counter[str] = Counter()  # in a row, by topic
         self.tell(self.navigation.valves.found)
-        self.newest = self.heard = -1  # stamp of the newest measurement; when it came [ns]
+        self.newest = self.heard = -1  # stamp of the base's newest pose; when it came [ns]
 
     def now(self) -> int:
-        """The present by the stamps of measurements [ns]."""
-        return self.newest + max(self.get_clock().now().nanoseconds - self.heard, 0)
+        """The present by the stamps of the base's poses [ns]; of whatever came before the first."""
+        return self.newest + max(self.clock.now().nanoseconds - self.heard, 0)
 
     def is_timely(self, topic: str, t: int) -> bool:
         """Whether a stamp [ns] may be; where the base's poses are set back or forth, begin anew."""
@@ -126,8 +129,8 @@ class NavigationNode(Node):
         if self.stamps[topic].set_back(t) and topic == self.settings.base_topic:
             self.get_logger().warning(f"{topic} went back to {t / SECOND:.1f} s: begins anew")
             self.begin()
-        if t > self.newest:
-            self.newest, self.heard = t, self.get_clock().now().nanoseconds
+        if self.newest < 0 or t == self.stamps[self.settings.base_topic].newest:
+            self.newest, self.heard = t, self.clock.now().nanoseconds
         return True
 
     def on_base(self, message: PoseStamped) -> None:
@@ -168,13 +171,12 @@ class NavigationNode(Node):
 
     def on_planned(self, message: JointTrajectory) -> None:
         """What the joints are to do from now on."""
-        t = stamp_ns(message.header.stamp)
-        times = [t + stamp_ns(point.time_from_start) for point in message.points]
-        names = [f"joint_{i + 1}" for i in range(self.known.arm.n)]
-        if list(message.joint_names) != names or not self.navigation.inputs.plan(
-            times, [point.velocities for point in message.points]
-        ):
+        try:
+            plan = messages.planned_rates(message, self.known.arm.n)
+        except ValueError:
             self.refused["arm/planned refused"] += 1
+        else:
+            self.navigation.inputs.plan(*plan)
 
     def on_pulses(self, message: ThrusterCommand) -> None:
         """Valves were opened."""
@@ -231,7 +233,8 @@ class NavigationNode(Node):
             mass=float(found.values[0]), com=found.values[1:3], inertia=float(found.values[3]),
             covariance=found.covariance.ravel(), samples=len(n.caught.samples),
         )  # fmt: skip
-        message.header.stamp, message.header.frame_id = to_time(now), f"link_{self.known.arm.n}"
+        message.header.stamp = to_time(now)
+        message.header.frame_id = f"{self.settings.frame_prefix}link_{self.known.arm.n}"
         self.held.publish(message)
 
     def tell(self, faults: Faults) -> None:

@@ -6,11 +6,13 @@ known at both: poses (linear), twists too (cubic), accelerations too (quintic).
 
 from dataclasses import dataclass
 from functools import cache, cached_property
-from math import factorial, pi
+from math import factorial
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+
+from fss_arm_model.planar import wrap
 
 Floats = npt.NDArray[np.float64]
 
@@ -77,13 +79,21 @@ class Path:
 
     def at(self, t: float) -> Reference:
         """Where the base is to be at a time [s]."""
-        if not self.times[0] <= t < self.times[-1]:
-            return Reference.at_rest(self.knots[0 if t < self.times[0] else -1, 0])
-        k = int(np.searchsorted(self.times, t, side="right")) - 1
-        h, c = self.times[k + 1] - self.times[k], self._coefficients[k]
-        s = np.power((t - self.times[k]) / h, _POWERS[: len(c)])
-        slope, bend = _POWERS[1 : len(c)] * s[:-1], _BENDS[: len(c) - 2] * s[:-2]
-        return Reference(s @ c, slope @ c[1:] / h, bend @ c[2:] / h**2)
+        return Reference(*self.states(np.array([t]))[0])
+
+    def states(self, t: Floats) -> Floats:
+        """Pose, twist and acceleration at times (m,) [s], (m, 3, 3)."""
+        found = np.zeros((len(t), 3, 3))
+        found[:, 0] = np.where(t[:, None] < self.times[0], self.knots[0, 0], self.knots[-1, 0])
+        on = (self.times[0] <= t) & (t < self.times[-1])
+        k = np.searchsorted(self.times, t[on], side="right") - 1
+        h, c = (self.times[k + 1] - self.times[k])[:, None], self._coefficients[k]
+        size = c.shape[1]
+        s = ((t[on] - self.times[k])[:, None] / h) ** _POWERS[:size]
+        slope, bend = _POWERS[1:size] * s[:, :-1], _BENDS[: size - 2] * s[:, :-2]
+        for d, part in enumerate((s, slope, bend)):
+            found[on, d] = np.einsum("mj,mji->mi", part, c[:, d:]) / h**d
+        return found
 
     @cached_property
     def _coefficients(self) -> Floats:
@@ -94,10 +104,9 @@ class Path:
         return _solved(depth) @ ends.reshape(len(steps), 2 * depth, 3)
 
     def sampled(self, begin: float, count: int = 65) -> tuple[Floats, Floats]:
-        """Times from `begin` to the end, (count,), and pose, twist, acceleration, (count, 3, 3)."""
+        """Times from `begin` to the end, (count,), and the states then, (count, 3, 3)."""
         times = np.linspace(min(begin, self.end), self.end, count)
-        found = [self.at(t) for t in times]
-        return times, np.array([[r.pose, r.twist, r.acceleration] for r in found])
+        return times, self.states(times)
 
 
 _POWERS = np.arange(6.0)
@@ -116,13 +125,8 @@ def _solved(depth: int) -> Floats:
     return np.asarray(np.linalg.inv(rows), dtype=float)
 
 
-def wrapped(angle: float) -> float:
-    """The angle from -pi on and below pi."""
-    return float((angle + pi) % (2.0 * pi) - pi)
-
-
 def off(pose: npt.ArrayLike, wanted: npt.ArrayLike) -> Floats:
     """A pose less another, (3,), the heading the shorter way."""
     apart = np.asarray(pose, dtype=float) - np.asarray(wanted, dtype=float)
-    apart[2] = wrapped(apart[2])
+    apart[2] = wrap(apart[2])
     return apart

@@ -1,11 +1,15 @@
 """The node `control` by its topics."""
 
+from copy import deepcopy
+
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
 from gnc_bench import FOLDED, FakeCraft
+from nav_msgs.msg import Odometry
 from rclpy.duration import Duration
+from rclpy.node import Node
 from rclpy.parameter import Parameter
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint, MultiDOFJointTrajectory
 
@@ -16,6 +20,7 @@ from fss_arm_model.held import Target, hold, with_held
 from fss_arm_model.kinematics import tip_pose
 from fss_arm_msgs.msg import MassProperties
 from fss_arm_ros.convert import SECOND, stamp_ns, to_time
+from fss_arm_ros.validation import refusals
 from fss_gnc import messages
 from fss_gnc.control_node import ControlNode
 from fss_gnc.reference import Path
@@ -164,17 +169,47 @@ def spoiled(**changes):
 def test_trajectories_that_make_no_sense_are_left_out(bench):
     bench.acts()
     bench.silent |= {"base/trajectory"}
-    good = bench.control.trajectory.value
     nan = spoiled()
     nan.points[0].transforms[0].translation.x = np.nan
     twice = spoiled()
     twice.points = [twice.points[0]] * 2
     bare = spoiled()
     bare.points[0].transforms = []
-    for message in (nan, twice, bare, spoiled(joint_names=["target"])):
+    elsewhere = spoiled()
+    elsewhere.header.frame_id = "fss"
+    for message in (nan, twice, bare, elsewhere, spoiled(joint_names=["target"])):
         bench.trajectory.publish(message)
     bench.ceases("base/trajectory is ")
-    assert bench.control.trajectory.value[1].times[0] == good[1].times[0]
+    assert bench.control.trajectory.value[1].knots[0, 0, 0] == bench.path.knots[0, 0, 0]
+
+
+def test_after_numbers_that_no_arithmetic_survives_it_goes_on(bench):
+    huge = spoiled()
+    huge.points.append(deepcopy(huge.points[0]))
+    huge.points[1].time_from_start = Duration(seconds=1.0).to_msg()
+    for point, x in zip(huge.points, (1e308, -1e308), strict=True):
+        point.transforms[0].translation.x = x
+        point.velocities, point.accelerations = [], []
+    bench.acts()
+    bench.silent |= {"base/trajectory"}
+    for _ in range(5):
+        bench.trajectory.publish(huge)
+        bench.until(lambda: len(bench.wrenches), 0.2)
+    assert np.isfinite(bench.acts()).all()
+    assert refusals(bench.control) == {"refused on base/trajectory": 5}
+
+
+def test_two_who_say_where_the_base_is_are_named(bench):
+    other = Node("other")
+    other.create_publisher(Odometry, "base/state", 1)
+    bench.run([other], lambda: "base/state has 2 sources: /fake_craft, /other" in bench.words)
+
+
+def test_a_tank_that_is_said_to_hold_less_than_nothing_weighs_nothing(bench):
+    bench.propellant = -20.0
+    bench.until(lambda: bench.control.used > 0.0)
+    bench.acts()
+    assert bench.control.control.p[layout.MASS] == pytest.approx(ARM.vector()[layout.MASS] - 0.1)
 
 
 def planned(bench, rates):

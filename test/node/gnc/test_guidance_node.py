@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
+from action_msgs.srv import CancelGoal
 from gnc_bench import FakeCraft
 from rclpy.action import ActionClient
 from rclpy.parameter import Parameter
@@ -15,6 +16,7 @@ from trajectory_msgs.msg import MultiDOFJointTrajectory
 from fss_arm_model.dynamics import inertia_matrix
 from fss_arm_msgs.msg import MassProperties, MissionState, ThrusterHealth
 from fss_arm_ros.convert import SECOND
+from fss_arm_ros.diagnostics import WARN
 from fss_arm_ros.qos import LATCHED
 from fss_gnc import guidance_node, messages
 from fss_gnc.guidance.account import Account
@@ -209,8 +211,26 @@ def test_a_base_that_does_not_follow_ends_it(bench):
     handle = bench.holding()
     bench.obeys = False
     bench.pose = np.array([0.0, 0.2, 0.0])
-    assert bench.end(handle).result.message == "the base is 0.200 m and 0.0 deg off"
+    message = bench.end(handle).result.message
+    assert message.startswith("the base is 0.200 m and 0.0 deg off its reference, expected at most")
     bench.coasts()
+
+
+def test_a_goal_of_numbers_that_no_arithmetic_survives_is_refused_with_the_reason(bench):
+    ended = bench.does(GO_TO, pose=[1e300, 0.0, 0.0])
+    assert ended.status == ABORTED
+    assert ended.result.message == "pose is at 1e+300, 0 m, beyond the table's edge"
+
+
+def test_whoever_died_anybody_may_cancel_what_goes_on(bench):
+    bench.holding()
+    bench.clients_.pop(HOLD.name).destroy()
+    anybody = bench.create_client(CancelGoal, "base/hold/_action/cancel_goal")
+    bench.until(anybody.service_is_ready)
+    bench.until(lambda: bench.states[-1].elapsed > 1.1)
+    assert bench.paths[-1] is not None  # it outlives its client
+    assert bench.after(anybody.call_async(CancelGoal.Request())).goals_canceling
+    bench.until(lambda: bench.states[-1].phase == "done")
 
 
 def test_a_clock_that_is_set_back_ends_it(spin):
@@ -275,6 +295,9 @@ def test_a_mission_is_not_preempted_by_the_base_s_but_by_an_abort(mission):
         assert (ended.status, ended.result.message) == (ABORTED, "mission/capture is under way")
     bench.begin(abort)
     assert bench.end(running).result.message == "preempted by mission/abort"
+    count = len(bench.rates)
+    bench.until(lambda: len(bench.rates) > count + 2)
+    assert {rate for message in bench.rates for rate in message.velocity} == {0.1}  # no jerk
 
 
 def before_a_target(bench):
@@ -340,7 +363,11 @@ def test_a_valve_that_does_not_close_ends_a_mission(bench):
     bench.holds = True
     handle = bench.begin(DETUMBLE)
     bench.until(lambda: bench.states[-1].phase == "abort" and bench.paths[-1])
-    assert bench.guidance.flight.activity.abort.reason == "valve 3 does not close"
+    assert bench.states[-1].reason == "valve 3 does not close"
+    health = bench.guidance.health()
+    assert (health.level, health.message) == (
+        WARN, "mission/detumble, abort: valve 3 does not close",
+    )  # fmt: skip
     bench.stops["base/stop"].publish(Empty())  # as the tank would never be empty
     ended = bench.end(handle)
     assert (ended.status, ended.result.stopped) == (ABORTED, False)

@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
+from rclpy.clock import ClockType
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu, JointState
 from tf2_msgs.msg import TFMessage
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from fss_arm_model.description import paper_arm
 from fss_arm_model.dynamics import inertia_matrix
@@ -290,6 +292,35 @@ def test_a_stranger_s_messages_do_no_harm(fly, spin):
     assert values["base: late rejected"] >= 5
 
 
+def test_a_plan_that_is_none_is_refused(fly, spin):
+    node, bench = fly(0.2)
+    planned = bench.create_publisher(JointTrajectory, "arm/planned", SENSOR)
+    spin([node, bench], planned.get_subscription_count)
+    names, rates = [f"joint_{i}" for i in range(1, 5)], [[0.1] * 4, [0.1] * 3]
+    points = [JointTrajectoryPoint(velocities=qd) for qd in rates]
+    planned.publish(JointTrajectory(joint_names=names, points=points))
+    planned.publish(JointTrajectory(joint_names=names))
+    spin([node, bench], lambda: node.health().values.get("arm/planned refused") == 2)
+    fly(0.1)
+
+
+def test_joints_whose_clock_is_ahead_for_a_moment_do_not_take_the_present_along(fly, spin):
+    node, bench = fly(1.0)
+    message = JointState(name=["joint_1"], position=[0.1], velocity=[0.0])
+    message.header.stamp = to_time(bench.now + 9 * SECOND // 10)
+    bench.joints.publish(message)
+    spin([node, bench], lambda: node.navigation.inputs.joints_at(bench.now)[0][0] == 0.1)
+    fly(0.5)
+    spin([node, bench], lambda: stamp_ns(bench.states[-1].header.stamp) == bench.now)
+    assert node.now() == bench.now
+
+
+def test_its_timers_keep_a_clock_that_nobody_sets(spin):
+    node = NavigationNode()
+    spin(node, lambda: True)
+    assert {timer.clock.clock_type for timer in node.timers} == {ClockType.STEADY_TIME}
+
+
 def test_a_clock_that_is_set_back_begins_anew(fly, spin, capfd):
     node, bench = fly(1.0)
     for k in range(60):
@@ -301,6 +332,7 @@ def test_a_clock_that_is_set_back_begins_anew(fly, spin, capfd):
 
 
 def test_a_held_target_goes_with_the_gripper(fly, spin):
+    fly.start(frame_prefix="fss2/")
     node, bench = fly(1.0)
     assert not bench.masses  # it holds nothing
     bench.gripper.publish(GripperState(holds=True))
@@ -321,7 +353,7 @@ def test_a_held_target_goes_with_the_gripper(fly, spin):
     assert bench.targets[-1].twist.twist.linear.x != 0.0
     spin([node, bench], lambda: bench.masses)
     found = bench.masses[-1]
-    assert found.header.frame_id == "link_4"
+    assert found.header.frame_id == "fss2/link_4"
     assert bench.now - 2 * SECOND < stamp_ns(found.header.stamp) <= bench.now
     assert found.samples >= 1
     assert np.linalg.eigvalsh(found.covariance.reshape(4, 4)).min() > 0.0

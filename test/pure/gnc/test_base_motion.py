@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from fss_arm_model.description import paper_arm
+from fss_arm_model.kinematics import tip_pose
 from fss_gnc.guidance.activity import ActivityError, Craft, Seen
 from fss_gnc.guidance.base_motion import braking, follow, go_to, hold, peak
 from fss_gnc.guidance.settings import GuidanceSettings
@@ -14,6 +15,7 @@ from fss_gnc.reference import Body
 CRAFT = Craft(paper_arm())
 FOLDED = np.array([1.5, -1.5, -1.5, 1.5])
 PERIOD = 0.1
+TO_THE_SIDE = np.array([0.12, 0.0, 0.0])
 
 
 def seen(t=0.0, pose=(0.0, 0.0, 0.0), twist=(0.0, 0.0, 0.0), target=None, **known):
@@ -64,12 +66,15 @@ def test_a_given_duration_is_kept_or_refused():
     assert go_to(CRAFT, seen(), [0.5, 0.0, 0.0], 90.0, 0.0).path.end == 90.0
     with pytest.raises(ActivityError, match=r"duration is 3 s, expected at least \d+\.\d s"):
         go_to(CRAFT, seen(), [0.5, 0.0, 0.0], 3.0, 0.0)
+    with pytest.raises(ActivityError, match="duration is inf s, expected 0 or more"):
+        go_to(CRAFT, seen(), [0.5, 0.0, 0.0], np.inf, 0.0)
 
 
 @pytest.mark.parametrize(
     ("pose", "words"),
     [
         ((1.9, 0.0, 0.0), "would be -?0.* m from the table's edge in .* s, expected at least 0.05"),
+        ((1e300, 0.0, 0.0), "pose is at 1e.300, 0 m, beyond the table's edge"),
         ((np.nan, 0.0, 0.0), "pose is .*nan.*expected x, y"),
         ((0.0, 0.0), "expected x, y"),
     ],
@@ -86,9 +91,40 @@ def test_a_way_through_the_keep_out_zone_is_refused_unless_the_target_is_held_or
         body = Body(*map(np.array, target))
         with pytest.raises(ActivityError, match="from the keep-out zone"):
             go_to(CRAFT, replace(here, target=body), goal, 0.0, 0.0)
-        go_to(CRAFT, replace(here, target=body, holds=True), goal, 0.0, 0.0)
+    go_to(CRAFT, gripping(here), [0.5, 0.0, 0.0], 0.0, 0.0)
     leaves = Body(np.array([0.0, 0.6, 0.0]), np.array([0.0, 0.1, 0.0]))
     go_to(CRAFT, replace(here, target=leaves), goal, 0.0, 0.0)
+
+
+def gripping(known):
+    """The same, with the target in the gripper, 0.2 m from it."""
+    tip = tip_pose(CRAFT.arm.vector(), known.floating[0])
+    ahead = 0.2 * np.array([np.cos(tip[2]), np.sin(tip[2]), 0.0])
+    return replace(known, target=Body(tip + ahead, np.zeros(3)), holds=True)
+
+
+def test_what_is_held_is_not_carried_beyond_the_edge():
+    here = seen(pose=(0.5, 0.0, 0.0))
+    x = float(gripping(here).target.pose[0])
+    assert x > 1.2  # it is ahead of all else
+    goal = [0.5 + 1.9 - x, 0.0, 0.0]  # 0.1 m from the edge to its centre, of 0.19 m in radius
+    go_to(CRAFT, here, goal, 0.0, 0.0)
+    with pytest.raises(ActivityError, match=r"the held target would be -0\.09.* m from the"):
+        go_to(CRAFT, gripping(here), goal, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("here", "target", "words"),
+    [
+        (seen(pose=(-1.72, 0.0, 0.0)), None, "base would be -0.0.* m from the table's edge"),
+        (seen(pose=(-0.6, 0.0, 0.0)), (np.array([-1.15, 0.0, 0.0]), np.zeros(3)), "keep-out zone"),
+    ],
+)
+def test_a_pose_to_hold_without_room_is_refused(here, target, words):
+    with pytest.raises(ActivityError, match=words):
+        hold(CRAFT, replace(here, target=target and Body(*target)),
+             here.base.pose - TO_THE_SIDE, 0.0)  # fmt: skip
+    hold(CRAFT, here, here.base.pose + TO_THE_SIDE, 0.0)
 
 
 def test_what_is_too_near_to_the_edge_already_may_go_away_from_it_only():
@@ -158,14 +194,18 @@ def test_a_pose_to_hold_must_be_near():
 def test_a_base_far_from_its_reference_is_given_up():
     motion = hold(CRAFT, seen(), [0.0, 0.0, 0.0], 0.0)
     ended = motion.step(seen(2.0, pose=(0.0, 0.2, 0.1))).ended
-    assert ended == (False, "the base is 0.200 m and 5.7 deg off")
+    assert ended == (
+        False, "the base is 0.200 m and 5.7 deg off its reference, expected at most 0.15 m and "
+        "20 deg",
+    )  # fmt: skip
 
 
 def test_a_goal_that_is_not_reached_in_time_is_given_up():
     motion = go_to(CRAFT, seen(), [0.5, 0.0, 0.0], 0.0, 0.0)
     near = seen(motion.path.end + CRAFT.settings.max_overrun + 0.1, pose=(0.45, 0.0, 0.0))
     assert motion.step(near).ended == (
-        False, "the base is 0.050 m and 0.0 deg off 30 s after the planned time",
+        False, "the base is 0.050 m and 0.0 deg off its goal, or not at rest, 30 s after the "
+        "planned time",
     )  # fmt: skip
 
 

@@ -129,6 +129,12 @@ def test_it_says_when_it_no_longer_knows_and_knows_again():
     assert filter_.lost(4001 * MS) == ""
 
 
+def test_what_is_no_number_is_not_known():
+    filter_ = resting()
+    filter_.events[-1].P[:] = np.nan
+    assert filter_.lost(1000 * MS) == "position known to nan m only"
+
+
 def test_one_that_may_be_anywhere_is_lost_before_the_outage_s_end():
     filter_ = resting(acceleration=0.05)
     filter_.predict(1990 * MS)

@@ -43,6 +43,17 @@ def test_after_a_pause_nothing_is_made_up_for():
     assert plan.accelerations(SECOND, 0.1) == [0.0]
 
 
+@pytest.mark.parametrize("later", [5, -5])  # who tells them died, or the clock was set back
+def test_a_plan_of_another_time_is_not_made_up_for(later):
+    plan = PlannedRates()
+    plan.take(10 * SECOND, AHEAD, np.full((6, 1), 0.3))
+    assert plan.accelerations(10 * SECOND, 0.1) == [0.0]
+    now = (10 + later) * SECOND
+    assert plan.accelerations(now, 0.1) is None
+    plan.take(now, AHEAD, np.zeros((6, 1)))
+    assert plan.accelerations(now, 0.1) == [0.0]
+
+
 @pytest.mark.parametrize(
     ("now", "words"),
     [

@@ -5,7 +5,8 @@ of a period is therefore from the rates that were reached before to those planne
 plan that is told late, or a rate that jumps, is made up for in the next period.
 
 Rates for one time are no plan but what the joints do. To balance their noise would shake the base,
-which they feel, and with a heavy target at the end of the arm more at each period.
+which they feel, and with a heavy target at the end of the arm more at each period. A plan that is
+long over says nothing any more: whatever the joints have done since then, the base has felt.
 """
 
 import numpy as np
@@ -14,6 +15,7 @@ import numpy.typing as npt
 Floats = npt.NDArray[np.float64]
 
 SECOND = 1_000_000_000
+OVER = 1.0  # past a plan's times, or before them, at which it says nothing [s]
 
 
 class PlannedRates:
@@ -30,9 +32,11 @@ class PlannedRates:
 
     def accelerations(self, now: int, period: float) -> Floats | None:
         """Mean over the period [s] from now [ns] on, (n,) [rad/s^2]; None: nothing is planned."""
-        if self._rates is None:
+        t = (now - self._stamp) / SECOND
+        if self._rates is None or not -OVER < t < self._ahead[-1] + OVER:
+            self.reset()
             return None
-        end = self._at((now - self._stamp) / SECOND + period)
+        end = self._at(t + period)
         begin = end if self._reached is None else self._reached
         self._reached = end
         return (end - begin) / period if len(self._ahead) > 1 else np.zeros(end.size)

@@ -10,7 +10,7 @@ heard slow down within their torques. A target that is held stays so: let go, it
 the arm; one that is not is let go.
 
 Where a valve does not close, no drift is safe: the base comes to rest, with room about it, and is
-held there until the gas is spent.
+held there until the gas is spent: by what the tank tells, or else until the valves hold it no more.
 """
 
 import numpy as np
@@ -21,7 +21,7 @@ from fss_gnc.guidance.activity import Craft, Ended, Orders, Seen
 from fss_gnc.guidance.base_motion import least_duration
 from fss_gnc.guidance.drift import Drift, Drifting
 from fss_gnc.guidance.rest import braking, slowing
-from fss_gnc.reference import Body, Path, Reference
+from fss_gnc.reference import Body, Path, Reference, off
 
 Floats = npt.NDArray[np.float64]
 
@@ -34,12 +34,12 @@ HOLD = 60.0  # at a place with room, until it is tried again whether a valve lea
 
 
 class Abort:
-    """The activity; asked for as such, it ends well if what drifts is safe.
+    """The activity. Requested as a mission of its own, it ends well if the drift is safe.
 
     Args:
-        craft: whose base and arm.
-        reason: why.
-        asked: for itself, and not as the end of something else.
+        craft: base and arm.
+        reason: why it aborts.
+        asked: whether it was requested for itself, and is not the end of another mission.
     """
 
     blind = True
@@ -55,6 +55,7 @@ class Abort:
         self._push: Path | None = None
         self._busy = -np.inf  # until when it is pushed, or held [s]
         self._leaks = False  # a valve
+        self._gone = False  # the base, from where it is held: the valves do not hold it any more
         self._held: Floats | None = None  # place of the target in the gripper (held.py)
         self._known = self._quiet = np.nan  # since when; NaN: it has not begun
         self._heard = np.nan  # when the joints were last, or it began [s]
@@ -64,15 +65,15 @@ class Abort:
         if np.isnan(self._known):
             self._known = self._quiet = self._heard = seen.t
         rates = self.joints.rates(self.p, seen)
-        close = None if seen.holds is None else bool(seen.holds)
-        return Orders("abort", self._path(seen), rates, close, ended=self._end(seen))
+        path, ended = self._path(seen), self._end(seen)
+        return Orders("abort", path, rates, seen.keeping, reason=self.reason, ended=ended)
 
     def cancel(self, reason: str) -> None:
-        """It goes on: there is nothing safer."""
+        """Go on all the same: there is nothing safer."""
 
     @property
     def safe(self) -> bool:
-        """Whether what drifts meets nothing within the horizon, as far as it is known."""
+        """Whether nothing will be hit within the horizon, as far as that is known."""
         return self.drift is not None and self.drift.safe
 
     @property
@@ -84,7 +85,7 @@ class Abort:
     def _path(self, seen: Seen) -> Path | None:
         q_m = seen.last_q if seen.q is None and not seen.holds else seen.q
         if seen.base is None or q_m is None or seen.holds is None:
-            self._push = None
+            self._push, self._busy = None, -np.inf
             return None
         self._known = seen.t
         self._heard = self._heard if seen.q is None else seen.t
@@ -95,7 +96,12 @@ class Abort:
             self.p = with_held(self.p, self.settings.target, self._held)
         target = None if seen.holds else seen.target
         drifting = Drifting(self.p, self.settings, self._held if seen.holds else None)
-        if seen.t < self._busy and not seen.propellant <= EMPTY:
+        if np.isnan(seen.propellant) and self._leaks and self._push is not None:
+            apart = off(seen.base.pose, self._push.at(seen.t).pose)
+            far = float(np.hypot(*apart[:2])) > self.settings.max_offset
+            self._gone = self._gone or (far and seen.t > self._push.end)
+        gas = not (self._gone or seen.propellant <= EMPTY)
+        if seen.t < self._busy and gas:
             if self._leaks and self._push is not None and seen.t > self._push.end:
                 self._make_room(drifting, seen.t, q, target)
             self._quiet = seen.t
@@ -105,7 +111,6 @@ class Abort:
         if seen.q is None and seen.t < self._heard + LATE:
             return None
         self.drift, self._push = drifting.as_is(q, qd, target), None
-        gas = not seen.propellant <= EMPTY
         self._leaks = gas and (bool(seen.open_valves) or seen.pushed)
         if self._leaks:
             self._push = braking(self.p, q, qd, self.settings, seen.t)
@@ -120,7 +125,7 @@ class Abort:
         return self._push
 
     def _make_room(self, drifting: Drifting, t: float, q: Floats, target: Body | None) -> None:
-        """Go on from where it is held, if it cannot stay there."""
+        """Move on from where the base is held, if it cannot stay there."""
         assert self._push is not None
         here = Reference.at_rest(self._push.knots[-1, 0])
         goal = drifting.refuge(np.concatenate([here.pose, q[3:]]), target)
@@ -136,7 +141,15 @@ class Abort:
             return Ended(False, f"{self.reason}; base, joints or gripper not known, valves closed")
         if seen.t - self._quiet < QUIET or self.drift is None or seen.base is None:
             return None
-        return Ended(self.asked and self.drift.safe, self.reason)
+        if self._gone:
+            return Ended(False, f"{self.reason}; the valves do not hold the base any more")
+        if not self.drift.safe:
+            near = f"{self.drift.edge:.2f} m from the table's edge"
+            if np.isfinite(self.drift.target):
+                near = f"{near} and {self.drift.target:.2f} m from the target"
+            horizon = f"{self.settings.drift_horizon:g} s"
+            return Ended(False, f"{self.reason}; it drifts to within {near} in {horizon}")
+        return Ended(self.asked, self.reason)
 
 
 class Stopping:

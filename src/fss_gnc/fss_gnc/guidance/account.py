@@ -1,4 +1,4 @@
-"""What an activity has taken so far, and how near bodies are: for results and mission/state."""
+"""What an activity has used so far, and clearances, for results and mission/state."""
 
 from dataclasses import dataclass, field
 
@@ -16,7 +16,7 @@ def _unknown() -> Floats:
 
 @dataclass
 class Account:
-    """Of one activity; NaN: not known."""
+    """The account of one activity; NaN is unknown."""
 
     craft: Craft
     elapsed: float = 0.0  # [s]
@@ -28,12 +28,13 @@ class Account:
     target: float = np.nan  # from base and arm, but for the gripper, to the target [m]
 
     def update(self, seen: Seen) -> None:
-        """Take what is seen now."""
+        """Bring it up to date."""
         self.elapsed = seen.t
         self.before = seen.propellant if np.isnan(self.before) else self.before
         self.propellant = self.before - seen.propellant
         if seen.effort is not None:
-            self.largest_torque = float(np.fmax(self.largest_torque, np.abs(seen.effort).max()))
+            most = np.fmax.reduce(np.abs(seen.effort))  # of those that are known
+            self.largest_torque = float(np.fmax(self.largest_torque, most))
         self.momentum, self.edge, self.target = _unknown(), np.nan, np.nan
         if seen.base is None or seen.q is None:
             return

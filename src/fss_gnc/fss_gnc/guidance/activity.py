@@ -1,7 +1,7 @@
-"""What the guidance can do, one thing at a time: from what is seen to orders. No ROS, no clock.
+"""Activities: what the guidance can do, one at a time. No ROS, no clock.
 
-An activity is stepped at the guidance's rate with what is seen, and answers with orders, until one
-of its orders says how it ended. Who steps it coasts after that, and whenever the base is not known.
+The node steps an activity at its rate with what is seen, and carries out the orders that it answers
+with, until they say how it ended. After that, and whenever the base is unknown, the base coasts.
 """
 
 from dataclasses import dataclass, field
@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from fss_arm_model.description import Arm
 from fss_arm_model.held import Target
+from fss_arm_model.settings import SettingError
 from fss_gnc.guidance.mission_settings import MissionSettings
 from fss_gnc.reference import Body, Path
 
@@ -41,6 +42,11 @@ class Seen:
     pushed: bool = False  # momentum changes as nothing known explains
 
     @property
+    def keeping(self) -> bool | None:
+        """The order to the gripper that lets go of nothing: close if it holds, open if not."""
+        return None if self.holds is None else bool(self.holds)
+
+    @property
     def floating(self) -> tuple[Floats, Floats]:
         """State of base and arm and its rate, (3 + n,) each.
 
@@ -63,32 +69,52 @@ class Ended(NamedTuple):
 
 @dataclass(frozen=True)
 class Orders:
-    """What an activity wants until the next step; the default: valves closed, arm left alone."""
+    """What to do until the next step; by default valves are closed and the arm is left alone."""
 
     phase: str
     path: Path | None = None  # of the base, by the activity's time; None: coast
-    rates: Floats | None = None  # (n,) of the joints [rad/s]; None: nobody moves the arm for us
+    rates: Floats | None = None  # (n,) of the joints [rad/s]; None: the arm is left alone
     close: bool | None = None  # the gripper; None: as it is
     keep_out: float = 0.0  # radius about the target that it keeps off [m]
     fixture_distance: float = np.nan  # from the end effector to the target's fixture [m]
+    reason: str = ""  # why it aborts or brakes; empty: it does not
     ended: Ended | None = None
 
 
 class Activity(Protocol):
     """Something that the guidance does."""
 
-    blind: bool  # it goes on while base or joints are not known
+    blind: bool  # whether it goes on while base or joints are unknown
 
     def step(self, seen: Seen) -> Orders:
-        """What to do now; an end that ActivityError is raised for is one that failed."""
+        """Orders for now.
+
+        Raises:
+            ActivityError: it cannot go on, and so has failed.
+        """
 
     def cancel(self, reason: str) -> None:
-        """Nobody wants it any more: its next steps come to an end."""
+        """Come to an end within the next steps."""
 
 
 @dataclass(frozen=True)
 class Craft:
-    """The spacecraft as the guidance knows it."""
+    """The spacecraft as the guidance knows it.
+
+    Raises:
+        SettingError: the posture is not one of this arm.
+    """
 
     arm: Arm
     settings: MissionSettings = field(default_factory=MissionSettings)
+
+    def __post_init__(self) -> None:
+        posture, links = self.settings.posture, self.arm.links
+        if posture and len(posture) != len(links):
+            raise SettingError(f"posture has {len(posture)} angles, expected {len(links)} or none")
+        for i, (q, link) in enumerate(zip(posture, links, strict=False), 1):
+            if not link.q_min <= q <= link.q_max:
+                raise SettingError(
+                    f"posture has {q:g} rad for joint {i}, expected {link.q_min:g} to "
+                    f"{link.q_max:g} rad"
+                )

@@ -29,6 +29,7 @@ from fss_arm_model.clearance import gaps, sizes, with_edge, with_target
 from fss_arm_model.dynamics import inverse_dynamics
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_model.momentum import system_com
+from fss_arm_model.planar import wrap
 from fss_gnc.guidance.mission_settings import MissionSettings
 
 Floats = npt.NDArray[np.float64]
@@ -54,7 +55,7 @@ def quintic(begin: float, rate: float, end: float, duration: float, t: Floats) -
     return np.stack([value, first, second])
 
 
-class Body:
+class Rigid:
     """Base and arm with joints held: where its centre of mass is, and what it points at."""
 
     def __init__(self, p: Floats, q_m: npt.ArrayLike) -> None:
@@ -75,8 +76,7 @@ class Body:
         s = c / (d - self.k)
         along = v / s
         round_ = along.imag / (d - self.k.real)
-        psi = pose[2] - (np.angle(s) + pi - self.tip_heading)
-        psi = (psi + pi) % (2.0 * pi) - pi
+        psi = wrap(pose[2] - (np.angle(s) + pi - self.tip_heading))
         inward = along.real - round_ * self.k.imag
         return (
             np.array([d, np.angle(s), psi]),
@@ -106,7 +106,7 @@ def _rows(along: Complexes, turning: Floats) -> Floats:
 class Way:
     """From where it begins to the stand-off, in the target's drifting frame."""
 
-    body: Body
+    body: Rigid
     begin: Floats  # (3,) d, phi, psi
     rate: Floats  # (3,)
     end: Floats  # (3,)
@@ -180,7 +180,7 @@ class Planner:
             state: (2, 3) pose and twist of the target.
             lead: a way ends so long before the fixture faces the arm [s].
         """
-        body = Body(self.p, q[3:])
+        body = Rigid(self.p, q[3:])
         drift = np.array([*state[1, :2], 0.0])
         apart = np.array([*(q[:2] - state[0, :2]), q[2]])
         here = body.polar(apart, qd[:3] - drift)
@@ -190,7 +190,7 @@ class Planner:
             yield way if self._can_drive(way) and self._is_clear(way, state) else None
 
     def _ways(
-        self, body: Body, here: Floats, rate: Floats, state: Floats, lead: float
+        self, body: Rigid, here: Floats, rate: Floats, state: Floats, lead: float
     ) -> Iterator[Way]:
         standing = self.standing()
         off = max(float(here[0]), standing)
@@ -201,7 +201,7 @@ class Planner:
         t = 6.0
         while t < self.settings.longest_way:
             facing = self.side(float(state[0, 2] + state[1, 2] * (t + lead)))
-            round_ = (facing - here[1] + pi) % (2.0 * pi) - pi
+            round_ = wrap(facing - here[1])
             for turn in (round_, round_ - np.copysign(2.0 * pi, round_)):
                 end = np.array([standing, here[1] + turn, 0.0])
                 for order in orders:
@@ -235,7 +235,7 @@ class Planner:
         """The gaps of all bodies to target and edge, (g,)."""
         return np.asarray(gaps(self.p, q, self._pairs, self._sizes, target[:2]))
 
-    def gaps_of(self, pose: Floats, body: Body, target: Floats) -> Floats:
+    def gaps_of(self, pose: Floats, body: Rigid, target: Floats) -> Floats:
         """The gaps with the base at poses (k, 3) and the target at (k, 2), (k, g)."""
         q = np.column_stack([pose, np.broadcast_to(body.q_m, (len(pose), body.q_m.size))])
         return np.asarray(gaps(self.p, q, self._pairs, self._sizes, target))

@@ -50,14 +50,14 @@ class AlongPath:
         self._measure(seen.t, base)
         if seen.t < self.path.end and not self.cancelled and self.patience is not None:
             try:
-                self.room.check(self.path, seen.t, q[3:], None if seen.holds else seen.target)
+                self.room.check(self.path, seen.t, seen)
             except ActivityError as error:
                 self.cancel(str(error))
         if self.cancelled and not self.well and self.phase != "brake":
             self.phase, self.path = "brake", braking(self.settings, base, seen.t)
         return Orders(
             self.phase if seen.t < self.path.end or self.cancelled else "hold", self.path,
-            keep_out=self.settings.keep_out, ended=self._end(seen.t, base),
+            keep_out=self.settings.keep_out, reason=self.cancelled, ended=self._end(seen.t, base),
         )  # fmt: skip
 
     def cancel(self, reason: str) -> None:
@@ -75,7 +75,11 @@ class AlongPath:
         s = self.settings
         distance, turn = float(np.hypot(*self.offset[:2])), abs(float(self.offset[2]))
         if distance > s.max_offset or turn > s.max_turn:
-            return Ended(False, f"the base is {distance:.3f} m and {np.degrees(turn):.1f} deg off")
+            return Ended(
+                False,
+                f"the base is {distance:.3f} m and {np.degrees(turn):.1f} deg off its reference, "
+                f"expected at most {s.max_offset:g} m and {np.degrees(s.max_turn):.0f} deg",
+            )
         if self.cancelled:
             over = self.well or t >= self.path.end
             return Ended(self.well, "" if self.well else self.cancelled) if over else None
@@ -84,9 +88,10 @@ class AlongPath:
         if self.reached is not None:
             return Ended(True) if t >= self.reached + self.hold else None
         if self.patience is not None and t > self.path.end + self.patience:
-            late = f"{self.patience:g} s after the planned time"
             return Ended(
-                False, f"the base is {distance:.3f} m and {np.degrees(turn):.1f} deg off {late}"
+                False,
+                f"the base is {distance:.3f} m and {np.degrees(turn):.1f} deg off its goal, or not "
+                f"at rest, {self.patience:g} s after the planned time",
             )
         return None
 
@@ -107,14 +112,18 @@ def hold(craft: Craft, seen: Seen, pose: npt.ArrayLike, duration: float) -> Alon
         duration: how long [s]; 0: until it is cancelled.
 
     Raises:
-        ActivityError: it makes no sense, or the pose is too far.
+        ActivityError: it makes no sense, the pose is too far, or the way to it is not free.
     """
     q, qd = seen.floating
     pose, lasts = np.asarray(pose, dtype=float), _duration(duration) or inf
     if not pose.size:
         return AlongPath(craft, "hold", braking(craft.settings, Body(q[:3], qd[:3])), lasts, None)
     _check_near(craft.settings, "pose", _pose(pose), q[:3], "; base/go_to goes there")
-    return AlongPath(craft, "hold", Path(np.zeros(1), pose.reshape(1, 1, 3)), lasts, None)
+    found = AlongPath(craft, "hold", Path(np.zeros(1), pose.reshape(1, 1, 3)), lasts, None)
+    goal = q[:3] + off(pose, q[:3])
+    way = Path(np.array([0.0, 1.0]), np.array([[q[:3]], [goal]]))
+    found.room.check(way, 0.0, seen)
+    return found
 
 
 def go_to(
@@ -135,6 +144,8 @@ def go_to(
     q, qd = seen.floating
     begin = Reference(q[:3], qd[:3], np.zeros(3))
     goal = q[:3] + off(_pose(pose), q[:3])
+    if (np.abs(goal[:2]) > 0.5 * np.array(craft.settings.table)).any():
+        raise ActivityError(f"pose is at {goal[0]:g}, {goal[1]:g} m, beyond the table's edge")
     shortest = least_duration(craft.settings, begin, goal)
     lasts = _duration(duration) or shortest
     if lasts < shortest - 1e-6:
@@ -186,7 +197,7 @@ def follow(
 
 def _along(craft: Craft, seen: Seen, phase: str, path: Path, hold: float) -> AlongPath:
     found = AlongPath(craft, phase, path, hold, craft.settings.max_overrun)
-    found.room.check(path, 0.0, seen.floating[0][3:], None if seen.holds else seen.target)
+    found.room.check(path, 0.0, seen)
     return found
 
 
@@ -274,6 +285,6 @@ def _pose(pose: npt.ArrayLike) -> Floats:
 
 
 def _duration(value: float, name: str = "duration") -> float:
-    if not value >= 0.0:
+    if not 0.0 <= value < inf:
         raise ActivityError(f"{name} is {value} s, expected 0 or more")
     return float(value)

@@ -16,13 +16,14 @@ import numpy as np
 import numpy.typing as npt
 
 from fss_arm_model.held import Approach, approach, momentum_of_both
+from fss_arm_model.planar import wrap
 from fss_arm_motion.guard import Guard, GuardError
 from fss_gnc.guidance.abort import Abort
 from fss_gnc.guidance.activity import Craft, Ended, Orders, Seen
 from fss_gnc.guidance.approach import Planner, Points, Way
 from fss_gnc.guidance.detumble import Detumble
 from fss_gnc.guidance.drift import Drifting
-from fss_gnc.guidance.reach import Reach, wrapped
+from fss_gnc.guidance.reach import Reach
 from fss_gnc.guidance.rest import braking, slowing
 from fss_gnc.guidance.watch import Watch
 from fss_gnc.reference import Body, Path, off
@@ -82,7 +83,7 @@ class Capture:
             return self._grasped(seen)
         if seen.base is None or seen.q is None or seen.target is None:
             self._moved = seen.t
-            return Orders("wait", close=False)
+            return Orders("wait", close=seen.keeping)
         q, qd = seen.floating
         state = np.array([seen.target.pose, seen.target.twist])
         self.met = approach(self.p, q, qd, self.target, state)
@@ -115,10 +116,11 @@ class Capture:
             return "target/state is not known"
         if seen.holds is None and self.phase in ("reach", "grip"):
             return "gripper/state is not known"
-        if self.phase == "wait" and (seen.base is None or seen.q is None or seen.target is None):
+        known = seen.base is not None and seen.q is not None and seen.target is not None
+        if self.phase == "wait" and not known and not seen.open_valves:
             late = seen.t - self.since > s.wait_timeout
             return "base, arm or target are not known" if late else ""
-        return self.watch.reason(seen, self._path, timeouts[self.phase], self.since)
+        return self.watch.reason(seen, self._path, self.phase, timeouts[self.phase], self.since)
 
     def _wait(self, seen: Seen, q: Floats, qd: Floats, state: Floats) -> Orders:
         self._path = None
@@ -130,7 +132,7 @@ class Capture:
         self._moved = self._moved if is_there else seen.t
         if seen.t >= self._moved + SETTLED:
             self._seek(seen.t, q, qd, state)
-        return Orders("wait", None, self._still(q), False)
+        return Orders("wait", None, self._still(q), seen.keeping)
 
     def _seek(self, t: float, q: Floats, qd: Floats, state: Floats) -> None:
         """Look for a way, a few tries in a step, from where base and arm are when it begins."""
@@ -164,7 +166,7 @@ class Capture:
         elif left <= 0.0:
             self._arrived(seen, q, qd, state, way)
         return Orders(
-            "approach", self._path, self._still(q), False, keep_out=self.settings.keep_out,
+            "approach", self._path, self._still(q), seen.keeping, keep_out=self.settings.keep_out,
             fixture_distance=self.met.distance if self.met else np.nan,
         )  # fmt: skip
 
@@ -189,9 +191,8 @@ class Capture:
 
     def _facing(self, state: Floats, way: Way, ahead: float) -> float:
         """Angle that the fixture has to turn yet to face the arm, a time ahead [s]."""
-        return wrapped(
-            float(way.end[1]) - self.planner.side(float(state[0, 2] + ahead * state[1, 2]))
-        )
+        side = self.planner.side(float(state[0, 2] + ahead * state[1, 2]))
+        return float(wrap(way.end[1] - side))
 
     def _reach(self, seen: Seen, q: Floats, qd: Floats, state: Floats) -> Orders:
         """Towards the fixture, and closing there; the arm goes on following while it closes."""

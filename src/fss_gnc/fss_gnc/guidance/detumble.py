@@ -1,7 +1,7 @@
-"""Base, arm and what it holds come to rest, by references that joints and valves can follow.
+"""Bring base, arm and what it holds to rest, by references that joints and valves can follow.
 
-Before the base is slowed down and after it, all is left alone with the valves closed: what pushes
-then is a valve that leaks, and no mass of what is held.
+Before and after the base brakes, everything is left alone for a while with the valves closed: a
+push that is seen then is a leaking valve, and not a wrong mass of what is held.
 """
 
 import numpy as np
@@ -51,7 +51,7 @@ class Detumble:
             self._begun = self._moving = seen.t
         if self.abort is None:
             reason = self.watch.reason(
-                seen, self._path, self.settings.detumble_timeout, self._begun
+                seen, self._path, "detumble", self.settings.detumble_timeout, self._begun
             )
             if reason:
                 self.cancel(reason)

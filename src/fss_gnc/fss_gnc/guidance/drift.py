@@ -7,10 +7,9 @@ import numpy.typing as npt
 
 from fss_arm_model import layout
 from fss_arm_model.clearance import gaps, sizes, with_edge, with_target
-from fss_arm_model.held import held_at
-from fss_gnc.guidance.approach import Body as Rigid
-from fss_gnc.guidance.approach import coasted
+from fss_gnc.guidance.approach import Rigid, coasted
 from fss_gnc.guidance.mission_settings import MissionSettings
+from fss_gnc.guidance.room import held_gap
 from fss_gnc.reference import Body
 
 Floats = npt.NDArray[np.float64]
@@ -33,12 +32,13 @@ class Drift(NamedTuple):
 
 
 class Drifting:
-    """Looks ahead; p is what it says on Planner.
+    """Looks ahead along a drift with the joints held.
 
     Args:
-        p: see there.
-        settings: sizes, limits.
-        held: (3,) where the gripper holds the target (held.py), which keeps off the edge, too.
+        p: (8 + 6 n,) Arm.vector(), as heavy as it is now.
+        settings: sizes and limits.
+        held: (3,) place of a held target in the last link's frame (held.py), which must stay on
+            the table as well; None: nothing is held.
     """
 
     def __init__(self, p: Floats, settings: MissionSettings, held: Floats | None = None) -> None:
@@ -58,11 +58,18 @@ class Drifting:
     def as_is(
         self, q: Floats, qd: Floats, target: Body | None, horizon: float | None = None
     ) -> Drift:
-        """What comes of the present motion; the target, if not held, drifts as well."""
+        """The drift that follows from the state q and its rate qd, (3 + n,) each.
+
+        Args:
+            q: state.
+            qd: its rate; those of the joints do not count.
+            target: which drifts as well; None: there is none, or it is held.
+            horizon: how far to look ahead [s]; drift_horizon by default.
+        """
         return self._looked(Rigid(self.p, q[3:]), q, np.atleast_2d(qd[:3]), target, horizon)[0]
 
     def away(self, q: Floats, qd: Floats, target: Body | None) -> Drift:
-        """The motion that is safe and asks for the least change; the best if none is safe."""
+        """The safe drift that asks for the least push; the one with most room if none is safe."""
         s, body = self.settings, Rigid(self.p, q[3:])
         w = body.com * np.exp(1j * q[2])
         around = np.exp(2j * np.pi * np.arange(DIRECTIONS) / DIRECTIONS)
@@ -77,7 +84,7 @@ class Drifting:
         return safe[0] if safe else max(found, key=lambda drift: min(drift.edge, drift.target))
 
     def refuge(self, q: Floats, target: Body | None) -> Floats:
-        """The nearest pose (3,) to q where, at rest, it can stay; the best if it nowhere can."""
+        """The nearest pose (3,) at which the base can rest; the one with most room if none."""
         body, still = Rigid(self.p, q[3:]), np.zeros((1, 3))
         around = np.exp(2j * np.pi * np.arange(DIRECTIONS) / DIRECTIONS)
         steps = np.append(0j, np.outer(STRIDES, around).ravel())
@@ -95,8 +102,8 @@ class Drifting:
         least: Floats = gaps(self.p, states, self._edge, self._sizes).min(axis=-1)
         if self.held is None:
             return least
-        room = self._sizes[-2:] - np.abs(held_at(self.p, states, self.held))
-        return np.minimum(least, room.min(axis=-1) - self.settings.target_radius)
+        s = self.settings
+        return np.minimum(least, held_gap(self.p, states, self.held, s.target_radius, s))
 
     def _looked(
         self,

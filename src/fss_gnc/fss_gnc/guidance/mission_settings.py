@@ -3,7 +3,15 @@
 from dataclasses import dataclass
 
 from fss_arm_model.held import Target
-from fss_arm_model.settings import FINITE, NOT_NEGATIVE, POSITIVE, above, like, setting
+from fss_arm_model.settings import (
+    FINITE,
+    NOT_NEGATIVE,
+    POSITIVE,
+    SettingError,
+    above,
+    like,
+    setting,
+)
 from fss_arm_motion.guard_settings import GuardSettings
 from fss_gnc.guidance.settings import GuidanceSettings
 
@@ -101,6 +109,14 @@ class MissionSettings(GuidanceSettings, GuardSettings):
     drift_speed: float = setting(
         0.04, "most speed to drift away with after an abort", unit="m/s", check=POSITIVE
     )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.keep_out < self.target_radius:
+            raise SettingError(
+                f"keep_out is {self.keep_out:g} m, expected at least target_radius, "
+                f"{self.target_radius:g} m"
+            )
 
     @property
     def target(self) -> Target:

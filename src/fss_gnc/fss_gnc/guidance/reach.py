@@ -19,6 +19,7 @@ from fss_arm_model.description import Arm
 from fss_arm_model.dynamics import inertia_matrix
 from fss_arm_model.kinematics import tip_pose
 from fss_arm_model.momentum import generalized_jacobian, momentum, system_com
+from fss_arm_model.planar import wrap
 from fss_gnc.guidance.mission_settings import MissionSettings
 
 Floats = npt.NDArray[np.float64]
@@ -66,7 +67,7 @@ class Reach:
         in_time = np.abs(apart) <= self.settings.reach_speed * MEETINGS
         k = int(np.argmax(in_time)) if in_time.any() else len(MEETINGS) - 1
         v = shortened(complex(apart[k]) / MEETINGS[k], 2.0 * self.settings.reach_speed)
-        turn = wrapped(float(ahead[k, 2] - tip[2])) / MEETINGS[k]
+        turn = float(wrap(ahead[k, 2] - tip[2])) / MEETINGS[k]
         return np.array([v.real, v.imag, min(max(turn, -MOST_TURN), MOST_TURN)])
 
     def _drift(self, q: Floats) -> Floats:
@@ -98,8 +99,3 @@ def limited(rates: Floats, q_m: Floats, lowest: Floats, highest: Floats, most: f
 def shortened(vector: complex, most: float) -> complex:
     """The vector, or the one along it that is so long."""
     return vector if abs(vector) <= most else vector * (most / abs(vector))
-
-
-def wrapped(angle: float) -> float:
-    """The angle from -pi on and below pi."""
-    return (angle + pi) % (2.0 * pi) - pi

@@ -1,61 +1,76 @@
-"""Whether base and arm, the arm as it is, have room along a path: table's edge, keep-out zone."""
+"""Whether base, arm and what it holds have room along a path: table's edge, keep-out zone."""
 
 import numpy as np
 
 from fss_arm_model.clearance import body_name, gaps, sizes, with_edge, with_target
-from fss_gnc.guidance.activity import ActivityError, Craft, Floats
-from fss_gnc.reference import Body, Path
+from fss_arm_model.extents import Extents
+from fss_arm_model.held import held_at, hold
+from fss_gnc.guidance.activity import ActivityError, Craft, Floats, Seen
+from fss_gnc.reference import Path
 
 SLACK = 1e-3  # by which what is too near already may come nearer still [m]
 
 
+def held_gap(p: Floats, states: Floats, place: Floats, radius: float, extents: Extents) -> Floats:
+    """Gap from a held target to the table's edge, (...) [m].
+
+    Args:
+        p: (8 + 6 n,) Arm.vector().
+        states: (..., 3 + n) of base and arm.
+        place: (3,) of the target in the last link's frame (held.py).
+        radius: of the target [m].
+        extents: of the table.
+    """
+    apart = 0.5 * np.array(extents.table) - np.abs(held_at(p, states, place))
+    return np.asarray(apart.min(axis=-1) - radius)
+
+
 class Room:
-    """What is free about base and arm; the keep-out zone is a body about the target's origin."""
+    """The room about base and arm; the keep-out zone is a disc about the target's origin."""
 
     def __init__(self, craft: Craft) -> None:
-        n, self.margin = craft.arm.n, craft.settings.edge_margin
-        self.p, self.n = craft.arm.vector(), n
+        n, self.settings = craft.arm.n, craft.settings
+        self.p = craft.arm.vector()
         self.edge, self.target = list(with_edge(n)), list(with_target(n))
-        self.sizes = sizes(craft.settings, craft.settings.keep_out)
+        self.names = [body_name(body, n) for body, _ in self.target]  # the edge's pairs alike
+        self.sizes = sizes(self.settings, self.settings.keep_out)
 
-    def clearances(self, q: Floats, target: Body | None) -> tuple[float, float]:
-        """Least distances to the table's edge and to the keep-out zone [m]; NaN: no target."""
-        edge = float(gaps(self.p, q, self.edge, self.sizes).min())
-        if target is None:
-            return edge, np.nan
-        return edge, float(gaps(self.p, q, self.target, self.sizes, target.pose[:2]).min())
-
-    def check(self, path: Path, begin: float, q: Floats, target: Body | None) -> None:
-        """Look along the rest of a path, from `begin` [s] on, with the joints where they are.
+    def check(self, path: Path, begin: float, seen: Seen) -> None:
+        """Look along the rest of a path, the joints as they are, the target drifting on.
 
         What is nearer than it should be already may move away, no nearer.
 
         Args:
             path: of the base.
             begin: where on it the base is [s].
-            q: (n,) of the joints [rad].
-            target: as it is at `begin`, to drift on; None: there is none, or it is held.
+            seen: then; base and joints are known.
 
         Raises:
             ActivityError: bodies would come too near to the edge or into the keep-out zone.
         """
         times, found = path.sampled(begin)
-        states = np.hstack([found[:, 0], np.tile(q, (len(times), 1))])
-        near = gaps(self.p, states, self.edge, self.sizes)
-        self._refuse(near, self.edge, times - begin, self.margin, "the table's edge")
-        if target is not None:
+        here, _ = seen.floating
+        states = np.hstack([found[:, 0], np.tile(here[3:], (len(times), 1))])
+        near, names = gaps(self.p, states, self.edge, self.sizes), self.names
+        target, s = seen.target, self.settings
+        if target is not None and seen.holds:
+            place = hold(self.p, here, target.pose)
+            near = np.column_stack([near, held_gap(self.p, states, place, s.target_radius, s)])
+            names = [*names, "the held target"]
+        self._refuse(near, names, times - begin, s.edge_margin, "the table's edge")
+        if target is not None and not seen.holds:
             ahead = (times - begin)[:, None] * target.twist[:2]
             near = gaps(self.p, states, self.target, self.sizes, target.pose[:2] + ahead)
-            self._refuse(near, self.target, times - begin, 0.0, "the keep-out zone")
+            self._refuse(near, self.names, times - begin, 0.0, "the keep-out zone")
 
-    def _refuse(
-        self, near: Floats, pairs: list[tuple[int, int]], ahead: Floats, margin: float, what: str
-    ) -> None:
+    @staticmethod
+    def _refuse(near: Floats, names: list[str], ahead: Floats, margin: float, what: str) -> None:
+        """Raise ActivityError if a gap (k, names) falls below the margin at times ahead (k,)."""
         over = np.minimum(margin, near[0] - SLACK) - near
         if over.max() <= 0.0:
             return
-        k, pair = np.unravel_index(int(over.argmax()), over.shape)
+        k, body = np.unravel_index(int(over.argmax()), over.shape)
         raise ActivityError(
-            f"{body_name(pairs[pair][0], self.n)} would be {near[k, pair]:.3f} m from {what} in "
-            f"{ahead[k]:.1f} s, expected at least {margin:g} m"
+            f"{names[body]} would be {near[k, body]:.3f} m from {what} in {ahead[k]:.1f} s, "
+            f"expected at least {margin:g} m"
         )

@@ -1,4 +1,4 @@
-"""What ends a mission: limits, looked at in every step."""
+"""The limits that abort a mission, checked in every step."""
 
 import numpy as np
 
@@ -12,28 +12,26 @@ UNNAMED = 8.0  # for which the valves may balance a push: one that does not open
 
 
 class Watch:
-    """Says why a mission has to be aborted, if it has."""
+    """Checks the limits of one mission."""
 
     def __init__(self, craft: Craft) -> None:
         self.settings = settings = craft.settings
         self.drifting = Drifting(craft.arm.vector(), settings)
-        self.largest_torque = 0.0
-        self.edge = self.target = np.nan  # clearances [m]
         self._had = np.nan  # propellant [kg]
         self._strained: float | None = None  # since when [s]
         self._pushed = np.inf  # since when something pushes that is not known [s]
 
     def reason(
-        self, seen: Seen, path: Path | None, timeout: float, since: float, near: bool = True
+        self, seen: Seen, path: Path | None, phase: str, timeout: float, since: float
     ) -> str:
-        """Why; empty: there is no reason.
+        """Why the mission must be aborted; empty if it need not be.
 
         Args:
-            seen: now.
-            path: that the base should be on; None: it drifts.
-            timeout: of the phase [s].
-            since: when that began [s].
-            near: whether base and arm must keep off the target.
+            seen: what is known now.
+            path: where the base should be; None: it drifts.
+            phase: name of the present phase.
+            timeout: longest that the phase may take [s].
+            since: when it began [s].
         """
         s = self.settings
         if seen.open_valves:
@@ -43,20 +41,20 @@ class Watch:
         if seen.q is None or seen.qd is None:
             return "arm/joint_states are not known"
         if seen.t - since > timeout:
-            return f"it took more than {timeout:g} s"
+            return f"the phase {phase} took more than {timeout:g} s"
         q, qd = seen.floating
         target = None if seen.target is None or seen.holds else seen.target.pose
-        self.edge, self.target = self.drifting.clearances(q, target)
-        if self.edge < s.least_edge:
-            return f"{self.edge:.3f} m from the table's edge, at least {s.least_edge:g} m expected"
-        if near and self.target < s.least_target:
-            return f"{self.target:.3f} m from the target, at least {s.least_target:g} m expected"
+        edge, apart = self.drifting.clearances(q, target)
+        if edge < s.least_edge:
+            return f"{edge:.3f} m from the table's edge, at least {s.least_edge:g} m expected"
+        if apart < s.least_target:
+            return f"{apart:.3f} m from the target, at least {s.least_target:g} m expected"
         self._pushed = min(self._pushed, seen.t) if seen.pushed else np.inf
         if path is not None:
             if seen.t - self._pushed > UNNAMED:
                 return "something pushes that is not known"
-            apart = off(seen.base.pose, path.at(seen.t).pose)
-            distance, turn = float(np.hypot(*apart[:2])), abs(float(apart[2]))
+            x, y, turned = off(seen.base.pose, path.at(seen.t).pose).tolist()
+            distance, turn = np.hypot(x, y), abs(turned)
             if distance > s.max_offset or turn > s.max_turn:
                 return f"{distance:.3f} m and {np.degrees(turn):.1f} deg off the reference"
             ahead = self.drifting.as_is(q, qd, None, STOPPED)
@@ -74,12 +72,14 @@ class Watch:
     def _strain(self, seen: Seen) -> str:
         if seen.effort is None:
             return ""
-        torque = float(np.nanmax(np.abs(seen.effort), initial=0.0))
-        self.largest_torque = max(self.largest_torque, torque)
+        torques = np.nan_to_num(np.abs(seen.effort))
+        joint = int(torques.argmax())
+        torque = float(torques[joint])
         if torque <= self.settings.max_torque:
             self._strained = None
         elif self._strained is None:
             self._strained = seen.t
         elif seen.t - self._strained > PATIENCE:
-            return f"{torque:.2f} N m at a joint, at most {self.settings.max_torque:g} N m expected"
+            most = self.settings.max_torque
+            return f"{torque:.2f} N m at joint {joint + 1}, at most {most:g} N m expected"
         return ""

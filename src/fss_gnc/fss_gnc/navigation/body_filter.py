@@ -1,12 +1,12 @@
-"""The pose and twist of a body on the table, from poses and rates that are measured of it.
+"""Estimate the pose and twist of a body on the table from measured poses and turn rates.
 
     state  x, y, heading, their rates in the world, and the gyro's bias
     x' = v,  v' = a + noise of covariance G,  b' = noise
 
-One Kalman filter with a full covariance (Bar-Shalom, Li, Kirubarajan, Estimation with Applications
-to Tracking and Navigation, 2001, section 6.2.2). The acceleration a that is known, and how well,
-comes from inputs.py. What was measured in the last MEMORY is kept: a measurement that comes late,
-or an input of which is heard later than it acted, is taken at its time, and what followed it again.
+A Kalman filter with a full covariance (Bar-Shalom, Li, Kirubarajan, Estimation with Applications
+to Tracking and Navigation, 2001, section 6.2.2). The known acceleration a and its noise come from
+inputs.py. The filter keeps the measurements of the last MEMORY. When a measurement arrives late, or
+an input is reported after it acted, the filter goes back to that time and repeats what followed.
 """
 
 from collections import Counter, deque
@@ -42,13 +42,22 @@ AT_THE_BEGIN = 0.1, 0.1, 0.2, 0.01
 def _step(  # type: ignore[no-untyped-def]
     x0, P0, acceleration, noise, row, gate, errors, x, P, out
 ):  # fmt: skip
-    """Predict by dt, and take a measurement if it is within the gate.
+    """Predict by dt, then update with a measurement that lies within the gate.
 
-    One that is beyond, but within if the body was kicked since the last one, is taken as that.
-    The acceleration (3,) and its noise's density (3, 3) are in the body's axes. The row: dt, what
-    is measured, the measurement (3,). The gate is squared. The errors: density of the bias,
-    variances of a rate, of position and heading as seen, of these as held, of a kick in speed and
-    in turn rate. In out: the square of the innovation's distance, and 1 if it was taken, else 0.
+    A measurement beyond the gate is tried again as if the body had been kicked since the last one.
+
+    Args:
+        x0: (7,) state.
+        P0: (7, 7) its covariance.
+        acceleration: (3,) known, in the body's axes.
+        noise: (3, 3) density of its noise, in the body's axes.
+        row: (5,) dt [s], the kind of event, the measurement.
+        gate: largest squared normalized innovation.
+        errors: (8,) density of the bias walk; variances of a rate, of a seen position and heading,
+            of a held position and heading, of a kick in speed and in turn rate.
+        x: (7,) state, written.
+        P: (7, 7) its covariance, written.
+        out: (3,) the squared normalized innovation, and 1 if the measurement was used; written.
     """
     dt, what, z = row[0], row[1], row[2:]
     place, heading = (errors[4], errors[5]) if what == HELD else (errors[2], errors[3])
@@ -166,26 +175,27 @@ class BodyState(NamedTuple):
         return self.covariance.diagonal()[3:]
 
     def at(self, t: int) -> "BodyState":
-        """The same motion a little earlier or later."""
+        """The state at another time [ns], at constant twist; the covariance is left as it is."""
         return self._replace(t=t, pose=self.pose + (t - self.t) * 1e-9 * self.twist)
 
 
 class Inputs(Protocol):
-    """What is known to accelerate a body."""
+    """The known acceleration of a body."""
 
     def over(self, times: Sequence[int]) -> tuple[Floats, Floats]:
-        """The mean between each two of k + 1 times [ns], and its noise, in its own axes.
+        """Mean acceleration in each interval between k + 1 times [ns], in the body's axes.
 
         Returns:
-            (k, 3) and (k, 3, 3); of all alike (1, 3) and (1, 3, 3).
+            The accelerations, (k, 3) [m/s^2, m/s^2, rad/s^2], and the densities of their noise,
+            (k, 3, 3); (1, 3) and (1, 3, 3) if they are the same in all intervals.
         """
 
 
 class Free:
-    """Nothing but noise accelerates it.
+    """No known acceleration, only noise.
 
     Args:
-        errors: whose accelerations are the noise.
+        errors: their accelerations are the noise.
     """
 
     def __init__(self, errors: SensorErrors) -> None:
@@ -218,18 +228,18 @@ class _Event(NamedTuple):
 
 
 class BodyFilter:
-    """Takes measurements by their stamps, in whatever order they come within MEMORY.
+    """The filter of one body; measurements may come in any order within MEMORY.
 
-    A pose further than GATE deviations off is rejected and counted, by what is `elsewhere` if that
-    is there; else, when the rejected ones agree among themselves for the settle time, the body is
-    believed to be there and the filter begins anew.
+    A pose more than GATE standard deviations off is rejected and counted. If another body is at
+    that pose, it is counted under its name. Otherwise, once rejected poses have agreed with each
+    other for the settle time, the filter restarts at them.
 
     Args:
-        errors: of the sensors, and what accelerates the body beside what is known.
-        inputs: what is known to accelerate it; nothing by default.
-        elsewhere: the name of another body that is at a pose at a time [ns] and nearer than so
-            much [m]; empty: none is.
-        bounds: beyond which its state is not known.
+        errors: of the sensors, and the process noise.
+        inputs: the known acceleration; none by default.
+        elsewhere: called with a time [ns], a pose and a distance [m]; the name of another body that
+            is nearer to the pose than that, or an empty string.
+        bounds: the state counts as unknown beyond them.
     """
 
     def __init__(
@@ -265,7 +275,7 @@ class BodyFilter:
         return self.events[-1].t if self.events else -1
 
     def pose(self, t: int, x: float, y: float, heading: float) -> bool:
-        """Take a pose seen at t [ns]; whether it was believed."""
+        """Update with a pose [m, m, rad] seen at t [ns]; whether it was accepted."""
         pose = x, y, heading
         if not hypot(x, y) < FAR:
             self.rejected["pose far away"] += 1
@@ -280,7 +290,7 @@ class BodyFilter:
         return t > self.events[0].t and self._settle(t, pose)
 
     def rate(self, t: int, omega: float) -> bool:
-        """Take a sample of the gyro at t [ns]; whether it was believed."""
+        """Update with a gyro sample [rad/s] of the time t [ns]; whether it was accepted."""
         if not isfinite(omega):
             self.rejected["gyro not finite"] += 1
             return False
@@ -290,43 +300,47 @@ class BodyFilter:
         return True
 
     def revise(self, t: int) -> None:
-        """What is known to have accelerated the body since t [ns] is another than it was."""
+        """Repeat what followed t [ns], as the known inputs since then have changed."""
         if self.events and (again := self._since(t)):
             self._apply(again)
 
     def predict(self, t: int) -> None:
-        """Go on to t [ns], without a measurement."""
+        """Predict to t [ns], without a measurement."""
         while self.events and self.t < t:
             self._apply([_Measured(min(self.t + STRIDE, t), NOTHING, NONE)])
 
     def state(self) -> BodyState:
-        """The newest estimate; what no number of poses takes away is added to its covariance."""
+        """The newest estimate; its covariance includes volume_error, which averages out nowhere.
+
+        Raises:
+            IndexError: there is none yet.
+        """
         (t, _, _), x, P = self.events[-1]
         return BodyState(t, x[:3], x[3:6], P[:6, :6] + self._place)
 
     @property
     def bias(self) -> float:
-        """Of the gyro [rad/s]."""
+        """Estimated bias of the gyro [rad/s]."""
         return float(self.events[-1].x[6])
 
     def push(self, t: int, speed: float, turn_rate: float) -> None:
-        """Something pushed the body at t [ns]: its twist is another, by these deviations."""
+        """Allow for a push at t [ns] of these standard deviations [m/s], [rad/s]."""
         if self.events:
             self._insert(t, PUSH, (speed**2, speed**2, turn_rate**2))
 
     def held(self, t: int, pose: Pose) -> bool:
-        """Take the pose at t [ns] that follows from what holds the body."""
+        """Update with the pose at t [ns] at which the gripper holds the body; as `pose`."""
         return self._insert(t, HELD, pose) if self.events else self._begin(t, pose)
 
     def distance(self, t: int, pose: Pose) -> float:
-        """How many deviations of itself and of the sensor a pose at t [ns] is off."""
+        """Mahalanobis distance of a pose at t [ns] from the newest estimate."""
         last = self.events[-1]
         row = max(t - last.t, 0) * 1e-9, POSE, *pose
         _, _, out = self._stepped(last, [last.t, t], [row], -1.0)
         return float(out[0, 0] ** 0.5)
 
     def lost(self, t: int) -> str:
-        """Why the body's state is not known at t [ns]; empty: it is."""
+        """Why the state at t [ns] counts as unknown; empty if it is known."""
         most = self.bounds
         if not self.events:
             return "not seen yet"
@@ -338,7 +352,7 @@ class BodyFilter:
             ("heading", P[2, 2], most.max_heading_deviation, "rad"),
             ("speed", max(P[3, 3], P[4, 4]), most.max_speed_deviation, "m/s"),
         ):
-            if variance > bound**2:
+            if not variance <= bound**2:
                 return f"{what} known to {variance**0.5:.2g} {unit} only"
         return ""
 

@@ -30,7 +30,10 @@ FOLLOWS = 0.2  # how long a joint may be off from its plan in the same way [s]
 RESTS = 1e-4  # change of a joint's rate that the base does not feel [rad/s]
 LATELY = 0.5  # [s]
 RATE_ERROR = 5e-4  # of a joint's rate that is read, at least [rad/s]
-READINGS, PULSES, POINTS = 8, 32, 16  # kept of each joint, of commands to the valves, of a plan
+FASTEST = 100.0  # a joint's rate beyond which a reading is no measurement [rad/s]
+#: Kept of each joint and of commands to the valves, at 50 a second more than the filter's MEMORY,
+#: within which it may compute anew; and of a plan.
+READINGS, PULSES, POINTS = 64, 64, 16
 NEVER, FOREVER = -np.inf, np.inf
 
 
@@ -38,10 +41,22 @@ NEVER, FOREVER = -np.inf, np.inf
 def _linearized(  # type: ignore[no-untyped-def]
     p, angles, read_at, rates, leaks, quiet, control, mobility, by_joint, still, read, tail,
 ):  # fmt: skip
-    """M, B and M (w - h) at a time, and the noise until all joints were read last and after it.
+    """M, B and M (w - h) at a time, and the noise before and after the joints' last readings.
 
-    The wrench w is that of valves that leak. The control: the time, the base's turn rate, relative
-    error of a joint's rate, of its change, and the change of one that is not heard.
+    Args:
+        p: (8 + 6 n,) Arm.vector().
+        angles: (n,) last readings [rad].
+        read_at: (n, k) times of readings, the newest last [s].
+        rates: (n, k) [rad/s].
+        leaks: (3,) wrench w of valves that stay open.
+        quiet: (3, 3) density of the noise beside the joints'.
+        control: (5,) the time [s], the base's turn rate [rad/s], relative errors of a joint's rate
+            and of its change, random walk of the rate of a joint that is not heard.
+        mobility: (3, 3) M, written.
+        by_joint: (3, n) B, written.
+        still: (3,) M (w - h), written.
+        read: (3, 3) density of the noise until the time at which all joints were read, written.
+        tail: (3, 3) density of the noise after that, written.
     """
     t, n = control[0], angles.size
     q, qd, tau = np.zeros(3 + n), np.zeros(3 + n), np.zeros(3 + n)
@@ -62,26 +77,10 @@ def _linearized(  # type: ignore[no-untyped-def]
     work, H = np.empty((3, n + 1), np.complex128), np.empty((3 + n, 3 + n))
     _inertia(p, q, work, H)
     _bias(p, q, qd, work, tau)
-    m, x, y = H[0, 0], H[1, 2] / H[0, 0], -H[0, 2] / H[0, 0]  # all the mass, and its centre
-    about = H[2, 2] - m * (x * x + y * y)  # inertia about that
-    turn = np.array([y, -x, 1.0])  # of the base, as all turns about it
-    for i in range(3):
-        still[i] = 0.0
-        for j in range(3):
-            mobility[i, j] = turn[i] * turn[j] / about
-            if i == j and i < 2:
-                mobility[i, j] += 1.0 / m
-            still[i] += mobility[i, j] * (leaks[j] - tau[j])
-        for k in range(n):
-            by_joint[i, k] = 0.0
-            for j in range(3):
-                by_joint[i, k] -= mobility[i, j] * H[j, 3 + k]
-    for i in range(3):
-        for j in range(3):
-            read[i, j] = tail[i, j] = quiet[i, j]
-            for k in range(n):
-                read[i, j] += by_joint[i, k] * even[k] * by_joint[j, k]
-                tail[i, j] += by_joint[i, k] * loose[k] * by_joint[j, k]
+    M = np.linalg.inv(H[:3, :3])
+    B = -M @ np.ascontiguousarray(H[:3, 3:])
+    mobility[:], by_joint[:], still[:] = M, B, M @ (leaks - tau[:3])
+    read[:], tail[:] = quiet + B * even @ B.T, quiet + B * loose @ B.T
 
 
 @kernel(
@@ -179,14 +178,14 @@ class KnownInputs:
         return (t - self._origin) * 1e-9
 
     def describe(self, p: npt.ArrayLike) -> None:
-        """The arm is another: a calibration passed, or the gripper holds something."""
+        """Use other parameters (8 + 6 n,): after a calibration, or with what the gripper holds."""
         self.p = np.asarray(p, dtype=float)
         if count(self.p) != self.n:
             self._joints(count(self.p))
         self._model(self._newest, self._omega)
 
     def fail(self, faults: Faults) -> None:
-        """Some valves stay open or closed, whatever they are told."""
+        """Predict with valves that stay open or closed, whatever they are told."""
         self.faults = faults
         self._leaks = self.valves[list(faults.open)].sum(axis=0)
         self._driven = self.valves.copy()
@@ -194,7 +193,15 @@ class KnownInputs:
         self._model(self._newest, self._omega)
 
     def pulses(self, t: int, on_times: npt.ArrayLike) -> bool:
-        """Valves open for a time each [s], from t [ns] on; these replace those before."""
+        """Take a command of the valves, which replaces the one before.
+
+        Args:
+            t: when it was sent [ns].
+            on_times: (8,) for how long each opens [s].
+
+        Returns:
+            False if it was ignored: a number makes no sense, or a later command is known.
+        """
         times = np.asarray(on_times, dtype=float)
         if times.shape != (COUNT,) or not (np.isfinite(times) & (times >= 0.0)).all():
             return False
@@ -206,14 +213,22 @@ class KnownInputs:
         return True
 
     def joint(self, i: int, t: int, q: float, qd: float, omega: float) -> int | None:
-        """Take a reading of joint i, from 0, at t [ns], the base turning at omega [rad/s].
+        """Take a reading of a joint.
+
+        Args:
+            i: the joint, from 0.
+            t: when it was read [ns].
+            q: its angle [rad].
+            qd: its rate [rad/s].
+            omega: turn rate of the base then [rad/s].
 
         Returns:
-            Since when what is known is another than it was [ns]; None: it is as it was.
+            The time since when the known acceleration differs from what it was before the reading
+            [ns]; None if it does not differ, or the reading was ignored.
         """
         at, rates = self._read_at[i], self._rates[i]
         now = self._seconds(t)
-        if not (isfinite(q) and isfinite(qd)) or now <= at[-1]:
+        if not (isfinite(q) and abs(qd) < FASTEST) or now <= at[-1]:
             return None
         before = float(at[-1])
         if now - before > UNHEARD:  # what it did meanwhile is not known
@@ -224,24 +239,25 @@ class KnownInputs:
         self._model(max(now, self._newest), omega)
         return t - round((now - before) * SECOND) if changed else None
 
-    def plan(self, times: Sequence[int], rates: npt.ArrayLike) -> bool:
-        """The joints are to have rates (k, n) [rad/s] at times [ns]; False: that is no plan."""
-        t, qd = np.array([self._seconds(at) for at in times]), np.asarray(rates, dtype=float)
+    def plan(self, stamp: int, ahead: Floats, rates: Floats) -> None:
+        """Take a plan of the joints' rates, which replaces the one before.
+
+        Args:
+            stamp: when it begins [ns].
+            ahead: (k,) times since then, rising [s]; those after the first POINTS do not count.
+            rates: (k, n) of the joints at these times [rad/s].
+        """
+        t, qd = self._seconds(stamp) + ahead[:POINTS], rates[:POINTS]
         k = len(t)
-        if qd.shape != (k, self.n) or not np.isfinite(qd).all() or (np.diff(t) <= 0.0).any():
-            return False
-        if k > POINTS:
-            t, qd, k = t[:POINTS], qd[:POINTS], POINTS
         self._planned_at[:], self._planned[:] = NEVER, 0.0
         if k > 1:
             self._planned_at[-k:] = t
             self._planned[-k:-1] = np.diff(qd, axis=0) / np.diff(t)[:, None]
-        return True
 
     def open_times(self, begin: int, end: int) -> Floats:
-        """For how long valves are open from one time [ns] to another, (8,) [s].
+        """How long each valve was open from one time [ns] to another, (8,) [s].
 
-        Of the last PULSES commands.
+        Only the last PULSES commands are remembered.
         """
         first, last = self._seconds(begin), self._seconds(end)
         following = np.append(self._opened[1:], FOREVER)
@@ -253,15 +269,15 @@ class KnownInputs:
 
     @property
     def heard(self) -> bool:
-        """Whether every joint was."""
+        """Whether every joint has been read."""
         return bool((self._read_at[:, -1] > NEVER).all())
 
     def heard_at(self, t: int) -> bool:
-        """Whether every joint was within UNHEARD before t [ns]."""
+        """Whether every joint was read less than UNHEARD before t [ns]."""
         return self.heard and bool((self._read_at[:, -1] > self._seconds(t) - UNHEARD).all())
 
     def joints_at(self, t: int) -> tuple[Floats, Floats]:
-        """Angles and rates of the joints at t [ns], (n,) each, by their newest readings."""
+        """Angles [rad] and rates [rad/s] of the joints at t [ns], (n,) each, extrapolated."""
         return self._extrapolated(self._seconds(t))
 
     def _extrapolated(self, t: float) -> tuple[Floats, Floats]:
@@ -270,9 +286,10 @@ class KnownInputs:
         return self._angles + qd * np.where(age <= UNHEARD, age, 0.0), qd
 
     def loose(self) -> Floats:
-        """Deviations of the joints' rates, (n,) [rad/s]: as read, and by what they changed lately.
+        """Standard deviations of the joints' rates, (n,) [rad/s].
 
-        A filter whose model is wrong takes LATELY to see what the joints' reaction really was.
+        They include what the rates changed by lately, as it takes the filter LATELY to see what the
+        joints' reaction really was.
         """
         heard = np.where(self._read_at > self._read_at[:, -1:] - LATELY, self._rates, np.nan)
         late = np.nanmax(heard, axis=1) - np.nanmin(heard, axis=1)

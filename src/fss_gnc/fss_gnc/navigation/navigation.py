@@ -1,9 +1,9 @@
-"""Base and target together: what is seen of one may be the other, and one may hold the other."""
+"""Base and target together, as one may be taken for the other, and one may hold the other."""
 
 from collections import deque
 from collections.abc import Sequence
 from functools import partial
-from math import expm1, hypot, pi
+from math import expm1, hypot
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +12,7 @@ from fss_arm_model.description import Arm
 from fss_arm_model.held import Target, held, hold, with_held
 from fss_arm_model.kernels import Floats
 from fss_arm_model.kinematics import tip_jacobian, tip_pose
+from fss_arm_model.planar import wrap
 from fss_arm_model.thrusters import COUNT
 
 from .body_filter import GATE, BodyFilter, BodyState, Free, Pose
@@ -32,7 +33,7 @@ EASED = 0.05  # of what a pose of the held target says of its place in the gripp
 
 
 class _Carried(Free):
-    """A target, which the arm accelerates while it is held."""
+    """Inputs of the target, which the arm accelerates while the gripper holds it."""
 
     def __init__(self, errors: TargetErrors) -> None:
         super().__init__(errors)
@@ -41,22 +42,22 @@ class _Carried(Free):
         self._shaken = np.zeros((1, 3)), shaken[None]
 
     def over(self, times: Sequence[int]) -> tuple[Floats, Floats]:
-        """By noise that is large while it is held."""
+        """No known acceleration; the noise is larger while the target is held."""
         return self._shaken if self.held else super().over(times)
 
 
 class Navigation:
     """The filters of base and target.
 
-    A pose that one of them cannot have, but another body has, is named and not used: where motion
-    capture takes base and target for each other, both poses are consistent with the other's.
+    A rejected pose at which another body is known to be is reported under its name and not used, as
+    when motion capture swaps base and target.
 
     Args:
-        arm: as known.
+        arm: its description.
         settings: errors of sensors and inputs.
-        of_target: errors of the target's poses, and what accelerates it.
-        body: the target's mass and inertia as assumed.
-        errors: how well these are known, and the momentum.
+        of_target: errors of the target's poses, and its process noise.
+        body: assumed mass and inertia of the target.
+        errors: how well these are known, and what else changes the momentum.
     """
 
     def __init__(
@@ -90,28 +91,28 @@ class Navigation:
         return self._carried.held
 
     def describe(self, arm: Arm) -> None:
-        """The arm is known better."""
+        """Use a new description of the arm, as after a calibration."""
         self.p = arm.vector()
         if self.caught:
             self.caught.p = self.p
         self._weigh()
 
     def joint(self, i: int, t: int, q: float, qd: float) -> None:
-        """Take a reading of joint i, from 0, at t [ns]."""
+        """Take a reading q [rad], qd [rad/s] of joint i, from 0, at t [ns]."""
         omega = self.base.state().twist[2] if self.base.events else 0.0
         since = self.inputs.joint(i, t, q, qd, float(omega))
         if since is not None:
             self.base.revise(since)
 
     def pulses(self, t: int, on_times: npt.ArrayLike) -> bool:
-        """Take the pulses of the valves that were sent at t [ns]; False: they are none."""
+        """Take on-times (8,) [s] that were sent to the valves at t [ns]; False: ignored."""
         taken = self.inputs.pulses(t, on_times)
         if taken:
             self.base.revise(t)
         return taken
 
     def confused(self, t: int) -> list[tuple[str, str]]:
-        """Who was lately seen where whom else is."""
+        """Pairs of bodies (name, other): within the last second one was seen where the other is."""
         bodies = ("base", self.base), ("target", self.target)
         return [
             (name, body.confused[1])
@@ -120,7 +121,7 @@ class Navigation:
         ]
 
     def target_pose(self, t: int, x: float, y: float, heading: float) -> bool:
-        """Take a pose of the target seen at t [ns]; whether it was believed."""
+        """Update with a pose [m, m, rad] of the target seen at t [ns]; whether it was accepted."""
         believed = self.target.pose(t, x, y, heading)
         if believed and self.holds and not self.base.lost(t):
             place = hold(self.p, self._state(t)[0], (x, y, heading))
@@ -129,12 +130,12 @@ class Navigation:
                 self._weigh()
             else:
                 off = place - self.place
-                off[2] = (off[2] + pi) % (2.0 * pi) - pi
+                off[2] = wrap(off[2])
                 self.place = self.place + EASED * off
         return believed
 
     def gripper(self, holds: bool) -> None:
-        """Take whether the gripper holds the target."""
+        """Take what the gripper says: whether it holds the target."""
         if holds == self.holds:
             return
         self._carried.held, self.place, self._gripped = holds, None, self.base.t
@@ -145,7 +146,7 @@ class Navigation:
         self._weigh()
 
     def predict(self, t: int) -> None:
-        """Go on to t [ns]; a held target that is not seen goes with the gripper."""
+        """Predict to t [ns]; a held target that is not seen moves with the gripper."""
         self.base.predict(t)
         if self.place is not None and t - self.target.seen > UNSEEN and not self.base.lost(t):
             x, y, heading = held(self.p, *self._state(t), self.place)[0].tolist()
@@ -153,7 +154,7 @@ class Navigation:
         self.target.predict(t)
 
     def observe(self, t: int) -> MassProperties | None:
-        """Learn of what is held, by where all is at t [ns]; what is known then, if that is new."""
+        """Estimate the mass properties of what is held at t [ns]; None unless they are new."""
         if not self._is_known(t) or (self.holds and t < self._gripped + BEFORE):
             return None
         if not self.holds and self._seen and t < self._seen[-1][0] + BEFORE:
@@ -176,7 +177,7 @@ class Navigation:
         return self.found
 
     def diagnose(self, t: int) -> Faults | None:
-        """Which valves stay open or closed, by where all is at t [ns], if that is new."""
+        """Look for faulty valves at t [ns]; None unless what is found has changed."""
         known, place = self.valves.found, self.place
         p, mass_error = self.p, 0.0
         if self.holds and place is not None:  # as assumed: a leak may have passed for mass
@@ -196,7 +197,7 @@ class Navigation:
         return found
 
     def _is_known(self, t: int) -> bool:
-        """Whether base and joints are, so that momentum is; if not for a while, all begins anew."""
+        """Whether momentum is known at t [ns]; after a gap in which it was not, all restarts."""
         if not self.base.events or self.base.lost(t) or not self.inputs.heard_at(t):
             return False
         if t > self._given_until + GAP:
@@ -277,7 +278,7 @@ class Navigation:
                 return name
         if self.base.events and self.inputs.heard:
             x, y, heading = tip_pose(self.p, self._state(t)[0]).tolist()
-            turned = (pose[2] - heading + pi) % (2.0 * pi) - pi
+            turned = wrap(pose[2] - heading)
             if hypot(pose[0] - x, pose[1] - y) < min(SAME[0], within) and abs(turned) < SAME[1]:
                 return "end effector"
         return ""

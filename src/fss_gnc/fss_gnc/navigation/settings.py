@@ -153,6 +153,7 @@ class NavigationSettings(EstimatorSettings, CaughtErrors):
     joints_topic: str = setting("joint_states", "topic of the joints' readings")
     world_frame: str = setting("world", "frame id of what is published")
     base_frame: str = like(Vehicle, "base_frame")
+    frame_prefix: str = like(Vehicle, "frame_prefix")
     target_frame: str = setting("target", "child frame id of target/state")
 
     def of_target(self) -> TargetErrors:
