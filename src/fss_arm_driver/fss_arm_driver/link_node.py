@@ -9,7 +9,6 @@ from typing import Any
 
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.qos import QoSProfile
 from sensor_msgs.msg import BatteryState, JointState
 from std_msgs.msg import Empty
 from std_srvs.srv import Trigger
@@ -37,7 +36,7 @@ from fss_arm_ros.door import subscribe
 from fss_arm_ros.ear import Ear
 from fss_arm_ros.pace import pace
 from fss_arm_ros.parameters import declare
-from fss_arm_ros.qos import COMMAND, SENSOR
+from fss_arm_ros.qos import COMMAND, SENSOR, STOPS
 
 PATH_RATE = 10.0  # of commands, below which they are doubled while a path is followed [1/s]
 
@@ -102,7 +101,7 @@ class LinkNode(SessionNode):
         self.link_health = LinkHealth(self.session, self.transport, bool(settings.keys))
         self.begin(f"{self.name}/arm")
         self.ears = (
-            Ear(self, Empty, "arm/stop", QoSProfile(depth=10), self.on_stop),
+            *(Ear(self, Empty, "arm/stop", qos, self.on_stop) for qos in STOPS),
             Ear(self, LinkCommand, f"{self.name}/command", COMMAND, self.on_command),
         )
 

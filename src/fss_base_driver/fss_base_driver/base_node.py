@@ -26,7 +26,7 @@ from fss_arm_ros.diagnostics import Health
 from fss_arm_ros.door import subscribe
 from fss_arm_ros.pace import pace
 from fss_arm_ros.parameters import declare_live
-from fss_arm_ros.qos import LATCHED, SENSOR, command
+from fss_arm_ros.qos import LATCHED, SENSOR, command, subscribe_stop
 from fss_base_driver import messages
 from fss_base_driver.allocation import Allocation
 from fss_base_driver.gyro import BiasError, BiasSearch, Sums
@@ -87,7 +87,7 @@ class BaseNode(SessionNode):
         self.create_subscription(Bool, "gripper/command", self.on_grip, command(1.0))
         subscribe(self, ThrusterHealth, "thrusters/health", self.on_found, LATCHED)
         for topic in ("base/stop", "arm/stop"):
-            self.create_subscription(Empty, topic, self.on_stop, 10)
+            subscribe_stop(self, topic, self.on_stop)
         group = ReentrantCallbackGroup()  # the answer takes its time; all else goes on
         self.create_service(Trigger, "base/find_gyro_bias", self.on_find, callback_group=group)
         self.sharing = self.create_timer(s.wrench_period, self.share, clock=pace(self))

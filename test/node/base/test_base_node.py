@@ -10,6 +10,7 @@ from driver_wire import ENDS
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import BatteryState, FluidPressure, Imu
 from std_msgs.msg import Bool, Empty, Float64
 from std_srvs.srv import SetBool, Trigger
@@ -170,6 +171,16 @@ def test_the_gyros_bias_is_found_at_rest_and_taken_off(bench):
     answer = bench.call(bench.user.find, Trigger.Request())
     assert not answer.success
     assert "the base turns" in answer.message
+
+
+@pytest.mark.parametrize("topic", ["base/stop", "arm/stop"])
+def test_a_stop_is_heard_from_a_best_effort_publisher(armed, topic):
+    stop = armed.user.create_publisher(
+        Empty, topic, QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+    )
+    armed.until(stop.get_subscription_count)
+    stop.publish(Empty())
+    armed.until(lambda: armed.board.state.flags() == BaseState.STOPPED)
 
 
 def test_a_pulse_is_given_and_told_as_it_was_sent(armed):
