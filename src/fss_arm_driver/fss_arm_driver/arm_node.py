@@ -70,7 +70,7 @@ class ArmNode(Node):
 
     async def on_arm(self, request: SetBool.Request, response: SetBool.Response) -> Any:
         """Pass the request on to all links at once; succeed if all do. An old one arms nothing."""
-        if request.data and (old := self.links.stood_still()):
+        if request.data and (old := self.links.interruption()):
             response.message = old
             return response
         pending = [self.ask(client, request) for client in self.armers]

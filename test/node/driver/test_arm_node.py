@@ -307,6 +307,23 @@ def test_after_the_node_stood_still_nothing_old_moves_or_arms(bench):
     assert bench.move(0.1, 0.1).result.reached
 
 
+@pytest.mark.parametrize("step", [-3600, 3600])
+def test_a_clock_that_is_set_ends_a_move_and_hides_no_silence(bench, monkeypatch, step):
+    links, now = bench.arm.links, bench.arm.links.now
+    bench.enable()
+    move = bench.begin(0.5, 0.5, duration=20.0)
+    bench.until(lambda: any(transport.link.speed for transport in bench.transports))
+    monkeypatch.setattr(links, "now", lambda: now() + step * 1_000_000_000)
+    message = bench.end(move).result.message
+    assert abs(float(message.split()[-2]) - step) < 1.0
+    assert message.startswith("the clock of this computer was set by ")
+    bench.until(lambda: all(transport.link.speed == 0.0 for transport in bench.transports))
+    bench.until(lambda: not links.interruption())
+    assert not links.troubles()
+    bench.transports[1].talks = False
+    bench.until(lambda: links.troubles() == {2: "silent"})
+
+
 def test_a_stop_is_heard_from_any_publisher(bench):
     for reliability in ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT:
         qos = QoSProfile(depth=1, reliability=reliability)
