@@ -58,7 +58,7 @@ ALLOWED = {
     "fss_base_driver": ROS
     | {"fss_arm_model", "fss_arm_ros", "numpy", "scipy", "rich", "motioncapture"}
     | {"fss_arm_driver.protocol", "fss_arm_driver.session", "fss_arm_driver.transport"}
-    | {"fss_arm_driver.session_node", "fss_arm_driver.host_clock"},
+    | {"fss_arm_driver.session_node", "fss_arm_driver.host_clock", "fss_arm_driver.pacer"},
     "fss_gnc": ROS | {"fss_arm_model", "fss_arm_motion", "fss_arm_ros", "numpy", "scipy"},
     "fss_arm_view": ROS
     | {"fss_arm_model", "fss_arm_ros", "fss_gnc.navigation", "fss_gnc.navigation.messages"}

@@ -4,7 +4,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from math import isfinite
+from math import inf, isfinite
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from std_msgs.msg import Bool, Empty, Float64
 from std_srvs.srv import Trigger
 
 from fss_arm_driver.host_clock import HostClock
+from fss_arm_driver.pacer import Pacer
 from fss_arm_driver.session import CommandError
 from fss_arm_driver.session_node import SessionNode
 from fss_arm_driver.transport import Transport, open_transport
@@ -65,7 +66,8 @@ class BaseNode(SessionNode):
         self.found = ThrusterHealth()  # of the valves, by the navigation
         self.wrench: tuple[tuple[float, float, float], int] | None = None  # and when given
         self.shared = 0  # when a wrench was shared out last
-        self.sums = Sums()
+        self.pacer, self.sums = Pacer(s.max_rate), Sums()
+        self.turned = 0  # when the gyro's rate was heard last
         self.search: BiasSearch | None = None
         self.result: tuple[float, float] | str | None = None  # of it
         self.sent = NO_PULSE
@@ -122,6 +124,7 @@ class BaseNode(SessionNode):
         """Publish the mean rate of turn since the frame before, at the middle of that time."""
         if (turn := self.sums.take(heard.frame, heard.stamp)) is None:
             return
+        self.turned = self.now()
         gyro, settings = self.live["gyro"], self.settings
         rate = gyro.scale * turn.counts
         deviation = settings.gyro_noise / turn.samples**0.5
@@ -146,6 +149,7 @@ class BaseNode(SessionNode):
         with self.lock:
             now = self.now()
             self.transport.send(self.session.command(now))
+            self.pacer.sent(now)
             self.steady.reset()
             self.tell(now, self.session.pulse, self.sent)
             self.sent = self.session.pulse
@@ -178,7 +182,7 @@ class BaseNode(SessionNode):
             given = self.given(message, self.settings.command_lifetime)
             self.session.thrust(message.on_time, given, self.now())
             self.wrench = None
-            self.transmit()
+            self.pass_on()
 
     def on_wrench(self, message: WrenchStamped) -> None:
         """Take a wrench, and share it out at once if none was for a period."""
@@ -252,6 +256,11 @@ class BaseNode(SessionNode):
         """Close the gripper, or open it."""
         with self.taking("gripper/command"):
             self.session.grip(message.data, self.now())
+            self.pass_on()
+
+    def pass_on(self) -> None:
+        """Send what was taken at once, or with the next command if that were above max_rate."""
+        if not self.pacer.wait(self.now()):
             self.transmit()
 
     def on_stop(self, _: Empty) -> None:
@@ -273,7 +282,7 @@ class BaseNode(SessionNode):
                 response.message = "it is being sought" if self.seeking else self.session.absence
                 return response
             self.seeking = Future()
-            self.result = None
+            self.result, self.turned = None, self.now()
             self.search = BiasSearch(s.bias_time, s.bias_scatter, s.max_bias)
         result = await self.seeking
         self.seeking = None
@@ -295,14 +304,17 @@ class BaseNode(SessionNode):
     def answer(self) -> None:
         """Answer requests that have come to an end."""
         super().answer()
-        if self.search and self.session.lost:
-            self.search, self.result = None, self.session.absence
+        silence = (self.now() - self.turned) / SECOND
+        if self.search and (self.session.lost or silence > self.settings.timeout):
+            self.search = None
+            self.result = self.session.absence if self.session.lost else "the gyro is silent"
         if self.seeking and self.result and not self.seeking.done():
             self.seeking.set_result(self.result)
 
     def health(self) -> Health:
         """For diagnostics."""
-        more: dict[str, Any] = {"gyro bias [rad/s]": self.live["gyro"].bias}
+        silence = (self.now() - self.turned) / SECOND if self.turned else inf
+        more = {"gyro bias [rad/s]": self.live["gyro"].bias, "gyro's age [s]": silence}
         for name, valve in self.live.items():
             for how, value in vars(valve).items() if name != "gyro" else ():
                 if value:

@@ -97,6 +97,10 @@ class BaseSettings(Settings):
     rate: float = setting(
         20.0, "rate of commands that are not new", unit="1/s", check=between(1.0, 1000.0)
     )
+    max_rate: float = setting(
+        50.0, "most commands a second to the board, as what is asked of it is passed on at once",
+        unit="1/s", check=between(1.0, 1000.0),
+    )  # fmt: skip
     timeout: float = setting(
         1.0, "silence after which the board is lost, and longest round trip to arm at", unit="s",
         check=between(0.001, 3600.0),

@@ -173,6 +173,30 @@ def test_the_gyros_bias_is_found_at_rest_and_taken_off(bench):
     assert "the base turns" in answer.message
 
 
+@pytest.mark.parametrize("bench", [{"timeout": 1.0}], indirect=True)
+def test_a_bias_is_not_sought_for_ever_of_a_gyro_that_does_not_answer(bench):
+    bench.board.dead = True
+    bench.until(lambda: bench.user.find.service_is_ready())
+    for _ in range(2):  # the second is not told that the first is still under way
+        answer = bench.call(bench.user.find, Trigger.Request())
+        assert (answer.success, answer.message) == (False, "the gyro is silent")
+    bench.until(lambda: float(bench.values()["gyro's age [s]"]) > 1.0)
+
+
+def test_a_flood_of_commands_does_not_keep_a_stop_waiting_in_the_line(armed):
+    """A serial port of 115200 baud takes 140 frames a second."""
+    begin, told = time.monotonic(), len(armed.board.taken)
+    for k in range(400):
+        on_time = [0.01 + 1e-4 * (k % 2), *(7 * [0.0])]
+        message = ThrusterCommand(on_time=on_time)
+        message.header.stamp = armed.user.stamp()
+        armed.node.on_thrust(message)
+    seconds = time.monotonic() - begin
+    assert len(armed.board.taken) - told <= 2 + 50.0 * seconds
+    last = armed.node.session.pulse.number
+    armed.until(lambda: armed.board.state.pulse == last, 1.0)
+
+
 @pytest.mark.parametrize("topic", ["base/stop", "arm/stop"])
 def test_a_stop_is_heard_from_a_best_effort_publisher(armed, topic):
     stop = armed.user.create_publisher(
