@@ -1,5 +1,6 @@
 """The node of the base's board: a board behind a fake transport, and real topics."""
 
+import signal
 import time
 from math import inf, isnan, nan
 
@@ -393,6 +394,17 @@ def test_a_node_that_ends_closes_the_valves(armed):
     armed.node.close()
     assert not armed.board.valves(armed.transport.clock())
     assert armed.board.state.flags() == 0
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_check_leaves_the_board_disarmed_however_it_is_ended(bench, start, how):
+    check = start("fss_base_driver.check_node", "--q", 0, 0, 0, 0, "--yes")
+    bench.until(lambda: bench.node.session.armed, 60.0)
+    check.process.send_signal(how)
+    bench.until(lambda: check.process.poll() is not None, 30.0)
+    assert check.process.returncode == 130, check.output
+    assert check.output == "check: interrupted\n"
+    assert not bench.board.state.armed
 
 
 @pytest.mark.parametrize("kind", ENDS)
