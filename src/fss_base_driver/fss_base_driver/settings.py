@@ -55,7 +55,7 @@ class MocapSettings(Settings):
     frame_id: str = setting("world", "frame that the poses are in")
     latency: float = setting(
         0.0, "delay from exposure to arrival, taken off the time of arrival", unit="s",
-        check=NOT_NEGATIVE,
+        check=between(0.0, 10.0),
     )  # fmt: skip
     max_speed: float = setting(
         1.0, "speed above which a subject has jumped", unit="m/s", check=POSITIVE
@@ -175,6 +175,11 @@ class BaseSettings(Settings):
                 f"minimum_on_time is {self.minimum_on_time} s, expected below wrench_period, "
                 f"{self.wrench_period} s"
             )
+        if self.max_on_time < self.wrench_period:  # else no large wrench would be taken
+            raise SettingError(
+                f"max_on_time is {self.max_on_time} s, expected at least wrench_period, "
+                f"{self.wrench_period} s"
+            )
         if self.url.startswith("copley:"):
             raise SettingError(f"url is {self.url!r}, expected udp://, tcp:// or serial://")
 
@@ -225,7 +230,7 @@ class FogSettings(Settings):
     gyro_noise: float = like(BaseSettings, "gyro_noise")
     latency: float = setting(
         0.009, "time from the middle of a rate's averaging to the end of its line", unit="s",
-        check=NOT_NEGATIVE,
+        check=between(0.0, 10.0),
     )  # fmt: skip
 
 

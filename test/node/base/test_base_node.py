@@ -376,6 +376,7 @@ def test_a_silent_board_is_reported(spin):
         ({"layout": [1.0]}, "layout has 1 numbers, expected 24"),
         ({"watchdog": 0.04}, "watchdog is 0.04 s, expected more than the 0.05 s"),
         ({"minimum_on_time": 0.1}, "minimum_on_time is 0.1 s, expected below wrench_period"),
+        ({"max_on_time": 0.05}, "max_on_time is 0.05 s, expected at least wrench_period, 0.1 s"),
         ({"valve_9.stuck_open": 1.0}, "no parameter valve_9.stuck_open"),
         ({"valve_1.stuck_open": 1.0, "valve_1.stuck_closed": 2.0}, "0 to 1"),
         ({}, "url is missing"),

@@ -278,6 +278,7 @@ def test_a_subject_that_is_wanted_and_never_seen_is_named(spin):
         ({"system": "vicon"}, "host is '', expected the address of the vicon computer"),
         ({"system": "mock", "options": ["x"]}, "options holds 'x', expected OPTION=VALUE"),
         ({"system": "mock", "subjects": ["fss=a b"]}, "subjects: 'vicon/a b' is no name of a "),
+        ({"system": "mock", "latency": 1e11}, "latency is .*, expected 0 to 10"),
         ({"relays": ["fss=a b"]}, "relays: 'a b' is no name of a topic"),
     ],
 )
