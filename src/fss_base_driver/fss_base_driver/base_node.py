@@ -64,7 +64,7 @@ class BaseNode(SessionNode):
         self.connect(self.session, transport, "open the valves")
         self.live: dict[str, Any] = {name: kind() for name, kind in live_kinds().items()}
         self.found = ThrusterHealth()  # of the valves, by the navigation
-        self.wrench: tuple[tuple[float, float, float], int] | None = None  # and when given
+        self.wrench: tuple[tuple[float, float, float], int] | None = None  # in force, since when
         self.shared = 0  # when a wrench was shared out last
         self.pacer, self.sums = Pacer(s.max_rate), Sums()
         self.turned = 0  # when the gyro's rate was heard last
@@ -167,7 +167,7 @@ class BaseNode(SessionNode):
 
     @contextmanager
     def taking(self, topic: str) -> Iterator[None]:
-        """Hold the session; say what of a topic is not taken, and count it."""
+        """Hold the session's lock; log and count a message of the topic that is refused."""
         with self.lock:
             try:
                 yield
@@ -177,7 +177,7 @@ class BaseNode(SessionNode):
                 self.warn(topic, f"{topic} is refused: {error}")
 
     def on_thrust(self, message: ThrusterCommand) -> None:
-        """Open the valves that a person asks for; a wrench waits for the next one."""
+        """Open the valves that are asked for, in place of the wrench in force."""
         with self.taking("thrusters/command"):
             given = self.given(message, self.settings.command_lifetime)
             self.session.thrust(message.on_time, given, self.now())
@@ -204,7 +204,7 @@ class BaseNode(SessionNode):
         return wrench
 
     def share(self) -> None:
-        """Give the next period's part of the wrench in force; no more until one is, if none is."""
+        """Share out the wrench in force for the next period; without one, rest until one comes."""
         if self.wrench is None:
             self.sharing.cancel()
             return
@@ -237,7 +237,7 @@ class BaseNode(SessionNode):
         )  # fmt: skip
 
     def on_found(self, message: ThrusterHealth) -> None:
-        """Do without the valves that do not do what they are told."""
+        """Leave out the valves that the navigation has found stuck."""
         with self.lock:
             self.found = message
             self.allocation = self.new_allocation()

@@ -140,7 +140,7 @@ class Tester(Node):
         return [self.joints[i] for i in range(1, arm.n + 1)]
 
     def pulse(self, valve: int, on_time: float) -> float:
-        """Open a valve, from 0; when it was sent [s].
+        """Open a valve, numbered from 0; return when the pulse was sent [s].
 
         Raises:
             CheckError: the node `base` did not send it.
@@ -155,7 +155,7 @@ class Tester(Node):
         return stamp_ns(self.sent[0].header.stamp) / SECOND
 
     def try_valve(self, valve: int, body: Body, rows: Floats, given: argparse.Namespace) -> Finding:
-        """Open one valve, from 0, and judge by the motion."""
+        """Open one valve, numbered from 0, and judge it by how the base moves."""
         for kept in (self.poses, self.rates, self.telemetry):
             kept.clear()
         self.wait(lambda: False, given.before)

@@ -95,7 +95,10 @@ class BaseSettings(Settings):
 
     url: str = setting("", "where the base's board is: udp://, tcp:// or serial://; required")
     rate: float = setting(
-        20.0, "rate of commands that are not new", unit="1/s", check=between(1.0, 1000.0)
+        20.0,
+        "rate at which the command of the moment is repeated",
+        unit="1/s",
+        check=between(1.0, 1000.0),
     )
     max_rate: float = setting(
         50.0, "most commands a second to the board, as what is asked of it is passed on at once",
@@ -129,17 +132,17 @@ class BaseSettings(Settings):
         check=FINITE,
     )
     minimum_on_time: float = setting(
-        0.01, "least time for which a thruster's valve opens", unit="s", check=NOT_NEGATIVE
+        0.01, "shortest time for which a thruster's valve opens", unit="s", check=NOT_NEGATIVE
     )
     max_on_time: float = setting(
         1.0, "longest time on thrusters/command that is taken", unit="s", check=between(0.001, 6.5)
     )
     command_lifetime: float = setting(
-        0.5, "age at which a message on thrusters/command holds no more", unit="s",
+        0.5, "age beyond which a message on thrusters/command is refused", unit="s",
         check=between(0.001, 10.0),
     )  # fmt: skip
     wrench_lifetime: float = setting(
-        0.3, "age at which a message on base/wrench holds no more", unit="s",
+        0.3, "age beyond which a message on base/wrench no longer acts", unit="s",
         check=between(0.001, 10.0),
     )  # fmt: skip
     wrench_period: float = setting(
