@@ -326,6 +326,14 @@ def test_wrenches_do_without_a_valve_that_is_said_to_be_stuck(armed):
     armed.until(lambda: armed.values().get("valve_1 is said to be") == "stuck closed")
 
 
+def test_parameters_that_are_set_together_are_all_taken_or_none(bench):
+    stuck = Parameter("valve_1.stuck_closed", value=1.0)
+    answer = bench.node.set_parameters_atomically([stuck, Parameter("gyro.scale", value=nan)])
+    assert not answer.successful
+    assert bench.node.get_parameter("valve_1.stuck_closed").value == 0.0
+    assert bench.node.live["valve_1"].stuck_closed == 0.0
+
+
 def test_wrenches_do_without_a_valve_that_is_found_to_be_stuck(armed):
     told = armed.user.create_publisher(ThrusterHealth, "thrusters/health", LATCHED)
     told.publish(ThrusterHealth(stuck_closed=[True] + 7 * [False]))
