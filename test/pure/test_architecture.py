@@ -58,7 +58,8 @@ ALLOWED = {
     "fss_base_driver": ROS
     | {"fss_arm_model", "fss_arm_ros", "numpy", "scipy", "rich", "motioncapture"}
     | {"fss_arm_driver.protocol", "fss_arm_driver.session", "fss_arm_driver.transport"}
-    | {"fss_arm_driver.session_node", "fss_arm_driver.host_clock"},
+    | {"fss_arm_driver.session_node", "fss_arm_driver.health"}
+    | {"fss_arm_driver.host_clock", "fss_arm_driver.pacer"},
     "fss_gnc": ROS | {"fss_arm_model", "fss_arm_motion", "fss_arm_ros", "numpy", "scipy"},
     "fss_arm_view": ROS
     | {"fss_arm_model", "fss_arm_ros", "fss_gnc.navigation", "fss_gnc.navigation.messages"}
@@ -116,7 +117,16 @@ ROOMS = {
 
 # Where the mathematics of a package meets ROS: its nodes, their actions and topics, and these.
 EDGES = {
-    *("settings", "messages", "kind", "kinds", "from_bag", "from_bag_options", "design_command"),
+    *(
+        "settings",
+        "messages",
+        "health",
+        "kind",
+        "kinds",
+        "from_bag",
+        "from_bag_options",
+        "design_command",
+    ),
     *("plan_command", "recompute", "programs", "from_bags", "bag_command", "bag_data"),
 }
 AT_THE_EDGE = ("_node", "_action", "_topic", "_topics")

@@ -8,7 +8,6 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.task import Future
-from std_msgs.msg import Empty
 from std_srvs.srv import SetBool
 
 from fss_arm_driver.arm.guard_topics import GuardTopics
@@ -21,6 +20,7 @@ from fss_arm_driver.programs import arm as main
 from fss_arm_driver.settings import ArmSettings
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.parameters import declare
+from fss_arm_ros.qos import subscribe_stop
 
 ANSWER = 6.0  # a link's driver has answered by then [s]
 
@@ -47,7 +47,7 @@ class ArmNode(Node):
         self.moves = MoveAction(self.links, self.guard)
         self.trajectories = TrajectoryAction(self.links, self.guard)
         self.streams = StreamTopic(self.links, self.guard)
-        self.create_subscription(Empty, "arm/stop", lambda _: self.links.stop(), 10)
+        subscribe_stop(self, "arm/stop", lambda _: self.links.stop())
         waits = ReentrantCallbackGroup()  # answers take their time; all else goes on
         self.armers = [
             self.create_client(SetBool, f"link_{i}/arm", callback_group=waits)
@@ -70,7 +70,7 @@ class ArmNode(Node):
 
     async def on_arm(self, request: SetBool.Request, response: SetBool.Response) -> Any:
         """Pass the request on to all links at once; succeed if all do. An old one arms nothing."""
-        if request.data and (old := self.links.stood_still()):
+        if request.data and (old := self.links.interruption()):
             response.message = old
             return response
         pending = [self.ask(client, request) for client in self.armers]

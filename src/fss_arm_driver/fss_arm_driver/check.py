@@ -14,7 +14,7 @@ from fss_arm_driver.transport import open_transport
 from fss_arm_driver.trials import COMPLETE, FAIL, NOT_TRIED, PASS, Finding, Rig, trials
 from fss_arm_model.description import Arm
 from fss_arm_model.description_file import described
-from fss_arm_ros.command_line import Parser, in_one_line
+from fss_arm_ros.command_line import Parser, in_one_line, interrupt_at_end
 
 SEARCH = 3.0  # for each link's number at a URL [s]
 EXIT_CODES = {PASS: 0, FAIL: 2, NOT_TRIED: 3}
@@ -66,6 +66,7 @@ def main() -> int:
     given = command.parse_args()
     if not 0.0 < given.current <= 0.5:
         command.error(f"--current is {given.current} A, expected above 0 to 0.5")
+    interrupt_at_end()
     return run(given)
 
 

@@ -9,7 +9,6 @@ from typing import Any
 
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.qos import QoSProfile
 from sensor_msgs.msg import BatteryState, JointState
 from std_msgs.msg import Empty
 from std_srvs.srv import Trigger
@@ -34,7 +33,7 @@ from fss_arm_msgs.msg import CommandStatus, LinkCommand, LinkPath, LinkTelemetry
 from fss_arm_ros.convert import SECOND, stamp_ns
 from fss_arm_ros.diagnostics import Health
 from fss_arm_ros.parameters import declare
-from fss_arm_ros.qos import COMMAND, SENSOR
+from fss_arm_ros.qos import COMMAND, SENSOR, STOPS
 from fss_arm_ros.subscriptions import SubscriptionThread
 from fss_arm_ros.timer_clock import timer_clock
 from fss_arm_ros.validation import subscribe
@@ -102,7 +101,7 @@ class LinkNode(SessionNode):
         self.link_health = LinkHealth(self.session, self.transport, bool(settings.keys))
         self.begin(f"{self.name}/arm")
         self.listening = (
-            SubscriptionThread(self, Empty, "arm/stop", QoSProfile(depth=10), self.on_stop),
+            *(SubscriptionThread(self, Empty, "arm/stop", qos, self.on_stop) for qos in STOPS),
             SubscriptionThread(self, LinkCommand, f"{self.name}/command", COMMAND, self.on_command),
         )
 

@@ -7,15 +7,14 @@ from builtin_interfaces.msg import Time
 from sensor_msgs.msg import BatteryState, JointState
 
 from fss_arm_driver.faults import present
+from fss_arm_driver.health import SessionHealth
 from fss_arm_driver.protocol import NO_TORQUE, Slow, State
-from fss_arm_driver.session import TROUBLES, LinkSession, Progress, Sample, Status
+from fss_arm_driver.session import LinkSession, Progress, Sample, Status
 from fss_arm_driver.transport import Transport
 from fss_arm_msgs.msg import CommandStatus, LinkTelemetry
 from fss_arm_ros.convert import SECOND, to_time
-from fss_arm_ros.diagnostics import ERROR, OK, WARN, Health
 
 MILLISECOND = 1_000_000  # [ns]
-SHORT = 600.0  # that a battery lasts, to be warned of [s]
 #: What a LinkTelemetry has as the frame has it, and what took turns in the frames.
 REPORTED = (
     *("boot", "sequence", "clock", "position", "velocity", "current"),
@@ -111,64 +110,38 @@ def state_words(session: LinkSession) -> str:
     return f"{state}: {', '.join(words)}" if words else state
 
 
-class LinkHealth:
+class LinkHealth(SessionHealth):
     """A link's health since it was last asked for."""
 
+    session: LinkSession
+    firmware = Slow.FIRMWARE
+
     def __init__(self, session: LinkSession, transport: Transport, signed: bool) -> None:
-        self.session, self.transport, self.signed = session, transport, signed
-        self.counts, self.then = dict(session.counts), 0
+        super().__init__(f"link_{session.number}", session, transport, signed)
 
-    def __call__(self, now: int) -> Health:
-        """How the link is at `now` [ns]."""
-        session, before, then = self.session, self.counts, self.then
-        session.tick(now)
-        self.counts, self.then = dict(session.counts), now
-        grown = {name: count - before[name] for name, count in self.counts.items()}
-        values = self._values(grown, (now - then) / SECOND, now)
-        words = state_words(session)
-        if now == then:
-            return Health(WARN, "the clock stands still", values)
-        if session.lost:
-            why = self.transport.trouble or session.rival or session.strain or session.absence
-            return Health(ERROR, f"link_{session.number} is lost{': ' * bool(why)}{why}", values)
-        if session.rival or session.faults:
-            return Health(ERROR, session.rival or words, values)
-        if session.nameless:
-            return Health(WARN, f"{words}; {session.nameless}", values)
-        if session.strain:
-            return Health(WARN, f"{words}; {session.strain}", values)
-        if (left := session.battery.time_left()) < SHORT:
-            return Health(WARN, f"{words}; the battery lasts {left / 60.0:.0f} min", values)
-        if any(grown[name] for name in TROUBLES):
-            return Health(WARN, f"{words}; frames were lost or refused", values)
-        return Health(OK if session.referenced else WARN, words, values)
+    def words(self) -> str:
+        """How the link is, for people."""
+        return state_words(self.session)
 
-    def _values(self, grown: dict[str, int], seconds: float, now: int) -> dict[str, Any]:
+    def doubt(self) -> str:
+        """That it has told no serial number where one is expected."""
+        return self.session.nameless
+
+    def is_well(self) -> bool:
+        """Whether its positions mean something."""
+        return self.session.referenced
+
+    def values(self) -> dict[str, Any]:
+        """What the drive reports."""
         session, slow = self.session, self.session.slow
-        came = grown["believed"] + grown["missed"]
-        firmware = slow.get(Slow.FIRMWARE, 0)
         known = [f.name for f in present(session.frame.status, 0)] if session.frame else []
         return {
-            "state": session.arming.value,
             "faults": ", ".join(session.faults) or "none",
             "drive": ", ".join(known) or "nothing to report",
             "referenced": session.referenced,
             "homings": slow.get(Slow.HOMINGS, 0),
-            "rate [1/s]": grown["believed"] / seconds if seconds else 0.0,
-            "loss [%]": 100.0 * grown["missed"] / came if came else 0.0,
-            "age [s]": session.silence(now),
-            "round trip [s]": session.round_trip,
-            "clock offset [s]": session.offset,
-            "clock drift [ppm]": 1e6 * session.drift,
-            "clock deviation [s]": session.deviation(now),
             "supply [V]": 0.1 * slow[Slow.SUPPLY] if Slow.SUPPLY in slow else "not reported",
-            "battery [V]": session.battery.voltage,
-            "battery lasts [min]": session.battery.time_left() / 60.0,
             "temperature [deg C]": slow.get(Slow.TEMPERATURE, "not reported"),
-            "firmware": f"{firmware >> 16}.{firmware >> 8 & 0xFF}.{firmware & 0xFF}",
             "serial": slow.get(Slow.SERIAL, "not told yet"),
             "expected serial": session.serial or "any",
-            "signed": self.signed,
-            **self.counts,
-            **self.transport.counts,
         }

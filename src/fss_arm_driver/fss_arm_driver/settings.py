@@ -20,7 +20,7 @@ class LinkSettings(Settings):
         (), "instead of url: where links 1, 2, ... are, to host all in one process"
     )
     rate: float = setting(
-        5.0, "rate of commands that are not new; below 10, twice that while a path is followed",
+        5.0, "rate at which the command of the moment is repeated; below 10, doubled on a path",
         unit="1/s",
         check=between(0.1, 1000.0),
     )  # fmt: skip
@@ -85,11 +85,11 @@ class ArmSettings(GuardSettings):
         check=between(0.1, 1000.0),
     )  # fmt: skip
     time_to_live: float = setting(
-        1.0, "age at which a command, or what a link reported, holds no more", unit="s",
+        1.0, "age beyond which a command, or what a link reported, is out of date", unit="s",
         check=between(0.001, 3600.0),
     )  # fmt: skip
     stream_time_to_live: float = setting(
-        0.5, "age at which a message on arm/joint_commands holds no more", unit="s",
+        0.5, "age beyond which a message on arm/joint_commands is out of date", unit="s",
         check=between(0.001, 3600.0),
     )  # fmt: skip
     lead: float = setting(

@@ -1,4 +1,4 @@
-"""Whether a move may go on, by the time that passes [s]: who asked for it, and this process."""
+"""Whether a motion may go on: who asked for it, this process and its clocks; times in s."""
 
 from dataclasses import dataclass
 
@@ -45,3 +45,30 @@ class Stall:
             self.lasted, self.ended = late, now
         recent = 0.0 <= now - self.ended < self.max_interval
         return f"this program stood still for {self.lasted:.1f} s" if recent else ""
+
+
+@dataclass
+class Steps:
+    """Finds that the time of day was set, and says so for a while.
+
+    Motions are planned by the time of day, and commands and measurements stamped with it.
+    """
+
+    least: float  # change that is no adjustment [s]
+    lasts: float  # for how long to say so [s]
+    step: float = 0.0  # the last one [s]
+    found: float = float("-inf")
+    ahead: float | None = None
+
+    def check(self, ahead: float, now: float) -> str:
+        """What to say of a step that was just now, if there was one.
+
+        Args:
+            ahead: the time of day less `now` [s].
+            now: time by a clock that nobody sets [s].
+        """
+        before, self.ahead = self.ahead, ahead
+        if before is not None and abs(ahead - before) > self.least:
+            self.step, self.found = ahead - before, now
+        recent = 0.0 <= now - self.found < self.lasts
+        return f"the clock of this computer was set by {self.step:+.1f} s" if recent else ""

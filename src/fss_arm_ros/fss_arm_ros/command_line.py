@@ -1,6 +1,7 @@
 """What commands that are no nodes do with a wrong command line."""
 
 import argparse
+import signal
 import sys
 from collections.abc import Callable
 from functools import wraps
@@ -23,6 +24,13 @@ class Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Exit with USER_ERROR."""
         self.exit(USER_ERROR, f"{self.prog}: {message}\n")
+
+
+def interrupt_at_end() -> None:
+    """Have SIGTERM, and a terminal that closes, end this process as Ctrl-C does: it cleans up."""
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) is not signal.SIG_IGN:  # as under nohup
+            signal.signal(number, signal.default_int_handler)
 
 
 def in_one_line(command: str) -> Callable[[Callable[P, int]], Callable[P, int]]:

@@ -71,12 +71,16 @@ def declare_live(
     names = {f"{prefix}.{f.name}": (prefix, f) for prefix in kinds for f in fields(kinds[prefix])}
 
     def on_set(parameters: list[Parameter]) -> SetParametersResult:
+        taken: list[tuple[str, str, float]] = []  # what was before
         try:
             for parameter in parameters:
                 if parameter.name in names:
                     prefix, f = names[parameter.name]
                     take(prefix, f.name, converted(parameter.name, parameter.value, float))
+                    taken.append((prefix, f.name, node.get_parameter(parameter.name).value))
         except ValueError as error:
+            for before in reversed(taken):  # all are set together, or none
+                take(*before)
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 

@@ -7,6 +7,7 @@ from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
+from std_msgs.msg import Empty
 
 from fss_arm_ros.validation import subscribe
 
@@ -19,6 +20,10 @@ LATCHED = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
+
+#: Subscriptions to a stop, each of them: a reliable one does not hear a best-effort publisher, and
+#: a best-effort one is not sent again what got lost. It does no harm to hear a stop twice.
+STOPS = (QoSProfile(depth=10), QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT))
 
 #: Subscription to what only the last message is wanted of; matches any publisher.
 LAST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -43,6 +48,13 @@ def sensor(*, keep_all: bool = False, best_effort: bool = False) -> QoSProfile:
         depth=1000,
         reliability=ReliabilityPolicy.BEST_EFFORT if best_effort else ReliabilityPolicy.RELIABLE,
     )
+
+
+def subscribe_stop(node: Node, topic: str, callback: Callable[[Empty], None]) -> None:
+    """Subscribe to a stop, whoever publishes it."""
+    unsaid = SubscriptionEventCallbacks(use_default_callbacks=False)  # that one of STOPS is deaf
+    for qos in STOPS:
+        node.create_subscription(Empty, topic, callback, qos, event_callbacks=unsaid)
 
 
 def subscribe_sensor(

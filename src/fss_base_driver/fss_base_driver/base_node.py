@@ -4,7 +4,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from math import isfinite
+from math import inf, isfinite
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from std_msgs.msg import Bool, Empty, Float64
 from std_srvs.srv import Trigger
 
 from fss_arm_driver.host_clock import HostClock
+from fss_arm_driver.pacer import Pacer
 from fss_arm_driver.session import CommandError
 from fss_arm_driver.session_node import SessionNode
 from fss_arm_driver.transport import Transport, open_transport
@@ -24,7 +25,7 @@ from fss_arm_msgs.msg import BaseTelemetry, GripperState, ThrusterCommand, Thrus
 from fss_arm_ros.convert import SECOND, stamp_ns
 from fss_arm_ros.diagnostics import Health
 from fss_arm_ros.parameters import declare_live
-from fss_arm_ros.qos import LATCHED, SENSOR, command
+from fss_arm_ros.qos import LATCHED, SENSOR, command, subscribe_stop
 from fss_arm_ros.timer_clock import timer_clock
 from fss_arm_ros.validation import subscribe
 from fss_base_driver import messages
@@ -63,9 +64,10 @@ class BaseNode(SessionNode):
         self.connect(self.session, transport, "open the valves")
         self.live: dict[str, Any] = {name: kind() for name, kind in live_kinds().items()}
         self.found = ThrusterHealth()  # of the valves, by the navigation
-        self.wrench: tuple[tuple[float, float, float], int] | None = None  # and when given
+        self.wrench: tuple[tuple[float, float, float], int] | None = None  # in force, since when
         self.shared = 0  # when a wrench was shared out last
-        self.sums = Sums()
+        self.pacer, self.sums = Pacer(s.max_rate), Sums()
+        self.turned = 0  # when the gyro's rate was heard last
         self.search: BiasSearch | None = None
         self.result: tuple[float, float] | str | None = None  # of it
         self.sent = NO_PULSE
@@ -87,7 +89,7 @@ class BaseNode(SessionNode):
         self.create_subscription(Bool, "gripper/command", self.on_grip, command(1.0))
         subscribe(self, ThrusterHealth, "thrusters/health", self.on_found, LATCHED)
         for topic in ("base/stop", "arm/stop"):
-            self.create_subscription(Empty, topic, self.on_stop, 10)
+            subscribe_stop(self, topic, self.on_stop)
         group = ReentrantCallbackGroup()  # the answer takes its time; all else goes on
         self.create_service(Trigger, "base/find_gyro_bias", self.on_find, callback_group=group)
         self.sharing = self.create_timer(s.wrench_period, self.share, clock=timer_clock(self))
@@ -122,6 +124,7 @@ class BaseNode(SessionNode):
         """Publish the mean rate of turn since the frame before, at the middle of that time."""
         if (turn := self.sums.take(heard.frame, heard.stamp)) is None:
             return
+        self.turned = self.now()
         gyro, settings = self.live["gyro"], self.settings
         rate = gyro.scale * turn.counts
         deviation = settings.gyro_noise / turn.samples**0.5
@@ -146,6 +149,7 @@ class BaseNode(SessionNode):
         with self.lock:
             now = self.now()
             self.transport.send(self.session.command(now))
+            self.pacer.sent(now)
             self.steady.reset()
             self.tell(now, self.session.pulse, self.sent)
             self.sent = self.session.pulse
@@ -163,7 +167,7 @@ class BaseNode(SessionNode):
 
     @contextmanager
     def taking(self, topic: str) -> Iterator[None]:
-        """Hold the session; say what of a topic is not taken, and count it."""
+        """Hold the session's lock; log and count a message of the topic that is refused."""
         with self.lock:
             try:
                 yield
@@ -173,12 +177,12 @@ class BaseNode(SessionNode):
                 self.warn(topic, f"{topic} is refused: {error}")
 
     def on_thrust(self, message: ThrusterCommand) -> None:
-        """Open the valves that a person asks for; a wrench waits for the next one."""
+        """Open the valves that are asked for, in place of the wrench in force."""
         with self.taking("thrusters/command"):
             given = self.given(message, self.settings.command_lifetime)
             self.session.thrust(message.on_time, given, self.now())
             self.wrench = None
-            self.transmit()
+            self.pass_on()
 
     def on_wrench(self, message: WrenchStamped) -> None:
         """Take a wrench, and share it out at once if none was for a period."""
@@ -200,7 +204,7 @@ class BaseNode(SessionNode):
         return wrench
 
     def share(self) -> None:
-        """Give the next period's part of the wrench in force; no more until one is, if none is."""
+        """Share out the wrench in force for the next period; without one, rest until one comes."""
         if self.wrench is None:
             self.sharing.cancel()
             return
@@ -233,7 +237,7 @@ class BaseNode(SessionNode):
         )  # fmt: skip
 
     def on_found(self, message: ThrusterHealth) -> None:
-        """Do without the valves that do not do what they are told."""
+        """Leave out the valves that the navigation has found stuck."""
         with self.lock:
             self.found = message
             self.allocation = self.new_allocation()
@@ -252,6 +256,11 @@ class BaseNode(SessionNode):
         """Close the gripper, or open it."""
         with self.taking("gripper/command"):
             self.session.grip(message.data, self.now())
+            self.pass_on()
+
+    def pass_on(self) -> None:
+        """Send what was taken at once, or with the next command if that were above max_rate."""
+        if not self.pacer.wait(self.now()):
             self.transmit()
 
     def on_stop(self, _: Empty) -> None:
@@ -273,7 +282,7 @@ class BaseNode(SessionNode):
                 response.message = "it is being sought" if self.seeking else self.session.absence
                 return response
             self.seeking = Future()
-            self.result = None
+            self.result, self.turned = None, self.now()
             self.search = BiasSearch(s.bias_time, s.bias_scatter, s.max_bias)
         result = await self.seeking
         self.seeking = None
@@ -295,14 +304,17 @@ class BaseNode(SessionNode):
     def answer(self) -> None:
         """Answer requests that have come to an end."""
         super().answer()
-        if self.search and self.session.lost:
-            self.search, self.result = None, self.session.absence
+        silence = (self.now() - self.turned) / SECOND
+        if self.search and (self.session.lost or silence > self.settings.timeout):
+            self.search = None
+            self.result = self.session.absence if self.session.lost else "the gyro is silent"
         if self.seeking and self.result and not self.seeking.done():
             self.seeking.set_result(self.result)
 
     def health(self) -> Health:
         """For diagnostics."""
-        more: dict[str, Any] = {"gyro bias [rad/s]": self.live["gyro"].bias}
+        silence = (self.now() - self.turned) / SECOND if self.turned else inf
+        more = {"gyro bias [rad/s]": self.live["gyro"].bias, "gyro's age [s]": silence}
         for name, valve in self.live.items():
             for how, value in vars(valve).items() if name != "gyro" else ():
                 if value:

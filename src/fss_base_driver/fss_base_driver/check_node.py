@@ -4,7 +4,8 @@ import argparse
 import json
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from math import isfinite
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -24,6 +25,7 @@ from fss_arm_model.description_file import described
 from fss_arm_model.settings import default_in
 from fss_arm_model.thrusters import COUNT, layout
 from fss_arm_msgs.msg import BaseTelemetry, ThrusterCommand
+from fss_arm_ros.command_line import interrupt_at_end
 from fss_arm_ros.convert import SECOND, PoseError, joint_readings, planar_pose, stamp_ns
 from fss_arm_ros.qos import COMMAND, subscribe_sensor
 from fss_base_driver.check_options import BASE_TOPIC, parser
@@ -108,6 +110,25 @@ class Tester(Node):
         if not answer.result().success:
             raise CheckError(answer.result().message)
 
+    @contextmanager
+    def armed(self) -> Iterator[None]:
+        """Have the board armed, and disarm it however the block ends.
+
+        Raises:
+            CheckError: it does not arm, or disarm.
+        """
+        try:
+            self.arm(True)
+            yield
+        except BaseException:  # which tells more than that it does not disarm, either
+            if self.arming.service_is_ready():
+                try:
+                    self.arm(False)
+                except CheckError as error:
+                    print(f"check: {error}", file=sys.stderr)
+            raise
+        self.arm(False)
+
     def angles(self, arm: Arm) -> list[float]:
         """Those of the arm's joints.
 
@@ -120,7 +141,7 @@ class Tester(Node):
         return [self.joints[i] for i in range(1, arm.n + 1)]
 
     def pulse(self, valve: int, on_time: float) -> float:
-        """Open a valve, from 0; when it was sent [s].
+        """Open a valve, numbered from 0; return when the pulse was sent [s].
 
         Raises:
             CheckError: the node `base` did not send it.
@@ -135,7 +156,7 @@ class Tester(Node):
         return stamp_ns(self.sent[0].header.stamp) / SECOND
 
     def try_valve(self, valve: int, body: Body, rows: Floats, given: argparse.Namespace) -> Finding:
-        """Open one valve, from 0, and judge by the motion."""
+        """Open one valve, numbered from 0, and judge it by how the base moves."""
         for kept in (self.poses, self.rates, self.telemetry):
             kept.clear()
         self.wait(lambda: False, given.before)
@@ -198,6 +219,7 @@ def main(args: Sequence[str] | None = None) -> int:
     if not set(given.valves or [1]) <= set(range(1, COUNT + 1)):
         command.error(f"--valves is {given.valves}, expected 1 to {COUNT}")
     findings: list[Finding] = []
+    interrupt_at_end()
     try:
         arm = described(given.arm)
         if given.q and len(given.q) != arm.n:
@@ -209,7 +231,8 @@ def main(args: Sequence[str] | None = None) -> int:
         print(f"check: {error}", file=sys.stderr)
         return CANNOT
     except (EOFError, KeyboardInterrupt) as end:
-        print("check: no more input" if isinstance(end, EOFError) else "", file=sys.stderr)
+        why = "no more input" if isinstance(end, EOFError) else "interrupted"
+        print(f"check: {why}", file=sys.stderr)
         return CANNOT if isinstance(end, EOFError) else INTERRUPTED
     finally:  # whatever ended it, what was found cost a person's time
         if findings:
@@ -235,16 +258,13 @@ def run(arm: Arm, given: argparse.Namespace, findings: list[Finding]) -> None:
         tester = Tester(given.namespace, topic)
         tester.wait(lambda: tester.telemetry, PATIENCE)  # else the answer to arming says why
         body = Body.of(arm, given.q or tester.angles(arm))
-        tester.arm(True)
-        try:
+        with tester.armed():
             if not tester.wait(lambda: tester.poses, PATIENCE):
                 raise CheckError(f"{topic} is silent: the base is not seen")
             for valve in order(rows):
                 if valve + 1 in (given.valves or range(1, COUNT + 1)):
                     findings.append(tester.try_valve(valve, body, rows, given))
                     print(f"valve {valve + 1}: {findings[-1].verdict} {findings[-1].words}")
-        finally:
-            tester.arm(False)
     finally:
         rclpy.try_shutdown()
 

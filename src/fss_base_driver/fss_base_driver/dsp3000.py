@@ -28,7 +28,7 @@ class Counts(NamedTuple):
 class Lines:
     """Finds rates in a stream that is fed in pieces of any size.
 
-    Lines have no check sum: one that is cut, or of which a bit flipped, is told by its form and its
+    Lines have no checksum: one that is cut, or of which a bit flipped, is told by its form and its
     size alone. What comes before the first end of line is dropped, as it may be the rest of one.
     """
 

@@ -7,18 +7,16 @@ from typing import Any
 from sensor_msgs.msg import BatteryState, FluidPressure, Imu
 from std_msgs.msg import Float64
 
-from fss_arm_driver.session import TROUBLES
+from fss_arm_driver.health import SessionHealth
 from fss_arm_driver.transport import Transport
 from fss_arm_model.thrusters import gas_mass
 from fss_arm_msgs.msg import BaseTelemetry, GripperState, ThrusterCommand
-from fss_arm_ros.convert import SECOND, to_time
-from fss_arm_ros.diagnostics import ERROR, OK, WARN, Health
+from fss_arm_ros.convert import to_time
 from fss_base_driver.protocol import VALVES, BaseSlow, BaseState, Hand
 from fss_base_driver.session import BoardSession, Heard
 
 ZERO_CELSIUS = 273.15  # [K]
 KILOPASCAL = 1e3  # [Pa]
-SHORT = 600.0  # that a battery lasts, to be warned of [s]
 #: What a BaseTelemetry has as the frame has it, and what took turns in the frames.
 REPORTED = (
     *("boot", "sequence", "clock", "gyro_sum", "gyro_samples", "valves", "gripper"),
@@ -125,57 +123,31 @@ def state_words(session: BoardSession) -> str:
     return f"{state}: {', '.join(words)}" if words else state
 
 
-class BoardHealth:
+class BoardHealth(SessionHealth):
     """The board's health since it was last asked for."""
 
+    session: BoardSession
+    firmware = BaseSlow.FIRMWARE
+
     def __init__(self, session: BoardSession, transport: Transport, signed: bool) -> None:
-        self.session, self.transport, self.signed = session, transport, signed
-        self.counts, self.then = dict(session.counts), 0
+        super().__init__(session.partner.name, session, transport, signed)
 
-    def __call__(self, now: int, more: dict[str, Any]) -> Health:
-        """How the board is at `now` [ns], with further values."""
-        session, before, then = self.session, self.counts, self.then
-        session.tick(now)
-        self.counts, self.then = dict(session.counts), now
-        grown = {name: count - before[name] for name, count in self.counts.items()}
-        values = self._values(grown, (now - then) / SECOND, now) | more
-        words, left = state_words(session), session.battery.time_left()
-        if now == then:
-            return Health(WARN, "the clock stands still", values)
-        if session.lost:
-            why = self.transport.trouble or session.rival or session.strain or session.absence
-            return Health(ERROR, f"{session.partner.name} is lost{': ' * bool(why)}{why}", values)
-        if session.rival:
-            return Health(ERROR, session.rival, values)
-        if session.strain:
-            return Health(WARN, f"{words}; {session.strain}", values)
-        if left < SHORT:
-            return Health(WARN, f"{words}; the battery lasts {left / 60.0:.0f} min", values)
-        if any(grown[name] for name in TROUBLES):
-            return Health(WARN, f"{words}; frames were lost or refused", values)
-        flagged = session.frame and session.frame.flags & ~BaseState.ARMED
-        return Health(WARN if flagged or faulty_valves(session.slow) else OK, words, values)
+    def words(self) -> str:
+        """How the board is, for people."""
+        return state_words(self.session)
 
-    def _values(self, grown: dict[str, int], seconds: float, now: int) -> dict[str, Any]:
-        session, slow = self.session, self.session.slow
-        came = grown["believed"] + grown["missed"]
-        firmware = slow.get(BaseSlow.FIRMWARE, 0)
+    def is_well(self) -> bool:
+        """Whether nothing is latched, and all valves' currents fit."""
+        flagged = self.session.frame and self.session.frame.flags & ~BaseState.ARMED
+        return not flagged and not faulty_valves(self.session.slow)
+
+    def values(self) -> dict[str, Any]:
+        """What its instruments report."""
+        slow = self.session.slow
         return {
-            "state": session.arming.value,
             "valves' faults": ", ".join(faulty_valves(slow)) or "none",
-            "rate [1/s]": grown["believed"] / seconds if seconds else 0.0,
-            "loss [%]": 100.0 * grown["missed"] / came if came else 0.0,
-            "age [s]": session.silence(now),
-            "round trip [s]": session.round_trip,
-            "clock drift [ppm]": 1e6 * session.drift,
-            "clock deviation [s]": session.deviation(now),
+            "valves' time left [s]": 1e-3 * slow.get(BaseSlow.LEFT, 0),
             "tank [kPa]": slow.get(BaseSlow.TANK, "not reported"),
             "supply [kPa]": 0.1 * slow[BaseSlow.SUPPLY] if BaseSlow.SUPPLY in slow else nan,
-            "battery [V]": session.battery.voltage,
-            "valves' time left [s]": 1e-3 * slow.get(BaseSlow.LEFT, 0),
-            "firmware": f"{firmware >> 16}.{firmware >> 8 & 0xFF}.{firmware & 0xFF}",
             "refused by the board": slow.get(BaseSlow.REFUSED, 0),
-            "signed": self.signed,
-            **self.counts,
-            **self.transport.counts,
         }

@@ -55,15 +55,15 @@ class Pulse(NamedTuple):
 NO_PULSE = Pulse()
 
 
-class Anything:
-    """What the board's telemetry can say."""
+class Unrestricted:
+    """Rules of reception that any telemetry of the board keeps."""
 
     def possible(self, frame: BaseTelemetry) -> bool:
-        """It says nothing that could not be."""
+        """Any frame is plausible."""
         return True
 
     def reachable(self, before: BaseTelemetry, frame: BaseTelemetry) -> bool:
-        """Nor anything that excludes what comes after."""
+        """Any frame may follow any other."""
         return True
 
 
@@ -93,7 +93,7 @@ class BoardSession(Session[BaseTelemetry]):
         epoch: int = 0,
     ) -> None:
         partner = Partner(
-            NAME, BOARD, BaseTelemetry, decode, Anything(), LATCHES, BaseSlow.BATTERY,
+            NAME, BOARD, BaseTelemetry, decode, Unrestricted(), LATCHES, BaseSlow.BATTERY,
             BaseSlow.REFUSED, "scripts/fss_arm.sh valves",
         )  # fmt: skip
         super().__init__(partner, timeout, watchdog, resolution, key, empty, epoch)

@@ -55,7 +55,7 @@ class MocapSettings(Settings):
     frame_id: str = setting("world", "frame that the poses are in")
     latency: float = setting(
         0.0, "delay from exposure to arrival, taken off the time of arrival", unit="s",
-        check=NOT_NEGATIVE,
+        check=between(0.0, 10.0),
     )  # fmt: skip
     max_speed: float = setting(
         1.0, "speed above which a subject has jumped", unit="m/s", check=POSITIVE
@@ -95,8 +95,15 @@ class BaseSettings(Settings):
 
     url: str = setting("", "where the base's board is: udp://, tcp:// or serial://; required")
     rate: float = setting(
-        20.0, "rate of commands that are not new", unit="1/s", check=between(1.0, 1000.0)
+        20.0,
+        "rate at which the command of the moment is repeated",
+        unit="1/s",
+        check=between(1.0, 1000.0),
     )
+    max_rate: float = setting(
+        50.0, "most commands a second to the board, as what is asked of it is passed on at once",
+        unit="1/s", check=between(1.0, 1000.0),
+    )  # fmt: skip
     timeout: float = setting(
         1.0, "silence after which the board is lost, and longest round trip to arm at", unit="s",
         check=between(0.001, 3600.0),
@@ -125,17 +132,17 @@ class BaseSettings(Settings):
         check=FINITE,
     )
     minimum_on_time: float = setting(
-        0.01, "least time for which a thruster's valve opens", unit="s", check=NOT_NEGATIVE
+        0.01, "shortest time for which a thruster's valve opens", unit="s", check=NOT_NEGATIVE
     )
     max_on_time: float = setting(
         1.0, "longest time on thrusters/command that is taken", unit="s", check=between(0.001, 6.5)
     )
     command_lifetime: float = setting(
-        0.5, "age at which a message on thrusters/command holds no more", unit="s",
+        0.5, "age beyond which a message on thrusters/command is refused", unit="s",
         check=between(0.001, 10.0),
     )  # fmt: skip
     wrench_lifetime: float = setting(
-        0.3, "age at which a message on base/wrench holds no more", unit="s",
+        0.3, "age beyond which a message on base/wrench no longer acts", unit="s",
         check=between(0.001, 10.0),
     )  # fmt: skip
     wrench_period: float = setting(
@@ -169,6 +176,11 @@ class BaseSettings(Settings):
         if self.minimum_on_time >= self.wrench_period:
             raise SettingError(
                 f"minimum_on_time is {self.minimum_on_time} s, expected below wrench_period, "
+                f"{self.wrench_period} s"
+            )
+        if self.max_on_time < self.wrench_period:  # else no large wrench would be taken
+            raise SettingError(
+                f"max_on_time is {self.max_on_time} s, expected at least wrench_period, "
                 f"{self.wrench_period} s"
             )
         if self.url.startswith("copley:"):
@@ -221,7 +233,7 @@ class FogSettings(Settings):
     gyro_noise: float = like(BaseSettings, "gyro_noise")
     latency: float = setting(
         0.009, "time from the middle of a rate's averaging to the end of its line", unit="s",
-        check=NOT_NEGATIVE,
+        check=between(0.0, 10.0),
     )  # fmt: skip
 
 

@@ -11,11 +11,15 @@ from typing import Any
 import numpy as np
 import rclpy
 from geometry_msgs.msg import PoseStamped
+from rclpy.exceptions import NameValidationException
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from rclpy.validate_topic_name import validate_topic_name
 from rich.console import Console
 from rich.table import Table
 
 from fss_arm_model.settings import POSITIVE
+from fss_arm_ros.command_line import interrupt_at_end
 from fss_arm_ros.convert import SECOND, PoseError, planar_pose, stamp_ns
 from fss_arm_ros.qos import subscribe_sensor
 from fss_base_driver.subjects_options import parser
@@ -94,17 +98,22 @@ def main(args: Sequence[str] | None = None) -> int:
     given = command.parse_args(args)
     if not POSITIVE.holds(given.seconds):
         command.error(f"--seconds is {given.seconds}, expected {POSITIVE.expected}")
+    try:
+        validate_topic_name(given.prefix)
+    except NameValidationException:
+        command.error(f"--prefix is {given.prefix!r}, expected the first part of a topic's name")
     return listen(given)
 
 
 def listen(given: argparse.Namespace) -> int:
     """Listen, and print what was heard."""
-    rclpy.init(args=[])
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    interrupt_at_end()
     try:
         node = Listener(given.prefix)
         until = time.monotonic() + given.seconds
         while (left := until - time.monotonic()) > 0.0:
-            rclpy.spin_once(node, timeout_sec=left)
+            rclpy.spin_once(node, timeout_sec=min(left, 0.1))
         domain, prefix, heard = node.context.get_domain_id(), node.prefix, node.heard
     except KeyboardInterrupt:
         return 130

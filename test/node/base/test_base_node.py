@@ -1,5 +1,6 @@
 """The node of the base's board: a board behind a fake transport, and real topics."""
 
+import signal
 import time
 from math import inf, isnan, nan
 
@@ -10,6 +11,7 @@ from driver_wire import ENDS
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import BatteryState, FluidPressure, Imu
 from std_msgs.msg import Bool, Empty, Float64
 from std_srvs.srv import SetBool, Trigger
@@ -172,6 +174,40 @@ def test_the_gyros_bias_is_found_at_rest_and_taken_off(bench):
     assert "the base turns" in answer.message
 
 
+@pytest.mark.parametrize("bench", [{"timeout": 1.0}], indirect=True)
+def test_a_bias_is_not_sought_for_ever_of_a_gyro_that_does_not_answer(bench):
+    bench.board.dead = True
+    bench.until(lambda: bench.user.find.service_is_ready())
+    for _ in range(2):  # the second is not told that the first is still under way
+        answer = bench.call(bench.user.find, Trigger.Request())
+        assert (answer.success, answer.message) == (False, "the gyro is silent")
+    bench.until(lambda: float(bench.values()["gyro's age [s]"]) > 1.0)
+
+
+def test_a_flood_of_commands_does_not_keep_a_stop_waiting_in_the_line(armed):
+    """A serial port of 115200 baud takes 140 frames a second."""
+    begin, told = time.monotonic(), len(armed.board.taken)
+    for k in range(400):
+        on_time = [0.01 + 1e-4 * (k % 2), *(7 * [0.0])]
+        message = ThrusterCommand(on_time=on_time)
+        message.header.stamp = armed.user.stamp()
+        armed.node.on_thrust(message)
+    seconds = time.monotonic() - begin
+    assert len(armed.board.taken) - told <= 2 + 50.0 * seconds
+    last = armed.node.session.pulse.number
+    armed.until(lambda: armed.board.state.pulse == last, 1.0)
+
+
+@pytest.mark.parametrize("topic", ["base/stop", "arm/stop"])
+def test_a_stop_is_heard_from_a_best_effort_publisher(armed, topic):
+    stop = armed.user.create_publisher(
+        Empty, topic, QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+    )
+    armed.until(stop.get_subscription_count)
+    stop.publish(Empty())
+    armed.until(lambda: armed.board.state.flags() == BaseState.STOPPED)
+
+
 def test_a_pulse_is_given_and_told_as_it_was_sent(armed):
     armed.user.open(0.03, 0.0, 0.12)
     armed.until(lambda: armed.opened[2] == 120_000)
@@ -290,6 +326,14 @@ def test_wrenches_do_without_a_valve_that_is_said_to_be_stuck(armed):
     armed.until(lambda: armed.values().get("valve_1 is said to be") == "stuck closed")
 
 
+def test_parameters_that_are_set_together_are_all_taken_or_none(bench):
+    stuck = Parameter("valve_1.stuck_closed", value=1.0)
+    answer = bench.node.set_parameters_atomically([stuck, Parameter("gyro.scale", value=nan)])
+    assert not answer.successful
+    assert bench.node.get_parameter("valve_1.stuck_closed").value == 0.0
+    assert bench.node.live["valve_1"].stuck_closed == 0.0
+
+
 def test_wrenches_do_without_a_valve_that_is_found_to_be_stuck(armed):
     told = armed.user.create_publisher(ThrusterHealth, "thrusters/health", LATCHED)
     told.publish(ThrusterHealth(stuck_closed=[True] + 7 * [False]))
@@ -340,6 +384,7 @@ def test_a_silent_board_is_reported(spin):
         ({"layout": [1.0]}, "layout has 1 numbers, expected 24"),
         ({"watchdog": 0.04}, "watchdog is 0.04 s, expected more than the 0.05 s"),
         ({"minimum_on_time": 0.1}, "minimum_on_time is 0.1 s, expected below wrench_period"),
+        ({"max_on_time": 0.05}, "max_on_time is 0.05 s, expected at least wrench_period, 0.1 s"),
         ({"valve_9.stuck_open": 1.0}, "no parameter valve_9.stuck_open"),
         ({"valve_1.stuck_open": 1.0, "valve_1.stuck_closed": 2.0}, "0 to 1"),
         ({}, "url is missing"),
@@ -358,6 +403,19 @@ def test_a_node_that_ends_closes_the_valves(armed):
     armed.node.close()
     assert not armed.board.valves(armed.transport.clock())
     assert armed.board.state.flags() == 0
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_check_leaves_the_board_disarmed_however_it_is_ended(bench, start, how):
+    # Jobs that a shell runs in the background ignore it, and so does what they start.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    check = start("fss_base_driver.check_node", "--q", 0, 0, 0, 0, "--yes")
+    bench.until(lambda: bench.node.session.armed, 60.0)
+    check.process.send_signal(how)
+    bench.until(lambda: check.process.poll() is not None, 30.0)
+    assert check.process.returncode == 130, check.output
+    assert check.output == "check: interrupted\n"
+    assert not bench.board.state.armed
 
 
 @pytest.mark.parametrize("kind", ENDS)

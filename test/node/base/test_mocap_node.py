@@ -278,6 +278,7 @@ def test_a_subject_that_is_wanted_and_never_seen_is_named(spin):
         ({"system": "vicon"}, "host is '', expected the address of the vicon computer"),
         ({"system": "mock", "options": ["x"]}, "options holds 'x', expected OPTION=VALUE"),
         ({"system": "mock", "subjects": ["fss=a b"]}, "subjects: 'vicon/a b' is no name of a "),
+        ({"system": "mock", "latency": 1e11}, "latency is .*, expected 0 to 10"),
         ({"relays": ["fss=a b"]}, "relays: 'a b' is no name of a topic"),
     ],
 )
@@ -311,3 +312,18 @@ def test_the_command_says_that_nothing_is_seen(domain, start):
     command = start("fss_base_driver.subjects_node:main", "--seconds", "0.5")
     assert command.wait() == 1
     assert command.output == f"subjects: no pose on /vicon/... in ROS domain {domain}\n"
+
+
+def test_the_command_is_ended_without_a_traceback(ros, spin, start):
+    user = Node("user")
+    poses = user.create_publisher(PoseStamped, "vicon/fss/fss", SENSOR)
+    command = start("fss_base_driver.subjects_node:main", "--seconds", "600")
+    spin(user, poses.get_subscription_count, 30.0)
+    assert command.stop(timeout=5.0) == 130
+    assert command.output == ""
+
+
+def test_a_prefix_that_cannot_be_is_named(start):
+    command = start("fss_base_driver.subjects_node:main", "--prefix", "a b")
+    assert command.wait() == 1
+    assert command.output.startswith("subjects: --prefix is 'a b', expected ")

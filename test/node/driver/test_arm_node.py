@@ -12,6 +12,7 @@ from rclpy.action import ActionClient
 from rclpy.clock import ClockType
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Empty, String
 from std_srvs.srv import SetBool
@@ -54,7 +55,7 @@ class Bench:
         self.until(lambda: len(self.arm.links.states) == 2 and self.mover.server_is_ready())
         self.until(lambda: self.armer.service_is_ready())
         self.until(lambda: all(client.service_is_ready() for client in self.arm.armers))
-        self.until(lambda: self.stopper.get_subscription_count() == 3)
+        self.until(lambda: self.stopper.get_subscription_count() == 6)
 
     def until(self, condition, timeout=10.0):
         return self.spin([*self.links, self.arm, self.user], condition, timeout)
@@ -302,9 +303,37 @@ def test_after_the_node_stood_still_nothing_old_moves_or_arms(bench):
     answer = bench.after(bench.armer.call_async(SetBool.Request(data=True)))
     assert (answer.success, answer.message) == (False, message)
     assert bench.after(bench.armer.call_async(SetBool.Request(data=False))).success
-    bench.until(lambda: not bench.arm.links.stood_still())
+    bench.until(lambda: not bench.arm.links.interruption())
     assert bench.enable().success
     assert bench.move(0.1, 0.1).result.reached
+
+
+@pytest.mark.parametrize("step", [-3600, 3600])
+def test_a_clock_that_is_set_ends_a_move_and_hides_no_silence(bench, monkeypatch, step):
+    links, now = bench.arm.links, bench.arm.links.now
+    bench.enable()
+    move = bench.begin(0.5, 0.5, duration=20.0)
+    bench.until(lambda: any(transport.link.speed for transport in bench.transports))
+    monkeypatch.setattr(links, "now", lambda: now() + step * 1_000_000_000)
+    message = bench.end(move).result.message
+    assert abs(float(message.split()[-2]) - step) < 1.0
+    assert message.startswith("the clock of this computer was set by ")
+    bench.until(lambda: all(transport.link.speed == 0.0 for transport in bench.transports))
+    bench.until(lambda: not links.interruption())
+    assert not links.troubles()
+    bench.transports[1].talks = False
+    bench.until(lambda: links.troubles() == {2: "silent"})
+
+
+def test_a_stop_is_heard_from_any_publisher(bench):
+    for reliability in ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT:
+        qos = QoSProfile(depth=1, reliability=reliability)
+        stop = bench.user.create_publisher(Empty, "arm/stop", qos)
+        bench.until(lambda stop=stop: stop.get_subscription_count() >= 3)
+        bench.enable()
+        stop.publish(Empty())
+        bench.until(lambda: all(t.link.flags == State.STOPPED for t in bench.transports))
+        bench.user.destroy_publisher(stop)
 
 
 @pytest.mark.parametrize("bench", [True, False], indirect=True, ids=["together", "apart"])

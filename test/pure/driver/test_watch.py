@@ -2,7 +2,7 @@
 
 import pytest
 
-from fss_arm_driver.watch import DISCOVERY, Asker, Stall
+from fss_arm_driver.watch import DISCOVERY, Asker, Stall, Steps
 
 
 @pytest.mark.parametrize(
@@ -38,3 +38,11 @@ def test_a_stall_is_told_for_as_long_as_what_is_heard_may_be_old():
 def test_time_that_begins_anew_is_no_stall_and_ends_one():
     stall = Stall(1.0)
     assert [bool(stall.check(t)) for t in (100.0, 105.0, 1.0, 1.2)] == [False, True, False, False]
+
+
+@pytest.mark.parametrize(("step", "told"), [(-3600.0, "-3600.0 s"), (0.3, "+0.3 s")])
+def test_a_clock_that_is_set_is_told_for_a_while(step, told):
+    steps, words = Steps(0.1, 1.0), f"the clock of this computer was set by {told}"
+    slewed = [steps.check(1e9 + 5e-4 * k, 100.0 + k) for k in range(10)]
+    assert not any(slewed)
+    assert [steps.check(1e9 + step, t) for t in (110.0, 110.9, 111.1)] == [words, words, ""]

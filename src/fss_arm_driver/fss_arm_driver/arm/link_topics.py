@@ -8,9 +8,10 @@ from rclpy.task import Future
 from fss_arm_driver.arm.state import LinkState, link_state
 from fss_arm_driver.arm.trajectory import Trajectory
 from fss_arm_driver.arm.turn import Motion, Turn
+from fss_arm_driver.host_clock import HostClock
 from fss_arm_driver.scale import Scale
 from fss_arm_driver.settings import ArmSettings
-from fss_arm_driver.watch import Stall
+from fss_arm_driver.watch import Stall, Steps
 from fss_arm_model.description import Arm
 from fss_arm_msgs.msg import LinkCommand, LinkPath, LinkTelemetry
 from fss_arm_ros.convert import SECOND, stamp_ns, to_time
@@ -20,7 +21,7 @@ from fss_arm_ros.timer_clock import timer_clock
 Take = Callable[[LinkCommand], None]
 
 LAST_PATH = 65_535  # the number after which they begin anew
-
+STEP = 0.1  # of the time of day that spoils a motion [s]
 
 #: What a person does about a trouble.
 HELP = {
@@ -51,6 +52,8 @@ class LinkTopics:
         self.states: dict[int, LinkState] = {}
         self.turn, self.path = Turn(), 0
         self.clock, self.stall = timer_clock(node), Stall(settings.time_to_live)
+        self.steps = Steps(STEP, settings.time_to_live)
+        self.host = HostClock(self.steady, lambda: self.now())
         self.ticked: Future = Future()
         lifespan = command(settings.time_to_live)
         self.commands: dict[int, Take] = {
@@ -66,7 +69,7 @@ class LinkTopics:
     def _listen(self, number: int, scale: Scale) -> None:
         def take(message: LinkTelemetry) -> None:
             measured = stamp_ns(message.header.stamp)
-            self.states[number] = link_state(message, scale, measured, self.now())
+            self.states[number] = link_state(message, scale, measured, self.steady())
 
         subscribe_sensor(self.node, LinkTelemetry, f"link_{number}/telemetry", take)
 
@@ -74,13 +77,21 @@ class LinkTopics:
         """The node's clock [ns]."""
         return int(self.node.get_clock().now().nanoseconds)
 
-    def stood_still(self) -> str:
-        """That this process did, for longer than a command lives; what it hears now may be old."""
-        return self.stall.check(1e-9 * self.clock.now().nanoseconds)
+    def steady(self) -> int:
+        """A clock that nobody sets, or the simulated one [ns]."""
+        return int(self.clock.now().nanoseconds)
+
+    def interruption(self) -> str:
+        """That this process stood still for longer than a command lives, or that its clock was set.
+
+        What it hears just after that may be old, or seem so.
+        """
+        now = 1e-9 * self.steady()
+        return self.stall.check(now) or self.steps.check(1e-9 * self.host.ahead, now)
 
     def tick(self) -> None:
         """Let a motion under way go on."""
-        self.stood_still()
+        self.interruption()
         self.wake()
 
     def wake(self) -> None:
@@ -98,7 +109,7 @@ class LinkTopics:
     ) -> dict[int, str]:
         """What keeps links from moving, if anything does, all of them or these: one trouble."""
         wanted = self.numbers if numbers is None else sorted(numbers)
-        oldest = self.now() - self.settings.time_to_live * SECOND
+        oldest = self.steady() - self.settings.time_to_live * SECOND
         silent = {
             i: "silent" for i in wanted if i not in self.states or self.states[i].heard < oldest
         }
@@ -112,7 +123,7 @@ class LinkTopics:
 
     def check(self, motion: Motion | None = None) -> None:
         """Raise MotionError if the arm cannot move, or `motion` shall end."""
-        if why := self.stood_still() or (motion.ended if motion else ""):
+        if why := self.interruption() or (motion.ended if motion else ""):
             raise MotionError(why)
         if troubles := self.troubles():
             raise MotionError(in_words(troubles))

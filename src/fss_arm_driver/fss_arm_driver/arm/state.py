@@ -16,8 +16,8 @@ SECOND = 1_000_000_000  # [ns]
 class LinkState:
     """What one link reported last."""
 
-    heard: int  # [ns]
-    measured: int  # [ns]
+    heard: int  # by a clock that nobody sets [ns]
+    measured: int  # by the time of day [ns]
     q: float  # [rad]
     qd: float  # [rad/s]
     effort: float  # of the torque sensor [N m]; NaN: unknown

@@ -51,7 +51,7 @@ class StreamTopic:
 
     def check(self, points: list[SetPoint]) -> None:
         """Raise StreamError if the joints cannot move, or shall not."""
-        if why := self.links.stood_still():
+        if why := self.links.interruption():
             raise StreamError("links", why)
         referenced = any(point.mode == Mode.POSITION for point in points)
         if troubles := self.links.troubles([p.link for p in points], referenced):

@@ -1,4 +1,4 @@
-"""What the driver knows of the way to a link."""
+"""What all ways to a link have in common."""
 
 from collections import Counter
 from collections.abc import Sequence

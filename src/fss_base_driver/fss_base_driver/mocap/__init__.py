@@ -1,4 +1,4 @@
-"""Motion capture: what a system reports, what of it is believed, and what else speaks of poses."""
+"""Motion capture: frames of a system, topics of other receivers, which poses to believe."""
 
 from fss_base_driver.mocap.receiving import Receiver as Receiver
 from fss_base_driver.mocap.relays import Relay as Relay
