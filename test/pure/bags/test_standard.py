@@ -45,6 +45,15 @@ def test_all_is_read_and_healthy(way, tmp_path, capsys, files):
     assert wrong[-1] == f"{SILENT.name}: has no messages"
 
 
+def test_one_killed_before_its_first_chunk_holds_nothing(tmp_path, capsys):
+    bag = tmp_path / "bag"
+    bag.mkdir()
+    (bag / "bag_0.mcap").touch()
+    assert doctor(["--repair", str(bag)]) == 2
+    assert doctor([str(bag)]) == 2
+    assert f"{bag}: holds no messages" in capsys.readouterr().out.splitlines()
+
+
 def test_topics_that_cannot_be_told_are_left_out_by_themselves(way, tmp_path, capsys):
     bag = replace(way, others=(UNDEFINED, *LEFT_OUT)).record(tmp_path / "bag")
     with open_bags(bag) as bags:
