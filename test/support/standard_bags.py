@@ -23,8 +23,8 @@ from fss_arm_bags.definitions import definition
 FOREVER = {"sec": 9223372036, "nsec": 854775807}
 QOS = [
     {
-        "history": "keep_last",
-        "depth": 10,
+        "history": "unknown",  # as discovery does not tell it
+        "depth": 0,
         "reliability": "reliable",
         "durability": "volatile",
         "deadline": FOREVER,
@@ -139,7 +139,7 @@ class Standard:
         return sorted(rows, key=lambda row: row[1])
 
     def mcap(self, file: Path, rows: list[tuple[Heard, int, bytes]]) -> None:
-        """By mcap_storage.cpp; a topic without messages does not get into the file."""
+        """By mcap_storage.cpp; topics without messages are in the file, too."""
         packs = self.preset.startswith("zstd")
         with file.open("wb") as stream:
             writer = McapWriter(
@@ -147,15 +147,16 @@ class Standard:
                 compression=CompressionType.ZSTD if packs else CompressionType.NONE,
                 enable_crcs=False,
             )  # fmt: skip
-            writer.start(profile="ros2", library="libmcap 1.1.0")
+            writer.start(profile="ros2", library="libmcap 1.3.0")
+            writer.add_metadata("rosbag2", {"serialized_metadata": "version: 9"})
             channels: dict[str, int] = {}
+            for one in self.topics:
+                schema = writer.register_schema(one.msgtype, one.encoding, one.text.encode())
+                about = {
+                    "offered_qos_profiles": yaml.safe_dump(QOS), "topic_type_hash": one.hash,
+                }  # fmt: skip
+                channels[one.name] = writer.register_channel(one.name, "cdr", schema, about)
             for one, receipt, data in rows:
-                if one.name not in channels:
-                    schema = writer.register_schema(one.msgtype, one.encoding, one.text.encode())
-                    about = {
-                        "offered_qos_profiles": yaml.safe_dump(QOS), "topic_type_hash": one.hash,
-                    }  # fmt: skip
-                    channels[one.name] = writer.register_channel(one.name, "cdr", schema, about)
                 writer.add_message(channels[one.name], receipt, data, receipt)
             writer.finish()
 

@@ -27,6 +27,7 @@ MEASUREMENTS = frozenset(
         "fss_arm_msgs/msg/GripperState",
     }
 )
+RECORDERS = "rosbag2_interfaces/"  # types in which rosbag2 tells of itself, as /events/write_split
 
 
 class NotInstalledError(LookupError):

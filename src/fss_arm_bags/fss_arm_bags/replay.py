@@ -5,7 +5,7 @@ from collections.abc import Collection, Mapping
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rosbags.interfaces import QosDurability
 
-from fss_arm_bags.definitions import MEASUREMENTS
+from fss_arm_bags.definitions import MEASUREMENTS, RECORDERS
 from fss_arm_bags.reader import Topic
 
 ORDERS = ("command", "wrench", "trajectory", "stop")  # last words of topics that move something
@@ -47,9 +47,9 @@ def played_as(topic: str, msgtype: str) -> str | None:
     """The topic that a recorded one is played back on by default; None: it is not.
 
     What was computed goes under recorded/: it must not be taken for the results of the nodes
-    that run now. What ROS itself publishes is not played.
+    that run now. What ROS and recorders publish of themselves is not played.
     """
-    if is_command(topic) or topic in OF_ROS:
+    if is_command(topic) or topic in OF_ROS or msgtype.startswith(RECORDERS):
         return None
     if msgtype in MEASUREMENTS or topic.endswith(IN_PLACE):
         return topic

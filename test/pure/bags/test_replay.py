@@ -30,6 +30,7 @@ from fss_arm_ros.qos import LATCHED, SENSOR
         ("/clock", "rosgraph_msgs/msg/Clock", None),
         ("/rosout", "rcl_interfaces/msg/Log", None),
         ("/parameter_events", "rcl_interfaces/msg/ParameterEvent", None),
+        ("/events/write_split", "rosbag2_interfaces/msg/WriteSplitEvent", None),
         ("/calibration/kinematic", "fss_arm_msgs/msg/X", "recorded/calibration/kinematic"),
         ("/base/state", "nav_msgs/msg/Odometry", "recorded/base/state"),
         ("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", "recorded/diagnostics"),

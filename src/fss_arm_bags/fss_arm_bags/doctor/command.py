@@ -48,6 +48,8 @@ def examine(path: Path, mend: bool, console: Console) -> bool:
             for one in bags.recovered
         ]
         wrong += bags.left_out
+        if not bags.begins:
+            wrong.append(f"{path}: holds no messages")
         for bag in bags.unchecked:
             said = f"{bag} has not all of it under checksums: not all damage to it can be seen"
             console.print(escape(said))

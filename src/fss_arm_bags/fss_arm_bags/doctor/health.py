@@ -7,7 +7,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from rosbags.interfaces import QosReliability
 
-from fss_arm_bags.definitions import MEASUREMENTS, NotInstalledError, definition, extends
+from fss_arm_bags.definitions import (
+    MEASUREMENTS,
+    RECORDERS,
+    NotInstalledError,
+    definition,
+    extends,
+)
 from fss_arm_bags.reader import BagError, Bags, Topic, two_versions
 from fss_arm_ros.convert import SECOND
 
@@ -15,7 +21,6 @@ PERIODS = 5  # of a steady topic; a longer silence is a gap
 SHORTEST_GAP = 3 * SECOND // 10  # [ns]; one link alone is heard each 0.2 s
 JUMP = SECOND // 2  # of stamps against times of receipt [ns]
 WINDOW = 2 * SECOND  # within which one message at least was not held up [ns]
-RECORDERS = "rosbag2_interfaces/"  # types in which rosbag2 tells of itself, as /events/write_split
 APART = 2 * SECOND  # stamps that far from the times of receipt are of another clock [ns]
 
 STAMP = struct.Struct(
