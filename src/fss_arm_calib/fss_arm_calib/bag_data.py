@@ -13,7 +13,7 @@ from fss_arm_bags.bulk import frame_id, pieces, turn_rates, whole_poses
 from fss_arm_bags.reader import BagError, Bags, digest
 from fss_arm_calib.calibration import Finder, Input
 from fss_arm_calib.outcome import Datum
-from fss_arm_calib.segments.tape import Tape, Track
+from fss_arm_calib.segments.recorded import Recorded, Track
 from fss_arm_ros.convert import SECOND, stamp_ns
 
 D = TypeVar("D", bound=Datum)
@@ -50,7 +50,7 @@ def fed(
     return found + finder.close()
 
 
-def taped(bags: Bags, inputs: Sequence[Input], namespace: str = "") -> Tape:
+def recorded_streams(bags: Bags, inputs: Sequence[Input], namespace: str = "") -> Recorded:
     """What the bags hold of joints, subjects and gyro, to be heard again.
 
     Raises:
@@ -83,7 +83,7 @@ def taped(bags: Bags, inputs: Sequence[Input], namespace: str = "") -> Tape:
         elif messages:
             stamps, turns = turn_rates(messages)
             rates = Track(stamps, heard, turns[:, None])
-    return Tape({joint: _track(rows) for joint, rows in joints.items()}, poses, rates, frames)
+    return Recorded({joint: _track(rows) for joint, rows in joints.items()}, poses, rates, frames)
 
 
 def _track(rows: Sequence[tuple[int, int, float, float]]) -> Track:

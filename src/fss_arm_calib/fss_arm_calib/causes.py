@@ -21,8 +21,8 @@ from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.report_tables import difference
 from fss_arm_calib.segments.poses import BASE, TIP
+from fss_arm_calib.segments.recorded import Recorded, Track, seen_from_above
 from fss_arm_calib.segments.samples import LARGEST, SECOND, span
-from fss_arm_calib.segments.tape import Tape, Track, seen_from_above
 from fss_arm_model.description import Arm
 
 LONGEST = 900.0  # of what was heard, only so much at its end is tried [s]
@@ -46,40 +46,40 @@ class Hypothesis:
 
     words: str  # as a question
     remedy: str
-    tape: Tape
+    recorded: Recorded
     settings: Any
 
 
-Maker = Callable[[Tape, Arm, Any], Iterator[tuple[str, str, Tape | dict[str, Any]]]]
+Maker = Callable[[Recorded, Arm, Any], Iterator[tuple[str, str, Recorded | dict[str, Any]]]]
 
 
 def explained(
-    kind: Calibration[Any, Any], outcome: Outcome[Any, Any], tape: Tape
+    kind: Calibration[Any, Any], outcome: Outcome[Any, Any], recorded: Recorded
 ) -> Outcome[Any, Any]:
     """The outcome with the likely cause of its verdict, if one is found.
 
-    A pass needs none, nor do data that agree with the model and say too little. Without a tape
-    there is nothing to try.
+    A pass needs none, nor do data that agree with the model and say too little. Without
+    recorded streams there is nothing to try.
     """
     failing = {check.name for check in outcome.checks if check.needed and check.verdict != PASS}
-    if outcome.verdict == PASS or failing - {CAUSE} <= UNCERTAIN or not tape.tracks:
+    if outcome.verdict == PASS or failing - {CAUSE} <= UNCERTAIN or not recorded.tracks:
         return outcome
-    words = likely(kind, outcome.arm, outcome.settings, tape)
+    words = likely(kind, outcome.arm, outcome.settings, recorded)
     if not words:
         return outcome
     others = [check for check in outcome.checks if check.name != CAUSE]
     return replace(outcome, checks=(cause(words, outcome.verdict), *others))
 
 
-def likely(kind: Calibration[Any, Any], arm: Arm, settings: Any, tape: Tape) -> str:
+def likely(kind: Calibration[Any, Any], arm: Arm, settings: Any, recorded: Recorded) -> str:
     """The hypothesis that makes a calibration pass, in words; empty: none does."""
-    tape, until = tape.brief(LONGEST, JOINTS, POSES), process_time() + MOST
+    recorded, until = recorded.brief(LONGEST, JOINTS, POSES), process_time() + MOST
     best, nearest = "", inf
-    as_it_is = tried(kind, arm, Hypothesis("", "", tape, settings))
+    as_it_is = tried(kind, arm, Hypothesis("", "", recorded, settings))
     if as_it_is and as_it_is.verdict == PASS:
-        return ""  # what is wrong is not on the tape
+        return ""  # what is wrong is not in what was recorded
     lacking = as_it_is is None or as_it_is.solution is None
-    for one in hypotheses(tape, arm, settings, lacking):
+    for one in hypotheses(recorded, arm, settings, lacking):
         if process_time() > until:
             break
         outcome = tried(kind, arm, one)
@@ -98,7 +98,7 @@ def tried(kind: Calibration[Any, Any], arm: Arm, one: Hypothesis) -> Outcome[Any
     """What would be concluded; None: nothing can be."""
     try:
         finder: Any = kind.finder(arm, one.settings, [])
-        found = one.tape.play(finder)
+        found = one.recorded.play(finder)
         return kind.calibrate(found, arm, one.settings, finder.streams(), "")
     except (ArithmeticError, LookupError, ValueError):
         return None
@@ -116,23 +116,23 @@ def distance(outcome: Outcome[Any, Any]) -> float:
     return max(away, default=0.0)
 
 
-def hypotheses(tape: Tape, arm: Arm, settings: Any, lacking: bool) -> Iterator[Hypothesis]:
+def hypotheses(recorded: Recorded, arm: Arm, settings: Any, lacking: bool) -> Iterator[Hypothesis]:
     """All that may be wrong with what was heard, what is seen at a glance first."""
     for maker in [*MAKERS, *LACKING * lacking]:
-        for words, remedy, change in maker(tape, arm, settings):
-            if isinstance(change, Tape):
+        for words, remedy, change in maker(recorded, arm, settings):
+            if isinstance(change, Recorded):
                 yield Hypothesis(words, remedy, change, settings)
             else:
-                yield Hypothesis(words, remedy, tape, replace(settings, **change))
+                yield Hypothesis(words, remedy, recorded, replace(settings, **change))
 
 
-def _names(tape: Tape, arm: Arm, _: Any) -> Iterator[tuple[str, str, Tape]]:
+def _names(recorded: Recorded, arm: Arm, _: Any) -> Iterator[tuple[str, str, Recorded]]:
     wanted = [f"joint_{i}" for i in range(1, arm.n + 1)]
-    heard = sorted(tape.joints, key=_by_number)
+    heard = sorted(recorded.joints, key=_by_number)
     if len(heard) == arm.n and heard != wanted:
         named = ", ".join(heard)
-        tracks = {name: tape.joints[own] for name, own in zip(wanted, heard, strict=True)}
-        yield f"joints named {named}?", "taken in this order", replace(tape, joints=tracks)
+        tracks = {name: recorded.joints[own] for name, own in zip(wanted, heard, strict=True)}
+        yield f"joints named {named}?", "taken in this order", replace(recorded, joints=tracks)
 
 
 def _by_number(name: str) -> tuple[int, str]:
@@ -140,29 +140,29 @@ def _by_number(name: str) -> tuple[int, str]:
     return int(digits[-1][:9]) if digits else 0, name
 
 
-def _units(tape: Tape, arm: Arm, _: Any) -> Iterator[tuple[str, str, Tape]]:
-    largest = {n: _largest(track.values[:, :3]) for n, track in tape.poses.items()}
+def _units(recorded: Recorded, arm: Arm, _: Any) -> Iterator[tuple[str, str, Recorded]]:
+    largest = {n: _largest(track.values[:, :3]) for n, track in recorded.poses.items()}
     far = [name for name, size in largest.items() if size > TABLE]
     if far:
         whose = "" if len(far) == len(largest) else f" of {', '.join(far)}"
         scale = np.array([1e-3] * 3 + [1.0] * 4)
-        changed = tape.with_poses(
+        changed = recorded.with_poses(
             lambda n, t: t._replace(values=t.values * scale) if n in far else t
         )
         yield f"position{whose} in millimetres?", "with 0.001", changed
-    wide = {n: _largest(track.values[:, :1]) for n, track in tape.joints.items()}
+    wide = {n: _largest(track.values[:, :1]) for n, track in recorded.joints.items()}
     turned = [name for name, size in wide.items() if size > TURN]
     if turned:
         whose = "joints" if len(turned) == len(wide) else ", ".join(turned)
-        counts = [_counted(tape.joints[name].values[:, 0]) for name in turned]
+        counts = [_counted(recorded.joints[name].values[:, 0]) for name in turned]
         if not all(counts):
-            yield f"{whose} in degrees?", "in radians", _scaled(tape, turned, radians(1.0))
+            yield f"{whose} in degrees?", "in radians", _scaled(recorded, turned, radians(1.0))
         per_count = {
             f"joint_{i}": 2.0 * np.pi * link.drive.direction / link.drive.counts_per_turn
             for i, link in enumerate(arm.links, 1)
         }
         if all(counts) or max(wide.values()) > LARGEST:
-            changed = tape
+            changed = recorded
             for name in turned:
                 changed = _scaled(changed, [name], per_count.get(name, 1.0))
             yield f"{whose} in counts?", "in radians", changed
@@ -177,15 +177,15 @@ def _counted(q: Floats) -> bool:
     return bool(np.all(q == np.round(q)))
 
 
-def _scaled(tape: Tape, names: Sequence[str], by: float) -> Tape:
-    return tape.with_joints(lambda n, t: t._replace(values=t.values * by) if n in names else t)
+def _scaled(recorded: Recorded, names: Sequence[str], by: float) -> Recorded:
+    return recorded.with_joints(lambda n, t: t._replace(values=t.values * by) if n in names else t)
 
 
-def _clocks(tape: Tape, arm: Arm, _: Any) -> Iterator[tuple[str, str, Tape]]:
+def _clocks(recorded: Recorded, arm: Arm, _: Any) -> Iterator[tuple[str, str, Recorded]]:
     """By when samples were received, and by when joints and subjects moved."""
     late = {
         name: float(np.median(track.receipt - track.t)) / SECOND
-        for name, track in [*tape.joints.items(), *tape.poses.items()]
+        for name, track in [*recorded.joints.items(), *recorded.poses.items()]
         if len(track.t)
     }
     if not late:
@@ -194,22 +194,22 @@ def _clocks(tape: Tape, arm: Arm, _: Any) -> Iterator[tuple[str, str, Tape]]:
     off = {name: by - right for name, by in late.items() if abs(by - right) > APART}
     if off:
         changed = replace(
-            tape,
-            joints={n: _on_receipt(t) for n, t in tape.joints.items()},
-            poses={n: _on_receipt(t) for n, t in tape.poses.items()},
-            rates=_on_receipt(tape.rates) if tape.rates else None,
+            recorded,
+            joints={n: _on_receipt(t) for n, t in recorded.joints.items()},
+            poses={n: _on_receipt(t) for n, t in recorded.poses.items()},
+            rates=_on_receipt(recorded.rates) if recorded.rates else None,
         )
-        every = off.keys() >= tape.joints.keys()
-        whose = [name for name in off if not every or name not in tape.joints]
+        every = off.keys() >= recorded.joints.keys()
+        whose = [name for name in off if not every or name not in recorded.joints]
         who = ", ".join([*["the joints"] * every, *whose])
         by = -float(np.median(list(off.values())))
         words = f"clock of {who} {span(by)} the others?"
         yield words, "with the times of receipt", changed
-    by = _lag(tape)
+    by = _lag(recorded)
     if abs(by) > APART:
         changed = replace(
-            tape.with_joints(lambda _, t: _shifted(t, -by)),
-            rates=_shifted(tape.rates, -by) if tape.rates else None,
+            recorded.with_joints(lambda _, t: _shifted(t, -by)),
+            rates=_shifted(recorded.rates, -by) if recorded.rates else None,
         )
         words = f"clock of the joints {span(by)} the subjects'?"
         yield words, "with it shifted", changed
@@ -227,12 +227,12 @@ def _shifted(track: Track, by: float) -> Track:
     return track._replace(t=track.t + round(by * SECOND))
 
 
-def _lag(tape: Tape) -> float:
+def _lag(recorded: Recorded) -> float:
     """By how much joints' stamps are later than the subjects' when all move [s]; 0: not known."""
-    base, tip = (tape.poses.get(name) for name in (BASE, TIP))
-    if base is None or len(base.t) < 10 or any(len(t.t) < 10 for t in tape.joints.values()):
+    base, tip = (recorded.poses.get(name) for name in (BASE, TIP))
+    if base is None or len(base.t) < 10 or any(len(t.t) < 10 for t in recorded.joints.values()):
         return 0.0
-    joints = list(tape.joints.values())
+    joints = list(recorded.joints.values())
     if not joints:
         return 0.0
     begins = np.array([min(int(t.t[0]) for t in joints), int(base.t[0])])
@@ -270,25 +270,25 @@ def _continued(heading: Floats) -> Floats:
     return np.interp(np.arange(len(heading)), seen, np.unwrap(heading[seen]))
 
 
-def _poses(tape: Tape, arm: Arm, _: Any) -> Iterator[tuple[str, str, Tape]]:
+def _poses(recorded: Recorded, arm: Arm, _: Any) -> Iterator[tuple[str, str, Recorded]]:
     """What may be wrong with subjects."""
-    values = [track.values for track in tape.poses.values()]
+    values = [track.values for track in recorded.poses.values()]
     flat = all(np.nanmean(v[:, 3] ** 2 + v[:, 4] ** 2) < TILTED for v in values if len(v))
-    if BASE in tape.poses and TIP in tape.poses:
-        swapped = {BASE: tape.poses[TIP], TIP: tape.poses[BASE]}
+    if BASE in recorded.poses and TIP in recorded.poses:
+        swapped = {BASE: recorded.poses[TIP], TIP: recorded.poses[BASE]}
         yield (
             "base and end effector are swapped?", "exchanged",
-            replace(tape, poses={**tape.poses, **swapped}),
+            replace(recorded, poses={**recorded.poses, **swapped}),
         )  # fmt: skip
     if not flat:
-        yield "quaternions with w first?", "in the order x, y, z, w", _turned(tape, _W_FIRST)
-        yield "poses with y up?", "with z up", _turned(tape, _Y_UP)
-        yield "poses with x up?", "with z up", _turned(tape, _X_UP)
-    yield "poses mirrored?", "with y and headings reversed", _turned(tape, _MIRRORED)
-    yield "headings clockwise?", "reversed", _turned(tape, _CLOCKWISE)
-    yield "positions mirrored?", "with y reversed", _turned(tape, _REVERSED)
+        yield "quaternions with w first?", "in the order x, y, z, w", _turned(recorded, _W_FIRST)
+        yield "poses with y up?", "with z up", _turned(recorded, _Y_UP)
+        yield "poses with x up?", "with z up", _turned(recorded, _X_UP)
+    yield "poses mirrored?", "with y and headings reversed", _turned(recorded, _MIRRORED)
+    yield "headings clockwise?", "reversed", _turned(recorded, _CLOCKWISE)
+    yield "positions mirrored?", "with y reversed", _turned(recorded, _REVERSED)
     if len(values) > 1:
-        yield "end effector seen from the base already?", "so taken", _put_on_base(tape)
+        yield "end effector seen from the base already?", "so taken", _put_on_base(recorded)
 
 
 # Columns of a pose, x y z and the quaternion's x y z w, from which others are taken, and signs.
@@ -300,43 +300,43 @@ _CLOCKWISE = [0, 1, 2, 3, 4, 5, 6], [1, 1, 1, 1, 1, -1, 1]
 _REVERSED = [0, 1, 2, 3, 4, 5, 6], [1, -1, 1, 1, 1, 1, 1]
 
 
-def _turned(tape: Tape, change: tuple[list[int], list[int]]) -> Tape:
+def _turned(recorded: Recorded, change: tuple[list[int], list[int]]) -> Recorded:
     columns, signs = change
-    return tape.with_poses(lambda _, t: t._replace(values=t.values[:, columns] * signs))
+    return recorded.with_poses(lambda _, t: t._replace(values=t.values[:, columns] * signs))
 
 
-def _put_on_base(tape: Tape) -> Tape:
+def _put_on_base(recorded: Recorded) -> Recorded:
     """The end effector's poses taken as seen from the base, put where the base is."""
-    base, tip = tape.poses[BASE], tape.poses[TIP]
+    base, tip = recorded.poses[BASE], recorded.poses[TIP]
     if not len(base.t) or not len(tip.t):
-        return tape
+        return recorded
     at, seen = seen_from_above(base.values), seen_from_above(tip.values)
     t, since = (track.t - base.t[0] for track in (tip, base))
     x, y, heading = (np.interp(t, since, column) for column in (*at.T[:2], _continued(at[:, 2])))
     away = (seen[:, 0] + 1j * seen[:, 1]) * np.exp(1j * heading)
     half, none = 0.5 * (heading + seen[:, 2]), np.zeros(len(t))
     pose = [x + away.real, y + away.imag, none, none, none, np.sin(half), np.cos(half)]
-    poses = {**tape.poses, TIP: tip._replace(values=np.column_stack(pose))}
-    return replace(tape, poses=poses)
+    poses = {**recorded.poses, TIP: tip._replace(values=np.column_stack(pose))}
+    return replace(recorded, poses=poses)
 
 
-def _joints(tape: Tape, arm: Arm, _: Any) -> Iterator[tuple[str, str, Tape]]:
+def _joints(recorded: Recorded, arm: Arm, _: Any) -> Iterator[tuple[str, str, Recorded]]:
     """What may be wrong with readings."""
-    names = [f"joint_{i}" for i in range(1, arm.n + 1) if f"joint_{i}" in tape.joints]
-    jumps = [n for n in names if (np.abs(np.diff(tape.joints[n].values[:, 0])) > np.pi).any()]
+    names = [f"joint_{i}" for i in range(1, arm.n + 1) if f"joint_{i}" in recorded.joints]
+    jumps = [n for n in names if (np.abs(np.diff(recorded.joints[n].values[:, 0])) > np.pi).any()]
     if jumps:
-        changed = tape.with_joints(lambda n, t: _unwrapped(t) if n in jumps else t)
+        changed = recorded.with_joints(lambda n, t: _unwrapped(t) if n in jumps else t)
         yield f"{', '.join(jumps)} wrapped?", "counting turns", changed
     if len(names) > 1:
-        yield "all joints with the wrong sign?", "reversed", _scaled(tape, names, -1.0)
+        yield "all joints with the wrong sign?", "reversed", _scaled(recorded, names, -1.0)
     for name in names:
-        yield f"{name} with the wrong sign?", "reversed", _scaled(tape, [name], -1.0)
+        yield f"{name} with the wrong sign?", "reversed", _scaled(recorded, [name], -1.0)
     for a, b in combinations(names, 2):
-        tracks = {**tape.joints, a: tape.joints[b], b: tape.joints[a]}
-        yield f"{a} and {b} exchanged?", "changed back", replace(tape, joints=tracks)
+        tracks = {**recorded.joints, a: recorded.joints[b], b: recorded.joints[a]}
+        yield f"{a} and {b} exchanged?", "changed back", replace(recorded, joints=tracks)
     if len(names) > 2:
-        tracks = dict(zip(names, (tape.joints[n] for n in reversed(names)), strict=True))
-        yield "joints counted from the tip?", "in reverse order", replace(tape, joints=tracks)
+        tracks = dict(zip(names, (recorded.joints[n] for n in reversed(names)), strict=True))
+        yield "joints counted from the tip?", "in reverse order", replace(recorded, joints=tracks)
 
 
 def _unwrapped(track: Track) -> Track:
@@ -345,11 +345,11 @@ def _unwrapped(track: Track) -> Track:
     return track._replace(values=values)
 
 
-def _settings(tape: Tape, arm: Arm, s: Any) -> Iterator[tuple[str, str, dict[str, Any]]]:
+def _settings(recorded: Recorded, arm: Arm, s: Any) -> Iterator[tuple[str, str, dict[str, Any]]]:
     """What may be asked in vain of these data."""
     periods = [
         float(np.median(np.diff(track.t))) / SECOND
-        for track in tape.joints.values()
+        for track in recorded.joints.values()
         if len(track.t) > 2
     ]
     slow = max(periods, default=0.0)
@@ -366,7 +366,7 @@ def _settings(tape: Tape, arm: Arm, s: Any) -> Iterator[tuple[str, str, dict[str
     yield "rests too short?", "with settle_time and min_duration 0.2", short
 
 
-def _lengths(tape: Tape, arm: Arm, s: Any) -> Iterator[tuple[str, str, dict[str, Any]]]:
+def _lengths(recorded: Recorded, arm: Arm, s: Any) -> Iterator[tuple[str, str, dict[str, Any]]]:
     if getattr(s, "parametrization", "full") != "full":
         words = f"links of unlike lengths, and parametrization is {s.parametrization}?"
         yield words, "with full", {"parametrization": "full"}

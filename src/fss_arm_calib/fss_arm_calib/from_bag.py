@@ -14,7 +14,7 @@ from fss_arm_bags.reader import open_bags
 from fss_arm_calib import report, result
 from fss_arm_calib.acceptance import PASS
 from fss_arm_calib.bag_command import EXIT_CODES, told
-from fss_arm_calib.bag_data import fed, source, taped
+from fss_arm_calib.bag_data import fed, recorded_streams, source
 from fss_arm_calib.bag_options import defaults
 from fss_arm_calib.calibration import Calibration
 from fss_arm_calib.causes import explained
@@ -66,7 +66,7 @@ def solve_bag(
         outcome = kind.calibrate(found, arm, s, finder.streams(), source(bags))
         if outcome.verdict == PASS:
             return outcome
-        return explained(kind, outcome, taped(bags, inputs, namespace))
+        return explained(kind, outcome, recorded_streams(bags, inputs, namespace))
 
 
 def begun_from(kinematic: str, arm: str, options: argparse.Namespace, namespace: str = "") -> Arm:

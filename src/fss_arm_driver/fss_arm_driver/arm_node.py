@@ -111,7 +111,7 @@ class ArmNode(Node):
             return Health(WARN, in_words(troubles), values)
         if why := self.states.withheld:
             return Health(WARN, f"no arm/joint_states: {why}", values)
-        return Health(OK, links.turn.holder(links.now()) or "ready", values)
+        return Health(OK, links.arbiter.holder(links.now()) or "ready", values)
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ from std_srvs.srv import SetBool
 from fss_arm_driver.complaints import Complaints
 from fss_arm_driver.host_clock import HostClock
 from fss_arm_driver.receiver import Receiver
-from fss_arm_driver.session import Arming, CommandError, News, Session
+from fss_arm_driver.session import Arming, CommandError, Session, StatusLog
 from fss_arm_driver.transport import Transport, is_exposed
 from fss_arm_ros.diagnostics import Diagnostics, Health
 from fss_arm_ros.events import report
@@ -72,7 +72,7 @@ class SessionNode(Node):
         """
         self.session, self.transport = session, transport
         self.name = session.partner.name  # in answers
-        self.changes = News(session)
+        self.changes = StatusLog(session)
         self.complaints.begins("trouble", self.trouble())  # what begins so is no news
         if is_exposed(self.settings.url, self.settings.keys):
             self.get_logger().warning(

@@ -118,7 +118,7 @@ class BoardSession(Session[BaseTelemetry]):
             self.pulse = NO_PULSE
             return
         self._number = self._number % 0xFFFF + 1
-        ends = now + UNIT * max(times) + LATEST + self._dialogue.delay
+        ends = now + UNIT * max(times) + LATEST + self._echoes.delay
         expiry = max(given + self._lifetime, ends)
         self.pulse = Pulse(self._number, times, now, expiry)
 

@@ -32,7 +32,6 @@ from fss_arm_ros.timer_clock import timer_clock
 from fss_arm_ros.validation import subscribe
 from fss_gnc import messages
 from fss_gnc.guidance import capture
-from fss_gnc.guidance.account import Account
 from fss_gnc.guidance.activity import (
     Activity,
     ActivityError,
@@ -43,6 +42,7 @@ from fss_gnc.guidance.activity import (
     Orders,
     Seen,
 )
+from fss_gnc.guidance.budget import Budget
 from fss_gnc.guidance.kinds import KINDS, Kind
 from fss_gnc.guidance.mission_settings import MissionSettings
 from fss_gnc.latest import Latest
@@ -62,7 +62,7 @@ class Flight:
     handle: ServerGoalHandle
     activity: Activity
     begun: int  # [ns]
-    account: Account
+    budget: Budget
     over: Future = field(default_factory=Future)  # how it ended
     rates: bool = False  # whether it has moved the arm
     trouble: str = ""  # why it aborts or brakes, after the phase; empty: it does not
@@ -75,7 +75,7 @@ class GuidanceNode(Node):
         super().__init__("guidance", **options)
         self.settings = s = declare(self, MissionSettings)
         self.craft = Craft(described(s.arm), s)
-        Account(self.craft).update(at_rest(self.craft.arm.n))  # loads the kernels: that takes long
+        Budget(self.craft).update(at_rest(self.craft.arm.n))  # loads the kernels: that takes long
         capture.load(self.craft)
         self.flight: Flight | None = None
         self.base = Latest[Body]("base/state", s.max_age)
@@ -209,7 +209,7 @@ class GuidanceNode(Node):
             handle.succeed()
         else:
             handle.abort()
-        fields = kind.result(flight.activity, flight.account, ended)
+        fields = kind.result(flight.activity, flight.budget, ended)
         return kind.action.Result(message=ended.message, **fields)
 
     def begin(self, kind: Kind, handle: ServerGoalHandle) -> Flight:
@@ -229,7 +229,7 @@ class GuidanceNode(Node):
             raise ActivityError(trouble or str(error)) from None
         if other:
             self.end(other, Ended(False, f"preempted by {kind.name}"), coast=False)
-        self.flight = Flight(kind, handle, activity, begun, Account(self.craft))
+        self.flight = Flight(kind, handle, activity, begun, Budget(self.craft))
         self.get_logger().info(f"{kind.name} begins")
         return self.flight
 
@@ -238,7 +238,7 @@ class GuidanceNode(Node):
         if not (flight := self.flight):
             return
         seen = self.seen(flight.begun)
-        flight.account.update(seen)
+        flight.budget.update(seen)
         orders = self.step(flight, seen)
         if orders.ended:
             self.end(flight, orders.ended)
@@ -302,19 +302,19 @@ class GuidanceNode(Node):
 
     def mission(self, flight: Flight | None, orders: Orders) -> MissionState:
         """What goes on, and what it has taken so far."""
-        account = flight.account if flight else Account(self.craft)
+        budget = flight.budget if flight else Budget(self.craft)
         state = MissionState(
             mission=flight.kind.name.partition("/")[2] if flight else "",
             phase=orders.phase, reason=orders.ended.message if orders.ended else orders.reason,
-            elapsed=account.elapsed, reference=np.full(3, np.nan),
+            elapsed=budget.elapsed, reference=np.full(3, np.nan),
             keep_out=orders.keep_out, fixture_distance=orders.fixture_distance,
-            edge_clearance=account.edge, target_clearance=account.target,
-            propellant=account.propellant, momentum=account.momentum,
-            largest_torque=account.largest_torque,
+            edge_clearance=budget.edge, target_clearance=budget.target,
+            propellant=budget.propellant, momentum=budget.momentum,
+            largest_torque=budget.largest_torque,
         )  # fmt: skip
         state.header.stamp, state.header.frame_id = to_time(self.now()), "world"
         if orders.path is not None:
-            ahead = orders.path.sampled(account.elapsed, PICTURED)[1]
+            ahead = orders.path.sampled(budget.elapsed, PICTURED)[1]
             state.reference, state.path = ahead[0, 0], ahead[:, 0].ravel().tolist()
         return state
 

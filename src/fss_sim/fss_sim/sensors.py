@@ -14,9 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from fss_arm_model.units import SECOND
-from fss_sim.chance import Chance, Stream, drawn
 from fss_sim.faults import GyroFaults, SubjectFaults
 from fss_sim.noise import Noise
+from fss_sim.random_numbers import RandomNumbers, Stream, drawn
 from fss_sim.vicon import ABSENT, BASE, TARGET, TIP, Look, Pose
 
 RATE = 100  # frames of VICON and samples of the FOG a second
@@ -106,13 +106,13 @@ class Sensors:
         self._still = 0
         self._bias, self._scale = drawn(seed, Stream.RUN, 0).standard_normal(2).tolist()
         self._walk = Walk(seed)
-        self._chance, self._held = Chance(seed, 7), Chance(seed, 7)
+        self._chance, self._held = RandomNumbers(seed, 7), RandomNumbers(seed, 7)
         self.hold = max(1, round(noise.vicon_hold * RATE))  # [frames]
         self._white = np.array([noise.position_noise] * 2 + [noise.heading_noise])
         latency = round(noise.vicon_latency * RATE) + (noise.vicon_jitter > 0.0)
         self._base, self._tip, self._target = Camera(latency), Camera(latency), Camera(latency)
-        self._target_chance = Chance(seed, 3, Stream.TARGET)
-        self._late = Chance(seed, 1, Stream.JITTER)
+        self._target_chance = RandomNumbers(seed, 3, Stream.TARGET)
+        self._late = RandomNumbers(seed, 1, Stream.JITTER)
         self._draw_rest()
 
     def observe(

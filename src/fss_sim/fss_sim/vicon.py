@@ -24,8 +24,8 @@ from fss_arm_model.extents import Extents
 from fss_arm_model.kernels import Floats, kernel
 from fss_arm_model.kinematics import _cross, joint_positions
 from fss_arm_model.settings import FINITE, NOT_NEGATIVE, POSITIVE, Settings, setting
-from fss_sim.chance import Chance, Stream, drawn
 from fss_sim.noise import Noise
+from fss_sim.random_numbers import RandomNumbers, Stream, drawn
 
 Pose = tuple[float, float, float]  # x [m], y [m], heading [rad]
 
@@ -159,7 +159,7 @@ class Vicon:
         markers = [room.markers(kind) for kind in kinds]
         self._markers = np.concatenate(markers)
         self._owners = np.repeat(np.arange(float(len(kinds))), [len(m) for m in markers])
-        self._chance = Chance(seed, 2 * len(self._markers), Stream.MARKER)
+        self._chance = RandomNumbers(seed, 2 * len(self._markers), Stream.MARKER)
         angle = drawn(seed, Stream.DISTORTION, 0).uniform(-np.pi, np.pi)
         edge = noise.vicon_edge_error * np.cos(angle), noise.vicon_edge_error * np.sin(angle)
         half = 0.5 * volume[0], 0.5 * volume[1]

@@ -297,7 +297,7 @@ def test_a_move_is_refused_while_a_stream_has_the_turn(bench):
     handle = bench.after(mover.send_goal_async(MoveArm.Goal(q=THERE)))
     result = bench.end(handle).result
     assert result.message == "arm/joint_commands is under way"
-    bench.until(lambda: not bench.arm.links.turn.holder(bench.arm.links.now()))
+    bench.until(lambda: not bench.arm.links.arbiter.holder(bench.arm.links.now()))
     handle = bench.after(mover.send_goal_async(MoveArm.Goal(q=THERE)))
     assert bench.end(handle).result.reached
     mover.destroy()

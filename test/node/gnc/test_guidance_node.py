@@ -19,8 +19,8 @@ from fss_arm_ros.convert import SECOND
 from fss_arm_ros.diagnostics import WARN
 from fss_arm_ros.qos import LATCHED
 from fss_gnc import guidance_node, messages
-from fss_gnc.guidance.account import Account
 from fss_gnc.guidance.activity import Ended, Orders
+from fss_gnc.guidance.budget import Budget
 from fss_gnc.guidance.kinds import BASE, MISSIONS, HoldBase, Kind
 from fss_gnc.guidance_node import GuidanceNode
 from fss_gnc.reference import Body
@@ -349,9 +349,9 @@ def test_what_is_held_is_what_the_navigation_has_found_until_it_is_let_go(bench)
     bench.until(lambda: bench.guidance.seen(bench.now()).held is not None)
     target, place = bench.guidance.seen(bench.now()).held
     assert (target.mass, target.inertia, *place) == (20.0, 0.6, 0.4, 0.05, 0.0)
-    account, seen = Account(bench.guidance.craft), bench.guidance.seen(bench.now())
-    account.update(replace(seen, base=Body(np.zeros(3), np.array([1.0, 0.0, 0.0]))))
-    assert account.momentum[0] == pytest.approx(momentum_along_x(bench.guidance.craft) + 20.0)
+    budget, seen = Budget(bench.guidance.craft), bench.guidance.seen(bench.now())
+    budget.update(replace(seen, base=Body(np.zeros(3), np.array([1.0, 0.0, 0.0]))))
+    assert budget.momentum[0] == pytest.approx(momentum_along_x(bench.guidance.craft) + 20.0)
     bench.holds = False
     bench.until(lambda: bench.guidance.seen(bench.now()).held is None)
 

@@ -8,7 +8,7 @@ from driver_link import MILLISECOND, SECOND, FakeLink
 
 from fss_arm_driver.protocol import Mode, Order, Slow, State, decode, encode
 from fss_arm_driver.scale import CommandError
-from fss_arm_driver.session import Arming, LinkSession, News
+from fss_arm_driver.session import Arming, LinkSession, StatusLog
 from fss_arm_model.description import Drive, TorqueSensor, paper_arm
 
 PERIOD = SECOND // 5
@@ -563,7 +563,7 @@ class Told:
     """The words of a session's news, asked for before and after each period."""
 
     def __init__(self, bench):
-        self.bench, self.news = bench, News(bench.session)
+        self.bench, self.news = bench, StatusLog(bench.session)
 
     def __call__(self, periods=1, **how):
         lines = list(self.news(self.bench.now))

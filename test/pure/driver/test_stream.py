@@ -5,8 +5,8 @@ import math
 import pytest
 from sensor_msgs.msg import JointState
 
+from fss_arm_driver.arm.arbiter import Arbiter
 from fss_arm_driver.arm.stream import AHEAD, SECOND, SetPoint, Stream, StreamError
-from fss_arm_driver.arm.turn import Turn
 from fss_arm_driver.protocol import Mode
 from fss_arm_model.description import paper_arm
 
@@ -75,7 +75,7 @@ def test_refusals_are_counted_and_a_change_is_told(stream):
 
 
 def test_the_newest_has_the_turn():
-    turn = Turn()
+    turn = Arbiter()
     first = turn.take("a trajectory", 0)
     second = turn.take("a stream", 1, until=10)
     assert (first.ended, second.ended) == ("preempted by a stream", "")
@@ -89,7 +89,7 @@ def test_the_newest_has_the_turn():
 
 
 def test_a_stop_ends_what_there_is():
-    turn = Turn()
+    turn = Arbiter()
     turn.stop()
     motion = turn.take("a move", 0)
     turn.stop()

@@ -5,13 +5,13 @@ from collections.abc import Callable, Iterable, Mapping
 from rclpy.node import Node
 from rclpy.task import Future
 
+from fss_arm_driver.arm.arbiter import Arbiter, Motion
 from fss_arm_driver.arm.state import LinkState, link_state
 from fss_arm_driver.arm.trajectory import Trajectory
-from fss_arm_driver.arm.turn import Motion, Turn
 from fss_arm_driver.host_clock import HostClock
+from fss_arm_driver.liveness import Stall, Steps
 from fss_arm_driver.scale import Scale
 from fss_arm_driver.settings import ArmSettings
-from fss_arm_driver.watch import Stall, Steps
 from fss_arm_model.description import Arm
 from fss_arm_msgs.msg import LinkCommand, LinkPath, LinkTelemetry
 from fss_arm_ros.convert import SECOND, stamp_ns, to_time
@@ -50,7 +50,7 @@ class LinkTopics:
         self.node, self.arm, self.settings = node, arm, settings
         self.numbers = range(1, arm.n + 1)
         self.states: dict[int, LinkState] = {}
-        self.turn, self.path = Turn(), 0
+        self.arbiter, self.path = Arbiter(), 0
         self.clock, self.stall = timer_clock(node), Stall(settings.time_to_live)
         self.steps = Steps(STEP, settings.time_to_live)
         self.host = HostClock(self.steady, lambda: self.now())
@@ -101,7 +101,7 @@ class LinkTopics:
 
     def stop(self) -> None:
         """End a motion; the links' drivers stop by themselves."""
-        self.turn.stop()
+        self.arbiter.stop()
         self.wake()
 
     def troubles(
@@ -149,7 +149,7 @@ class LinkTopics:
             lives: how long [s]; time_to_live by default.
         """
         stamp = to_time(given)
-        with self.turn.lock:
+        with self.arbiter.lock:
             for i, message in messages.items() if not motion.ended else ():
                 message.header.stamp = stamp
                 message.time_to_live = self.settings.time_to_live if lives is None else lives

@@ -9,11 +9,11 @@ from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
 from unique_identifier_msgs.msg import UUID
 
+from fss_arm_driver.arm.arbiter import Motion
 from fss_arm_driver.arm.guard_topics import GuardTopics
 from fss_arm_driver.arm.link_topics import LinkTopics, MotionError
-from fss_arm_driver.arm.turn import Motion
+from fss_arm_driver.liveness import GoalClient
 from fss_arm_driver.move import Move, MoveError, Profile, check, plan
-from fss_arm_driver.watch import Asker
 from fss_arm_motion.guard import GuardError
 from fss_arm_msgs.action import MoveArm
 from fss_arm_msgs.msg import LinkCommand
@@ -30,7 +30,7 @@ class MoveAction:
         self.links, self.guard, node = links, guard, links.node
         self.moving = b""  # the goal's id
         self.ended = ""  # why the last one did, if it was not reached
-        self.asker = Asker(0.0, 0.0)
+        self.client = GoalClient(0.0, 0.0)
         subscribe(node, UUID, "arm/move/alive", self.on_alive, 10)
         self.server = ActionServer(
             node,
@@ -45,7 +45,7 @@ class MoveAction:
     def on_alive(self, goal: UUID) -> None:
         """Whoever asked for a move still wants it."""
         if goal.uuid.tobytes() == self.moving:
-            self.asker.heard = time.monotonic()
+            self.client.heard = time.monotonic()
 
     def on_goal(self, goal: MoveArm.Goal) -> GoalResponse:
         """Reject a goal that makes no sense; the log says why, as an answer has no room for it."""
@@ -87,7 +87,7 @@ class MoveAction:
             GuardError: bodies would come too near.
         """
         links, request = self.links, handle.request
-        if other := links.turn.holder(links.now()):
+        if other := links.arbiter.holder(links.now()):
             raise MotionError(f"{other} is under way")
         links.check()
         move = plan(links.arm, links.q(), tuple(request.q), request.duration)
@@ -95,16 +95,16 @@ class MoveAction:
             words = f"its limits do not allow {request.duration:g} s"
             links.node.get_logger().info(f"a move takes {move.duration:.2f} s: {words}")
         self.guard.check_move(links.states, move.profiles)
-        motion = links.turn.take("a move", links.now())
+        motion = links.arbiter.take("a move", links.now())
         self.moving = handle.goal_id.uuid.tobytes()
-        self.asker = Asker(request.keep_alive, time.monotonic())
+        self.client = GoalClient(request.keep_alive, time.monotonic())
         try:
             await self.go(handle, move, motion)
         except (MotionError, GuardError):
             links.rest(motion)
             raise
         finally:
-            links.turn.leave(motion)
+            links.arbiter.leave(motion)
             self.moving = b""
 
     async def go(self, handle: ServerGoalHandle, move: Move, motion: Motion) -> None:
@@ -130,7 +130,7 @@ class MoveAction:
             raise MotionError("cancelled")
         self.links.check(motion)
         seen = bool(self.links.node.count_clients(ASKING))
-        if gone := self.asker.gone(time.monotonic(), seen):
+        if gone := self.client.gone(time.monotonic(), seen):
             raise MotionError(gone)
 
     def reached(self, move: Move) -> bool:

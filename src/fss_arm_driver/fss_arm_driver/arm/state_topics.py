@@ -118,7 +118,7 @@ class StateTopics:
         """What is planned for the joints from now on; without a plan, what they do now."""
         message = JointTrajectory(joint_names=[f"joint_{i}" for i in self.links.numbers])
         message.header.stamp = to_time(now)
-        plan = self.links.turn.planned(now)
+        plan = self.links.arbiter.planned(now)
         for k in range(PLANNED if plan else 1):
             q, qd = plan(now + k * STEP) if plan else (joints.q, joints.qd)
             since = Duration(nanoseconds=k * STEP).to_msg()

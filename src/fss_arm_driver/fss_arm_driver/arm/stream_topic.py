@@ -3,10 +3,10 @@
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
+from fss_arm_driver.arm.arbiter import Motion, Plan
 from fss_arm_driver.arm.guard_topics import GuardTopics
 from fss_arm_driver.arm.link_topics import LinkTopics, in_words
 from fss_arm_driver.arm.stream import SetPoint, Stream, StreamError
-from fss_arm_driver.arm.turn import Motion, Plan
 from fss_arm_driver.protocol import Mode
 from fss_arm_motion.guard import GuardError
 from fss_arm_msgs.msg import LinkCommand
@@ -44,7 +44,7 @@ class StreamTopic:
         for i, mode, value in points:
             self.commands[i].mode, self.commands[i].set_point = int(mode), value
         commands = {point.link: self.commands[point.link] for point in points}
-        with self.links.turn.lock:
+        with self.links.arbiter.lock:
             motion = self.take_turn(points, given, now)
             motion.plan = self.plan(points)
             self.links.send(commands, given, motion, self.lives)
@@ -79,12 +79,12 @@ class StreamTopic:
 
     def take_turn(self, points: list[SetPoint], given: int, now: int) -> Motion:
         """Prolong the stream, or begin one: what moved before ends, all other joints rest."""
-        turn, until = self.links.turn, given + round(self.lives * SECOND)
-        if self.motion and turn.has(self.motion, now):
+        arbiter, until = self.links.arbiter, given + round(self.lives * SECOND)
+        if self.motion and arbiter.has(self.motion, now):
             self.motion.until = until
             return self.motion
-        moved = bool(turn.holder(now))
-        self.motion = turn.take(TOPIC, now, until)
+        moved = bool(arbiter.holder(now))
+        self.motion = arbiter.take(TOPIC, now, until)
         if moved:
             self.links.wake()
             others = set(self.links.numbers) - {point.link for point in points}

@@ -13,6 +13,7 @@ from rclpy.duration import Duration
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from unique_identifier_msgs.msg import UUID
 
+from fss_arm_driver.arm.arbiter import Motion
 from fss_arm_driver.arm.following import Following, Progress
 from fss_arm_driver.arm.guard_topics import GuardTopics
 from fss_arm_driver.arm.link_topics import LinkTopics, MotionError
@@ -27,8 +28,7 @@ from fss_arm_driver.arm.trajectory import (
     planned,
     requested,
 )
-from fss_arm_driver.arm.turn import Motion
-from fss_arm_driver.watch import Asker
+from fss_arm_driver.liveness import GoalClient
 from fss_arm_motion.guard import GuardError
 from fss_arm_ros.convert import SECOND, to_time
 from fss_arm_ros.validation import subscribe
@@ -49,7 +49,7 @@ class TrajectoryAction:
         self.tolerances = Tolerances((Tolerance(s.path_tolerance),) * n, (goal,) * n, s.max_overrun)
         self.motion: Motion | None = None
         self.trajectory: Trajectory | None = None  # of that motion
-        self.goal, self.asker = b"", Asker(0.0, 0.0)  # the goal's id, and who asked for it
+        self.goal, self.client = b"", GoalClient(0.0, 0.0)  # the goal's id, and who asked for it
         self.server = ActionServer(
             node,
             FollowJointTrajectory,
@@ -90,7 +90,7 @@ class TrajectoryAction:
     def on_alive(self, goal: UUID) -> None:
         """Whoever asked for a goal still wants it, and goes on saying so."""
         if goal.uuid.tobytes() == self.goal:
-            self.asker.heard, self.asker.keep_alive = time.monotonic(), KEEP_ALIVE
+            self.client.heard, self.client.keep_alive = time.monotonic(), KEEP_ALIVE
 
     async def on_execute(self, handle: ServerGoalHandle) -> FollowJointTrajectory.Result:
         """Execute a goal that was accepted."""
@@ -139,10 +139,10 @@ class TrajectoryAction:
             self.guard.check_trajectory(trajectory)
         except (MotionError, GuardError) as error:
             raise TrajectoryError(Code.INVALID_GOAL, str(error)) from None
-        motion = self.motion = links.turn.take("a trajectory", links.now())
+        motion = self.motion = links.arbiter.take("a trajectory", links.now())
         self.trajectory, motion.plan = trajectory, trajectory.at
         self.goal = handle.goal_id.uuid.tobytes() if handle else b""
-        self.asker = Asker(0.0, time.monotonic())
+        self.client = GoalClient(0.0, time.monotonic())
         links.wake()  # what it takes the place of ends
         try:
             await self.keep_on(Following(trajectory, tolerances, self.patience), motion, handle)
@@ -150,7 +150,7 @@ class TrajectoryAction:
             links.rest(motion)
             raise
         finally:
-            links.turn.leave(motion)
+            links.arbiter.leave(motion)
 
     @property
     def patience(self) -> float:
@@ -169,7 +169,7 @@ class TrajectoryAction:
             if handle and handle.is_cancel_requested:
                 raise TrajectoryError(Code.SUCCESSFUL, CANCELLED)
             seen = bool(links.node.count_clients(ASKING))
-            if handle and (gone := self.asker.gone(time.monotonic(), seen)):
+            if handle and (gone := self.client.gone(time.monotonic(), seen)):
                 raise TrajectoryError(Code.INVALID_GOAL, gone)
             try:
                 links.check(motion)
@@ -184,7 +184,7 @@ class TrajectoryAction:
     def start(self, time: int) -> tuple[Floats, Floats]:
         """Where the arm will be at a time, and how fast: on its trajectory, or at rest."""
         links = self.links
-        if self.trajectory and links.turn.has(self.motion, links.now()):
+        if self.trajectory and links.arbiter.has(self.motion, links.now()):
             return self.trajectory.at(time)
         states = [links.states[i] for i in links.numbers]
         gains = [link.drive.max_acceleration for link in links.arm.links]

@@ -10,8 +10,8 @@
 | `progress.py` | how far the link has come with it |
 | `reception.py` | which telemetry is believed; when the link is lost |
 | `clock.py` | the link's clock mapped to the host's |
-| `dialogue.py` | stamps of commands and their echoes: delay, other drivers |
-| `news.py` | what has become of it, a line of the log for each change |
+| `echoes.py` | stamps of commands and their echoes: delay, other drivers |
+| `status_log.py` | what has become of it, a line of the log for each change |
 | `battery.py` | how long the battery lasts |
 
 The rules and their reasons are in docs/reference/protocol.md.
@@ -21,9 +21,9 @@ from fss_arm_driver.scale import CommandError
 from fss_arm_driver.session.arming import RELEASE_TIMEOUT, Arming
 from fss_arm_driver.session.clock import SECOND
 from fss_arm_driver.session.link import COUNTS, LinkSession, Sample
-from fss_arm_driver.session.news import Line, News
 from fss_arm_driver.session.progress import Progress, Status
 from fss_arm_driver.session.session import TROUBLES, Partner, Session
+from fss_arm_driver.session.status_log import Line, StatusLog
 
 __all__ = [
     "COUNTS",
@@ -34,10 +34,10 @@ __all__ = [
     "CommandError",
     "Line",
     "LinkSession",
-    "News",
     "Partner",
     "Progress",
     "Sample",
     "Session",
     "Status",
+    "StatusLog",
 ]

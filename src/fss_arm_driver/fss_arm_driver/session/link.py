@@ -287,7 +287,7 @@ class LinkSession(Session[Telemetry]):
 
     def _stamped(self, segment: Segment) -> Segment:
         self._sequence = (self._sequence + 1) & 0xFFFFFFFF
-        return replace(segment, sequence=self._sequence, clock=self._dialogue.last_stamp())
+        return replace(segment, sequence=self._sequence, clock=self._echoes.last_stamp())
 
     def _wanted(self, now: int) -> tuple[int, int, SetPoint]:
         """Flags, host time of expiry and set point of the next command."""

@@ -15,7 +15,7 @@ from fss_arm_driver.scale import CommandError
 from fss_arm_driver.session.arming import Arming, ArmingMachine
 from fss_arm_driver.session.battery import Battery
 from fss_arm_driver.session.clock import SECOND
-from fss_arm_driver.session.dialogue import Dialogue
+from fss_arm_driver.session.echoes import Echoes
 from fss_arm_driver.session.reception import Reception, Rules
 
 CLOCK_CORRECTION = SECOND // 10  # a simulated clock that is set back by less is being corrected
@@ -92,7 +92,7 @@ class Session(ABC, Generic[T]):
         self._reception = Reception(
             partner.rules, self._timeout, round(resolution * SECOND), signed, self.counts
         )
-        self._dialogue = Dialogue(epoch, self._timeout, self._silence, signed, partner.refused)
+        self._echoes = Echoes(epoch, self._timeout, self._silence, signed, partner.refused)
         self._arming = ArmingMachine(partner.name, partner.latches)
         self.dropped = ""  # why it was disarmed last, in words, if nobody asked for that
         self._version = VERSION  # of frames of this partner that are refused for it
@@ -209,16 +209,16 @@ class Session(ABC, Generic[T]):
     @property
     def rival(self) -> str:
         """That another driver commands the partner, in words; this one does not, then."""
-        rival = self._dialogue.rival(self._now)
+        rival = self._echoes.rival(self._now)
         return f"another driver commands {self.partner.name}" if rival else ""
 
     @property
     def strain(self) -> str:
         """What makes it hard to command the partner, in words: delay, frames of somebody else."""
-        if (way := self._dialogue.delay) > self._timeout:
+        if (way := self._echoes.delay) > self._timeout:
             most = 1e-9 * self._timeout
             return f"delay of {1e-9 * way:.2f} s there and back, at most {most:g} s"
-        if self._dialogue.crowded:
+        if self._echoes.crowded:
             return f"{self.partner.name} refuses frames of somebody else: another driver?"
         return ""
 
@@ -230,14 +230,14 @@ class Session(ABC, Generic[T]):
     def obstacle(self, now: int) -> str:
         """Why the partner cannot be armed, in words; empty: it can."""
         self.tick(now)
-        name, dialogue = self.partner.name, self._dialogue
+        name, echoes = self.partner.name, self._echoes
         if self.rival:
             return self.rival
-        if dialogue.delay > self._timeout:
+        if echoes.delay > self._timeout:
             return f"{name}: {self.strain}"
         if self.lost:
             return self.dialect or f"{name} is lost: {self.absence}"
-        if dialogue.answered < self._woke:
+        if echoes.answered < self._woke:
             return f"{name}: its driver {self.standstill} just now"
         return f"{name} has faults: {', '.join(self.faults)}" if self.faults else ""
 
@@ -251,7 +251,7 @@ class Session(ABC, Generic[T]):
             raise CommandError(obstacle)
         self.dropped = ""
         # One that has yet to answer may wait for an earlier driver's watchdog.
-        self._arming.arm(now, grace=0 if self._dialogue.answered >= 0 else self._silence)
+        self._arming.arm(now, grace=0 if self._echoes.answered >= 0 else self._silence)
 
     def disarm(self) -> None:
         """Switch off what can act, also after a stop.
@@ -292,20 +292,20 @@ class Session(ABC, Generic[T]):
             self._drop(self.standstill)
         if now < self._now - CLOCK_CORRECTION:
             self._reception.forget(now)
-            self._dialogue.forget()
+            self._echoes.forget()
             self._woke = -1
             self._arming.forget()
             self._drop("the clock was set back")
         self._now = now
         if self._reception.tick(now, self._patience()):
-            self._dialogue.delay = 0
+            self._echoes.delay = 0
             self._drop(f"{self.partner.name} is lost")
         self._pass(now)
-        self._arming.tick(now, self._dialogue.delay, self.lost)
+        self._arming.tick(now, self._echoes.delay, self.lost)
 
     def _flags(self, now: int) -> int:
         """Of the next command."""
-        return self._arming.flags(self.frame, self._dialogue.answered >= 0, now)
+        return self._arming.flags(self.frame, self._echoes.answered >= 0, now)
 
     def _head(self, flags: int, now: int) -> CommandHead:
         """The beginning of a command that is sent now."""
@@ -317,7 +317,7 @@ class Session(ABC, Generic[T]):
             flags=flags,
             boot=frame.boot if frame else 0,
             sequence=self._sequence,
-            clock=self._dialogue.stamp(now),
+            clock=self._echoes.stamp(now),
             watchdog=self._watchdog,
         )
 
@@ -332,10 +332,10 @@ class Session(ABC, Generic[T]):
         self.counts["received"] += 1
         if (frame := self._decode(data)) is None:
             return None
-        lost, echoed = self.lost, self._dialogue.sent_at(frame)
+        lost, echoed = self.lost, self._echoes.sent_at(frame)
         stamp = self._reception.take(frame, echoed, now)
         if stamp is not None or lost:
-            self._dialogue.hear(frame, now)
+            self._echoes.hear(frame, now)
         if stamp is None:
             return None
         if self.rival:
@@ -351,7 +351,7 @@ class Session(ABC, Generic[T]):
         self.slow[frame.slow_id] = frame.slow_value
         if frame.slow_id == self.partner.battery:
             self.battery.take(0.1 * frame.slow_value, self._now)
-        echoed = self._dialogue.sent_at(frame)
+        echoed = self._echoes.sent_at(frame)
         self._learn(frame, echoed)
         if why := self._arming.follow(frame, echoed, self._is_off(frame), self.faults):
             self._drop(why)

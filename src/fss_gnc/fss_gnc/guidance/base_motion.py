@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fss_gnc.guidance.activity import ActivityError, Craft, Ended, Floats, Orders, Seen
-from fss_gnc.guidance.room import Room
+from fss_gnc.guidance.free_space import FreeSpace
 from fss_gnc.guidance.settings import GuidanceSettings
 from fss_gnc.reference import Body, Path, Reference, off
 
@@ -35,7 +35,7 @@ class AlongPath:
     def __init__(
         self, craft: Craft, phase: str, path: Path, hold: float, patience: float | None
     ) -> None:
-        self.settings, self.room = craft.settings, Room(craft)
+        self.settings, self.free_space = craft.settings, FreeSpace(craft)
         self.phase, self.path, self.hold, self.patience = phase, path, hold, patience
         self.reached: float | None = None  # when it was [s]
         self.offset, self.largest_offset = np.zeros(3), np.zeros(3)  # from the reference
@@ -50,7 +50,7 @@ class AlongPath:
         self._measure(seen.t, base)
         if seen.t < self.path.end and not self.cancelled and self.patience is not None:
             try:
-                self.room.check(self.path, seen.t, seen)
+                self.free_space.check(self.path, seen.t, seen)
             except ActivityError as error:
                 self.cancel(str(error))
         if self.cancelled and not self.well and self.phase != "brake":
@@ -122,7 +122,7 @@ def hold(craft: Craft, seen: Seen, pose: npt.ArrayLike, duration: float) -> Alon
     found = AlongPath(craft, "hold", Path(np.zeros(1), pose.reshape(1, 1, 3)), lasts, None)
     goal = q[:3] + off(pose, q[:3])
     way = Path(np.array([0.0, 1.0]), np.array([[q[:3]], [goal]]))
-    found.room.check(way, 0.0, seen)
+    found.free_space.check(way, 0.0, seen)
     return found
 
 
@@ -197,7 +197,7 @@ def follow(
 
 def _along(craft: Craft, seen: Seen, phase: str, path: Path, hold: float) -> AlongPath:
     found = AlongPath(craft, phase, path, hold, craft.settings.max_overrun)
-    found.room.check(path, 0.0, seen)
+    found.free_space.check(path, 0.0, seen)
     return found
 
 

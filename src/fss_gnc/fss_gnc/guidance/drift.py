@@ -8,8 +8,8 @@ import numpy.typing as npt
 from fss_arm_model import layout
 from fss_arm_model.clearance import gaps, sizes, with_edge, with_target
 from fss_gnc.guidance.approach import Rigid, coasted
+from fss_gnc.guidance.free_space import held_gap
 from fss_gnc.guidance.mission_settings import MissionSettings
-from fss_gnc.guidance.room import held_gap
 from fss_gnc.reference import Body
 
 Floats = npt.NDArray[np.float64]

@@ -9,9 +9,9 @@ from typing import Any
 
 from fss_arm_msgs.action import AbortMission, Capture, Detumble, FollowPoses, GoToPose, HoldBase
 from fss_gnc.guidance import abort, capture, detumble
-from fss_gnc.guidance.account import Account
 from fss_gnc.guidance.activity import Activity, Craft, Ended, Orders, Seen
 from fss_gnc.guidance.base_motion import AlongPath, follow, go_to, hold
+from fss_gnc.guidance.budget import Budget
 
 
 @dataclass(frozen=True)
@@ -21,13 +21,13 @@ class Kind:
     name: str
     action: Any  # its type; its results have a `message`
     begin: Callable[[Craft, Seen, Any], Activity]  # from a goal, or ActivityError
-    result: Callable[[Any, Account, Ended], dict[str, Any]]  # of an activity: the other fields
+    result: Callable[[Any, Budget, Ended], dict[str, Any]]  # of an activity: the other fields
     feedback: Callable[[Any, Orders], dict[str, Any]]
     preempts: tuple[str, ...] = ()  # names begin so of the actions that it takes the place of
 
 
-def _reached(motion: AlongPath, account: Account, ended: Ended) -> dict[str, Any]:
-    return {"reached": ended.well, "propellant": account.propellant}
+def _reached(motion: AlongPath, budget: Budget, ended: Ended) -> dict[str, Any]:
+    return {"reached": ended.well, "propellant": budget.propellant}
 
 
 def _progress(motion: AlongPath, _: Orders) -> dict[str, Any]:
@@ -38,9 +38,9 @@ BASE = (
     Kind(
         "base/hold", HoldBase,
         lambda craft, seen, goal: hold(craft, seen, goal.pose, goal.duration),
-        lambda motion, account, ended: {
+        lambda motion, budget, ended: {
             "held": ended.well, "largest_offset": motion.largest_offset,
-            "propellant": account.propellant,
+            "propellant": budget.propellant,
         },
         lambda motion, _: {"offset": motion.offset},
         preempts=("base/",),
@@ -48,25 +48,25 @@ BASE = (
     Kind(
         "base/go_to", GoToPose,
         lambda craft, seen, goal: go_to(craft, seen, goal.pose, goal.duration, goal.hold_duration),
-        lambda motion, account, ended: _reached(motion, account, ended) | {"offset": motion.offset},
+        lambda motion, budget, ended: _reached(motion, budget, ended) | {"offset": motion.offset},
         _progress, preempts=("base/",),
     ),
     Kind(
         "base/follow", FollowPoses,
         lambda craft, seen, goal: follow(craft, seen, goal.time, goal.pose, goal.twist),
-        lambda motion, account, ended: _reached(motion, account, ended)
+        lambda motion, budget, ended: _reached(motion, budget, ended)
         | {"largest_offset": motion.largest_offset},
         _progress, preempts=("base/",),
     ),
 )  # fmt: skip
 
 
-def _captured(mission: capture.Capture, account: Account, ended: Ended) -> dict[str, Any]:
+def _captured(mission: capture.Capture, budget: Budget, ended: Ended) -> dict[str, Any]:
     return {
         "captured": mission.captured, "stopped": ended.well and mission.detumbles,
-        "phase": "done" if ended.well else mission.phase, "duration": account.elapsed,
-        "propellant": account.propellant, "momentum": mission.momentum,
-        "largest_torque": account.largest_torque,
+        "phase": "done" if ended.well else mission.phase, "duration": budget.elapsed,
+        "propellant": budget.propellant, "momentum": mission.momentum,
+        "largest_torque": budget.largest_torque,
     }  # fmt: skip
 
 
@@ -80,8 +80,8 @@ MISSIONS = (
     ),
     Kind(
         "mission/detumble", Detumble, lambda craft, seen, goal: detumble.Detumble(craft),
-        lambda _, account, ended: {
-            "stopped": ended.well, "duration": account.elapsed, "propellant": account.propellant,
+        lambda _, budget, ended: {
+            "stopped": ended.well, "duration": budget.elapsed, "propellant": budget.propellant,
         },
         lambda mission, _: {"twist": mission.twist},
         preempts=("base/",),

@@ -15,7 +15,7 @@ class Line(NamedTuple):
     for_operator: bool = False  # it is worth a line in the log of events, too
 
 
-class News:
+class StatusLog:
     """Tells what is new of a session since it was asked last; times are in nanoseconds."""
 
     def __init__(self, session: Session[Any]) -> None:

@@ -15,7 +15,7 @@ def _unknown() -> Floats:
 
 
 @dataclass
-class Account:
+class Budget:
     """The account of one activity; NaN is unknown."""
 
     craft: Craft

@@ -1,4 +1,4 @@
-"""Whose turn it is to move the arm: one motion at a time.
+"""Arbitration of who moves the arm: one motion at a time.
 
 A trajectory or a stream that begins takes the turn from whatever has it; a move waits for nobody,
 it is refused. A stop ends whatever there is.
@@ -22,7 +22,7 @@ class Motion:
     plan: Plan | None = None
 
 
-class Turn:
+class Arbiter:
     """Who moves the arm, for several threads. Times are the caller's, in nanoseconds.
 
     Who holds `lock` keeps the turn from changing.

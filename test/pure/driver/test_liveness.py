@@ -2,7 +2,7 @@
 
 import pytest
 
-from fss_arm_driver.watch import DISCOVERY, Asker, Stall, Steps
+from fss_arm_driver.liveness import DISCOVERY, GoalClient, Stall, Steps
 
 
 @pytest.mark.parametrize(
@@ -15,16 +15,16 @@ from fss_arm_driver.watch import DISCOVERY, Asker, Stall, Steps
     ],
 )
 def test_silence_ends_what_shall_be_kept_alive(keep_alive, heard, now, words):
-    asker = Asker(keep_alive, 10.0)
+    asker = GoalClient(keep_alive, 10.0)
     asker.heard = heard
     assert asker.gone(now, seen=True) == words
 
 
 def test_a_client_may_take_its_time_to_be_seen_and_then_is_missed_at_once():
-    asker = Asker(0.0, 10.0)
+    asker = GoalClient(0.0, 10.0)
     assert asker.gone(10.0 + DISCOVERY, seen=False) == ""
     assert asker.gone(10.1 + DISCOVERY, seen=False) == "whoever asked for it is gone"
-    asker = Asker(0.0, 10.0)
+    asker = GoalClient(0.0, 10.0)
     assert asker.gone(10.2, seen=True) == ""
     assert asker.gone(10.4, seen=False) == "whoever asked for it is gone"
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 DISCOVERY = 3.0  # by then ROS knows of a client that has asked already [s]
 
 
-class Asker:
+class GoalClient:
     """Whoever asked for a move: shall confirm that again and again, if it said it would.
 
     Args:

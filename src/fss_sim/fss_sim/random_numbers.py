@@ -14,7 +14,7 @@ class Stream(IntEnum):
     FRAME, REST, RUN, CHANCE, WALK, TARGET, MARKER, DISTORTION, MERGE, JITTER = range(10)
 
 
-class Chance:
+class RandomNumbers:
     """Random numbers by frame, `width` of each kind: normal and uniform ones."""
 
     def __init__(self, seed: int, width: int, stream: Stream = Stream.FRAME) -> None:

@@ -8,7 +8,7 @@ import pytest
 from fss_arm_driver.protocol import Mode, Order, State, decode
 from fss_arm_driver.scale import CommandError
 from fss_arm_driver.session import Arming, LinkSession
-from fss_arm_driver.session.dialogue import MAX_STAMP_LEAD
+from fss_arm_driver.session.echoes import MAX_STAMP_LEAD
 from fss_arm_model.description import paper_arm
 from fss_sim.link.electronics import LinkElectronics
 from fss_sim.plant.plant import Motion
@@ -187,17 +187,17 @@ def test_single_strange_echoes_and_the_echo_of_an_old_command_are_no_driver():
     world.run(80.0)
     world.arm(session)
     old = decode(world.commands[0]).clock & 0xFFFFFFFF  # no longer remembered
-    dialogue = session._dialogue
+    echoes = session._echoes
     for frame in map(decode, world.heard[-20:]):
         strange = type(frame)(**{**fields_of(frame), "echo": old, "turnaround": 75_000_000})
-        dialogue.hear(strange, world.now)
-        assert not dialogue.rival(world.now)
+        echoes.hear(strange, world.now)
+        assert not echoes.rival(world.now)
     forged = type(frame)(**{**fields_of(frame), "echo": 12345, "turnaround": 1000})
-    dialogue.hear(forged, world.now)
-    assert not dialogue.rival(world.now)
-    dialogue.hear(forged, world.now + SECOND)
-    assert dialogue.rival(world.now + SECOND)
-    assert not dialogue.rival(world.now + 4 * SECOND)
+    echoes.hear(forged, world.now)
+    assert not echoes.rival(world.now)
+    echoes.hear(forged, world.now + SECOND)
+    assert echoes.rival(world.now + SECOND)
+    assert not echoes.rival(world.now + 4 * SECOND)
 
 
 def fields_of(frame):

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from fss_arm_model.description import paper_arm
-from fss_gnc.guidance.account import Account
 from fss_gnc.guidance.activity import Craft, Seen
+from fss_gnc.guidance.budget import Budget
 from fss_gnc.guidance.watch import Watch
 from fss_gnc.reference import Body
 
@@ -18,10 +18,10 @@ def straining(t, *torques):
 
 
 def test_a_joint_without_torque_hides_no_other():
-    account = Account(CRAFT)
-    account.update(straining(0.0, 0.5, np.nan, -1.5, 0.0))
-    account.update(straining(0.1, np.nan, np.nan, np.nan, np.nan))
-    assert account.largest_torque == pytest.approx(1.5)
+    budget = Budget(CRAFT)
+    budget.update(straining(0.0, 0.5, np.nan, -1.5, 0.0))
+    budget.update(straining(0.1, np.nan, np.nan, np.nan, np.nan))
+    assert budget.largest_torque == pytest.approx(1.5)
 
 
 def test_a_joint_that_bears_too_much_for_long_is_named():

@@ -35,7 +35,7 @@ class Track(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Tape:
+class Recorded:
     """What was heard of the joints, of subjects and of the gyro."""
 
     joints: Mapping[str, Track]  # by name, whatever it is: readings [rad] and rates [rad/s]
@@ -48,7 +48,7 @@ class Tape:
         """All of them."""
         return [*self.joints.values(), *self.poses.values(), *([self.rates] if self.rates else [])]
 
-    def brief(self, longest: float, joints: float, poses: float) -> "Tape":
+    def brief(self, longest: float, joints: float, poses: float) -> "Recorded":
         """Its last part [s], with periods no shorter than these [s]."""
         ends = [int(track.receipt[-1]) for track in self.tracks if len(track.t)]
         begin = max(ends, default=0) - round(longest * SECOND)
@@ -59,11 +59,11 @@ class Tape:
             rates=self.rates.since(begin).thinned(poses) if self.rates else None,
         )
 
-    def with_joints(self, change: Callable[[str, Track], Track]) -> "Tape":
+    def with_joints(self, change: Callable[[str, Track], Track]) -> "Recorded":
         """The same with other readings."""
         return replace(self, joints={name: change(name, t) for name, t in self.joints.items()})
 
-    def with_poses(self, change: Callable[[str, Track], Track]) -> "Tape":
+    def with_poses(self, change: Callable[[str, Track], Track]) -> "Recorded":
         """The same with other poses."""
         return replace(self, poses={name: change(name, t) for name, t in self.poses.items()})
 

@@ -24,7 +24,7 @@ class Refusals(NamedTuple):
     sent: int
 
 
-class Dialogue:
+class Echoes:
     """The commands sent to a link, and what its telemetry says of them.
 
     Args:

@@ -25,7 +25,7 @@ def held_gap(p: Floats, states: Floats, place: Floats, radius: float, extents: E
     return np.asarray(apart.min(axis=-1) - radius)
 
 
-class Room:
+class FreeSpace:
     """The room about base and arm; the keep-out zone is a disc about the target's origin."""
 
     def __init__(self, craft: Craft) -> None:
