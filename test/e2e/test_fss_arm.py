@@ -196,7 +196,7 @@ def test_a_move_that_is_interrupted_comes_to_rest(spin, moving):
         process.send_signal(signal.SIGINT)
         spin(nodes, lambda: process.poll() is not None)
         assert process.returncode == 130
-        spin(nodes, lambda: not nodes[2].links.turn.holder(nodes[2].links.now()))
+        spin(nodes, lambda: not nodes[2].links.arbiter.holder(nodes[2].links.now()))
         assert transports[0].link.position < 240_000 / 360 * 70
 
 

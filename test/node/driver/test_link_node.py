@@ -638,7 +638,7 @@ def test_frames_of_somebody_else_are_shown_and_logged_once(bench, monkeypatch):
     node, user, _, until = bench
     said, sent = [], node.session.counts["sent"]
     monkeypatch.setattr(node.get_logger(), "warning", said.append)
-    node.session._dialogue.crowded = True
+    node.session._echoes.crowded = True
     until(lambda: "; link 1 refuses frames of somebody" in user.health[-1].status[0].message)
     assert user.level() == DiagnosticStatus.WARN
     until(lambda: node.session.counts["sent"] > sent + 10)
