@@ -407,8 +407,8 @@ def test_a_node_that_ends_closes_the_valves(armed):
 
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_check_leaves_the_board_disarmed_however_it_is_ended(bench, start, how):
-    # Jobs that a shell runs in the background ignore it, and so does what they start.
-    signal.signal(signal.SIGINT, signal.default_int_handler)
+    # Jobs in a shell's background ignore SIGINT, those under nohup SIGHUP, and so their children.
+    signal.signal(how, signal.default_int_handler if how == signal.SIGINT else signal.SIG_DFL)
     check = start("fss_base_driver.check_node", "--q", 0, 0, 0, 0, "--yes")
     bench.until(lambda: bench.node.session.armed, 60.0)
     check.process.send_signal(how)

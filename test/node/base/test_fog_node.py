@@ -85,7 +85,7 @@ def test_a_gyro_that_is_plugged_in_again_is_heard_without_a_warning(spin, gyro, 
     link = tmp_path / "gyro"
     link.symlink_to(device)
     node = FogNode(parameter_overrides=[Parameter("device", value=str(link))])
-    write = functools.partial(os.write, end, b"\r\n0.500000 1\r\n0.500000 1\r\n")
+    write = functools.partial(os.write, end, b"0.500000 1\r\n0.500000 1\r\n")
     spin(node, lambda: write() and node.lines.counts.rates > 3)
     node.health()
     other, again = pty.openpty()
@@ -95,7 +95,7 @@ def test_a_gyro_that_is_plugged_in_again_is_heard_without_a_warning(spin, gyro, 
     before = node.port
     node.drop()  # as reading it fails
     spin(node, lambda: node.port not in (None, before))
-    write = functools.partial(os.write, other, b"\r\n0.500000 1\r\n0.500000 1\r\n")
+    write = functools.partial(os.write, other, b"0.500000 1\r\n0.500000 1\r\n")
     rates = node.lines.counts.rates
     spin(node, lambda: write() and node.lines.counts.rates > rates)
     assert node.health().level == DiagnosticStatus.OK
