@@ -25,7 +25,7 @@ def metadata(path: Path) -> Mapping[str, Any]:
         about = read_yaml(path / "metadata.yaml")["rosbag2_bagfile_information"]
     except FileNotFoundError:
         raise DamageError("it has no metadata.yaml") from None
-    except Exception as error:
+    except Exception as error:  # YAML that is none, or of any type
         raise DamageError(f"metadata.yaml: {short(str(error).removeprefix(str(path)))}") from None
     if not isinstance(about, dict):
         raise DamageError(f"metadata.yaml says {short(repr(about))} of the bag")
