@@ -6,9 +6,10 @@ from contextlib import suppress
 from threading import Event, Thread
 from typing import NamedTuple
 
-from firmware import BASE, Core
+from firmware import BASE, Core, Electronics
 
-from fss_base_driver.protocol import BaseCommand, BaseTelemetry, Limits, decode, encode
+from fss_base_driver import protocol
+from fss_base_driver.protocol import BaseTelemetry, Limits, encode
 
 
 class Valves(NamedTuple):
@@ -21,38 +22,19 @@ class Valves(NamedTuple):
     opened: tuple[int, ...]  # [us]
 
 
-class FirmwareBoard:
+class FirmwareBoard(Electronics):
     """The board's electronics, the model of its hardware behind them."""
 
     def __init__(
         self, core: Core, boot: int = 7, key: bytes | None = None, limits: Limits | None = None
     ) -> None:
-        self.core, self.key = core, key
-        self.clock = 0  # [us]
         most = limits or Limits()
         bounds = f"{most.longest} {most.allowance} {most.duty} {most.total}"
-        self.tell(f"start {boot} {key.hex() if key else '-'} {bounds}")
-
-    def tell(self, request: str) -> None:
-        """Let something happen to it."""
-        assert self.core.ask(request) == "done"
-
-    def send(self, frame: BaseCommand | bytes) -> bool:
-        """Deliver a datagram; whether it was taken."""
-        data = frame if isinstance(frame, bytes) else encode(frame, self.key)
-        answer = self.core.ask(f"send {data.hex() or '-'}")
-        assert answer in ("taken", "refused")
-        return answer == "taken"
+        super().__init__(protocol, core, str(boot), key, bounds)
 
     def run(self, microseconds: int, hangs: bool = False) -> list[BaseTelemetry]:
         """Let time pass; what it sent meanwhile. What hangs is its loop."""
-        answer = self.core.ask(f"{'hang' if hangs else 'run'} {microseconds}")
-        self.clock += microseconds
-        frames = [
-            decode(bytes.fromhex(frame), self.key) for frame in answer.split() if frame != "-"
-        ]
-        assert all(isinstance(frame, BaseTelemetry) for frame in frames)
-        return frames
+        return self.sent("hang" if hangs else "run", microseconds, BaseTelemetry)
 
     def valves(self) -> Valves:
         """What its firmware knows of them now."""

@@ -1,12 +1,11 @@
 """The base's board behind a fake transport: its own table of states, and a gyro that turns."""
 
 import time
-from collections import Counter, deque
-from threading import Condition
+
+from driver_link import SECOND, FakeLine
 
 from fss_base_driver.protocol import BaseSlow, BoardState, Measured, board_gate, decode, encode
 
-SECOND = 1_000_000_000
 RATE = 20.0  # of telemetry [1/s]
 GYRO_RATE = 100  # samples a second
 SLOW = {
@@ -49,16 +48,12 @@ class FakeBoard:
         return self.state.valves()
 
 
-class FakeBoardTransport:
+class FakeBoardTransport(FakeLine):
     """A board at the other end that measures at its rate, as commands come."""
 
     def __init__(self, clock=time.time_ns, key=None, **options):
-        self.counts, self.trouble = Counter(), ""
-        self.clock = clock
+        super().__init__(clock)
         self.board = FakeBoard(boot=5, born=clock() - 100 * SECOND, key=key, **options)
-        self.talks = self.hears = True
-        self.last = 0
-        self.datagrams, self.arrival = deque(), Condition()
 
     def send(self, data):
         now = self.clock()
@@ -67,21 +62,3 @@ class FakeBoardTransport:
         if self.talks and now - self.last > 0.8 * SECOND / RATE:
             self.last = now
             self.put(self.board.telemetry(now))
-
-    def put(self, data):
-        with self.arrival:
-            self.datagrams.append(data)
-            self.arrival.notify()
-
-    def receive(self):
-        with self.arrival:
-            got = list(self.datagrams)
-            self.datagrams.clear()
-        return got
-
-    def wait(self, timeout):
-        with self.arrival:
-            return self.arrival.wait_for(lambda: self.datagrams, timeout)
-
-    def close(self):
-        pass

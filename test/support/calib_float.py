@@ -1,22 +1,20 @@
 """A floating arm that makes maneuvers, as its streams: joints at 5 Hz, the base and its gyro."""
 
+from functools import partial
 from typing import NamedTuple
 
+import calib_rig
 import numpy as np
 from calib_maneuvers import ARM, moves
+from calib_rig import COUNT, at
 from geometry_msgs.msg import PoseStamped
-from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Imu, JointState
 
-from fss_arm_bags.recorder import Recording
 from fss_arm_calib.segments.poses import BASE, TIP
 from fss_arm_model import base_motion, joint_path
 from fss_arm_model.kinematics import tip_in_base
-from fss_arm_ros.convert import SECOND, pose_stamped, to_time
-from fss_arm_ros.qos import SENSOR
+from fss_arm_ros.convert import pose_stamped, to_time
 
-START = 1_700_000_000 * SECOND
-COUNT = 2 * np.pi / 240_000
 SUBJECTS = {"base": BASE, "tip": TIP}
 
 
@@ -24,11 +22,6 @@ class Sample(NamedTuple):
     t: int  # [ns]
     stream: int | str  # joint number, "base", "tip", "gyro" or "link_<i>"
     value: object  # (q, qd), pose, rate or (armed, start of the electronics, homings)
-
-
-def at(t):
-    """The stamp [ns] of a time [s]."""
-    return START + round(t * SECOND)
 
 
 def postures(count, seed=0, n=4):
@@ -131,20 +124,7 @@ def message(sample):
     return f"vicon/{subject}/{subject}", pose_stamped(t, "world", value)
 
 
-def record(folder, samples, topics=TYPES, late=lambda sample: SECOND // 100):
-    """The samples as a bag of some topics, in many chunks, received `late(sample)` ns late."""
-    bag = Recording(folder)
-    for topic in topics:
-        kind = TYPES[topic]
-        bag.add(f"/{topic}", f"{kind.__module__.split('.')[0]}/msg/{kind.__name__}", [SENSOR])
-    for k, sample in enumerate(samples):
-        if k % 200 == 199:
-            bag.flush()
-        topic, content = message(sample)
-        if topic in topics:
-            bag.write(f"/{topic}", sample.t + late(sample), serialize_message(content))
-    bag.close()
-    return bag.path
+record = partial(calib_rig.record, types=TYPES, message=message)
 
 
 def feed(finder, samples, close=True):

@@ -93,12 +93,14 @@ def message(sample: Sample) -> tuple[str, Any]:
     return TOPICS[stream], pose
 
 
-def record(folder, samples, topics=TYPES, late=lambda sample: SECOND // 100) -> Path:
+def record(
+    folder, samples, topics=(), late=lambda _: SECOND // 100, types=TYPES, message=message
+) -> Path:
     """The samples as a bag of some topics, in many chunks, received `late(sample)` ns late."""
-    bag = Recording(folder)
-    kinds = {t: f"{k.__module__.split('.')[0]}/msg/{k.__name__}" for t, k in TYPES.items()}
+    bag, topics = Recording(folder), topics or types
     for topic in topics:
-        bag.add(f"/{topic}", kinds[topic], [SENSOR])
+        kind = types[topic]
+        bag.add(f"/{topic}", f"{kind.__module__.split('.')[0]}/msg/{kind.__name__}", [SENSOR])
     for k, sample in enumerate(samples):
         if k % 200 == 199:
             bag.flush()

@@ -114,26 +114,15 @@ class FakeLink:
         return encode(replace(self.frame, **changes), self.key)
 
 
-class FakeTransport:
-    """A link at the other end that measures once for each command frame, at its steady rate."""
+class FakeLine:
+    """A transport with electronics at the other end, which talk and hear as long as they shall."""
 
-    def __init__(self, number=1, clock=time.time_ns, key=None):
+    def __init__(self, clock):
         self.counts, self.trouble = Counter(), ""
         self.clock = clock
-        self.link = FakeLink(number, boot=5, born=clock() - 100 * SECOND, key=key)
         self.talks = self.hears = True
         self.last = 0
         self.datagrams, self.arrival = deque(), Condition()
-
-    def send(self, data):
-        now = self.clock()
-        expiry = getattr(decode(data, self.link.key), "expiry", 0)
-        late = expiry and self.link.clock(now) > expiry  # sent in time, by a busy computer
-        if self.hears and not late:
-            self.link.take(data, now)
-        if self.talks and now - self.last > 0.8 * SECOND / RATE:
-            self.last = now
-            self.put(self.link.telemetry(now))
 
     def put(self, data):
         with self.arrival:
@@ -153,3 +142,21 @@ class FakeTransport:
 
     def close(self):
         pass
+
+
+class FakeTransport(FakeLine):
+    """A link at the other end that measures once for each command frame, at its steady rate."""
+
+    def __init__(self, number=1, clock=time.time_ns, key=None):
+        super().__init__(clock)
+        self.link = FakeLink(number, boot=5, born=clock() - 100 * SECOND, key=key)
+
+    def send(self, data):
+        now = self.clock()
+        expiry = getattr(decode(data, self.link.key), "expiry", 0)
+        late = expiry and self.link.clock(now) > expiry  # sent in time, by a busy computer
+        if self.hears and not late:
+            self.link.take(data, now)
+        if self.talks and now - self.last > 0.8 * SECOND / RATE:
+            self.last = now
+            self.put(self.link.telemetry(now))

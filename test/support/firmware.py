@@ -4,9 +4,10 @@ import fcntl
 import os
 import subprocess
 from pathlib import Path
-from typing import NamedTuple
+from types import ModuleType
+from typing import Any, NamedTuple
 
-from fss_arm_driver.protocol import Command, Segment, Telemetry, decode, encode
+from fss_arm_driver import protocol
 
 # The search for leaks traces the process, which a container may forbid; the core has no heap.
 os.environ.setdefault("ASAN_OPTIONS", "detect_leaks=0")
@@ -77,43 +78,49 @@ class Joint(NamedTuple):
     baud: int
 
 
-class FirmwareLink:
-    """A link's electronics in simulated time, a simulated drive behind them."""
+class Electronics:
+    """Electronics with their firmware, in simulated time, that speak a protocol."""
 
     def __init__(
-        self,
-        core: Core,
-        number: int = 2,
-        boot: int = 7,
-        key: bytes | None = None,
-        serial: int = 0,
+        self, protocol: ModuleType, core: Core, begin: str, key: bytes | None, more: object
     ) -> None:
-        self.core, self.key = core, key
+        self.protocol, self.core, self.key = protocol, core, key
         self.clock = 0  # [us]
-        self.tell(f"start {number} {boot} {key.hex() if key else '-'} {serial}")
+        self.tell(f"start {begin} {key.hex() if key else '-'} {more}")
 
     def tell(self, request: str) -> None:
         """Let something happen to it."""
         assert self.core.ask(request) == "done"
 
-    def send(self, frame: Command | Segment | bytes) -> bool:
-        """Deliver a datagram; whether it was taken."""
-        data = frame if isinstance(frame, bytes) else encode(frame, self.key)
+    def send(self, frame: Any) -> bool:
+        """Deliver a command or the bytes of a datagram; whether it was taken."""
+        data = frame if isinstance(frame, bytes) else self.protocol.encode(frame, self.key)
         answer = self.core.ask(f"send {data.hex() or '-'}")
         assert answer in ("taken", "refused")
         return answer == "taken"
 
-    def run(self, seconds: float) -> list[Telemetry]:
-        """Let time pass; what it sent meanwhile."""
-        answer = self.core.ask(f"run {round(1e6 * seconds)}")
-        self.clock += round(1e6 * seconds)
-        frames = [
-            decode(bytes.fromhex(frame), self.key) for frame in answer.split() if frame != "-"
-        ]
-        assert all(isinstance(frame, Telemetry) for frame in frames)
-        return frames
+    def sent(self, request: str, microseconds: int, kind: type) -> list[Any]:
+        """Let time pass; the frames, all of one kind, that it sent meanwhile."""
+        frames = self.core.ask(f"{request} {microseconds}").replace("-", "").split()
+        self.clock += microseconds
+        found = [self.protocol.decode(bytes.fromhex(frame), self.key) for frame in frames]
+        assert all(isinstance(frame, kind) for frame in found)
+        return found
 
-    def frame(self) -> Telemetry:
+
+class FirmwareLink(Electronics):
+    """A link's electronics, a simulated drive behind them."""
+
+    def __init__(
+        self, core: Core, number: int = 2, boot: int = 7, key: bytes | None = None, serial: int = 0
+    ) -> None:
+        super().__init__(protocol, core, f"{number} {boot}", key, serial)
+
+    def run(self, seconds: float) -> list[protocol.Telemetry]:
+        """Let time pass; what it sent meanwhile."""
+        return self.sent("run", round(1e6 * seconds), protocol.Telemetry)
+
+    def frame(self) -> protocol.Telemetry:
         """The next one that it sends."""
         return self.run(0.25)[-1]
 

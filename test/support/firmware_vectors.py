@@ -7,12 +7,12 @@ docs/reference/protocol.md says, by the Python codec.
 """
 
 import random
-import struct
 from collections.abc import Iterator
 from dataclasses import astuple
 from hashlib import blake2s
 from itertools import islice
-from zlib import crc32
+
+from driver_frames import sealed
 
 from fss_arm_driver.protocol import (
     LAST,
@@ -36,12 +36,6 @@ KEYS = [None, bytes(range(16)), bytes(range(100, 132))]
 def hexed(data: bytes | None) -> str:
     """Bytes as `core_pipe` reads and writes them."""
     return data.hex() if data else "-"
-
-
-def sealed(data: bytes, key: bytes | None) -> bytes:
-    """A frame with CRC and signature put right."""
-    data = data[:52] + struct.pack("<I", crc32(data[:52]))
-    return data + (blake2s(data, digest_size=16, key=key).digest() if key else bytes(16))
 
 
 def verdict(data: bytes, key: bytes | None) -> str:

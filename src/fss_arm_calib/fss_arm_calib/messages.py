@@ -15,11 +15,10 @@ from fss_arm_calib.outcome import Provenance as Origin
 from fss_arm_calib.segments.finder import Finder
 from fss_arm_model.description_file import to_yaml
 from fss_arm_msgs.msg import Calibration, Check, LinkTelemetry, Provenance
-from fss_arm_ros.convert import PoseError, joint_readings, planar_pose, stamp_ns, to_time
+from fss_arm_ros.convert import joint_readings, seen_pose, stamp_ns, to_time
 
 AnyFinder = Finder[Any, Any]
 M = TypeVar("M", bound=Any)
-Pose = tuple[float, float, float]
 
 LISTED = 20  # names in a message that are told of, if they are unknown
 
@@ -80,14 +79,6 @@ def telemetry_inputs(n: int) -> list[Input]:
 
     topics = (f"link_{i}/telemetry" for i in range(1, n + 1))
     return [Input(topic, LinkTelemetry, feed, needed=False) for topic in topics]
-
-
-def seen_pose(message: Any) -> Pose | None:
-    """Planar pose of a geometry_msgs/PoseStamped; None: it was not visible."""
-    try:
-        return planar_pose(message.pose)
-    except PoseError:
-        return None
 
 
 def common_message(kind: str, outcome: Outcome[Any, Any], frame_id: str) -> Calibration:

@@ -66,6 +66,14 @@ def planar_pose(pose: Any) -> tuple[float, float, float]:
     return float(p.x), float(p.y), heading
 
 
+def seen_pose(message: Any) -> tuple[float, float, float] | None:
+    """The planar pose in a geometry_msgs/PoseStamped; None: the subject was not visible."""
+    try:
+        return planar_pose(message.pose)
+    except PoseError:
+        return None
+
+
 def pose_stamped(
     ns: int, frame_id: str, pose: tuple[float, float, float], z: float = 0.0
 ) -> PoseStamped:

@@ -20,9 +20,8 @@ from fss_arm_msgs.msg import DynamicCalibration, KinematicCalibration, ThrusterC
 from fss_arm_ros.calibrated import Calibrated
 from fss_arm_ros.convert import (
     SECOND,
-    PoseError,
     joint_readings,
-    planar_pose,
+    seen_pose,
     stamp_ns,
     to_time,
 )
@@ -105,9 +104,7 @@ class BaseReactionNode(Node):
 
     def on_pose(self, message: PoseStamped) -> None:
         """A pose of the base."""
-        try:
-            pose = planar_pose(message.pose)
-        except PoseError:
+        if (pose := seen_pose(message)) is None:
             self.occluded += 1
             return
         t = self.stamp(self.settings.base_topic, message)

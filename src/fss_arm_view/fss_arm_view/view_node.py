@@ -38,7 +38,7 @@ from fss_arm_msgs.msg import (
     ThrusterCommand,
 )
 from fss_arm_ros.calibrated import Calibrated
-from fss_arm_ros.convert import SECOND, PoseError, joint_readings, planar_pose, stamp_ns
+from fss_arm_ros.convert import SECOND, joint_readings, seen_pose, stamp_ns
 from fss_arm_ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED, sensor
@@ -209,7 +209,7 @@ class ViewNode(Node):
     def on_base(self, message: PoseStamped) -> None:
         """A pose of the base: the whole arm is drawn with it."""
         self.measured("base", message)
-        if self.sink.due("base") and (pose := _pose(message)):
+        if self.sink.due("base") and (pose := seen_pose(message)):
             valves = [self.t < until for until in self.valves_until]
             parts = [scene.plumes(pose, valves), *scene.arm(self.known.arm, pose, self.q)]
             if self.difference is not None and self.t < self.differs_until:
@@ -225,12 +225,12 @@ class ViewNode(Node):
 
     def on_tip(self, message: PoseStamped) -> None:
         """A pose of the end effector: its path."""
-        if self.sink.due("tip") and (pose := _pose(message)):
+        if self.sink.due("tip") and (pose := seen_pose(message)):
             self.trace(stamp_ns(message.header.stamp), "tip_path", pose[:2], scene.TIP)
 
     def on_target(self, message: PoseStamped) -> None:
         """A pose of the target."""
-        if self.sink.due("target") and (pose := _pose(message)):
+        if self.sink.due("target") and (pose := seen_pose(message)):
             self.explain("target", scene.PURPLE)
             parts = [scene.base(pose, scene.PURPLE)]
             if self.keep_out > 0.0 and self.t < self.told + LIVES:
@@ -384,14 +384,6 @@ class ViewNode(Node):
             self.viewer.close()
         if self.first is self:
             self.quiet.cleanup()
-
-
-def _pose(message: PoseStamped) -> tuple[float, float, float] | None:
-    """The pose; None while the subject is occluded."""
-    try:
-        return planar_pose(message.pose)
-    except PoseError:
-        return None
 
 
 def make_nodes() -> list[ViewNode]:

@@ -23,7 +23,7 @@ from fss_arm_msgs.msg import (
     Workspace,
 )
 from fss_arm_ros.calibrated import Calibrated
-from fss_arm_ros.convert import PoseError, joint_readings, planar_pose
+from fss_arm_ros.convert import joint_readings, seen_pose
 from fss_arm_ros.diagnostics import ERROR, OK, Diagnostics, Health
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED, subscribe_sensor
@@ -93,9 +93,9 @@ class WorkspaceNode(Node):
 
     def on_pose(self, message: PoseStamped) -> None:
         """A pose of the base."""
-        try:
-            self.pose = planar_pose(message.pose)
-        except PoseError:
+        if pose := seen_pose(message):
+            self.pose = pose
+        else:
             self.get_logger().debug("the base is occluded")
 
     def on_timer(self) -> None:

@@ -16,7 +16,6 @@ from sensor_msgs.msg import BatteryState, FluidPressure, Imu
 from std_msgs.msg import Bool, Empty, Float64
 from std_srvs.srv import Trigger
 
-from fss_arm_driver.host_clock import HostClock
 from fss_arm_driver.pacer import Pacer
 from fss_arm_driver.session import CommandError
 from fss_arm_driver.session_node import SessionNode
@@ -51,10 +50,8 @@ class BaseNode(SessionNode):
     session: BoardSession
     unconfirmed = "does not say that its valves are closed"
 
-    def __init__(
-        self, transport: Transport | None = None, clock: HostClock | None = None, **options: Any
-    ) -> None:
-        super().__init__("base", BaseSettings, clock, live=True, **options)
+    def __init__(self, transport: Transport | None = None, **options: Any) -> None:
+        super().__init__("base", BaseSettings, None, live=True, **options)
         s: BaseSettings = self.settings
         self.session = BoardSession(
             s.timeout, s.watchdog, s.command_lifetime, s.max_on_time, self.resolution, s.key(),

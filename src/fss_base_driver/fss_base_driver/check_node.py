@@ -26,7 +26,7 @@ from fss_arm_model.settings import default_in
 from fss_arm_model.thrusters import COUNT, layout
 from fss_arm_msgs.msg import BaseTelemetry, ThrusterCommand
 from fss_arm_ros.command_line import interrupt_at_end
-from fss_arm_ros.convert import SECOND, PoseError, joint_readings, planar_pose, stamp_ns
+from fss_arm_ros.convert import SECOND, joint_readings, seen_pose, stamp_ns
 from fss_arm_ros.qos import COMMAND, subscribe_sensor
 from fss_base_driver.check_options import BASE_TOPIC, parser
 from fss_base_driver.thrust import Body, Floats, Thrust, TrackError, estimate, order, verdict
@@ -73,11 +73,8 @@ class Tester(Node):
 
     def on_pose(self, message: PoseStamped) -> None:
         """Keep a pose that says something."""
-        try:
-            pose = planar_pose(message.pose)
-        except PoseError:
-            return
-        self.poses.append((stamp_ns(message.header.stamp) / SECOND, *pose))
+        if pose := seen_pose(message):
+            self.poses.append((stamp_ns(message.header.stamp) / SECOND, *pose))
 
     def on_imu(self, message: Imu) -> None:
         """Keep a rate of turn."""

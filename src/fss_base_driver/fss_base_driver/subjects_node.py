@@ -20,7 +20,7 @@ from rich.table import Table
 
 from fss_arm_model.settings import POSITIVE
 from fss_arm_ros.command_line import interrupt_at_end
-from fss_arm_ros.convert import SECOND, PoseError, planar_pose, stamp_ns
+from fss_arm_ros.convert import SECOND, seen_pose, stamp_ns
 from fss_arm_ros.qos import subscribe_sensor
 from fss_base_driver.subjects_options import parser
 
@@ -41,9 +41,9 @@ class Heard:
         """Count a message."""
         self.arrivals.append(time.time_ns())
         self.stamps.append(stamp_ns(message.header.stamp))
-        try:
-            self.poses.append(planar_pose(message.pose))
-        except PoseError:
+        if pose := seen_pose(message):
+            self.poses.append(pose)
+        else:
             self.unusable += 1
 
     def row(self) -> list[str]:

@@ -24,7 +24,7 @@ from fss_arm_msgs.msg import (
     ThrusterHealth,
 )
 from fss_arm_ros.calibrated import Calibrated
-from fss_arm_ros.convert import SECOND, PoseError, joint_readings, planar_pose, stamp_ns, to_time
+from fss_arm_ros.convert import SECOND, joint_readings, seen_pose, stamp_ns, to_time
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED, SENSOR, subscribe_sensor
@@ -144,9 +144,7 @@ class NavigationNode(Node):
     def on_pose(self, topic: str, message: PoseStamped) -> None:
         """A pose of either."""
         is_base = topic == self.settings.base_topic
-        try:
-            pose = planar_pose(message.pose)
-        except PoseError:
+        if (pose := seen_pose(message)) is None:
             self.refused[f"{topic} occluded"] += 1
             return
         t = stamp_ns(message.header.stamp) - self.latency

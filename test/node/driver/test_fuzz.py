@@ -8,13 +8,12 @@ implementation.
 """
 
 import random
-import struct
 from dataclasses import replace
 from math import pi, sin
 from pathlib import Path
-from zlib import crc32
 
 import pytest
+from driver_frames import with_crc
 from driver_link import SECOND, FakeLink
 
 from fss_arm_driver.messages import SampleMessages
@@ -30,10 +29,6 @@ COUNTS_PER_RADIAN = 240_000 / (2 * pi)
 def truth(seconds):
     """The joint's angle [rad]: it swings with up to 0.7 rad/s."""
     return 1.4 * sin(0.5 * seconds)
-
-
-def sealed(data):
-    return data[:52] + struct.pack("<I", crc32(data[:52])) + data[56:]
 
 
 def flip(rng, data):
@@ -55,9 +50,9 @@ def damage(rng, true_frames, ahead):
     if kind < 0.3:
         return frame[: rng.randrange(72)] + rng.randbytes(rng.choice((0, 1, 72)))
     if kind < 0.4:
-        return sealed(frame[:4] + rng.randbytes(52) + bytes(16))
+        return with_crc(frame[:4] + rng.randbytes(52) + bytes(16))
     damaged = flip(rng, frame[:56]) + frame[56:] if kind < 0.9 else flip(rng, frame)
-    return sealed(damaged) if rng.random() < 0.5 else damaged
+    return with_crc(damaged) if rng.random() < 0.5 else damaged
 
 
 class Judge:

@@ -4,12 +4,12 @@ import random
 import time
 from collections import Counter
 from dataclasses import replace
-from hashlib import blake2s
 from struct import pack_into
 from zlib import crc32
 
 import pytest
 from base_board import BOOT, KEY, QUIET, SECOND, STOP, opens
+from driver_frames import sealed
 
 from fss_arm_driver.protocol import Refused
 from fss_base_driver.protocol import (
@@ -141,12 +141,6 @@ def test_each_refusal_is_counted_by_its_reason(change, reason):
     assert not state.valves()
 
 
-def seal(data, key):
-    """CRC and signature put right."""
-    pack_into("<I", data, 52, crc32(data[:52]))
-    data[56:] = blake2s(data[:56], digest_size=16, key=key).digest() if key else bytes(16)
-
-
 def mutated(rng, pool, key):
     """Noise, a damaged frame, or one whose fields are anything, sealed by whoever has the key."""
     kind = rng.random()
@@ -161,8 +155,7 @@ def mutated(rng, pool, key):
         data[4:52] = b"\0" + rng.randbytes(47)
     data[0:4] = b"\x53\x46\x02" + bytes([rng.choice((4, 5, 5, 5))])
     data[4] = 0
-    seal(data, key)
-    return bytes(data)
+    return sealed(bytes(data), key)
 
 
 def following(state, order, clock):

@@ -4,11 +4,11 @@ import re
 import struct
 from dataclasses import replace
 from pathlib import Path
-from zlib import crc32
 
 import driver_link
 import pytest
 from base_board import KEY, ORDER, QUIET, SAMPLE
+from driver_frames import with_crc
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -64,15 +64,10 @@ OTHERS = st.builds(
 FRAMES = TELEMETRY | PULSES | OTHERS
 
 
-def sealed(data):
-    """`data` with its CRC put right."""
-    return data[:52] + struct.pack("<I", crc32(data[:52])) + data[56:]
-
-
 def patched(frame, at, value):
     data = bytearray(encode(frame))
     data[at : at + len(value)] = value
-    return sealed(bytes(data))
+    return with_crc(bytes(data))
 
 
 def refusal(data, decode=decode):
@@ -83,7 +78,7 @@ def refusal(data, decode=decode):
 
 @pytest.mark.parametrize(("frame", "text"), CASES)
 def test_the_table_holds_in_both_directions(frame, text):
-    data = sealed(bytes.fromhex(text) + bytes(20))
+    data = with_crc(bytes.fromhex(text) + bytes(20))
     assert encode(frame) == data
     assert decode(data) == frame
 
@@ -115,7 +110,7 @@ def test_any_flipped_bit_is_refused(frame):
 @given(st.binary(min_size=48, max_size=48), st.sampled_from([4, 5]), st.booleans())
 def test_noise_with_a_good_head_and_crc_is_refused_or_encodes_to_itself(noise, kind, addressed):
     noise = b"\0" + noise[1:] if addressed else noise
-    data = sealed(struct.pack("<HBB", 0x4653, 2, kind) + noise + bytes(20))
+    data = with_crc(struct.pack("<HBB", 0x4653, 2, kind) + noise + bytes(20))
     try:
         frame = decode(data)
     except FrameError:

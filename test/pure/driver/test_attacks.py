@@ -8,10 +8,10 @@ import pickle
 import random
 from collections import Counter
 from dataclasses import replace
-from struct import pack, unpack_from
-from zlib import crc32
+from struct import unpack_from
 
 import pytest
+from driver_frames import with_crc
 
 from fss_arm_driver.protocol import Mode, Order, Refused, State, decode, encode
 from fss_arm_driver.session import Arming, LinkSession
@@ -107,12 +107,8 @@ def state(world):
     return without(session.counts, session), without(link.gate.refused, link)
 
 
-def sealed(data):
-    return data[:52] + pack("<I", crc32(data[:52])) + data[56:]
-
-
 def patched(data, at, value):
-    return sealed(data[:at] + bytes([value]) + data[at + 1 :])
+    return with_crc(data[:at] + bytes([value]) + data[at + 1 :])
 
 
 def flipped(data):
@@ -120,7 +116,7 @@ def flipped(data):
     for bit in range(8 * 56):
         damaged = bytearray(data)
         damaged[bit // 8] ^= 1 << bit % 8
-        yield sealed(bytes(damaged))
+        yield with_crc(bytes(damaged))
 
 
 def forged(data, key):

@@ -4,56 +4,23 @@ import random
 import time
 from collections import Counter
 from dataclasses import replace
-from hashlib import blake2s
 from pathlib import Path
-from struct import pack_into
-from zlib import crc32
 
 import pytest
+from driver_frames import KEY, ORDER, PIECE, SAMPLE, sealed, with_crc
 
 from fss_arm_driver.protocol import (
     FRAME_SIZE,
-    LAST,
-    Command,
     FrameError,
-    Mode,
-    Order,
     Refusal,
-    Segment,
-    Slow,
-    State,
     StreamDecoder,
-    Telemetry,
     decode,
     encode,
     pack,
 )
 
-KEY = bytes(range(20))
-SAMPLE = Telemetry(
-    link=2, flags=State.ARMED | State.REFERENCED, boot=3, sequence=1000, clock=200_000_000,
-    echo=0x89ABCDEF, turnaround=1500, position=-40000, velocity=-12345, current=-75,
-    mode=Mode.POSITION, slow_id=Slow.SUPPLY, status=0x08000000, torque=-2, torque_age=12,
-    slow_value=240,
-)  # fmt: skip
-ORDER = Command(
-    link=2, flags=Order.ARM, boot=3, sequence=77, clock=1_700_000_000_000_000,
-    expiry=201_000_000, mode=Mode.POSITION, watchdog=2000, set_point=40000, velocity=381972,
-    acceleration=7639,
-)  # fmt: skip
-PIECE = Segment(
-    link=2, flags=LAST, boot=3, sequence=78, clock=1_700_000_000_000_001, path=7, index=4,
-    begin=202_000_000, duration=2_500_000, position=40000, velocity=38197, end_position=-12000,
-    end_velocity=0,
-)  # fmt: skip
 KINDS = 8
 POOL = 1 << 16
-
-
-def seal(data, key):
-    """CRC and signature put right."""
-    pack_into("<I", data, 52, crc32(data[:52]))
-    data[56:] = blake2s(data[:56], digest_size=16, key=key).digest() if key else bytes(16)
 
 
 def damaged(rng, frame, noise, kind, key):
@@ -70,13 +37,13 @@ def damaged(rng, frame, noise, kind, key):
         data[at % FRAME_SIZE] ^= 1 << (at & 7)
     elif kind in (4, 5):
         data[at % 56] = noise[at]
-        pack_into("<I", data, 52, crc32(data[:52]))
+        data = with_crc(data)
     elif kind == 6:
         data[4 + at % 48] = noise[at]
-        seal(data, key)
+        data = sealed(data, key)
     else:
         data[4:52] = noise[at : at + 48]
-        seal(data, key)
+        data = sealed(data, key)
     return bytes(data)
 
 
@@ -118,8 +85,7 @@ def test_whatever_comes_is_a_frame_that_encodes_to_itself_or_is_refused(inputs, 
 
 
 def test_a_damaged_frame_that_is_sealed_anew_is_no_forgery_without_the_key():
-    forged = bytearray(encode(replace(ORDER, set_point=0), KEY))
-    seal(forged, bytes(16))
+    forged = sealed(encode(replace(ORDER, set_point=0), KEY), bytes(16))
     with pytest.raises(FrameError) as error:
-        decode(bytes(forged), KEY)
+        decode(forged, KEY)
     assert error.value.reason is Refusal.SIGNATURE

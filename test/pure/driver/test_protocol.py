@@ -4,9 +4,9 @@ import re
 import struct
 from dataclasses import replace
 from pathlib import Path
-from zlib import crc32
 
 import pytest
+from driver_frames import KEY, ORDER, PIECE, SAMPLE, with_crc
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -21,7 +21,6 @@ from fss_arm_driver.protocol import (
     Refusal,
     Segment,
     Slow,
-    State,
     Telemetry,
     decode,
     encode,
@@ -31,22 +30,6 @@ from fss_arm_driver.protocol import (
     parse_keys,
 )
 
-SAMPLE = Telemetry(
-    link=2, flags=State.ARMED | State.REFERENCED, boot=3, sequence=1000, clock=200_000_000,
-    echo=0x89ABCDEF, turnaround=1500, position=-40000, velocity=-12345, current=-75,
-    mode=Mode.POSITION, slow_id=Slow.SUPPLY, status=0x08000000, torque=-2, torque_age=12,
-    slow_value=240,
-)  # fmt: skip
-ORDER = Command(
-    link=2, flags=Order.ARM, boot=3, sequence=77, clock=1_700_000_000_000_000,
-    expiry=201_000_000, mode=Mode.POSITION, watchdog=2000, set_point=40000, velocity=381972,
-    acceleration=7639,
-)  # fmt: skip
-PIECE = Segment(
-    link=2, flags=LAST, boot=3, sequence=78, clock=1_700_000_000_000_001, path=7, index=4,
-    begin=202_000_000, duration=2_500_000, position=40000, velocity=38197, end_position=-12000,
-    end_velocity=0,
-)  # fmt: skip
 FAR = Segment(
     link=255, flags=0, boot=0xFFFF, sequence=0xFFFFFFFF, clock=(1 << 64) - 1, path=0xFFFF,
     index=0xFFFE, begin=(1 << 64) - 60_000_001, duration=60_000_000, position=-(1 << 31),
@@ -84,7 +67,6 @@ CASES = [
      "00000000 00000000 00000000 0000000000000000 6d33beb2"),
 ]  # fmt: skip
 NO_SIGNATURE = bytes(16)
-KEY = bytes(range(16))
 
 
 def unsigned(bits):
@@ -125,15 +107,10 @@ LASTS = st.builds(lambda segment: replace(segment, flags=LAST, end_velocity=0), 
 FRAMES = TELEMETRY | COMMANDS | FOLLOWS | SEGMENTS | LASTS
 
 
-def sealed(data):
-    """`data` with its CRC put right."""
-    return data[:52] + struct.pack("<I", crc32(data[:52])) + data[56:]
-
-
 def patched(frame, at, value):
     data = bytearray(encode(frame))
     data[at : at + len(value)] = value
-    return sealed(bytes(data))
+    return with_crc(bytes(data))
 
 
 def refusal(data):
@@ -171,7 +148,7 @@ def test_noise_is_refused_and_nothing_else_is_raised(data):
 
 @given(st.binary(min_size=48, max_size=48), st.sampled_from([1, 2, 3]))
 def test_noise_with_a_good_head_and_crc_is_refused_or_encodes_to_itself(noise, kind):
-    data = sealed(struct.pack("<HBB", 0x4653, 2, kind) + noise + bytes(20))
+    data = with_crc(struct.pack("<HBB", 0x4653, 2, kind) + noise + bytes(20))
     try:
         frame = decode(data)
     except FrameError:

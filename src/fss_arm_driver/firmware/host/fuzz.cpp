@@ -14,14 +14,12 @@
 
 #include <algorithm>
 #include <optional>
-#include <random>
 
 #include "bench_board.hpp"
 #include "blake2s.hpp"
 #include "bytes.hpp"
 #include "fuzzing.hpp"
 #include "link.hpp"
-#include "stream.hpp"
 
 extern "C" size_t __sanitizer_get_current_allocated_bytes();
 
@@ -33,9 +31,9 @@ constexpr uint64_t kOutdated = 50'000;     // no set-point goes on for longer [u
 constexpr uint64_t kLost = 600'000;        // or than this, after noise on the drive's line
 constexpr size_t kGrowth = 20'000;         // of what the simulated drive keeps at times [bytes]
 
-class Fuzzer {
+class Fuzzer : Chance {
  public:
-  Fuzzer(uint32_t seed, const Key& key) : random_(seed), key_(key) { restart(); }
+  Fuzzer(uint32_t seed, const Key& key) : Chance(seed), key_(key) { restart(); }
 
   void run(unsigned long long count) {
     printf("%s: %llu inputs\n", key_.size ? "signed" : "not signed",
@@ -62,8 +60,6 @@ class Fuzzer {
   }
 
  private:
-  uint32_t any(uint32_t below) { return static_cast<uint32_t>(random_() % below); }
-
   void check(bool holds, const char* what) {
     if (holds) return;
     fprintf(stderr, "fuzz: %s\n", what);
@@ -131,14 +127,11 @@ class Fuzzer {
       if (sealed) seal(frame, key_);
       deliver(frame, kFrameSize, sealed || !damaged);
     } else if (kind < 98) {
-      stream();
+      stream([this](uint8_t* one) { any(2) ? segment(one) : command(one); },
+             [this](const uint8_t* found) { deliver(found, kFrameSize, true); });
     } else if (any(20) == 0) {
       drive_noise();
     }
-  }
-
-  void noise(uint8_t* data, size_t size) {
-    for (size_t i = 0; i < size; ++i) data[i] = static_cast<uint8_t>(random_());
   }
 
   // Mostly one that the link may take.
@@ -213,20 +206,6 @@ class Fuzzer {
     memcpy(old_[any(kOld)], frame, kFrameSize);
   }
 
-  // Whether anything has changed.
-  bool damage(uint8_t* frame, size_t size) {
-    Data before;
-    memcpy(before, frame, kFrameSize);
-    for (uint32_t i = 1 + any(4); i > 0; --i) {
-      uint8_t& byte = frame[any(static_cast<uint32_t>(size))];
-      constexpr uint8_t extremes[] = {0x00, 0x7F, 0x80, 0xFF};
-      byte = any(2) ? extremes[any(4)] : static_cast<uint8_t>(byte ^ 1u << any(8));
-    }
-    // A sequence number, stamp or path from far ahead, once taken, has all that follow it refused.
-    if (any(500)) memcpy(frame + 8, before + 8, before[3] == 3 ? 14 : 12);
-    return memcmp(before, frame, kFrameSize) != 0;
-  }
-
   void deliver(const uint8_t* data, size_t size, bool sealed) {
     poll();
     const uint8_t flags = link_->flags();
@@ -275,19 +254,6 @@ class Fuzzer {
     check(!stops || link_->flags() & kStopped, "a stop that does not stop");
   }
 
-  void stream() {
-    Data frame;
-    uint8_t bytes[3 * kStreamedSize];
-    noise(bytes, sizeof bytes);
-    any(2) ? segment(frame) : command(frame);
-    to_stream(frame, bytes + any(2 * kStreamedSize));
-    if (any(2)) bytes[any(sizeof bytes)] = static_cast<uint8_t>(any(3));
-    const size_t size = any(4) ? sizeof bytes : any(sizeof bytes);
-    for (size_t i = 0; i < size; ++i) {
-      if (const uint8_t* found = reader_.take(bytes[i])) deliver(found, kFrameSize, true);
-    }
-  }
-
   void drive_noise() {
     static const char* const lines[] = {"ok\r", "e 31\r", "v -2147483648\r", "v 4294967295\r",
                                         "v 99999999999999999999\r", "v\r", "e\r", "\r"};
@@ -301,7 +267,6 @@ class Fuzzer {
 
   static constexpr uint32_t kOld = 16;
 
-  std::mt19937 random_;
   const Key key_;
   BenchBoard board_;
   FuzzComputer computer_{Kind::Telemetry};
@@ -309,7 +274,6 @@ class Fuzzer {
   uint16_t boot_ = 0;
   unsigned long long taken_ = 0, refused_ = 0;  // before the last start
   unsigned long long kept_ = 0, broken_ = 0;    // segments and paths
-  StreamReader reader_;
   Data old_[kOld] = {};
   uint32_t sequence_ = 0;
   uint64_t now_ = 0, disarmed_ = 0;
@@ -333,19 +297,7 @@ class Fuzzer {
 extern "C" const char* __asan_default_options() { return "quarantine_size_mb=1"; }
 
 int main(int argc, char** argv) {
-  setlinebuf(stdout);  // so that a report comes after what it is about
-  const unsigned long long count = argc > 1 ? strtoull(argv[1], nullptr, 10) : 0;
-  if (count < 1000) {
-    fprintf(stderr, "usage: fuzz COUNT [SEED], COUNT 1000 or more\n");
-    return 1;
-  }
-  const auto seed = static_cast<uint32_t>(argc > 2 ? strtoul(argv[2], nullptr, 10) : 1);
-  fss::Key key = {};
-  key.size = 16;
-  memcpy(key.bytes, "a key of a link.", 16);
-  for (const fss::Key& each : {fss::Key{}, key}) {
-    fss::Fuzzer fuzzer(seed, each);
-    fuzzer.run(count / 2);
-  }
-  return 0;
+  return fss::fuzz_all(argc, argv, "fuzz", [](auto seed, const auto& key, auto count) {
+    fss::Fuzzer(seed, key).run(count);
+  });
 }

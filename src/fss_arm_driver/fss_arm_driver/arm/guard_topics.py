@@ -23,7 +23,7 @@ from fss_arm_driver.protocol import Mode
 from fss_arm_driver.settings import ArmSettings
 from fss_arm_model.description import Arm
 from fss_arm_motion.guard import Guard
-from fss_arm_ros.convert import SECOND, PoseError, planar_pose, stamp_ns
+from fss_arm_ros.convert import SECOND, planar_pose, seen_pose, stamp_ns
 from fss_arm_ros.subscriptions import PolledSubscription
 
 
@@ -67,10 +67,8 @@ class GuardTopics:
 
     def on_target(self, message: PoseStamped) -> None:
         """Learn where the target is; nothing while it is hidden."""
-        try:
-            self.target = self.now(), np.array(planar_pose(message.pose))
-        except PoseError:
-            return
+        if pose := seen_pose(message):
+            self.target = self.now(), np.array(pose)
 
     def known(self, at: int = 0) -> dict[str, Any]:
         """Base and target as the guard takes them, as far as they are known and not old.

@@ -18,6 +18,7 @@ from fss_arm_driver.protocol import (
 )
 from fss_arm_driver.protocol import Goal as Intent
 
+PERIOD = 200_000  # of telemetry [us]
 LEAD = 10_000  # half the time for which a velocity is set, and what it takes to set it [us]
 TAKEN = 1024  # commands remembered: as many as may come during one round of readings
 SLOW = {
@@ -42,17 +43,14 @@ class DriveLink:
         boot: of this start, 1 to 65535.
         key: that frames are signed under, if any.
         baud: the rate to work at.
-        rate: of telemetry [frames/s].
     """
 
-    def __init__(
-        self, number: int, boot: int, key: bytes | None, baud: int, rate: float = 5.0
-    ) -> None:
+    def __init__(self, number: int, boot: int, key: bytes | None, baud: int) -> None:
         self.state = LinkState(Gate(number, boot, key))
         self._baud = baud
         self._speed: int | None = None  # to follow a path with, as of the last position
         self.drive = Drive(baud, self._steer)
-        self._period, self._periods = round(1e6 / rate), 0
+        self._periods = 0
         self._sequence, self._measured = 0, 0
         self._taken: deque[tuple[int, int]] = deque(maxlen=TAKEN)  # arrivals and clocks
 
@@ -98,9 +96,9 @@ class DriveLink:
         reading, gate = self.drive.reading, self.state.gate
         if reading is None or reading.clock == self._measured:
             return b""
-        if reading.clock // self._period == self._periods:
+        if reading.clock // PERIOD == self._periods:
             return b""
-        self._measured, self._periods = reading.clock, reading.clock // self._period
+        self._measured, self._periods = reading.clock, reading.clock // PERIOD
         arrival, echo = self._taken_before(reading.clock)
         self._sequence = (self._sequence + 1) & 0xFFFFFFFF
         slow = self.state.slow_field(self._sequence, FIELDS)

@@ -14,13 +14,11 @@
 
 #include <algorithm>
 #include <optional>
-#include <random>
 
 #include "base.hpp"
 #include "bench_base.hpp"
 #include "bytes.hpp"
 #include "fuzzing.hpp"
-#include "stream.hpp"
 
 extern "C" size_t __sanitizer_get_current_allocated_bytes();
 
@@ -31,10 +29,10 @@ constexpr uint64_t kStep = 100;   // of the timer [us]
 constexpr size_t kGrowth = 1000;  // [bytes]
 constexpr Limits kTight = {200'000, 150'000, 30, 400'000};
 
-class Fuzzer {
+class Fuzzer : Chance {
  public:
   Fuzzer(uint32_t seed, const Key& key, const Limits& limits)
-      : random_(seed), key_(key), limits_(limits) {
+      : Chance(seed), key_(key), limits_(limits) {
     restart();
   }
 
@@ -67,8 +65,6 @@ class Fuzzer {
   }
 
  private:
-  uint32_t any(uint32_t below) { return static_cast<uint32_t>(random_() % below); }
-
   void check(bool holds, const char* what) {
     if (holds) return;
     fprintf(stderr, "base_fuzz: %s at %llu us\n", what, static_cast<unsigned long long>(now_));
@@ -156,12 +152,9 @@ class Fuzzer {
       if (sealed) seal(frame, key_);
       deliver(frame, kFrameSize, sealed || !damaged);
     } else {
-      stream();
+      stream([this](uint8_t* one) { command(one); },
+             [this](const uint8_t* found) { deliver(found, kFrameSize, true); });
     }
-  }
-
-  void noise(uint8_t* data, size_t size) {
-    for (size_t i = 0; i < size; ++i) data[i] = static_cast<uint8_t>(random_());
   }
 
   // Mostly one that the board may take.
@@ -243,19 +236,6 @@ class Fuzzer {
     check(!memcmp(same, data, kFrameSize), "telemetry is not encoded as it should be");
   }
 
-  // Whether anything has changed.
-  bool damage(uint8_t* frame, size_t size) {
-    Data before;
-    memcpy(before, frame, kFrameSize);
-    for (uint32_t i = 1 + any(4); i > 0; --i) {
-      uint8_t& byte = frame[any(static_cast<uint32_t>(size))];
-      constexpr uint8_t extremes[] = {0x00, 0x7F, 0x80, 0xFF};
-      byte = any(2) ? extremes[any(4)] : static_cast<uint8_t>(byte ^ 1u << any(8));
-    }
-    if (any(500)) memcpy(frame + 8, before + 8, 12);  // lest all that follows be refused
-    return memcmp(before, frame, kFrameSize) != 0;
-  }
-
   void deliver(const uint8_t* data, size_t size, bool sealed) {
     base_->poll(now_);
     const uint8_t flags = base_->valves().flags(), before = board_.driven;
@@ -306,22 +286,8 @@ class Fuzzer {
     }
   }
 
-  void stream() {
-    Data frame;
-    uint8_t bytes[3 * kStreamedSize];
-    noise(bytes, sizeof bytes);
-    command(frame);
-    to_stream(frame, bytes + any(2 * kStreamedSize));
-    if (any(2)) bytes[any(sizeof bytes)] = static_cast<uint8_t>(any(3));
-    const size_t size = any(4) ? sizeof bytes : any(sizeof bytes);
-    for (size_t i = 0; i < size; ++i) {
-      if (const uint8_t* found = reader_.take(bytes[i])) deliver(found, kFrameSize, true);
-    }
-  }
-
   static constexpr uint32_t kOld = 16;
 
-  std::mt19937 random_;
   const Key key_;
   const Limits limits_;
   BenchBase board_;
@@ -330,7 +296,6 @@ class Fuzzer {
   uint16_t boot_ = 0;
   unsigned long long taken_ = 0, refused_ = 0;  // before the last start
   unsigned long long pulses_ = 0, trips_[3] = {}, expired_ = 0;
-  StreamReader reader_;
   Data old_[kOld] = {};
   uint32_t sequence_ = 0;
   uint64_t stamp_ = 0, now_ = 0;
@@ -353,21 +318,9 @@ class Fuzzer {
 extern "C" const char* __asan_default_options() { return "quarantine_size_mb=1"; }
 
 int main(int argc, char** argv) {
-  setlinebuf(stdout);  // so that a report comes after what it is about
-  const unsigned long long count = argc > 1 ? strtoull(argv[1], nullptr, 10) : 0;
-  if (count < 1000) {
-    fprintf(stderr, "usage: base_fuzz COUNT [SEED], COUNT 1000 or more\n");
-    return 1;
-  }
-  const auto seed = static_cast<uint32_t>(argc > 2 ? strtoul(argv[2], nullptr, 10) : 1);
-  fss::Key key = {};
-  key.size = 16;
-  memcpy(key.bytes, "a key of a link.", 16);
-  for (const fss::Key& each : {fss::Key{}, key}) {
+  return fss::fuzz_all(argc, argv, "base_fuzz", [](auto seed, const auto& key, auto count) {
     for (const fss::Limits& limits : {fss::kLimits, fss::kTight}) {
-      fss::Fuzzer fuzzer(seed, each, limits);
-      fuzzer.run(count / 4);
+      fss::Fuzzer(seed, key, limits).run(count / 2);
     }
-  }
-  return 0;
+  });
 }

@@ -45,13 +45,14 @@ BEGIN = {
     "target_pose": [0.0, 0.0, -0.3],
     "target_twist": [-0.006, 0.004, 0.15],
 }
-PATIENCE = 120.0  # for all to be armed, and known [s]
 MAX_DURATION = 600.0  # [s] of the mission, in the computer's time
 AGREE = 1e-9  # momentum before and after the capture [N s, N m s]
 
 
 class Person(Operator):
     """Arms links and base, and asks for the capture."""
+
+    PATIENCE = 120.0  # for all to be armed, and known [s]
 
     def __init__(self, domain: Domain) -> None:
         super().__init__(domain, parameter_overrides=[Parameter("use_sim_time", value=True)])
@@ -66,25 +67,13 @@ class Person(Operator):
             self.phase = message.phase
             print(f"{message.elapsed:6.1f} s  {self.phase}  {message.reason}".rstrip())
 
-    def wait(self, until: Callable[[], bool], complaint: str, timeout: float = PATIENCE) -> None:
-        """Spin until something holds.
-
-        Raises:
-            RehearsalError: it does not within `timeout` [s].
-        """
-        deadline = time.monotonic() + timeout
-        while not until():
-            if time.monotonic() > deadline:
-                raise RehearsalError(complaint)
-            rclpy.spin_once(self, timeout_sec=0.05)
-
-    def after(self, future: Future, complaint: str, timeout: float = PATIENCE) -> Any:
+    def after(self, future: Future, complaint: str, patience: float = 0.0) -> Any:
         """What a future brings.
 
         Raises:
-            RehearsalError: nothing within `timeout` [s].
+            RehearsalError: nothing within `patience` [s].
         """
-        self.wait(future.done, complaint, timeout)
+        self.wait(future.done, complaint, patience)
         return future.result()
 
     def arm_all(self) -> None:
@@ -94,7 +83,7 @@ class Person(Operator):
             RehearsalError: they do not get armed.
         """
         self.wait(self.arm.service_is_ready, "there is no node `arm`")
-        deadline = time.monotonic() + PATIENCE
+        deadline = time.monotonic() + self.PATIENCE
         while not all(self.armed.values()):
             if time.monotonic() > deadline:
                 raise RehearsalError(f"links are not armed: {self.armed}")
@@ -170,9 +159,7 @@ def read(bag: Path) -> Flight:
     """
     with open_bags(bag) as bags:
         truths = [message for _, _, _, message in bags.messages({"/sim/truth"})]
-    with open_bags(bag) as bags:
         states = [message for _, _, _, message in bags.messages({"/mission/state"})]
-    with open_bags(bag) as bags:
         found = [message for *_, message in bags.messages({"/target/mass_properties"})]
     if not truths:
         raise RehearsalError(f"there is no sim/truth in {bag}")

@@ -21,7 +21,6 @@ from fss_sim.rehearsal.processes import RehearsalError
 LINKS = 4
 DISCOVERY = 1.0  # of others; who is on this computer answers within a few tenths [s]
 ANSWER_TIMEOUT = 2.0  # [s]
-PATIENCE = 60.0  # for anything to happen [s]
 NUMBERS = range(1, 13)  # that a link may have
 DRIVERS = {"/arm/enable", *(f"/link_{i}/{what}" for i in NUMBERS for what in ("arm", "telemetry"))}
 
@@ -61,6 +60,8 @@ def strangers(node: Node, domain: Domain) -> Iterator[tuple[str, str, str]]:
 class Operator(Node):
     """Sees which links are armed, and arms them while nobody else drives links here."""
 
+    PATIENCE = 60.0  # for anything to happen [s]
+
     def __init__(self, domain: Domain, **options: Any) -> None:
         super().__init__("operator", **options)
         self.domain = domain
@@ -75,13 +76,13 @@ class Operator(Node):
         """[ns]."""
         return int(self.get_clock().now().nanoseconds)
 
-    def wait(self, until: Callable[[], bool], complaint: str, patience: float = PATIENCE) -> None:
+    def wait(self, until: Callable[[], bool], complaint: str, patience: float = 0.0) -> None:
         """Spin until something holds.
 
         Raises:
-            RehearsalError: it does not.
+            RehearsalError: it does not within `patience` [s], 0: PATIENCE.
         """
-        deadline = time.monotonic() + patience
+        deadline = time.monotonic() + (patience or self.PATIENCE)
         while not until():
             if time.monotonic() > deadline:
                 raise RehearsalError(complaint)

@@ -105,7 +105,6 @@ def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
         person.destroy_node()
     with open_bags(out / "bag") as bags:
         truths = [message for _, _, _, message in bags.messages({"/sim/truth"})]
-    with open_bags(out / "bag") as bags:
         name = f"/link_{options.link}/telemetry"
         telemetry = [message for _, _, _, message in bags.messages({name})]
     t = np.array([stamp_ns(message.header.stamp) for message in truths])

@@ -91,10 +91,9 @@ def run(options: argparse.Namespace, out: Path, console: Console) -> Rehearsed:
         person = Person(domain)
         times = act(person, options.outage)
         person.destroy_node()
-    with open_bags(out / "bag") as bags:
-        truths = [message for _, _, _, message in bags.messages({"/sim/truth"})]
     names = {f"/link_{i}/telemetry" for i in range(1, LINKS + 1)}
     with open_bags(out / "bag") as bags:
+        truths = [message for _, _, _, message in bags.messages({"/sim/truth"})]
         telemetry = [message for _, _, _, message in bags.messages(names)]
     t = np.array([stamp_ns(message.header.stamp) for message in truths])
     rates = np.array([message.qd[3:] for message in truths])
