@@ -24,6 +24,7 @@ from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_model.description import Arm
 from fss_arm_model.description_file import to_yaml
+from fss_arm_model.files import ContentError
 from fss_arm_model.units import SECOND
 
 LIVE = "live"  # source of data that came by topics
@@ -269,6 +270,8 @@ def settings_of(parameters: str, kind: type[C], section: str = "") -> C:
         raise ValueError(f"parameters are no YAML: {error}") from None
     given = given.get(section, given) if isinstance(given, dict) else given
     known = {f.name for f in fields(kind)}  # type: ignore[arg-type]  # a dataclass
-    if not isinstance(given, dict) or not given.keys() <= known:
-        raise ValueError(f"parameters are not those of {kind.__name__}")
+    if not isinstance(given, dict):
+        raise ContentError("parameters", parameters, f"those of {kind.__name__} as YAML")
+    if others := given.keys() - known:
+        raise ContentError("a parameter", min(others, key=str), f"one of {kind.__name__}")
     return kind(**{k: tuple(v) if isinstance(v, list) else v for k, v in given.items()})
