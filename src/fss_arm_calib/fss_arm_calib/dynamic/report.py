@@ -1,6 +1,6 @@
 """The report of a dynamic calibration."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +23,7 @@ from fss_arm_calib.report_tables import (
 )
 from fss_arm_calib.segments.maneuvers import Maneuver
 from fss_arm_model.description import Arm, paper_arm
-from fss_arm_model.files import read_yaml
+from fss_arm_model.files import ContentError, read_yaml
 from fss_arm_model.parameters import values
 
 PAPER_HEADING_RESIDUAL = float(np.radians(1.54))  # section 4.2
@@ -63,6 +63,22 @@ def _values(arm: Arm, names: Sequence[str]) -> Floats:
     return np.array([value(name) for name in names])
 
 
+def _promised(plan: str) -> Mapping[str, float]:
+    """The deviations that a plan of `design` promised, by name.
+
+    Raises:
+        ContentError: the file holds something else.
+        OSError: it cannot be read.
+    """
+    found = read_yaml(Path(plan))
+    if not isinstance(found, dict) or "maneuvers" not in found:
+        raise ContentError(f"plan {plan}", found, "maneuvers, as `design` writes them")
+    given = found.get("promised", {})
+    if not isinstance(given, dict) or not all(isinstance(x, float | int) for x in given.values()):
+        raise ContentError(f"plan {plan}: promised", given, "deviations by name")
+    return given
+
+
 def _parameters(outcome: Outcome[Maneuver, Solution], truth: Arm | None) -> Table:
     """Beside the paper's Table 4 and, if known, the truth."""
     e, p, known = outcome.estimate, len(outcome.names), truth is not None
@@ -75,7 +91,7 @@ def _parameters(outcome: Outcome[Maneuver, Solution], truth: Arm | None) -> Tabl
     random = where_known(e, np.sqrt(np.diag(r.random)) if r else sigma)
     share = where_known(e, r.prior_share if r else sigma)
     plan = outcome.settings.plan
-    given = dict(read_yaml(Path(plan))).get("promised", {}) if plan else {}
+    given = _promised(plan) if plan else {}
     promised = np.array([given.get(name, np.nan) for name in e.names])
     rows = []
     for k, (name, unit) in enumerate(zip(e.names, e.units, strict=True)):
