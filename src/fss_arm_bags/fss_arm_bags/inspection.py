@@ -75,7 +75,8 @@ def _database(path: Path, files: list[Path], about: Mapping[str, Any], wrong: st
             with TopicReader(file) as reader:
                 count += reader.message_count
         except Exception as error:  # rosbags parses what there is as it comes
-            raise BagError(f"{path}: {file.name}: {short(str(error))}") from None
+            place = path if file == path else f"{path}: {file.name}"
+            raise BagError(f"{place}: {short(str(error))}") from None
     if about and not wrong:
         wrong = unlisted(about, files)
     return Inspected(files, count, metadata=wrong)

@@ -32,10 +32,9 @@ BASE = Vehicle.__dataclass_fields__["base_frame"]
 
 
 class CalibrationNode(Node):
-    """Publishes each datum that it finds, and the calibration from all of them.
+    """Publishes the data that it has, and what it concludes from them, whenever there are more.
 
-    Nobody needs to say when the arm rests or moves. `~/solve` closes what lasts and solves;
-    `~/forget` begins anew.
+    `~/solve` takes a rest or a motion that lasts as ended, and solves; `~/forget` begins anew.
     """
 
     def __init__(self, kind: Calibration[Any, Any], **options: Any) -> None:
@@ -53,6 +52,8 @@ class CalibrationNode(Node):
         self.finder = kind.finder(self.begun.arm, s, kept)
         try:
             self.outcome, self.saved = self.solved(), self.flags
+            if s.report:
+                kind.report_of(self.outcome)  # what it reads is there, or the node ends now
             data = kind.data.to_message(self.data, self.frame)
         except (ArithmeticError, LookupError, ValueError) as error:
             if not kept:

@@ -1,4 +1,4 @@
-"""Calibrate from bags, without any ROS process: the command `from_bag`."""
+"""Calibrate from bags, without any ROS process."""
 
 import argparse
 import sys
@@ -40,10 +40,11 @@ def parser(
     lacks = "".join(f" No {what}: {why}." for what, why in kind.lacks.items())
     p = Parser("from_bag", description=f"{__doc__} {kind.about}{lacks}", epilog=EPILOG)
     p.add_argument("bags", nargs="+", metavar="BAG", help="bag, or folder of bags")
+    one = p.add_mutually_exclusive_group()
     for other in (*KINDS.values(), JOINT):
         if other.name != DEFAULT:
             about = f"{other.about} See --{other.name} --help"
-            p.add_argument(f"--{other.name}", action="store_true", help=about)
+            one.add_argument(f"--{other.name}", action="store_true", help=about)
     outputs(p, kind.written)
     if kind.after:
         p.add_argument(

@@ -1,4 +1,4 @@
-"""What is known of each physical link, by serial number, and how it has changed: `links`."""
+"""What is known of each physical link, by serial number, and how it has changed."""
 
 import argparse
 import sys
@@ -13,7 +13,6 @@ from rich.table import Table
 
 from fss_arm_calib import report
 from fss_arm_calib.result import passed
-from fss_arm_model.description import Arm
 from fss_arm_model.description_file import from_yaml, link_file, load, read_link, save_links
 from fss_arm_model.files import ContentError
 from fss_arm_ros.command_line import Parser, in_one_line
@@ -70,21 +69,24 @@ def write_back(path: Path, found: Mapping[str, Any]) -> None:
     save_links(calibrated, path, histories)
 
 
-def listed(folder: Path, arm: Arm) -> Table:
-    """The arm's links and those that have a file in the folder, and their calibrations.
+def listed(path: Path) -> Table:
+    """The links of the arm in a file, those that have a file beside it, and their calibrations.
 
     Raises:
         ValueError: there are none, or a file is wrong.
     """
     table = Table("link", "place", "when", "from")
+    arm = load(path)
     for name, unit in FOUND.items():
         table.add_column(escape(f"{name} [{unit}]"), justify="right")
     places = {link.serial: f"{i}" for i, link in enumerate(arm.links, 1)}
     known = {link.serial: (link, list[dict[str, Any]]()) for link in arm.links if link.serial}
-    files = map(read_link, folder.glob("link_*.yaml"))
+    files = map(read_link, path.parent.glob("link_*.yaml"))
     known |= {link.serial: (link, history) for link, history in files}
     if not known:
-        raise ContentError("serials of the links", [0] * arm.n, "one at least")
+        raise ContentError(
+            f"{path}: serials of the links", [0] * arm.n, "one at least that is not 0"
+        )
     for link, history in sorted(known.values(), key=lambda one: one[0].serial):
         now = [f"{getattr(link, FIELDS.get(name, name)):.5g}" for name in FOUND]
         table.add_row(f"{link.serial}", places.get(link.serial, "-"), "now", "", *now)
@@ -115,7 +117,7 @@ def main(args: Sequence[str] | None = None) -> int:
     path = Path(options.arm)
     if options.result:
         write_back(path, passed(options.result))
-    report.console().print(listed(path.parent, load(path)))
+    report.console().print(listed(path))
     return 0
 
 

@@ -24,6 +24,7 @@ from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.segments.streams import Streams
 from fss_arm_model.description import Arm
 from fss_arm_model.description_file import to_yaml
+from fss_arm_model.files import ContentError
 from fss_arm_model.units import SECOND
 
 LIVE = "live"  # source of data that came by topics
@@ -62,7 +63,8 @@ def _none() -> Floats:
 class Estimate:
     """p parameters from s data, as Calibration.msg has them; what is not given is not known.
 
-    Of parameters that the data cannot tell apart the values are NaN and the deviations inf.
+    Of parameters that the data cannot tell apart the values are NaN; of those and of parameters
+    at a bound, which the data do not determine, the deviations are inf and the covariance is NaN.
     """
 
     names: tuple[str, ...]
@@ -72,6 +74,7 @@ class Estimate:
     covariance: Floats = field(default_factory=_none)  # (p, p)
     deviations: Floats = field(default_factory=_none)  # (p,) 1 sigma
     undetermined: tuple[str, ...] = ()  # names of parameters that the data cannot tell apart
+    at_bound: tuple[str, ...] = ()  # names of those that they would move out of what is possible
     residuals: Floats = field(default_factory=lambda: np.empty((0, 3)))  # (rows, 3), as observed
     weights: Floats = field(default_factory=_none)  # (s,) 1: used; 0: rejected
     leverage: Floats = field(default_factory=_none)  # (s,)
@@ -86,7 +89,7 @@ class Estimate:
     last_update: float = nan  # [deviations]
 
     def __post_init__(self) -> None:
-        p, lost = len(self.names), [name in self.undetermined for name in self.names]
+        p, lost = len(self.names), np.isin(self.names, self.undetermined)
         known = {"values": (p,), "covariance": (p, p), "deviations": (p,)}
         for name, shape in known.items():
             if getattr(self, name).shape != shape:
@@ -94,7 +97,10 @@ class Estimate:
         sigma = np.sqrt(np.diag(self.covariance)) if p else _none()
         sigma = np.where(np.isnan(self.deviations), sigma, self.deviations)
         object.__setattr__(self, "values", np.where(lost, nan, self.values))
+        lost |= np.isin(self.names, self.at_bound)
         object.__setattr__(self, "deviations", np.where(lost, np.inf, sigma))
+        unknown = lost[:, None] | lost
+        object.__setattr__(self, "covariance", np.where(unknown, nan, self.covariance))
 
 
 @dataclass(frozen=True)
@@ -264,6 +270,8 @@ def settings_of(parameters: str, kind: type[C], section: str = "") -> C:
         raise ValueError(f"parameters are no YAML: {error}") from None
     given = given.get(section, given) if isinstance(given, dict) else given
     known = {f.name for f in fields(kind)}  # type: ignore[arg-type]  # a dataclass
-    if not isinstance(given, dict) or not given.keys() <= known:
-        raise ValueError(f"parameters are not those of {kind.__name__}")
+    if not isinstance(given, dict):
+        raise ContentError("parameters", parameters, f"those of {kind.__name__} as YAML")
+    if others := given.keys() - known:
+        raise ContentError("a parameter", min(others, key=str), f"one of {kind.__name__}")
     return kind(**{k: tuple(v) if isinstance(v, list) else v for k, v in given.items()})

@@ -1,12 +1,13 @@
 """What the command `recompute` does."""
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from fss_arm_bags.definitions import definition, extends, message_class, upgrade
 from fss_arm_bags.reader import BagError, Bags, open_bags
 from fss_arm_calib.acceptance import count
 from fss_arm_calib.calibration import Calibration
@@ -65,9 +66,13 @@ def recompute(kind: Calibration[Any, Any], result: Any, data: Any) -> Comparison
     if outcome.provenance.data_hash != found.provenance.data_hash:
         return None
     message = kind.to_message(outcome, "")
-    pairs = [(getattr(found, name), getattr(common(message), name)) for name in NUMBERS]
-    pairs += [(getattr(result, name), getattr(message, name)) for name in kind.numbers]
-    difference = max(_difference(*pair) for pair in pairs)
+    sides = [(found, common(message), NUMBERS), (result, message, kind.numbers)]
+    difference = max(
+        _difference(getattr(then, name), getattr(now, name))
+        for then, now, names in sides
+        for name in names
+        if hasattr(then, name)  # those of an earlier version may have had fewer
+    )
     return Comparison(count(len(outcome.used), kind.data.noun), found.verdict, difference)
 
 
@@ -79,11 +84,29 @@ def _difference(a: Any, b: Any) -> float:
     return float(np.max(np.nan_to_num(np.abs(a[other] - b[other]), nan=np.inf), initial=0.0))
 
 
+def _reader(bags: Bags, topic: str) -> Callable[[Any], Any]:
+    """What makes the present message of a recorded one, which may be of an earlier version.
+
+    Raises:
+        BagError: what is recorded is not in the installed version.
+    """
+    about = bags.topics[topic]
+    if about.hash in ("", definition(about.msgtype).hash):
+        return lambda message: message
+    if not extends(about.msgtype, about.definition):
+        raise BagError(
+            f"{topic}: {about.msgtype} is installed in another version than was recorded; "
+            "`from_bag` calibrates anew from the measurements"
+        )
+    kind = message_class(about.msgtype)
+    return lambda message: upgrade(message, kind)
+
+
 def comparisons(bags: Bags, namespace: str = "") -> list[Comparison]:
     """All recorded results, of the vehicle in a namespace, computed again.
 
     Raises:
-        BagError: no result was recorded, or one without its data.
+        BagError: no result was recorded, or one without its data, or in another version.
         ValueError: a result does not hold its settings.
     """
     found = []
@@ -92,14 +115,18 @@ def comparisons(bags: Bags, namespace: str = "") -> list[Comparison]:
     for kind in kinds:
         results, source = f"{space}{kind.topic}", f"{space}{kind.data.topic}"
         parts = f"{kind.data.noun}s"
-        read = [(topic, m) for topic, _, _, m in bags.messages({results, source})]
-        data = [m for topic, m in read if topic == source]
+        of = {topic: _reader(bags, topic) for topic in {results, source} & bags.topics.keys()}
+        read = [(topic, m) for topic, _, _, m in bags.messages(of)]
+        data = [of[topic](m) for topic, m in read if topic == source]
         ends = [{0, *(one.end for one in kind.data.from_message(m))} for m in data]
         for result in (m for topic, m in read if topic == results):
             # Solving takes longer than finding that a datum is missing; the first that has it fits.
             end = stamp_ns(common(result).provenance.end)
             alike = (m for those, m in zip(ends, data, strict=True) if end in those)
-            same = next((c for m in alike if (c := recompute(kind, result, m))), None)
+            try:
+                same = next((c for m in alike if (c := recompute(kind, result, m))), None)
+            except ValueError as error:
+                raise ValueError(f"a result on {results}: {error}") from None
             if same is None:
                 begin = common(result).provenance.data_hash[:8]
                 raise BagError(f"a result on {results} lacks its {parts} ({begin}..)")

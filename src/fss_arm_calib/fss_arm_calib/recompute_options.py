@@ -1,4 +1,4 @@
-"""Computes recorded results again from what was published with them: the command `recompute`."""
+"""Computes recorded results again from what was published with them, and compares."""
 
 import argparse
 

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from fss_arm_calib.acceptance import FAIL, NOT_EVALUATED, PASS, count
-from fss_arm_calib.outcome import Outcome, Provenance
+from fss_arm_calib.estimation.least_squares import Floats
+from fss_arm_calib.outcome import Estimate, Outcome, Provenance
 from fss_arm_calib.report import Figure, Report, Table
 from fss_arm_model.description import Arm
 from fss_arm_model.description_file import to_yaml
@@ -68,7 +69,7 @@ def parameters(outcome: Outcome[Any, Any]) -> Table:
     """Guess and estimate of each parameter."""
     e = outcome.estimate
     rows = [
-        [name, shown_unit(unit), *(number(value, unit) for value in values)]
+        [shown_name(name, e), shown_unit(unit), *(number(value, unit) for value in values)]
         for name, unit, *values in zip(
             e.names, e.units, e.initial, e.values, e.deviations, strict=True
         )
@@ -105,6 +106,11 @@ def streams(outcome: Outcome[Any, Any]) -> Table:
     return Table("Samples rejected, and the clocks", ["what", ""], rows)
 
 
+def shown_name(name: str, estimate: Estimate, words: str = "") -> str:
+    """A parameter's name, or words for it, and whether it is at its bound: not determined then."""
+    return f"{words or name}{', at its bound' * (name in estimate.at_bound)}"
+
+
 def shown_unit(unit: str) -> str:
     """The unit that people read."""
     return "deg" if unit == "rad" else unit
@@ -120,6 +126,11 @@ def number(value: float, unit: str) -> str:
 def difference(value: float, true: float, unit: str) -> float:
     """Their difference, angles wrapped."""
     return float(wrap(value - true) if unit == "rad" else value - true)
+
+
+def where_known(estimate: Estimate, numbers: Floats) -> Floats:
+    """(p,) numbers, NaN of parameters that nothing determines."""
+    return np.where(np.isfinite(estimate.deviations), numbers, np.nan)
 
 
 def text(value: float, form: str) -> str:

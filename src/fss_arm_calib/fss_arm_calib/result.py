@@ -42,6 +42,7 @@ def contents(kind: str, outcome: Outcome[Any, Any]) -> dict[str, Any]:
         "deviations": e.deviations.tolist(),
         "covariance": e.covariance.tolist(),
         "undetermined": list(e.undetermined),
+        "at_bound": list(e.at_bound),
         "fit": {name: getattr(e, name) for name in FIT},
         "used": outcome.accepted,
         "left_out": outcome.left_out,

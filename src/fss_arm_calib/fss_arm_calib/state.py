@@ -53,7 +53,7 @@ def read(path: str | Path, default: Any) -> Any:
     except FileNotFoundError:
         return default
     if len(data) > LARGEST:
-        raise StateError(f"{path} is no state file: more than {LARGEST} bytes")
+        raise StateError(f"{path} cannot be read: more than {LARGEST} bytes")
     try:
         text = data.decode()
         steps = (_STEPS.get(token[0], 0) for token in _TOKENS.findall(text))
@@ -61,7 +61,7 @@ def read(path: str | Path, default: Any) -> Any:
             raise ValueError(f"nested more than {DEEPEST} deep")
         return json.loads(text, parse_constant=_no_constant)
     except ValueError as error:
-        raise StateError(f"{path} is no state file: {str(error)[:MAX_SHOWN]}") from None
+        raise StateError(f"{path} cannot be read: {str(error)[:MAX_SHOWN]}") from None
 
 
 @dataclass(frozen=True)

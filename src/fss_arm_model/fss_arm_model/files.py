@@ -41,7 +41,7 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
     """Write a file, and make its folder.
 
     Raises:
-        OSError: it cannot be written.
+        OSError: it cannot be written; it names this file, not the one that was to replace it.
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -49,6 +49,9 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
     try:
         part.write_text(text, encoding="utf-8")
         part.replace(path)
+    except OSError as error:
+        error.filename = str(path)
+        raise
     finally:
         part.unlink(missing_ok=True)
 

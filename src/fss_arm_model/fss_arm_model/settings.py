@@ -48,7 +48,8 @@ def at_least(low: float) -> Check:
 
 def one_of(*choices: str) -> Check:
     """One of some words."""
-    return Check(f"one of {', '.join(choices)}", lambda value: value in choices)
+    words = ", ".join(choice or "''" for choice in choices)
+    return Check(f"one of {words}", lambda value: value in choices)
 
 
 def setting(

@@ -42,7 +42,7 @@ def in_one_line(command: str) -> Callable[[Callable[P, int]], Callable[P, int]]:
             try:
                 return main(*args, **options)
             except (ValueError, OSError) as error:
-                print(f"{command}: {_words(error)}", file=sys.stderr)
+                print(f"{command}: {in_words(error)}", file=sys.stderr)
                 return USER_ERROR
 
         return told
@@ -50,7 +50,7 @@ def in_one_line(command: str) -> Callable[[Callable[P, int]], Callable[P, int]]:
     return decorate
 
 
-def _words(error: ValueError | OSError) -> str:
+def in_words(error: object) -> str:
     """What is wrong, on one line, and of which file."""
     if isinstance(error, OSError) and error.filename is not None:
         return f"{error.filename}: {error.strerror}"

@@ -3,6 +3,7 @@
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import Field, fields
+from difflib import get_close_matches
 from itertools import pairwise
 from math import inf
 from pathlib import Path
@@ -43,7 +44,8 @@ def declare(node: Node, kind: type[Settings], live: bool = False) -> Settings:
     allowed = node.declare_parameter(duplicates.ALLOW, False, about).value
     allowed = converted(duplicates.ALLOW, allowed, bool)
     if not live:
-        _refuse(_given(node) - set(hints), hints)
+        known = [f.name for f in fields(kind)]  # type: ignore[arg-type]
+        _refuse(_given(node) - set(known), known)
     values = {}
     for f in fields(kind):  # type: ignore[arg-type]
         value = _declared(node, f.name, f, read_only=True)
@@ -86,7 +88,7 @@ def declare_live(
 
     for name, (_, f) in names.items():
         _declared(node, name, f)
-    _refuse(_given(node), names)
+    _refuse(_given(node), node.get_parameters_by_prefix(""))
     node.add_on_set_parameters_callback(on_set)
     given = [node.get_parameter(name) for name in names if name in node._parameter_overrides]
     if not (result := on_set(given)).successful:
@@ -120,10 +122,11 @@ def descriptor(f: "Field[Any]", read_only: bool = False) -> ParameterDescriptor:
 
 
 def _refuse(unknown: set[str], known: Iterable[str]) -> None:
-    if unknown:
-        raise SettingError(
-            f"no parameter {', '.join(sorted(unknown))}; there are {', '.join(known)}"
-        )
+    every = list(known)
+    for name in sorted(unknown):
+        near = get_close_matches(name, every, n=1)
+        there = f"is it {near[0]}?" if near else f"there are {', '.join(every)}"
+        raise SettingError(f"no parameter {name}; {there}")
 
 
 def _given(node: Node) -> set[str]:

@@ -75,9 +75,13 @@ class Program:
 
     @property
     def about(self) -> str:
-        """What it is for: what the settings say in ABOUT, if anything, and the words of `make`."""
+        """What it is for: what the settings say in ABOUT, if anything, and the words of `make`.
+
+        Those for programmers, its Args and what follows, are left out.
+        """
         said = getattr(named(self.settings), "ABOUT", "")
-        return "\n\n".join(filter(None, [said, docstring(self.make)]))
+        words = docstring(self.make).partition("\n\nArgs:")[0]
+        return "\n\n".join(filter(None, [said, words]))
 
     def usage(self, name: str) -> str:
         """One screen of help: what the node does, its parameters with their defaults."""

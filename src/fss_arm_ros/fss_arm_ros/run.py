@@ -12,6 +12,7 @@ from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
 
 from fss_arm_ros import duplicates, memory
+from fss_arm_ros.command_line import in_words
 from fss_arm_ros.executor import BatchExecutor
 
 # rclpy keeps these classes in its extension and offers no public names for them.
@@ -83,7 +84,8 @@ def run(
     except (ValueError, OSError, ParameterException) as error:
         if nodes and not isinstance(error, duplicates.DuplicateError):
             raise
-        return _failed(name, error, 1)
+        if rclpy.ok() or not begun:  # a ValueError is what an action meets in a context shut down
+            return _failed(name, error, 1)
     finally:
         for node in nodes:
             getattr(node, "close", lambda: None)()
@@ -108,5 +110,5 @@ def _interrupt_next(*_: object) -> None:
 
 
 def _failed(name: str, reason: object, code: int) -> int:
-    print(f"{name}: {' '.join(str(reason).split())}", file=sys.stderr)
+    print(f"{name}: {in_words(reason)}", file=sys.stderr)
     return code

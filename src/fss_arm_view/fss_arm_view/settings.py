@@ -1,5 +1,6 @@
 """The parameters of the nodes of this package."""
 
+import re
 from dataclasses import dataclass
 from ipaddress import ip_address
 
@@ -29,6 +30,10 @@ def _is_address(text: str) -> bool:
 
 ADDRESS = Check("an IP address (0.0.0.0: all)", _is_address)
 PORT = between(1, 65535)
+MEMORY = Check(
+    "a size or a share of all, as 100MB or 25%",
+    lambda text: bool(re.fullmatch(r"\d+([kMGT]i?)?B|\d+%", text)),
+)
 
 
 @dataclass(frozen=True)
@@ -93,7 +98,9 @@ class ViewSettings(Settings):
     )
     file: str = setting("view.rrd", "file that mode file writes; if there, NAME_1, NAME_2, ...")
     url: str = setting("rerun+http://127.0.0.1:9876/proxy", "viewer that mode connect draws in")
-    memory: str = setting("1GB", "memory that the viewer keeps drawings in; the oldest go first")
+    memory: str = setting(
+        "1GB", "memory that the viewer keeps drawings in; the oldest go first", check=MEMORY
+    )
     rate: float = setting(
         10.0, "highest rate at which one thing is drawn", unit="Hz", check=POSITIVE
     )

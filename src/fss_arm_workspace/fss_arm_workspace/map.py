@@ -99,6 +99,8 @@ def run(options: argparse.Namespace, console: Console) -> None:
     )
     start = arch(known.arm)
     if options.start:
+        if len(options.start) != known.arm.n:
+            raise ValueError(f"--start has {len(options.start)} angles, expected {known.arm.n}")
         start = np.concatenate([np.zeros(3), np.radians(options.start)])
     folder = Path(options.output)
     folder.mkdir(parents=True, exist_ok=True)

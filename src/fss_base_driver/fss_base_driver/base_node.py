@@ -37,6 +37,7 @@ from fss_base_driver.settings import BaseSettings, live_kinds
 
 AHEAD = 0.5  # by which a stamp may seem to come from the future [s]
 OFF = VALVES * (0.0,)
+SCHEMES = "udp", "tcp", "serial"  # of its url
 
 
 class BaseNode(SessionNode):
@@ -57,7 +58,7 @@ class BaseNode(SessionNode):
             s.timeout, s.watchdog, s.command_lifetime, s.max_on_time, self.resolution, s.key(),
             s.empty, self.clock.ahead,
         )  # fmt: skip
-        transport = transport or open_transport(s.url, BOARD, s.key())
+        transport = transport or open_transport(s.url, BOARD, s.key(), SCHEMES)
         self.connect(self.session, transport, "open the valves")
         self.live: dict[str, Any] = {name: kind() for name, kind in live_kinds().items()}
         self.found = ThrusterHealth()  # of the valves, by the navigation

@@ -25,7 +25,7 @@ from fss_arm_model.description_file import described
 from fss_arm_model.settings import default_in
 from fss_arm_model.thrusters import COUNT, layout
 from fss_arm_msgs.msg import BaseTelemetry, ThrusterCommand
-from fss_arm_ros.command_line import interrupt_at_end
+from fss_arm_ros.command_line import in_words, interrupt_at_end
 from fss_arm_ros.convert import SECOND, joint_readings, seen_pose, stamp_ns
 from fss_arm_ros.qos import COMMAND, subscribe_sensor
 from fss_base_driver.check_options import BASE_TOPIC, parser
@@ -225,7 +225,7 @@ def main(args: Sequence[str] | None = None) -> int:
             input("The base floats freely, all joints hold, nobody is near? Enter to begin: ")
         run(arm, given, findings)
     except (CheckError, ValueError, OSError) as error:
-        print(f"check: {error}", file=sys.stderr)
+        print(f"check: {in_words(error)}", file=sys.stderr)
         return CANNOT
     except (EOFError, KeyboardInterrupt) as end:
         why = "no more input" if isinstance(end, EOFError) else "interrupted"

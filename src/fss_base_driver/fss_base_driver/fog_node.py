@@ -45,7 +45,12 @@ class FogNode(Node):
         self.trouble, self.measured = "nothing heard yet", 0
         self.before, self.then = self.lines.counts, time.monotonic()
         declare_live(self, {"gyro": FogCorrection}, self.on_live)
-        self.port: Serial | None = open_port(settings.device, settings.baud)
+        self.port: Serial | None = None
+        try:
+            self.port = open_port(settings.device, settings.baud)
+        except OSError as error:
+            why = error.strerror or error
+            raise ValueError(f"device {settings.device!r} cannot be opened: {why}") from None
         self.diagnostics = Diagnostics(self, self.health, settings.device)
         self.thread = Thread(target=self.listen, daemon=True)
         self.thread.start()

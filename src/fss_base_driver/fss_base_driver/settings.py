@@ -183,8 +183,6 @@ class BaseSettings(Settings):
                 f"max_on_time is {self.max_on_time} s, expected at least wrench_period, "
                 f"{self.wrench_period} s"
             )
-        if self.url.startswith("copley:"):
-            raise SettingError(f"url is {self.url!r}, expected udp://, tcp:// or serial://")
 
     def valves(self) -> npt.NDArray[np.float64]:
         """Force along x and y [N] and torque [N m] of each valve, (8, 3)."""

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from fss_arm_model.description import Arm, Base
 from fss_arm_model.extents import Extents
-from fss_arm_model.files import read_yaml, shown, write_text
+from fss_arm_model.files import ContentError, read_yaml, short, write_text
 from fss_arm_model.units import SECOND
 from fss_sim.board.board import Board
 from fss_sim.faults import Event, Faults
@@ -67,9 +67,12 @@ class State:
             numbers = {name: int(given[name]) for name in ("frame", "boots", "rests")}
             q, qd, target = (tuple(map(float, given[name])) for name in ("q", "qd", "target"))
             holds, propellant = bool(given["holds"]), float(given["propellant"])
+        except ContentError as error:
+            raise StateError(str(error)) from None
         except (ValueError, TypeError, KeyError, OverflowError) as error:
+            what = f"{error} is missing" if isinstance(error, KeyError) else error
             raise StateError(
-                f"{path} does not hold the state of a test bed: {shown(error)}"
+                f"{path} does not hold the state of a test bed: {short(str(what))}"
             ) from None
         if not len(q) == len(qd) == 3 + n or not np.isfinite((q, qd)).all():
             raise StateError(

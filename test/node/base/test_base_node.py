@@ -380,14 +380,17 @@ def test_a_silent_board_is_reported(spin):
 @pytest.mark.parametrize(
     ("parameters", "words"),
     [
-        ({"url": "copley://ttyUSB0"}, "expected udp://, tcp:// or serial://"),
+        (
+            {"url": "copley://ttyUSB0"},
+            "or serial://DEVICE.baud=RATE: no such scheme",
+        ),
         ({"layout": [1.0]}, "layout has 1 numbers, expected 24"),
         ({"watchdog": 0.04}, "watchdog is 0.04 s, expected more than the 0.05 s"),
         ({"minimum_on_time": 0.1}, "minimum_on_time is 0.1 s, expected below wrench_period"),
         ({"max_on_time": 0.05}, "max_on_time is 0.05 s, expected at least wrench_period, 0.1 s"),
         ({"valve_9.stuck_open": 1.0}, "no parameter valve_9.stuck_open"),
         ({"valve_1.stuck_open": 1.0, "valve_1.stuck_closed": 2.0}, "0 to 1"),
-        ({}, "url is missing"),
+        ({}, "url is missing, expected udp://.* or serial://DEVICE.baud=RATE$"),
     ],
 )
 def test_wrong_parameters_are_named(ros, parameters, words):

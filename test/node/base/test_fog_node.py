@@ -50,7 +50,7 @@ def test_rates_are_published_corrected_and_in_order(spin, gyro):
 
 
 def test_a_port_that_cannot_be_opened_is_named(ros, tmp_path):
-    with pytest.raises(OSError, match="No such file"):
+    with pytest.raises(ValueError, match=r"device '.*none' cannot be opened: No such file"):
         FogNode(parameter_overrides=[Parameter("device", value=str(tmp_path / "none"))])
 
 

@@ -9,7 +9,7 @@ import pytest
 from calib_drives import excitation, fly, record, samples
 
 from fss_arm_calib.experiment.design_command import main as design
-from fss_arm_calib.experiment.planned import from_yaml
+from fss_arm_calib.experiment.planned import read
 from fss_arm_calib.experiment.postures import DEFAULT
 from fss_arm_calib.from_bag import main as from_bag
 from fss_arm_calib.result import arm_of
@@ -67,7 +67,7 @@ def test_another_bag_may_tell_the_kinematics(
 def test_design_proposes_moves_of_single_joints(tmp_path: Path) -> None:
     path = tmp_path / "plan.yaml"
     assert design(["--kinds", "joint", "--repeats", "1", "--output", str(path)]) == 0
-    plan = from_yaml(path.read_text(), 4)
+    plan = read(path, 4)
     assert len(plan) == 8
     for one in plan:
         assert np.count_nonzero(np.ptp(one.waypoints, axis=0)) == 1

@@ -71,6 +71,19 @@ def test_the_report_has_promised_beside_achieved(monday, capsys):
     assert np.isclose(cells, goal["b_2"], atol=1e-4).any()
 
 
+def test_what_is_no_plan_is_refused(monday, capsys):
+    given = ["--dynamic", str(monday / "bags"), "--arm", str(monday / "arm.yaml"), *SEEN, *MAX]
+    assert from_bag([*given, "--plan", str(monday / "arm.yaml")]) == 1
+    assert "expected maneuvers, as `design` writes them" in capsys.readouterr().err
+
+
+def test_two_kinds_at_once_are_refused(capsys):
+    with pytest.raises(SystemExit) as ended:
+        from_bag(["bag", "--dynamic", "--drift"])
+    assert ended.value.code == 1
+    assert "argument --drift: not allowed with argument --dynamic" in capsys.readouterr().err
+
+
 def test_bag_and_result_do_not_go_together(monday, capsys):
     with pytest.raises(SystemExit):
         design(["--bag", str(monday / "bags"), "--result", "result.json"])

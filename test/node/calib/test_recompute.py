@@ -1,6 +1,7 @@
 """Recorded results computed again from what was recorded with them."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from calib_float import Float, feed, postures
@@ -20,6 +21,7 @@ from fss_arm_calib.segments.rests import Observation
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_ros.qos import LATCHED
 
+FIRST = Path(__file__).parents[2] / "data/first"
 KINEMATIC = "/calibration/observations", "/calibration/kinematic"
 DYNAMIC = "/calibration/maneuvers", "/calibration/dynamic"
 SETTINGS = KinematicSettings(max_outliers=2, loss="huber")
@@ -100,6 +102,15 @@ def test_dynamic_results_follow_from_their_maneuvers(tmp_path, capsys):
     assert all("the same, to " in line for line in lines)
     published[-1][1].calibration.values[0] += 1e-8
     assert main([record(tmp_path / "b", published, DYNAMIC)]) == 2
+
+
+def test_of_an_earlier_version_it_is_said_in_a_line_what_is_in_the_way(capsys):
+    """Its observations lack fields, which have defaults; its result does not hold its settings."""
+    assert main([str(FIRST)]) == 1
+    assert capsys.readouterr().err == (
+        "recompute: a result on /calibration/kinematic: parameters is '', expected those of "
+        "KinematicSettings as YAML\n"
+    )
 
 
 def test_what_is_missing_is_named(published, tmp_path, capsys):

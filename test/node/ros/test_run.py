@@ -21,22 +21,43 @@ KEEP_ALL = QoSProfile(history=HistoryPolicy.KEEP_ALL)
 TOLD = """
 import os, signal, sys, time
 import rclpy
+from rclpy.action import ActionClient
 from rclpy.node import Node
+from fss_arm_msgs.action import MoveArm
 from fss_arm_ros.run import run
 
 def make():
+    node = Node("early")
     os.kill(os.getpid(), signal.SIGTERM)
     while rclpy.ok():
         time.sleep(0.01)
-    return Node("late")
+    return %s
 
 sys.exit(run(make))
 """
 
 
-def test_told_to_end_while_it_is_made_it_ends_well():
-    ended = subprocess.run([sys.executable, "-c", TOLD], capture_output=True, text=True, timeout=30)
+@pytest.mark.parametrize("late", ["Node('late')", "ActionClient(node, MoveArm, 'late')"])
+def test_told_to_end_while_it_is_made_it_ends_well(late):
+    code = [sys.executable, "-W", "ignore", "-c", TOLD % late]
+    ended = subprocess.run(code, capture_output=True, text=True, timeout=30)
     assert (ended.returncode, ended.stderr) == (0, "")
+
+
+MISSING = """
+import sys
+from pathlib import Path
+from fss_arm_ros.run import run
+
+sys.exit(run(lambda: Path("/nowhere/arm.yaml").read_text(), ["lib/arm"]))
+"""
+
+
+def test_a_file_that_a_node_lacks_is_named_as_commands_do():
+    code = [sys.executable, "-c", MISSING]
+    ended = subprocess.run(code, capture_output=True, text=True, timeout=30)
+    assert ended.returncode == 1
+    assert ended.stderr == "arm: /nowhere/arm.yaml: No such file or directory\n"
 
 
 HELD = """

@@ -65,7 +65,7 @@ def test_of_what_a_file_gives_to_all_nodes_each_takes_its_own(ros, monkeypatch, 
             node.destroy_node()
 
     assert read(shared + own % "count") == Thing(rate=7.0, count=5)
-    with pytest.raises(SettingError, match="no parameter cuont; there are rate"):
+    with pytest.raises(SettingError, match=r"no parameter cuont; is it count\?"):
         read(shared + own % "cuont")
 
 
@@ -79,7 +79,8 @@ def test_of_what_a_file_gives_to_all_nodes_each_takes_its_own(ros, monkeypatch, 
         ({"name": 12}, "name is 12, expected a string"),
         ({"names": "a"}, "names is 'a', expected a list"),
         ({"names": [1]}, "names is 1, expected a string"),
-        ({"raet": 1.0}, "no parameter raet; there are rate, count"),
+        ({"raet": 1.0}, r"no parameter raet; is it rate\?"),
+        ({"speed": 1.0}, "no parameter speed; there are rate, count"),
         ({"count": 10}, "count is 10, expected 0 to 9"),
         ({"gains": [1.0, -1.0]}, "gains is -1.0, expected 0 or more"),
         ({"rate": -1.0}, "rate is -1.0 Hz, expected a positive number"),

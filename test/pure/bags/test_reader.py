@@ -273,6 +273,7 @@ def test_what_is_no_bag_is_named(tmp_path):
     ]:
         with pytest.raises(BagError, match=wrong) as error:
             open_bags(path)
+        assert str(error.value).count(path.name) == 1
         assert str(path) in str(error.value)
     with pytest.raises(BagError, match="no bag is given"):
         open_bags([])

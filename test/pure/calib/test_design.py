@@ -25,16 +25,17 @@ from fss_arm_calib.experiment.planned import (
     RAMP,
     STRENGTH,
     NoManeuver,
-    from_yaml,
     profile,
+    read,
     timed,
     to_yaml,
     torques,
 )
-from fss_arm_calib.experiment.settings import LOOP, SINGLE, SWEEP, Conditions
+from fss_arm_calib.experiment.settings import LOOP, SINGLE, SWEEP, Conditions, ExperimentSettings
 from fss_arm_model import dynamics
 from fss_arm_model.base_motion import base_poses
 from fss_arm_model.description import Link, paper_arm
+from fss_arm_model.files import ContentError
 from fss_arm_model.joint_path import path
 from fss_arm_model.kinematics import joint_positions
 
@@ -213,12 +214,31 @@ def test_another_arm():
     assert plan[0].waypoints.shape[1] == 2
 
 
-def test_a_plan_is_read_back():
+def test_a_plan_is_read_back(tmp_path):
     plan = design(ARM, 3, SETTINGS, **SMALL)
-    for one, read in zip(plan, from_yaml(to_yaml(plan), 4), strict=True):
-        assert read.kind == one.kind
-        assert read.waypoints == pytest.approx(one.waypoints, abs=1e-6)
-        assert read.durations == pytest.approx(one.durations, abs=1e-3)
+    path = tmp_path / "plan.yaml"
+    path.write_text(to_yaml(plan))
+    for one, again in zip(plan, read(path, 4), strict=True):
+        assert again.kind == one.kind
+        assert again.waypoints == pytest.approx(one.waypoints, abs=1e-6)
+        assert again.durations == pytest.approx(one.durations, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{", "line 2 is .*, expected YAML"),
+        ("hello: 1", "maneuvers is missing, expected rows of kind, q, durations"),
+        ("maneuvers: []", r"maneuvers is \[\], expected rows of kind, q, durations"),
+        ("maneuvers: [{kind: a}]", "maneuvers is .*, expected rows of kind, q, durations"),
+        ("maneuvers: [{kind: a, q: [[0, 0]], durations: []}]", r"maneuver 1 is .*\(w \+ 1, 4\)"),
+    ],
+)
+def test_what_is_no_plan_is_named(tmp_path, text, message):
+    path = tmp_path / "plan.yaml"
+    path.write_text(text)
+    with pytest.raises(ContentError, match=f"plan.yaml: {message}"):
+        read(path, 4)
 
 
 @pytest.mark.parametrize(
@@ -273,8 +293,13 @@ def test_a_goal_in_words(words, found):
 
 @pytest.mark.parametrize("words", ["b_i", "b_i x", "c_i 1", "b_1 -1", "b_1 nan", "0.1 b_1"])
 def test_a_goal_that_cannot_be_is_refused(words):
-    with pytest.raises(ValueError, match=r"goal has .* expected a name and a deviation"):
+    with pytest.raises(ValueError, match=r"goal has .* expected (a name and a dev|one of b_1 I_0)"):
         goal_of(words, ("b_1", "I_0"))
+
+
+def test_a_goal_without_a_deviation_is_refused_before_anything_moves():
+    with pytest.raises(ValueError, match="goal has 'b_1' '', expected a name and a deviation"):
+        ExperimentSettings(goal="b_1")
 
 
 def test_the_command_prints_what_to_expect_and_writes_a_plan(tmp_path, capsys):
@@ -283,7 +308,7 @@ def test_the_command_prints_what_to_expect_and_writes_a_plan(tmp_path, capsys):
     text = capsys.readouterr().out
     for words in ("To expect", "± 1 sigma", "b_1", "single", "plan written to"):
         assert words in text
-    assert len(from_yaml(output.read_text(), 4)) == 2
+    assert len(read(output, 4)) == 2
     assert main(["--kinematic", "--count", "8", "--output", str(output)]) == 0
     assert "theta_BJ1" in capsys.readouterr().out
     parsed = rcl_parameters(output)

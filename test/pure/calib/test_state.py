@@ -50,15 +50,15 @@ def state(**changed):
 
 
 HOSTILE = {
-    "broken": ("{", "no state file: Expecting"),
-    "not text": ("\udcff", "no state file: 'utf-8' codec"),
+    "broken": ("{", "cannot be read: Expecting"),
+    "not text": ("\udcff", "cannot be read: 'utf-8' codec"),
     "deep": ("[" * 100_000 + "]" * 100_000, "nested more than 10 deep"),
     "deep objects": ('{"a":' * 100_000 + "1" + "}" * 100_000, "nested more than 10 deep"),
     "large": (" " * (LARGEST + 1), f"more than {LARGEST} bytes"),
     "many keys": (json.dumps({f"k{i}": 0 for i in range(10**6)}), "expected an object of kind"),
     "infinite": (state().replace('"end": 1', '"end": Infinity'), "Infinity is no number"),
     "overflowing": (state().replace('"end": 1', '"end": 1e999'), "data[0].end is inf, expected"),
-    "of many digits": (state().replace('"end": 1', f'"end": 1{"0" * 5000}'), "no state file: "),
+    "of many digits": (state().replace('"end": 1', f'"end": 1{"0" * 5000}'), "cannot be read: "),
     "too late": (state(datum={"end": 2**63}), "expected an integer from 0 on"),
     "a large number": (state().replace("[0.0, 0.0]", "[1e301, 0.0]"), "expected a number"),
     "a list": ("[3]", "it is [3], expected an object of kind, joints, data and flags"),

@@ -312,7 +312,7 @@ def test_a_result_says_where_it_is_from_and_follows_from_that():
     )
     assert again.values.tolist() == c.values.tolist()
     assert again.checks == c.checks
-    with pytest.raises(ValueError, match="parameters are not those of CalibrationSettings"):
+    with pytest.raises(ValueError, match=r"a parameter is '\w+', expected one of CalibrationSet"):
         settings_of(c.provenance.parameters, CalibrationSettings)
 
 

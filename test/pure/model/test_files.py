@@ -117,3 +117,12 @@ def test_a_file_is_the_old_one_or_the_new_one(tmp_path, monkeypatch):
     with pytest.raises(ZeroDivisionError):
         write_text(file, "new")
     assert [(f.name, f.read_text()) for f in file.parent.iterdir()] == [("text", "old")]
+
+
+def test_a_file_that_cannot_be_written_is_named_and_not_what_was_to_replace_it(tmp_path):
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    with pytest.raises(OSError, match="directory") as error:
+        write_text(folder, "text")
+    assert error.value.filename == str(folder)
+    assert list(tmp_path.iterdir()) == [folder]

@@ -1,5 +1,6 @@
 """What executables import: little to tell what they are for, nothing that computes to begin."""
 
+import re
 import subprocess
 import sys
 from importlib.metadata import distribution
@@ -51,6 +52,13 @@ def test_help_has_the_words_of_what_it_runs(entry):
     assert docstring(program.make) == getdoc(named(program.make))
     assert docstring(program.make)
     assert named(program.settings)
+
+
+@pytest.mark.parametrize("entry", PROGRAMS, ids=lambda entry: entry.name)
+def test_help_is_for_users(entry):
+    told = entry.load().about
+    assert told in entry.load().usage(entry.name)
+    assert not re.search(r"^(Args|Raises|Returns):", told, re.MULTILINE)
 
 
 @pytest.mark.parametrize(

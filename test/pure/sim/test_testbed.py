@@ -149,6 +149,7 @@ def test_a_file_that_is_no_state_is_refused_by_name(tmp_path, text):
     with pytest.raises(StateError, match=r"state\.json") as error:
         State.load(path, 4)
     assert "\n" not in str(error.value)
+    assert "Error(" not in str(error.value)
 
 
 def look(faults, frames=2000, **gyro):

@@ -178,6 +178,7 @@ def test_a_recording_of_the_view_can_be_read(tmp_path):
     [
         ({"mode": "file", "file": ""}, "file is empty, expected the name of the recording"),
         ({"mode": "tv"}, "mode is 'tv', expected one of native, web, file, connect"),
+        ({"memory": "lots"}, "memory is 'lots', expected a size or a share of all, as 100MB or"),
         ({"bind": "localhost"}, "bind is 'localhost', expected an IP address"),
         ({"rate": 0.0}, "rate is 0.0 Hz, expected a positive number"),
         ({"queue": 0}, "queue is 0, expected 1 or more"),

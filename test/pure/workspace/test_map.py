@@ -59,7 +59,7 @@ def test_a_single_link_has_all_but_maps(tmp_path, capsys):
         (["--cell", "0"], "cell is 0.0 m, expected 0.001 or more"),
         (["--table", "1", "1", "0", "2"], "table is (1.0, 1.0, 0.0, 2.0) m, expected low x"),
         (["--table", "5", "5", "6", "6"], "expected on the table"),
-        (["--start", "10", "20"], "expected 7 finite numbers"),
+        (["--start", "10", "20"], "--start has 2 angles, expected 4"),
         (["--start", "100", "0", "0", "0"], "joint 1 starts at 1.74533 rad"),
     ],
 )

@@ -177,6 +177,11 @@ class DriftResult:
         return tuple(compress(NAMES, lost))
 
     @property
+    def at_bound(self) -> tuple[str, ...]:
+        """Names of what acts from outside that the drifts would make negative."""
+        return tuple(compress(NAMES, self.minimum.held))
+
+    @property
     def missing(self) -> int:
         """Number of combinations of unknowns that are not determined."""
         return int(np.count_nonzero(self._free)) - len(self.minimum.basis.s)

@@ -7,7 +7,7 @@ from fss_arm_calib.drift.solution import Solution
 from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.report import Figure, Report, Table
 from fss_arm_calib.report_figures import correlation, influence
-from fss_arm_calib.report_tables import reported, text
+from fss_arm_calib.report_tables import reported, shown_name, text
 from fss_arm_calib.segments.drifts import Drift
 from fss_arm_model.description import Arm
 from fss_arm_model.units import GRAVITY
@@ -36,10 +36,17 @@ def _parameters(outcome: Outcome[Drift, Solution]) -> Table:
         for k, axis in enumerate("xy")
     ]
     acting.append(("mean torque of the hose", "N m", *torque))
-    acting += [(WORDS[k], e.units[k], e.values[k], e.deviations[k]) for k in (2, 3, 4)]
+    acting += [
+        (shown_name(e.names[k], e, WORDS[k]), e.units[k], e.values[k], e.deviations[k])
+        for k in (2, 3, 4)
+    ]
     rows = [[name, unit, *_pair(value, sigma)] for name, unit, value, sigma in acting]
     weak = [k for k, (*_, value, sigma) in enumerate(acting) if abs(value) <= 2.0 * sigma]
-    head, note = ["", "unit", "estimate", "± 1 sigma"], "amber: within two deviations of none."
+    head = ["", "unit", "estimate", "± 1 sigma"]
+    note = (
+        "amber: within two deviations of none; at its bound: negative by these data, and so not "
+        "determined."
+    )
     return Table("What acts on the base", head, rows, words=2, note=note, weak=weak)
 
 

@@ -112,6 +112,7 @@ def estimate_of(drifts: Sequence[Drift], solution: Solution | None) -> Estimate:
     return Estimate(
         NAMES, UNITS, initial, r.values, r.covariance,
         undetermined=r.undetermined,
+        at_bound=r.at_bound,
         residuals=residuals,
         weights=solution.weights,
         leverage=np.nan_to_num(solution.of_all(r.checks[0])),

@@ -105,7 +105,9 @@ class Knowledge(Settings):
 
     def believed(self, arm: Arm, words: str) -> npt.NDArray[np.intp]:
         """(k,) indices of what counts as an observation: what words name, and what is `told`."""
-        chosen = Choice.of(words, arm.n).indices if words.strip() else np.empty(0, dtype=np.intp)
+        chosen = np.empty(0, dtype=np.intp)
+        if words.strip():
+            chosen = Choice.of(words, arm.n, "priors").indices
         names = arm.known.names if self.told else ()
         return np.union1d(chosen, np.flatnonzero(np.isin(parameter_names(arm.n), names)))
 
@@ -118,8 +120,8 @@ class Choice:
     basis: Floats  # (5 n + 6, p) of 0 and 1
 
     @classmethod
-    def of(cls, words: str, n: int) -> "Choice":
-        """Read a choice.
+    def of(cls, words: str, n: int, setting: str = "estimate") -> "Choice":
+        """Read a choice, that of a setting.
 
         Raises:
             ValueError: a word names nothing, or a parameter is named twice.
@@ -131,13 +133,13 @@ class Choice:
             for name, members in _members(word, n):
                 column = np.isin(every, members).astype(float)
                 if not column.any():
-                    raise ValueError(f"estimate has {word!r}, expected words as b_i I_0 or a name")
+                    raise ValueError(f"{setting} has {word!r}, expected words as b_i I_0 or a name")
                 names.append(name)
                 columns.append(column)
         basis = np.array(columns).reshape(-1, len(every)).T
         if not names or (twice := basis.sum(axis=1) > 1.0).any():
             what = ", ".join(np.array(every)[twice]) + " twice" if names else "no parameter"
-            raise ValueError(f"estimate {words!r} names {what}, expected each once")
+            raise ValueError(f"{setting} {words!r} names {what}, expected each once")
         return cls(tuple(names), basis)
 
     @property

@@ -1,6 +1,6 @@
 """The report of a dynamic calibration."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +12,18 @@ from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.report import Figure, Report, Table
 from fss_arm_calib.report_figures import correlation, influence
-from fss_arm_calib.report_tables import difference, number, reported, shown_unit, text
+from fss_arm_calib.report_tables import (
+    difference,
+    number,
+    reported,
+    shown_name,
+    shown_unit,
+    text,
+    where_known,
+)
 from fss_arm_calib.segments.maneuvers import Maneuver
 from fss_arm_model.description import Arm, paper_arm
-from fss_arm_model.files import read_yaml
+from fss_arm_model.files import ContentError, read_yaml
 from fss_arm_model.parameters import values
 
 PAPER_HEADING_RESIDUAL = float(np.radians(1.54))  # section 4.2
@@ -55,6 +63,22 @@ def _values(arm: Arm, names: Sequence[str]) -> Floats:
     return np.array([value(name) for name in names])
 
 
+def _promised(plan: str) -> Mapping[str, float]:
+    """The deviations that a plan of `design` promised, by name.
+
+    Raises:
+        ContentError: the file holds something else.
+        OSError: it cannot be read.
+    """
+    found = read_yaml(Path(plan))
+    if not isinstance(found, dict) or "maneuvers" not in found:
+        raise ContentError(f"plan {plan}", found, "maneuvers, as `design` writes them")
+    given = found.get("promised", {})
+    if not isinstance(given, dict) or not all(isinstance(x, float | int) for x in given.values()):
+        raise ContentError(f"plan {plan}: promised", given, "deviations by name")
+    return given
+
+
 def _parameters(outcome: Outcome[Maneuver, Solution], truth: Arm | None) -> Table:
     """Beside the paper's Table 4 and, if known, the truth."""
     e, p, known = outcome.estimate, len(outcome.names), truth is not None
@@ -63,21 +87,21 @@ def _parameters(outcome: Outcome[Maneuver, Solution], truth: Arm | None) -> Tabl
         paper = _values(paper_arm(), e.names)
     true = np.full(p, np.nan) if truth is None else _values(truth, e.names)
     r = outcome.solution.result if outcome.solution else None
-    random = np.sqrt(np.diag(r.random)) if r else np.full(p, np.nan)
-    share = r.prior_share if r else np.full(p, np.nan)
-    at_bound = r.at_bound if r else ()
+    sigma = where_known(e, e.deviations)
+    random = where_known(e, np.sqrt(np.diag(r.random)) if r else sigma)
+    share = where_known(e, r.prior_share if r else sigma)
     plan = outcome.settings.plan
-    given = dict(read_yaml(Path(plan))).get("promised", {}) if plan else {}
+    given = _promised(plan) if plan else {}
     promised = np.array([given.get(name, np.nan) for name in e.names])
     rows = []
     for k, (name, unit) in enumerate(zip(e.names, e.units, strict=True)):
         columns = [paper, e.initial, *[true] * known, e.values, *[promised] * bool(plan)]
         columns += [e.deviations, random]
-        row = [f"{name}, at its bound" if name in at_bound else name, shown_unit(unit)]
+        row = [shown_name(name, e), shown_unit(unit)]
         row += [number(column[k], unit) for column in columns]
         row.append(text(100.0 * share[k], ".0f"))
         if known:
-            row.append(text(difference(e.values[k], true[k], unit) / e.deviations[k], "+.2f"))
+            row.append(text(difference(e.values[k], true[k], unit) / sigma[k], "+.2f"))
         rows.append(row)
     head = [
         "parameter", "unit", "Table 4", "guess", *["truth"] * known, "estimate",
@@ -88,7 +112,7 @@ def _parameters(outcome: Outcome[Maneuver, Solution], truth: Arm | None) -> Tabl
         "random: the deviation without the uncertainty of what is assumed; prior: how much of the "
         "value is from what was known beforehand; amber: that is most of it, or it is at its bound."
     )
-    weak = [k for k, name in enumerate(e.names) if share[k] > 0.5 or name in at_bound]
+    weak = [k for k, name in enumerate(e.names) if share[k] > 0.5 or name in e.at_bound]
     return Table("Parameters", head, rows, words=2, note=note, weak=weak)
 
 

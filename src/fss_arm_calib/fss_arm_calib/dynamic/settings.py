@@ -123,4 +123,4 @@ class DynamicSettings(ManeuverSettings, CalibrationSettings, Knowledge):
                     "leave it out"
                 )
         if self.priors.strip():
-            Choice.of(self.priors, 12)
+            Choice.of(self.priors, 12, "priors")

@@ -160,6 +160,7 @@ def estimate_of(
     return Estimate(
         problem.names, problem.units, problem.guess, r.values, r.covariance, r.deviations,
         undetermined=r.inseparable,
+        at_bound=r.at_bound,
         residuals=_residuals(solution, used),
         weights=solution.weights,
         leverage=solution.leverage,

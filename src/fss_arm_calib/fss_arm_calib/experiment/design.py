@@ -12,7 +12,7 @@ leaves visible.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import compress
-from math import inf, nan
+from math import inf
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from fss_arm_calib.dynamic.solution import known_beforehand, pose_deviations
 from fss_arm_calib.dynamic.solve import solve
 from fss_arm_calib.estimation.least_squares import Floats, Mask
 from fss_arm_calib.experiment.planned import PAUSE, NoManeuver, Planned, least_time, timed, together
-from fss_arm_calib.experiment.settings import LOOP, SINGLE, Conditions
+from fss_arm_calib.experiment.settings import LOOP, SINGLE, Conditions, asked_for
 from fss_arm_model.base_motion import base_poses
 from fss_arm_model.description import Arm
 from fss_arm_model.joint_path import Path, path, stack
@@ -263,20 +263,13 @@ def goal_of(words: str, names: Sequence[str]) -> dict[str, float]:
     Raises:
         ValueError: a word names nothing estimated, or what follows it is no positive number.
     """
-    pairs, goal = words.split(), dict[str, float]()
-    for word, value in zip(pairs[::2], [*pairs[1::2], ""], strict=False):
+    goal = dict[str, float]()
+    for word, asked in asked_for(words):
         stem = word.removesuffix("_i")
         each = [k for k in names if k.rpartition("_")[0] == stem != word and k != f"{stem}_0"]
         own = [word] if word in names else each
-        try:
-            asked = float(value)
-        except ValueError:
-            asked = nan
-        if not own or not asked > 0.0:
-            known = " ".join(names)
-            raise ValueError(
-                f"goal has {word!r} {value!r}, expected a name and a deviation; of {known}, or b_i"
-            )
+        if not own:
+            raise ValueError(f"goal has {word!r}, expected one of {' '.join(names)}, or b_i")
         goal |= dict.fromkeys(own, asked)
     return goal
 

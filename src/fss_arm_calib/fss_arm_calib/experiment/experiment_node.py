@@ -20,7 +20,7 @@ from fss_arm_calib import state
 from fss_arm_calib.acceptance import PASS
 from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_calib.experiment.design import goal_of
-from fss_arm_calib.experiment.planned import Planned, from_yaml
+from fss_arm_calib.experiment.planned import Planned, read
 from fss_arm_calib.experiment.postures import default
 from fss_arm_calib.experiment.settings import ExperimentSettings
 from fss_arm_calib.messages import common
@@ -369,7 +369,7 @@ def stops(settings: ExperimentSettings) -> list[Stop]:
     s = settings
     arm = described(s.arm)
     if s.maneuvers:
-        found = through(from_yaml(Path(s.maneuvers).read_text(encoding="utf-8"), arm.n), s.pause)
+        found = through(read(s.maneuvers, arm.n), s.pause)
     elif len(s.postures) % arm.n:
         raise ValueError(f"postures has {len(s.postures)} numbers, expected {arm.n} a row")
     else:

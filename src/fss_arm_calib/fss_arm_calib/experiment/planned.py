@@ -8,12 +8,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import inf
+from pathlib import Path
 
 import numpy as np
 import yaml
 
 from fss_arm_calib.estimation.least_squares import Floats
 from fss_arm_model.description import Arm
+from fss_arm_model.files import ContentError, read_yaml
 from fss_arm_model.free_floating import free_torques
 from fss_arm_model.joint_path import Law
 
@@ -142,24 +144,29 @@ def to_yaml(plan: Sequence[Planned], promised: Mapping[str, float] | None = None
     return head + yaml.safe_dump(given, sort_keys=False, default_flow_style=None)
 
 
-def from_yaml(text: str, n: int) -> list[Planned]:
-    """The plan that to_yaml wrote.
+def read(path: str | Path, n: int) -> list[Planned]:
+    """The plan that a file has, as to_yaml wrote it.
 
     Raises:
-        ValueError: it is something else, or for another number of joints.
+        ContentError: it is something else, or for another number of joints.
+        OSError: it cannot be read.
     """
+    given = read_yaml(Path(path))
+    rows = given.get("maneuvers") if isinstance(given, dict) else None
     try:
-        rows = yaml.safe_load(text)["maneuvers"]
         plan = [
             Planned(str(row["kind"]), np.array(row["q"], float), np.array(row["durations"], float))
-            for row in rows
+            for row in rows or ()
         ]
-    except (yaml.YAMLError, TypeError, KeyError, ValueError) as error:
-        raise ValueError(f"not a plan of maneuvers: {error}") from None
+    except (TypeError, KeyError, ValueError):
+        plan = []
+    if not plan:
+        raise ContentError(f"{path}: maneuvers", rows, "rows of kind, q, durations, as of `design`")
     for k, one in enumerate(plan, 1):
         if one.waypoints.shape != (len(one.durations) + 1, n) or not (one.durations > 0.0).all():
-            raise ValueError(
-                f"maneuver {k} has waypoints {one.waypoints.shape} and {len(one.durations)} "
-                f"durations, expected (w + 1, {n}) and w of them, above 0"
+            raise ContentError(
+                f"{path}: maneuver {k}",
+                f"q of {one.waypoints.shape}, {len(one.durations)} durations",
+                f"(w + 1, {n}) and w of them, above 0",
             )
     return plan

@@ -1,7 +1,8 @@
 """The parameters of the experiment, and what its maneuvers must keep to."""
 
 from dataclasses import dataclass
-from math import inf
+from itertools import zip_longest
+from math import inf, nan
 
 from fss_arm_model.settings import (
     FINITE,
@@ -19,6 +20,24 @@ from fss_arm_motion.guard_settings import GuardSettings
 SINGLE, SWEEP, LOOP = "single", "sweep", "loop"
 KINDS = (SINGLE, SWEEP, LOOP)
 JOINT = "joint"  # kind of maneuvers that show the drives
+
+
+def asked_for(goal: str) -> list[tuple[str, float]]:
+    """The names and deviations of a goal, as `b_i 0.002 I_4 0.001`.
+
+    Raises:
+        SettingError: a name is not followed by a positive number.
+    """
+    words, found = goal.split(), []
+    for name, value in zip_longest(words[::2], words[1::2], fillvalue=""):
+        try:
+            asked = float(value)
+        except ValueError:
+            asked = nan
+        if not asked > 0.0:
+            raise SettingError(f"goal has {name!r} {value!r}, expected a name and a deviation")
+        found.append((name, asked))
+    return found
 
 
 @dataclass(frozen=True)
@@ -58,6 +77,10 @@ class ExperimentSettings(Settings):
     link_radius: float = like(GuardSettings, "link_radius")
     margin: float = like(GuardSettings, "margin")
     state_file: str = setting("", "progress is kept here across restarts; empty: nowhere")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        asked_for(self.goal)
 
     def guarded(self) -> GuardSettings:
         """What keeps the arm clear of itself; where the base is, the experiment does not know."""

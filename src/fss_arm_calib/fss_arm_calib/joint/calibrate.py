@@ -311,6 +311,7 @@ def estimate_of(r: JointResult) -> Estimate:
     return Estimate(
         r.problem.names, r.problem.units, r.problem.guess, r.values, r.covariance,
         undetermined=r.undetermined,
+        at_bound=r.at_bound,
         chi_square=m.cost,
         degrees_of_freedom=r.problem.degrees_of_freedom,
         condition_number=m.basis.condition,

@@ -8,7 +8,15 @@ from fss_arm_calib.estimation.statistics import probability
 from fss_arm_calib.joint.calibrate import Solution
 from fss_arm_calib.outcome import Outcome
 from fss_arm_calib.report import Report, Table
-from fss_arm_calib.report_tables import number, parameters, reported, shown_unit, text
+from fss_arm_calib.report_tables import (
+    number,
+    parameters,
+    reported,
+    shown_name,
+    shown_unit,
+    text,
+    where_known,
+)
 from fss_arm_model.description import Arm
 from fss_arm_model.parameters import values
 
@@ -27,16 +35,16 @@ def _parameters(outcome: Outcome[Any, Solution], found: Solution, truth: Arm | N
     """Guess, estimate, and how much larger its deviation were without the data of a kind."""
     r, e = found.result, outcome.estimate
     without = r.without
-    with np.errstate(invalid="ignore"):  # inf: nothing determines it
-        grown = [sigma / e.deviations for sigma in without.values()]
+    sigma = where_known(e, e.deviations)
+    grown = [x / sigma for x in without.values()]
     rows = []
     for k, name in enumerate(e.names):
-        row = [name, shown_unit(e.units[k])]
+        row = [shown_name(name, e), shown_unit(e.units[k])]
         row += [number(x[k], e.units[k]) for x in (e.initial, e.values, e.deviations)]
         row += [text(x[k], ".2f") for x in grown]
         if truth:
             true = np.array([*values(truth), truth.theta_E])[k]
-            row.append(text((e.values[k] - true) / e.deviations[k], "+.1f"))
+            row.append(text((e.values[k] - true) / sigma[k], "+.1f"))
         rows.append(row)
     head = ["parameter", "unit", "guess", "estimate", "± 1 sigma"]
     head += [f"x without {kind}" for kind in without]
@@ -48,7 +56,6 @@ def _parameters(outcome: Outcome[Any, Solution], found: Solution, truth: Arm | N
     believed = r.problem.believed
     before[believed] = np.sqrt(np.diag(r.problem.prior)[believed])
     weak = np.flatnonzero(~(2.0 * e.deviations**2 < before**2)).tolist()
-    weak += [e.names.index(name) for name in r.at_bound]
     head += ["off [sigma]"] if truth else []
     return Table("Parameters", head, rows, words=2, note=note, weak=weak)
 

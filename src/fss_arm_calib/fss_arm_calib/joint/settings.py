@@ -40,4 +40,4 @@ class JointSettings(Knowledge):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.priors.strip():
-            Choice.of(self.priors, 12)
+            Choice.of(self.priors, 12, "priors")

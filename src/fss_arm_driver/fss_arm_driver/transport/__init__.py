@@ -1,5 +1,6 @@
 """How frames reach a link. The driver's nodes know only `Transport`; a URL chooses which one."""
 
+from collections.abc import Sequence
 from urllib.parse import SplitResult, parse_qs, urlsplit
 
 from fss_arm_driver.transport.base import BATCH, Transport, TransportError, readable
@@ -30,8 +31,10 @@ FORMS = {
 BAUD = 115_200
 
 
-def open_transport(url: str, link: int = 1, key: bytes | None = None) -> Transport:
-    """Open what a URL names, one of FORMS.
+def open_transport(
+    url: str, link: int = 1, key: bytes | None = None, schemes: Sequence[str] = tuple(FORMS)
+) -> Transport:
+    """Open what a URL names, one of FORMS by its scheme, of those that there may be.
 
     A UDP socket is bound to the local port `bind`, 0 for any; a serial port is opened at once,
     by default at 115200 baud; a TCP connection is made when it can be. `link` and `key` are those
@@ -41,11 +44,14 @@ def open_transport(url: str, link: int = 1, key: bytes | None = None) -> Transpo
         TransportError: the URL is not understood, its host is not known, or its port cannot be
             opened.
     """
+    forms = {scheme: FORMS[scheme] for scheme in schemes}
     if not url:  # whatever were taken instead might answer, and not be meant
-        raise TransportError(f"url is missing, expected {' or '.join(FORMS.values())}")
+        raise TransportError(f"url is missing, expected {' or '.join(forms.values())}")
     scheme = url.partition(":")[0]
-    expected = f"expected {FORMS.get(scheme) or ' or '.join(FORMS.values())}"
+    expected = f"expected {forms.get(scheme) or ' or '.join(forms.values())}"
     try:
+        if scheme not in forms:
+            raise ValueError("no such scheme")
         parts = urlsplit(url)
         if scheme in ("udp", "tcp") and not (parts.hostname and parts.port and not parts.path):
             raise ValueError("no host, or no port")
@@ -58,10 +64,8 @@ def open_transport(url: str, link: int = 1, key: bytes | None = None) -> Transpo
         if scheme == "serial":
             baud = _option(parts, "baud", BAUD, range(300, 4_000_001))
             return serial(_device(parts), baud)
-        if scheme == "copley":
-            baud = _option(parts, "baud", BAUD, range(9600, BAUD + 1))
-            return CopleyTransport(_device(parts), baud, link, key)
-        raise ValueError("no such scheme")
+        baud = _option(parts, "baud", BAUD, range(9600, BAUD + 1))
+        return CopleyTransport(_device(parts), baud, link, key)
     except OSError as error:
         raise TransportError(f"url {url!r} cannot be opened: {error.strerror or error}") from None
     except ValueError as error:

@@ -5,6 +5,7 @@ In simulated time: test bed, drivers, recorder and the node `drift`; then again 
 
 import argparse
 from functools import partial
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -140,7 +141,7 @@ def judge(live: DriftCalibration, found: Outcome[Any, Any]) -> list[Check]:
             Check(
                 f"{name} is within {DEVIATIONS:g} deviations of the truth, {TRUTH[name]:.3g}",
                 f"{value:.3g} +- {deviation:.2g}, off by {abs(off):.1f}",
-                bool(abs(off) < DEVIATIONS),
+                bool(isfinite(deviation) and abs(off) < DEVIATIONS),
             )
         )
     return checks

@@ -24,7 +24,7 @@ from fss_arm_calib.dynamic.kind import DYNAMIC
 from fss_arm_calib.dynamic.settings import DynamicSettings
 from fss_arm_calib.dynamic.solution import Solution
 from fss_arm_calib.experiment.design import design, expected
-from fss_arm_calib.experiment.planned import Planned, from_yaml, to_yaml
+from fss_arm_calib.experiment.planned import Planned, read, to_yaml
 from fss_arm_calib.experiment.settings import Conditions
 from fss_arm_calib.from_bag import solve_bag
 from fss_arm_calib.outcome import Outcome
@@ -95,7 +95,7 @@ def start_all(
     """Start the whole graph for a session, its base put back to the middle of the table."""
     rng = np.random.default_rng((options.seed, session))
     twist = (rng.uniform(-1.0, 1.0, 3) * [0.003, 0.003, 0.004]).tolist()
-    (first, *_) = from_yaml((out / f"plan_{session}.yaml").read_text(encoding="utf-8"), LINKS)
+    (first, *_) = read(out / f"plan_{session}.yaml", LINKS)
     nodes.start(
         "testbed", "fss_sim", "testbed", arm=out / "truth.yaml", seed=100 * options.seed + session,
         ports=nodes.domain.ports(LINKS), preset="laboratory", position_noise=cameras.position,
