@@ -125,7 +125,7 @@ class MotionNode(Node):
     def on_calibration(self, topic: str, message: Any) -> None:
         """Plan with it from now on, if it passed."""
         try:
-            self.known = self.known.with_message(topic, message)
+            self.known = self.known.of_same_links(topic, message)
         except ValueError as error:
             self.get_logger().warning(f"{topic} is left out: {error}")
 

@@ -38,6 +38,17 @@ class Calibrated:
             return vector_covariance(self.arm, told.names, told.covariance)
         return np.sum([np.zeros((size, size)), *known], axis=0)
 
+    def of_same_links(self, topic: str, message: Any) -> "Calibrated":
+        """As `with_message`, for those who can do with no other number of links.
+
+        Raises:
+            ValueError: it is of another, or what `with_message` raises.
+        """
+        known = self.with_message(topic, message)
+        if known.arm.n != self.arm.n:
+            raise ValueError(f"it is of {known.arm.n} links, expected {self.arm.n}")
+        return known
+
     def with_message(self, topic: str, message: Any) -> "Calibrated":
         """What is known after a calibration: all that it found if it passed, else the same.
 

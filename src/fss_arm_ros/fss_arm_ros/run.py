@@ -19,6 +19,7 @@ from fss_arm_ros.executor import BatchExecutor
 from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError  # isort: skip
 
 LEAVING = 5.0  # at most, once all is closed [s]
+ENDS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # what ends a command
 
 
 def run(
@@ -101,12 +102,31 @@ def run(
 
 
 def _interrupt_next(*_: object) -> None:
-    """Leave the first SIGINT to rclpy, which ends the context by it; the next one interrupts.
-
-    A KeyboardInterrupt may come up while rclpy's extension converts what it took, which makes a
-    TypeError of it.
-    """
+    """Leave the first SIGINT to rclpy, which ends the context by it; the next one interrupts."""
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def spin_once(node: Node, timeout: float) -> None:
+    """rclpy's, of a command; signals are handled at its end.
+
+    What a handler raises while rclpy's extension converts what it took is lost in a TypeError.
+
+    Args:
+        node: whose callbacks are called.
+        timeout: at most until something has come [s].
+    """
+    came: list[int] = []
+    handlers = {number: signal.getsignal(number) for number in ENDS}
+    for number, handler in handlers.items():
+        if callable(handler):  # else it is ignored, as under nohup, or ends the process
+            signal.signal(number, lambda which, _: came.append(which))
+    try:
+        rclpy.spin_once(node, timeout_sec=timeout)
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+    for which in came:
+        signal.raise_signal(which)
 
 
 def _failed(name: str, reason: object, code: int) -> int:

@@ -325,8 +325,7 @@ class ViewNode(Node):
     def on_calibration(self, topic: str, message: Any) -> None:
         """A verdict; the arm is drawn with a calibration that passed."""
         with suppress(ValueError):  # base_reaction reports it
-            known = self.known.with_message(topic, message)
-            self.known = known if known.arm.n == self.known.arm.n else self.known
+            self.known = self.known.of_same_links(topic, message)
         found = message.calibration
         self.strip.verdicts[topic.rpartition("/")[2]] = found.verdict
         level = "INFO" if found.verdict == found.PASS else "WARN"

@@ -28,6 +28,7 @@ from fss_arm_msgs.msg import BaseTelemetry, ThrusterCommand
 from fss_arm_ros.command_line import in_words, interrupt_at_end
 from fss_arm_ros.convert import SECOND, joint_readings, seen_pose, stamp_ns
 from fss_arm_ros.qos import COMMAND, subscribe_sensor
+from fss_arm_ros.run import spin_once
 from fss_base_driver.check_options import BASE_TOPIC, parser
 from fss_base_driver.thrust import Body, Floats, Thrust, TrackError, estimate, order, verdict
 
@@ -90,7 +91,7 @@ class Tester(Node):
         """Listen until the condition holds, or for so long; whether it does."""
         until = time.monotonic() + timeout
         while not (holds := bool(condition())) and (left := until - time.monotonic()) > 0.0:
-            rclpy.spin_once(self, timeout_sec=min(left, 0.1))
+            spin_once(self, min(left, 0.1))
         return holds
 
     def arm(self, data: bool) -> None:

@@ -22,6 +22,7 @@ from fss_arm_model.settings import POSITIVE
 from fss_arm_ros.command_line import interrupt_at_end
 from fss_arm_ros.convert import SECOND, seen_pose, stamp_ns
 from fss_arm_ros.qos import subscribe_sensor
+from fss_arm_ros.run import spin_once
 from fss_base_driver.subjects_options import parser
 
 COLUMNS = ("rate", "jitter", "latency", "longest gap", "x", "y", "heading", "unusable")
@@ -113,7 +114,7 @@ def listen(given: argparse.Namespace) -> int:
         node = Listener(given.prefix)
         until = time.monotonic() + given.seconds
         while (left := until - time.monotonic()) > 0.0:
-            rclpy.spin_once(node, timeout_sec=min(left, 0.1))
+            spin_once(node, min(left, 0.1))
         domain, prefix, heard = node.context.get_domain_id(), node.prefix, node.heard
     except KeyboardInterrupt:
         return 130

@@ -192,9 +192,7 @@ class NavigationNode(Node):
     def on_calibration(self, topic: str, message: Any) -> None:
         """Know the arm better, if it passed."""
         try:
-            known = self.known.with_message(topic, message)
-            if known.arm.n != self.known.arm.n:
-                raise ValueError(f"it is of {known.arm.n} links, expected {self.known.arm.n}")
+            known = self.known.of_same_links(topic, message)
         except ValueError as error:
             self.get_logger().warning(f"{topic} is left out: {error}")
             return

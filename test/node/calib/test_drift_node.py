@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
-from calib_float import ARM, SECOND, Float, at, feed, postures, record
+from calib_float import ARM, Float, at, feed, postures, record
 
 from fss_arm_calib.calibration_node import CalibrationNode
 from fss_arm_calib.drift.calibrate import calibrate
@@ -15,7 +15,7 @@ from fss_arm_calib.dynamic.kind import DYNAMIC
 from fss_arm_calib.from_bag import main as from_bag
 from fss_arm_calib.from_bag import solve_bag
 from fss_arm_calib.segments.drifts import DriftFinder
-from fss_arm_model.units import GRAVITY
+from fss_arm_model.units import GRAVITY, SECOND
 from fss_arm_view.base_reaction_node import BaseReactionNode
 
 TILT = np.array([2e-5, -1e-5])  # [rad]

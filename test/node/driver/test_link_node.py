@@ -572,7 +572,7 @@ def test_a_wrong_baud_rate_is_said_in_one_line(start, tmp_path):
         ((), "url is missing, expected udp://HOST:PORT?bind=PORT or tcp://HOST:PORT or"),
         (("-p", "url:=tcp://x"), "url is 'tcp://x', expected tcp://HOST:PORT"),
         (("-p", "url:=serial:///dev/no"), "'serial:///dev/no' cannot be opened: No such file"),
-        (("-p", "keys:=/no/keys"), "No such file or directory: '/no/keys'"),
+        (("-p", "keys:=/no/keys"), "/no/keys: No such file or directory"),
         (("-p", "link:=5"), "link is 5, expected 1 to 4, as arm 'paper' has"),
         (("-p", "timeout:=0.0"), "timeout is 0.0 s, expected 0.001 to 3600"),
         (("-p", "watchdog:=100.0"), "watchdog is 100.0 s"),

@@ -15,6 +15,7 @@ from std_msgs.msg import Empty
 from std_srvs.srv import Trigger
 
 from fss_arm_ros.executor import BatchExecutor
+from fss_arm_ros.run import ENDS, spin_once
 
 KEEP_ALL = QoSProfile(history=HistoryPolicy.KEEP_ALL)
 
@@ -196,3 +197,27 @@ def test_a_job_that_is_interrupted_says_how_far_it_came(named, how):
     spun(program)
     assert program.stop(how) == 130
     assert program.output.endswith("-c: interrupted after 2 of 3\n")
+
+
+@pytest.mark.parametrize("number", ENDS)
+def test_a_command_is_interrupted_at_the_end_of_a_turn(ros, number):
+    node, done, before = Node("turning"), [], signal.getsignal(number)
+
+    def interrupt():
+        signal.raise_signal(number)
+        done.append(number)  # what was begun is not left halfway
+
+    def turn():
+        while not done:
+            spin_once(node, 10.0)
+
+    node.create_timer(0.0, interrupt)
+    signal.signal(number, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            turn()
+        assert signal.getsignal(number) is signal.default_int_handler
+    finally:
+        signal.signal(number, before)
+        node.destroy_node()
+    assert done == [number]

@@ -5,7 +5,7 @@ import re
 
 import numpy as np
 import pytest
-from calib_float import ARM, SECOND, Float, Sample, at, feed, postures, telemetry
+from calib_float import ARM, Float, Sample, at, feed, postures, telemetry
 
 from fss_arm_calib.dynamic.settings import DynamicSettings
 from fss_arm_calib.segments.maneuvers import ManeuverFinder
@@ -13,6 +13,7 @@ from fss_arm_calib.segments.settings import ManeuverSettings
 from fss_arm_model import base_motion, joint_path
 from fss_arm_model.kinematics import tip_in_base
 from fss_arm_model.planar import wrap
+from fss_arm_model.units import SECOND
 
 STATE = np.array([0.1, 0.2, 3.0, 0.2, -0.1, 0.03, 0.001, -0.0005])
 

@@ -4,12 +4,13 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from calib_float import SECOND, SUBJECTS, Float, Sample, at, feed, postures, telemetry
+from calib_float import SUBJECTS, Float, Sample, at, feed, postures, telemetry
 
 from fss_arm_calib.segments.drifts import DriftFinder
 from fss_arm_calib.segments.maneuvers import ManeuverFinder
 from fss_arm_calib.segments.rests import RestFinder
 from fss_arm_calib.segments.settings import DriftFinderSettings, ManeuverSettings, RestSettings
+from fss_arm_model.units import SECOND
 
 KINDS = {
     "rests": lambda n=4, **s: RestFinder(n, RestSettings(**s)),

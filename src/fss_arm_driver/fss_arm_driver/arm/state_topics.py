@@ -56,11 +56,9 @@ class StateTopics:
     def on_calibration(self, topic: str, message: Any) -> None:
         """Describe the arm as a calibration found it, if that has passed."""
         try:
-            found = self.calibrated.with_message(topic, message)
-            if found.arm.n != self.links.arm.n:
-                raise ValueError(f"has {found.arm.n} links, expected {self.links.arm.n}")
+            found = self.calibrated.of_same_links(topic, message)
         except ValueError as error:
-            self.links.node.get_logger().warning(f"{topic} is of another arm: {error}")
+            self.links.node.get_logger().warning(f"{topic} is left out: {error}")
             return
         if found.arm != self.calibrated.arm:
             self.calibrated = found
