@@ -107,7 +107,8 @@ def name(bags: Bags, one: Input, namespace: str = "", needed: bool = True) -> st
     if topic not in bags.topics and one.needed and needed:
         there = ", ".join(bags.topics) or "no topics"
         where = ", ".join(map(str, bags.paths))
-        raise BagError(f"no {topic} in {where}, which has {there}{hint(bags, one.topic)}")
+        damaged = "".join(f"; damaged: {bag}" for bag in bags.recovered)
+        raise BagError(f"no {topic} in {where}, which has {there}{hint(bags, one.topic)}{damaged}")
     return topic
 
 

@@ -292,6 +292,13 @@ def test_damaged_chunks_are_left_out_and_named(tmp_path):
     assert "byte" in recovered.damage
 
 
+def test_of_a_file_that_is_nothing_but_a_begin_no_repair_is_promised(tmp_path, capsys):
+    file = make_bag(tmp_path) / "bag_0.mcap"
+    file.write_bytes(file.read_bytes()[:100])
+    assert doctor([str(tmp_path)]) == 2
+    assert "; nothing of it can be saved" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize("chunks", [(0, 0), (3, 3), (4, 6), (9, 9)])
 def test_the_advice_to_repair_a_damaged_bag_can_be_followed(tmp_path, capsys, chunks):
     bag = make_bag(tmp_path)

@@ -593,6 +593,14 @@ def test_each_change_of_state_is_told_once(bench):
     assert told(10) == ["link 1 is disarmed"]
 
 
+def test_a_link_that_was_never_heard_is_told_once(bench):
+    told = Told(bench)
+    assert told(20, up=False) == []
+    words = "link 1 is not heard yet: is it on, and does no other driver talk to it?"
+    assert told(200, up=False) == [words]
+    assert told(2) == ["link 1 is heard, and disarmed"]
+
+
 def test_a_watchdog_that_trips_and_a_link_that_does_not_arm_are_told(armed):
     told = Told(armed)
     assert told(5) == ["link 1 is heard, and armed"]

@@ -14,6 +14,7 @@ from fss_arm_bags.doctor.health import Stream, findings, remark, streams
 from fss_arm_bags.doctor.options import parser
 from fss_arm_bags.doctor.repair import mends, repair
 from fss_arm_bags.reader import Bags, find, open_bags
+from fss_arm_bags.recovery import Recovered
 from fss_arm_ros.command_line import in_one_line
 from fss_arm_ros.convert import seconds
 
@@ -42,11 +43,7 @@ def examine(path: Path, mend: bool, console: Console) -> bool:
     with open_bags(path, thorough=True) as bags:
         heard = streams(bags)
         console.print(table(path, bags, heard))
-        wrong = [
-            f"damaged: {one}; {'doctor --repair' if mends(one.path) else 'ros2 bag reindex'} "
-            "makes it whole"
-            for one in bags.recovered
-        ]
+        wrong = [f"damaged: {one}; {remedy(one)}" for one in bags.recovered]
         wrong += bags.left_out
         if not bags.begins:
             wrong.append(f"{path}: holds no messages")
@@ -61,6 +58,13 @@ def examine(path: Path, mend: bool, console: Console) -> bool:
         console.print(escape(line), style="red")
     console.print("[red]not healthy[/]" if wrong else "[green]healthy[/]")
     return not wrong
+
+
+def remedy(bag: Recovered) -> str:
+    """What can be done about a damaged bag, in words."""
+    if not bag.messages:
+        return "nothing of it can be saved"
+    return f"{'doctor --repair' if mends(bag.path) else 'ros2 bag reindex'} makes it whole"
 
 
 def table(path: Path, bags: Bags, heard: dict[str, Stream]) -> Table:

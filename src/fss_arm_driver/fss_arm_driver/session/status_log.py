@@ -6,6 +6,8 @@ from fss_arm_driver.protocol import State
 from fss_arm_driver.session.arming import Arming
 from fss_arm_driver.session.session import Session
 
+PATIENCE = 5_000_000_000  # with a partner that was never heard [ns]
+
 
 class Line(NamedTuple):
     """A line of the log."""
@@ -21,17 +23,22 @@ class StatusLog:
     def __init__(self, session: Session[Any]) -> None:
         self._session, self._name = session, session.partner.name
         self._lost, self._heard = True, 0  # whether it is, and when it was heard last
+        self._begun, self._missed = 0, False  # since when it is asked, whether it was in vain
         self._arming = Arming.DISARMED
         self._faults: list[str] = []
         self._tripped, self._still = False, ""
 
     def __call__(self, now: int) -> list[Line]:
-        """One line for each change; none the first time, of a partner that is not there yet."""
+        """One line for each change; of a partner that was never heard one after PATIENCE."""
         session, lines = self._session, self._standstill()
         if session.lost != self._lost:
             lines += [self._presence(now)]
         else:
             lines += [*([] if lines else self._armed()), *self._watchdog(), *self._troubles()]
+        self._begun = self._begun or now
+        if session.lost and not (self._heard or self._missed) and now > self._begun + PATIENCE:
+            self._missed = True
+            lines.append(Line(session.dialect or f"{self._name} is {session.absence}", bad=True))
         if not session.lost:
             self._heard = now - round(1e9 * session.silence(now))
         self._lost, self._arming = session.lost, session.arming
