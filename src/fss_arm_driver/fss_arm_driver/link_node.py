@@ -67,7 +67,8 @@ class LinkNode(SessionNode):
         overrides = [Parameter("link", value=number), *options.pop("parameter_overrides", ())]
         if url:
             overrides.append(Parameter("url", value=url))
-        super().__init__(f"link_{number}", kind, clock, parameter_overrides=overrides, **options)
+        options["parameter_overrides"] = overrides
+        super().__init__(f"link_{number}", kind, clock=clock, **options)
         settings: LinkSettings = self.settings
         self.session = LinkSession(
             number,

@@ -44,7 +44,13 @@ class SessionNode(Node):
     unconfirmed: str  # what a partner that was disarmed does not say, in words
 
     def __init__(
-        self, name: str, kind: type, clock: HostClock | None, live: bool = False, **options: Any
+        self,
+        name: str,
+        kind: type,
+        *,
+        clock: HostClock | None = None,
+        live: bool = False,
+        **options: Any,
     ) -> None:
         super().__init__(name, **options)
         self.settings: Any = declare(self, kind, live=live)

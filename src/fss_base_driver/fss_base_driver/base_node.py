@@ -52,7 +52,7 @@ class BaseNode(SessionNode):
     unconfirmed = "does not say that its valves are closed"
 
     def __init__(self, transport: Transport | None = None, **options: Any) -> None:
-        super().__init__("base", BaseSettings, None, live=True, **options)
+        super().__init__("base", BaseSettings, live=True, **options)
         s: BaseSettings = self.settings
         self.session = BoardSession(
             s.timeout, s.watchdog, s.command_lifetime, s.max_on_time, self.resolution, s.key(),
