@@ -122,7 +122,8 @@ class BaseReactionNode(Node):
 
     def on_thrust(self, message: ThrusterCommand) -> None:
         """Thrusters fire, which no prediction from the joints knows of."""
-        if (longest := max(message.on_time)) > 0.0:
+        longest = max(message.on_time)
+        if all(map(isfinite, message.on_time)) and longest > 0.0:  # else the board refuses it
             until = stamp_ns(message.header.stamp) + round(longest * SECOND)
             self.fired = max(self.fired, until)
 

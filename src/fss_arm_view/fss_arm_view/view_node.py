@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from contextlib import suppress
 from functools import partial
 from ipaddress import ip_address
-from math import degrees, dist, isfinite
+from math import degrees, dist, inf, isfinite
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -270,7 +270,7 @@ class ViewNode(Node):
         """Thrusters fire: until when their plumes are drawn."""
         self.explain("thrusters", scene.JET)
         for k, seconds in enumerate(message.on_time):
-            shown = max(seconds, LEAST_PLUME) if seconds > 0.0 else 0.0
+            shown = max(seconds, LEAST_PLUME) if 0.0 < seconds < inf else 0.0
             self.valves_until[k] = self.t + int(shown * SECOND)
 
     def on_propellant(self, message: Float64) -> None:

@@ -101,7 +101,8 @@ def test_two_computers_hear_each_other_and_a_stranger_neither(run, tmp_path, how
         run("fss", {}, f"fast-discovery-server -i 0 -l {HOSTS['fss']} -p 11811")
     run("fss", settings, "ros2 run fss_sim testbed")
     for host, reach in (("ground", settings), ("fss", settings), ("stranger", subnet)):
-        run(host, reach, f"ros2 run fss_arm_bags record --ros-args -p output:={tmp_path / host}")
+        named = f"-r __node:=record_{host} -p output:={tmp_path / host}"  # of one name is but one
+        run(host, reach, f"ros2 run fss_arm_bags record --ros-args {named}")
     for host in ("ground", "fss"):
         wait_until(lambda host=host: poses(tmp_path / host) > 200, 60, PAUSE)
     # The stranger has listened as long as they.

@@ -54,6 +54,7 @@ def test_without_hardware(tmp_path):
     (tmp_path / "lab.sh").write_text(config)
     text = typed("start/simulation.md").replace("config/fss_sim.sh", str(tmp_path / "lab.sh"))
     text = text.replace("out/fss_sim", str(tmp_path / "out"))
+    text = text.replace("scripts/rehearse.sh NAME", ":")  # has a test of its own
     try:
         again = typed("explanation/calibration.md")
         again = again.replace("bags/monday", str(tmp_path / "out/bags"))
@@ -106,7 +107,8 @@ def test_tilt_and_hose(tmp_path):
 
 @pytest.mark.slow
 def test_watching_the_base_react():
-    shell(watched(re.sub(r"^ssh.*", "", typed("how-to/view.md"), flags=re.M)), 60)
+    of_others = r"^(ssh|ros2 run fss_arm_bags replay) .*"  # a computer, a bag
+    shell(watched(re.sub(of_others, "", typed("how-to/view.md"), flags=re.M)), 60)
 
 
 @pytest.mark.slow
@@ -137,7 +139,7 @@ def test_dynamics(tmp_path):
     text = typed("explanation/dynamic.md")
     text = text.replace("scripts/rehearse.sh dynamic", ":")  # has a test of its own
     for old, new in (
-        ("--report report", f"--report {tmp_path / 'report'} || [ $? = 2 ]"),
+        ("--report report", f"--report {tmp_path / 'report'} || [ $? -ge 2 ]"),
         ("bags/sunday", str(tmp_path / "sunday")),
         ("bags/monday", str(tmp_path / "monday")),
         ("calibrated.yaml", str(tmp_path / "calibrated.yaml")),

@@ -66,10 +66,12 @@ def test_prediction_and_measurement_agree_on_topics(run, spin, flight):
     assert max(abs(m.torque) for m in bench.reactions) > 0.05
 
 
-@pytest.mark.parametrize(("fired", "known"), [(-10.0, True), (2.6, False)])
-def test_where_thrusters_fired_nothing_is_compared(run, spin, fired, known):
+@pytest.mark.parametrize(
+    ("fired", "lasts", "known"), [(-10.0, 0.2, True), (2.6, 0.2, False), (2.6, np.inf, True)]
+)
+def test_where_thrusters_fired_nothing_is_compared(run, spin, fired, lasts, known):
     node, bench = run()
-    thrust = ThrusterCommand(on_time=[0.0, 0.2, *[0.0] * 6])
+    thrust = ThrusterCommand(on_time=[0.0, lasts, *[0.0] * 6])
     thrust.header.stamp = to_time(BEGIN + int(fired * SECOND))
     node.on_thrust(thrust)
     play_all(spin, node, bench)
