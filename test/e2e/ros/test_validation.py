@@ -22,7 +22,7 @@ NUMBERS = (float("nan"), float("inf"), -float("inf"), 1e308, -1e308, 0.0, 5e-324
 WORDS = ("", "joint_", "joint_" + 5000 * "9", "joint_0", "link_\u0664", 100_000 * "x")
 MANY = 300_000
 GROWTH = 40.0  # by what has come once before; workspace computes meanwhile [MB]
-RESULTS = ("calibration/", "workspace/")
+RESULTS = ("calibration/", "workspace/", "thrusters/health")  # which are latched
 
 
 @pytest.fixture(scope="module")
