@@ -43,11 +43,12 @@ def declare(node: Node, kind: type[Settings], live: bool = False) -> Settings:
     about = ParameterDescriptor(description=duplicates.ABOUT, read_only=True, dynamic_typing=True)
     allowed = node.declare_parameter(duplicates.ALLOW, False, about).value
     allowed = converted(duplicates.ALLOW, allowed, bool)
+    known = fields(kind)  # type: ignore[arg-type]  # a dataclass each
+    names = [f.name for f in known]
     if not live:
-        known = [f.name for f in fields(kind)]  # type: ignore[arg-type]
-        _refuse(_given(node) - set(known), known)
+        _refuse(_given(node) - set(names), names)
     values = {}
-    for f in fields(kind):  # type: ignore[arg-type]
+    for f in known:
         value = _declared(node, f.name, f, read_only=True)
         values[f.name] = converted(f.name, value, hints[f.name])
     settings = kind(**values)

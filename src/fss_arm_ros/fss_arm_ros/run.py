@@ -116,15 +116,15 @@ def spin_once(node: Node, timeout: float) -> None:
         timeout: at most until something has come [s].
     """
     came: list[int] = []
-    handlers = {number: signal.getsignal(number) for number in ENDS}
-    for number, handler in handlers.items():
-        if callable(handler):  # else it is ignored, as under nohup, or ends the process
-            signal.signal(number, lambda which, _: came.append(which))
+    # Others are ignored, as under nohup, or end the process.
+    handlers = {number: by for number in ENDS if callable(by := signal.getsignal(number))}
+    for number in handlers:
+        signal.signal(number, lambda which, _: came.append(which))
     try:
         rclpy.spin_once(node, timeout_sec=timeout)
     finally:
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
+        for number, by in handlers.items():
+            signal.signal(number, by)
     for which in came:
         signal.raise_signal(which)
 
