@@ -9,7 +9,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Empty
 
-from fss_arm_ros.validation import subscribe
+from fss_arm_ros.validation import Validator, subscribe
 
 #: Publishers of measurements: bursts must not be lost, and a stalled reader must not stall them.
 SENSOR = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
@@ -64,6 +64,7 @@ def subscribe_sensor(
     callback: Callable[[Any], None],
     *,
     keep_all: bool = False,
+    read: Callable[[Validator, bytes], Any] = Validator.message,
 ) -> None:
     """Subscribe reliably, and turn best effort once a publisher shows up that offers no more.
 
@@ -76,7 +77,8 @@ def subscribe_sensor(
             return
         node.get_logger().info(f"{topic} is published best effort: messages may get lost")
         node.destroy_subscription(reliable)
-        subscribe(node, kind, topic, callback, sensor(keep_all=keep_all, best_effort=True))
+        unreliably = sensor(keep_all=keep_all, best_effort=True)
+        subscribe(node, kind, topic, callback, unreliably, read)
 
     reliable = subscribe(
         node,
@@ -84,5 +86,6 @@ def subscribe_sensor(
         topic,
         callback,
         sensor(keep_all=keep_all),
+        read,
         event_callbacks=SubscriptionEventCallbacks(incompatible_qos=turn),
     )

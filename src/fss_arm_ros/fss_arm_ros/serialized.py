@@ -1,17 +1,21 @@
-"""Messages that are published often: serialized but once, then filled in.
+"""Messages that are published or heard often, written into and read from their bytes.
 
-To make and serialize a message takes many times as long as to hand it over.
+To make and serialize a message takes many times as long as to hand it over, and so does the way
+back.
 """
 
-from struct import pack_into
-from typing import Any
+from struct import Struct, pack_into
+from typing import Any, NamedTuple
 
 from rclpy.serialization import serialize_message
 
 from fss_arm_ros.convert import SECOND
 
-STAMP = 4  # where it is: after the encapsulation's header
+ENCAPSULATION = STAMP = 4  # bytes before the message, from which on numbers are aligned
 DOUBLE = 8  # bytes
+#: The encapsulation's kind and options, the stamp, and the length of the frame id that follows.
+HEADER = Struct("<HHiII")
+LITTLE = 0x0100  # the kind 0001, in this order
 
 
 class SerializedMessage:
@@ -41,3 +45,33 @@ class SerializedMessage:
     def bytes(self) -> bytes:
         """What to publish."""
         return bytes(self._data)
+
+
+class Numbers(NamedTuple):
+    """What a message says that is a header and doubles."""
+
+    stamp: int  # [ns]
+    values: tuple[float, ...]
+
+
+class NumbersReader:
+    """Reads serialized messages (CDR, little-endian) that are a header and doubles.
+
+    Args:
+        doubles: how many.
+    """
+
+    def __init__(self, doubles: int) -> None:
+        self._doubles = Struct(f"<{doubles}d")
+
+    def read(self, data: bytes) -> Numbers | None:
+        """What a message says; None: it has another byte order or length, or no proper stamp."""
+        if len(data) < HEADER.size:
+            return None
+        kind, _, sec, nanosec, length = HEADER.unpack_from(data)
+        first = ENCAPSULATION + -(-(HEADER.size - ENCAPSULATION + length) // DOUBLE) * DOUBLE
+        if kind != LITTLE or len(data) != first + self._doubles.size:
+            return None
+        if sec < 0 or nanosec >= SECOND:
+            return None
+        return Numbers(sec * SECOND + nanosec, self._doubles.unpack_from(data, first))

@@ -83,13 +83,13 @@ class SubscriptionThread(Thread):
         self, node: Node, kind: type, topic: str, qos: QoSProfile, take: Callable[[Any], None]
     ) -> None:
         super().__init__()  # no daemon: one that waits in C++ must end before Python does
-        self._context, self._kind, self._take = node.context, kind, take
+        self._context, self._take = node.context, take
         self._validator = Validator(node, kind, topic)
         self._failed = node.create_guard_condition(self._raise)
         outside = OutsideExecutors()
         self._ended = node.create_guard_condition(lambda: None, outside)
         self._subscription = node.create_subscription(
-            kind, topic, take, qos, callback_group=outside
+            kind, topic, take, qos, callback_group=outside, raw=True
         )
         self._error: Exception | None = None
         self._closing = False
@@ -99,7 +99,8 @@ class SubscriptionThread(Thread):
     def run(self) -> None:
         """Wait and take, until closed."""
         try:
-            ended, handle = self._ended.handle, self._subscription.handle
+            kind, ended = self._validator.kind, self._ended.handle
+            handle = self._subscription.handle
             with ended, handle, self._context.handle:
                 waiting = WaitSet(1, 1, 0, 0, 0, 0, self._context.handle)
                 while self._goes_on():
@@ -107,9 +108,9 @@ class SubscriptionThread(Thread):
                     waiting.add_subscription(handle)
                     waiting.add_guard_condition(ended)
                     waiting.wait(AWAKE)
-                    while (taken := handle.take_message(self._kind, False)) and self._goes_on():
-                        if self._validator.accepts(taken[0]):
-                            self._take(taken[0])
+                    while (taken := handle.take_message(kind, True)) and self._goes_on():
+                        if (message := self._validator.message(taken[0])) is not None:
+                            self._take(message)
         except RCLError:
             if self._context.ok():  # else it was shut down meanwhile
                 raise

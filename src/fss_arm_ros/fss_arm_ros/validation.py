@@ -10,14 +10,15 @@ tell) and logged once in a row; the node goes on with the next.
 from collections.abc import Callable, Iterator, Sequence
 from functools import cache
 from importlib import import_module
-from math import isfinite, isnan
+from math import hypot, isfinite, isnan
 from typing import Any, NamedTuple
 
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
-from rclpy.serialization import deserialize_message
+from rclpy.serialization import deserialize_message, serialize_message
 
 from fss_arm_ros.convert import PoseError, planar_pose
+from fss_arm_ros.serialized import Numbers, NumbersReader
 
 MAGNITUDE = 1e12  # of any number: its square and cube are far from the largest
 ALL = frozenset({"*"})
@@ -114,6 +115,8 @@ RULES = {
     "trajectory_msgs/MultiDOFJointTrajectory": Rule(size=1_000_000),
     "visualization_msgs/MarkerArray": RESULT,
 }
+#: Types that are a header and so many doubles, of which a subscription may ask for these alone.
+DOUBLES = {"geometry_msgs/PoseStamped": 7, "sensor_msgs/Imu": 37}
 
 
 @cache
@@ -236,6 +239,7 @@ class Validator:
         self._check, self.refused, self.reason = check(kind), 0, ""
         name = f"{kind.__module__.partition('.')[0]}/{kind.__name__}"
         self.most = RULES.get(name, Rule()).size
+        self._reader = NumbersReader(DOUBLES.get(name, 0))
         vars(node).setdefault(VALIDATORS, []).append(self)
 
     def accepts(self, message: Any) -> bool:
@@ -248,12 +252,28 @@ class Validator:
         return not why
 
     def message(self, data: bytes) -> Any:
-        """The message that these bytes are, or None: they are too many, or the rule forbids it."""
+        """The message that these bytes are; None: they are too many or none, or it is refused."""
         if len(data) > self.most:
             self.refuse(f"it has {len(data)} bytes, expected at most {self.most}")
             return None
-        message = deserialize_message(data, self.kind)
+        try:
+            message = deserialize_message(data, self.kind)
+        except RuntimeError as error:  # rclpy has no public name for what it raises
+            self.refuse(f"its {len(data)} bytes are not understood ({str(error).split(',')[0]})")
+            return None
         return message if self.accepts(message) else None
+
+    def numbers(self, data: bytes) -> Numbers | None:
+        """What the message says that these bytes are, one of DOUBLES; None as `message`.
+
+        It takes a tenth of the time, as only what is out of the ordinary is made a message of.
+        """
+        found = self._reader.read(data)
+        if found is not None and hypot(*found.values) <= MAGNITUDE:
+            self.reason = ""
+            return found
+        message = self.message(data)
+        return None if message is None else self._reader.read(serialize_message(message))
 
     def refuse(self, why: str) -> None:
         """Count, and log the first of a row."""
@@ -274,13 +294,14 @@ def refusals(node: Node) -> dict[str, int]:
 
 def subscribe(
     node: Node, kind: type, topic: str, callback: Callable[[Any], None],
-    qos: QoSProfile | int, **options: Any,
+    qos: QoSProfile | int, read: Callable[[Validator, bytes], Any] = Validator.message,
+    **options: Any,
 ) -> Any:  # fmt: skip
-    """A subscription whose callback gets what the rule of its type allows."""
+    """A subscription whose callback gets what the rule of its type allows, as it is read."""
     validator = Validator(node, kind, topic)
 
     def take(data: bytes) -> None:
-        message = validator.message(data)
+        message = read(validator, data)
         if message is not None:
             callback(message)
 

@@ -24,13 +24,14 @@ from fss_arm_msgs.msg import (
     ThrusterHealth,
 )
 from fss_arm_ros.calibrated import Calibrated
-from fss_arm_ros.convert import SECOND, joint_readings, seen_pose, stamp_ns, to_time
+from fss_arm_ros.convert import SECOND, PoseError, from_above, joint_readings, stamp_ns, to_time
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED, SENSOR, subscribe_sensor
+from fss_arm_ros.serialized import Numbers
 from fss_arm_ros.stamps import SAMPLES, Stamps
 from fss_arm_ros.timer_clock import timer_clock
-from fss_arm_ros.validation import subscribe
+from fss_arm_ros.validation import Validator, subscribe
 from fss_gnc import messages
 from fss_gnc.navigation import Navigation
 from fss_gnc.navigation.body_filter import POSE, RATE, BodyFilter
@@ -40,6 +41,7 @@ from fss_gnc.navigation.valve_faults import Faults
 from fss_gnc.programs import navigation as main
 
 AHEAD = SECOND  # of what is expected: a stamp that is farther is believed if SAMPLES in a row are
+TURN_RATE = 4 + 9 + 2  # among an Imu's doubles: after the orientation, its covariance, x and y
 SILENT = SECOND // 2  # a gyro that is silent for longer is lost
 
 
@@ -84,9 +86,12 @@ class NavigationNode(Node):
         self.transforms = SerializedTransform(s.world_frame, s.base_frame)
         self.target_images = SerializedState(s.world_frame, s.target_frame)
         self.begin()
-        subscribe_sensor(self, PoseStamped, s.base_topic, self.on_base)
-        subscribe_sensor(self, PoseStamped, s.target_topic, self.on_target)
-        subscribe_sensor(self, Imu, s.gyro_topic, self.on_gyro)
+        for kind, topic, callback in (
+            (PoseStamped, s.base_topic, self.on_base),
+            (PoseStamped, s.target_topic, self.on_target),
+            (Imu, s.gyro_topic, self.on_gyro),
+        ):
+            subscribe_sensor(self, kind, topic, callback, read=Validator.numbers)
         subscribe_sensor(self, JointState, s.joints_topic, self.on_joints)
         subscribe_sensor(self, JointTrajectory, "arm/planned", self.on_planned)
         subscribe_sensor(self, ThrusterCommand, "thrusters/pulses", self.on_pulses)
@@ -133,31 +138,32 @@ class NavigationNode(Node):
             self.newest, self.heard = t, self.clock.now().nanoseconds
         return True
 
-    def on_base(self, message: PoseStamped) -> None:
-        """A pose of the base."""
-        self.on_pose(self.settings.base_topic, message)
+    def on_base(self, seen: Numbers) -> None:
+        """A PoseStamped of the base."""
+        self.on_pose(self.settings.base_topic, seen)
 
-    def on_target(self, message: PoseStamped) -> None:
-        """A pose of the target."""
-        self.on_pose(self.settings.target_topic, message)
+    def on_target(self, seen: Numbers) -> None:
+        """A PoseStamped of the target."""
+        self.on_pose(self.settings.target_topic, seen)
 
-    def on_pose(self, topic: str, message: PoseStamped) -> None:
-        """A pose of either."""
+    def on_pose(self, topic: str, seen: Numbers) -> None:
+        """A PoseStamped of either."""
         is_base = topic == self.settings.base_topic
-        if (pose := seen_pose(message)) is None:
+        try:
+            pose = from_above(seen.values)
+        except PoseError:
             self.refused[f"{topic} occluded"] += 1
             return
-        t = stamp_ns(message.header.stamp) - self.latency
+        t = seen.stamp - self.latency
         if self.is_timely(topic, t):
             take = self.navigation.base.pose if is_base else self.navigation.target_pose
             if take(t, *pose):
                 (self.base if is_base else self.free).tell(t)
 
-    def on_gyro(self, message: Imu) -> None:
-        """A sample of the base's rate."""
-        t = stamp_ns(message.header.stamp)
-        if self.is_timely(self.settings.gyro_topic, t):
-            self.navigation.base.rate(t, message.angular_velocity.z)
+    def on_gyro(self, measured: Numbers) -> None:
+        """An Imu: a sample of the base's rate."""
+        if self.is_timely(self.settings.gyro_topic, measured.stamp):
+            self.navigation.base.rate(measured.stamp, measured.values[TURN_RATE])
 
     def on_joints(self, message: JointState) -> None:
         """Readings of one link or more."""
