@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from fss_arm_ros.convert import SECOND
+from fss_arm_ros.convert import SECOND, TURN_RATE
 
 LITTLE = b"\1"  # the second byte of a message with the low byte first
 
@@ -67,7 +67,7 @@ def turn_rates(messages: Sequence[bytes]) -> tuple[Stamps, npt.NDArray[np.float6
         SerializedError: a message is something else.
     """
     stamp, numbers = _taken_apart(messages, 37, "sensor_msgs/Imu")
-    return stamp, numbers[:, 15]  # after the orientation, its covariance, and those about x and y
+    return stamp, numbers[:, TURN_RATE]
 
 
 def _taken_apart(

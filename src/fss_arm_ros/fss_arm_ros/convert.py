@@ -13,6 +13,8 @@ from geometry_msgs.msg import PoseStamped
 
 from fss_arm_model.units import SECOND as SECOND
 
+TURN_RATE = 4 + 9 + 2  # among an Imu's doubles: after the orientation, its covariance, x and y
+
 
 class PoseError(ValueError):
     """A pose says nothing: the subject was occluded, or a number is not finite."""

@@ -268,7 +268,7 @@ class Validator:
 
         It takes a tenth of the time, as only what is out of the ordinary is made a message of.
         """
-        found = self._reader.read(data)
+        found = self._reader.read(data) if len(data) <= self.most else None
         if found is not None and hypot(*found.values) <= MAGNITUDE:
             self.reason = ""
             return found

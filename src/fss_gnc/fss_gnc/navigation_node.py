@@ -24,7 +24,15 @@ from fss_arm_msgs.msg import (
     ThrusterHealth,
 )
 from fss_arm_ros.calibrated import Calibrated
-from fss_arm_ros.convert import SECOND, PoseError, from_above, joint_readings, stamp_ns, to_time
+from fss_arm_ros.convert import (
+    SECOND,
+    TURN_RATE,
+    PoseError,
+    from_above,
+    joint_readings,
+    stamp_ns,
+    to_time,
+)
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED, SENSOR, subscribe_sensor
@@ -41,7 +49,6 @@ from fss_gnc.navigation.valve_faults import Faults
 from fss_gnc.programs import navigation as main
 
 AHEAD = SECOND  # of what is expected: a stamp that is farther is believed if SAMPLES in a row are
-TURN_RATE = 4 + 9 + 2  # among an Imu's doubles: after the orientation, its covariance, x and y
 SILENT = SECOND // 2  # a gyro that is silent for longer is lost
 
 

@@ -8,7 +8,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu
 
 from fss_arm_msgs.msg import GripperState, SimTruth
-from fss_arm_ros.convert import pose_stamped, to_time
+from fss_arm_ros.convert import TURN_RATE, pose_stamped, to_time
 from fss_arm_ros.serialized import SerializedMessage
 from fss_sim.plant.bed import Clearance
 from fss_sim.plant.plant import Vehicle
@@ -47,7 +47,7 @@ class SerializedGyro(SerializedMessage):
     def of(self, stamp: int, rate: float) -> bytes:
         """A rate [rad/s]."""
         self.stamped(stamp)
-        self.put(4 + 9 + 2, rate)  # after the orientation, its covariance, and x and y
+        self.put(TURN_RATE, rate)
         return self.bytes()
 
 

@@ -26,10 +26,10 @@ from fss_arm_msgs.msg import (
     Maneuver,
     Maneuvers,
 )
+from fss_arm_ros.convert import TURN_RATE
 from fss_arm_ros.diagnostics import WARN, Diagnostics, Health
 from fss_arm_ros.sources import rivals
 from fss_arm_ros.validation import Validator, check, refusals, subscribe
-from fss_gnc.navigation_node import TURN_RATE
 
 
 def odometry(**numbers):
@@ -152,10 +152,12 @@ def test_numbers_are_refused_as_messages_are(ros):
     validator = Validator(node, Imu, "imu")
     lacks = stamped(1)
     lacks.linear_acceleration.x = nan
-    bad = lacks, stamped(-1), stamped(1, 1_000_000_000), pose(1.0)
+    long = stamped(1)
+    long.header.frame_id = 70_000 * "x"
+    bad = lacks, long, stamped(-1), stamped(1, 1_000_000_000), pose(1.0)
     for data in (*map(serialize_message, bad), b"", whole[:-1]):
         assert validator.numbers(data) is None
-    assert validator.refused == 6
+    assert validator.refused == 7
     found = validator.numbers(whole)
     assert found == (1_000_000_000, (0.0, 0.0, 0.0, 1.0, *33 * [0.0]))
     assert validator.numbers(b"\0\0\0\0" + pack(">iII4x37d", 1, 0, 1, *found.values)) == found
