@@ -4,9 +4,10 @@ Anybody on the network may publish anything. A rule for each type of message, de
 says what its consumers rely on: how large it is, which numbers may be missing, which arrays go
 together. What is not declared holds for all: numbers are finite and of a size that arithmetic
 survives, times are from 1970 on. What does not conform is refused, counted (diagnostics
-tell) and logged once in a row; the node goes on with the next.
+tell) and logged once in a row, every QUIET seconds at most; the node goes on with the next.
 """
 
+import time
 from collections.abc import Callable, Iterator, Sequence
 from functools import cache
 from importlib import import_module
@@ -21,6 +22,7 @@ from fss_arm_ros.convert import PoseError, planar_pose
 from fss_arm_ros.serialized import Numbers, NumbersReader
 
 MAGNITUDE = 1e12  # of any number: its square and cube are far from the largest
+QUIET = 10.0  # between two lines of the log about one topic [s]
 ALL = frozenset({"*"})
 # A node's own attribute: whatever else knew them would keep it alive.
 VALIDATORS = "_validators"
@@ -237,9 +239,10 @@ class Validator:
     def __init__(self, node: Node, kind: type, topic: str) -> None:
         self._node, self.kind, self.topic = node, kind, topic
         self._check, self.refused, self.reason = check(kind), 0, ""
-        name = f"{kind.__module__.partition('.')[0]}/{kind.__name__}"
-        self.most = RULES.get(name, Rule()).size
-        self._reader = NumbersReader(DOUBLES.get(name, 0))
+        self._name = f"{kind.__module__.partition('.')[0]}/{kind.__name__}"
+        self.most = RULES.get(self._name, Rule()).size
+        self._reader = NumbersReader(DOUBLES.get(self._name, 0))
+        self._logged = -QUIET
         vars(node).setdefault(VALIDATORS, []).append(self)
 
     def accepts(self, message: Any) -> bool:
@@ -258,8 +261,8 @@ class Validator:
             return None
         try:
             message = deserialize_message(data, self.kind)
-        except RuntimeError as error:  # rclpy has no public name for what it raises
-            self.refuse(f"its {len(data)} bytes are not understood ({str(error).split(',')[0]})")
+        except RuntimeError:  # rclpy has no public name for what it raises
+            self.refuse(f"its {len(data)} bytes are no {self._name}")
             return None
         return message if self.accepts(message) else None
 
@@ -276,8 +279,10 @@ class Validator:
         return None if message is None else self._reader.read(serialize_message(message))
 
     def refuse(self, why: str) -> None:
-        """Count, and log the first of a row."""
-        if not self.reason:
+        """Count, and log the first of a row, but not again and again."""
+        now = time.monotonic()
+        if not self.reason and now >= self._logged + QUIET:
+            self._logged = now
             self._node.get_logger().warning(f"a message on {self.topic} is refused: {why}")
         self.refused, self.reason = self.refused + 1, why
 

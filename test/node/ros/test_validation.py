@@ -3,6 +3,7 @@
 import gc
 from math import inf, nan
 from struct import pack
+from types import SimpleNamespace
 from weakref import ref
 
 import numpy as np
@@ -127,6 +128,17 @@ def test_bytes_that_are_no_message_are_refused(spin):
         publisher.publish(data)
     spin(node, lambda: len(heard) == 2)
     assert refusals(node) == {"refused on fog/imu": 2}
+
+
+def test_what_is_refused_between_what_is_not_is_logged_but_once_in_a_while(ros, monkeypatch):
+    node, said = Node("listener"), []
+    logger = SimpleNamespace(warning=said.append)
+    monkeypatch.setattr(node, "get_logger", lambda: logger)
+    validator, whole = Validator(node, Imu, "fog/imu"), serialize_message(stamped(1))
+    for data in 20 * (whole, whole[:100]):
+        validator.message(data)
+    assert validator.refused == 20
+    assert said == ["a message on fog/imu is refused: its 100 bytes are no sensor_msgs/Imu"]
 
 
 @pytest.mark.parametrize("frame_id", ["", "abc", "abcd", "world", 11 * "x", 12 * "x"])
