@@ -23,7 +23,7 @@ from xml.etree import ElementTree
 
 import rclpy
 from rclpy.action import ActionClient
-from rclpy.executors import ExternalShutdownException
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
@@ -35,9 +35,8 @@ from fss_arm_driver.protocol import State
 from fss_arm_msgs.action import MoveArm
 from fss_arm_msgs.msg import BaseTelemetry, LinkCommand, LinkTelemetry
 from fss_arm_ros.convert import stamp_ns
-from fss_arm_ros.executor import BatchExecutor
 from fss_arm_ros.qos import LATCHED, command, sensor, subscribe_sensor
-from fss_arm_ros.run import RCLError
+from fss_arm_ros.rclpy_compat import RCLError
 from fss_base_driver.protocol import BaseState
 
 ANSWER_TIMEOUT = 10.0  # [s]
@@ -150,7 +149,7 @@ class Stop:
 
     def __call__(self, wait: float) -> Answer:
         """Stop; whether all links confirm, in words."""
-        executor = BatchExecutor()
+        executor = SingleThreadedExecutor()
         executor.add_node(self.node)
         while True:
             self.discover()

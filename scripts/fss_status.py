@@ -17,6 +17,7 @@ from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
@@ -30,8 +31,8 @@ from sensor_msgs.msg import JointState
 from fss_arm_bags.definitions import MEASUREMENTS, NotInstalledError, message_class
 from fss_arm_driver.protocol import State
 from fss_arm_msgs.msg import LinkTelemetry
-from fss_arm_ros.executor import BatchExecutor
 from fss_arm_ros.qos import LATCHED
+from fss_arm_ros.subscription_set import subscribe_bytes
 
 LOOSE = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)  # slows no publisher
 SPAN = 2.0  # rates are taken over [s]
@@ -113,7 +114,7 @@ class Listener(Node):
         if into is self.results and not (hasattr(kind, "verdict") or hasattr(kind, "calibration")):
             return
         into[topic] = Heard(kind)
-        self.create_subscription(kind, topic, into[topic].take, qos, raw=True)
+        subscribe_bytes(self, kind, topic, into[topic].take, qos)
 
     def on_report(self, message: DiagnosticArray) -> None:
         """Keep each node's last report, under its name as a configuration has it: `fss2/arm`."""
@@ -332,7 +333,7 @@ def main() -> int:
     processes = Processes(options.logs, options.names, options.mute)
     console = Console(highlight=False)
     rclpy.init()
-    listener, executor = Listener(options.namespace), BatchExecutor()
+    listener, executor = Listener(options.namespace), SingleThreadedExecutor()
     executor.add_node(listener)
 
     def listen(seconds: float) -> None:

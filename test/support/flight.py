@@ -5,6 +5,7 @@ from time import monotonic
 import numpy as np
 from nav_msgs.msg import Odometry
 from rclpy.action import ActionClient
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from std_srvs.srv import SetBool
@@ -12,7 +13,6 @@ from std_srvs.srv import SetBool
 from fss_arm_msgs.action import FollowPoses, GoToPose, HoldBase, MoveArm
 from fss_arm_msgs.msg import MissionState, SimTruth
 from fss_arm_ros.convert import stamp_ns
-from fss_arm_ros.executor import BatchExecutor
 from fss_arm_ros.qos import LATCHED, SENSOR, subscribe_sensor
 
 ACTIONS = {
@@ -49,7 +49,7 @@ class Flyer(Node):
         self.create_subscription(SimTruth, "sim/truth", self.truths.append, SENSOR)
         self.create_subscription(MissionState, "mission/state", self.states.append, LATCHED)
         subscribe_sensor(self, Odometry, "base/state", self.on_base)
-        self.executor_ = BatchExecutor()
+        self.executor_ = SingleThreadedExecutor()
         self.executor_.add_node(self)
 
     def on_base(self, message):

@@ -19,6 +19,7 @@ from fss_arm_bags.settings import RecordSettings
 from fss_arm_ros.convert import SECOND
 from fss_arm_ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
 from fss_arm_ros.parameters import declare
+from fss_arm_ros.subscription_set import subscribe_bytes, unsubscribe
 
 MEGABYTE = 1_000_000
 EARLY = 1000  # latched messages kept until there is a time of receipt
@@ -81,9 +82,9 @@ class RecordNode(Node):
             self.get_logger().warning(f"{topic} is not recorded: {error}")
             return
         if topic in self.heard:
-            self.destroy_subscription(self.heard[topic])
+            unsubscribe(self, self.heard[topic])
         take = partial(self.take, topic)
-        self.heard[topic] = self.create_subscription(kind, topic, take, match(offered), raw=True)
+        self.heard[topic] = subscribe_bytes(self, kind, topic, take, match(offered))
 
     def take(self, topic: str, data: bytes) -> None:
         """Keep one serialized message."""

@@ -22,9 +22,7 @@ from fss_arm_bags.settings import ReplaySettings
 from fss_arm_ros.convert import SECOND, seconds, to_time
 from fss_arm_ros.diagnostics import OK, Diagnostics, Health
 from fss_arm_ros.parameters import declare
-
-# rclpy keeps it in its extension and offers no public name for it.
-from rclpy._rclpy_pybind11 import RCLError  # isort: skip
+from fss_arm_ros.rclpy_compat import RCLError
 
 TICK = 0.002  # [s]
 STALL = 0.1  # longest step of bag time: after a pause the replay goes on, it does not catch up [s]

@@ -26,6 +26,7 @@ from fss_arm_ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
 from fss_arm_ros.memory import give_back
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED, subscribe_sensor
+from fss_arm_ros.subscription_set import receive_pending
 from fss_arm_ros.validation import subscribe
 
 BASE = Vehicle.__dataclass_fields__["base_frame"]
@@ -102,7 +103,8 @@ class CalibrationNode(Node):
             self.publish()
 
     def on_solve(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Close what lasts and solve; succeeds if the calibration passes."""
+        """Evaluate all data received up to now and solve; succeeds if the calibration passes."""
+        receive_pending(self)
         if not self.take(self.finder.close()):
             self.outcome = self.solved()
             self.publish()
@@ -115,7 +117,8 @@ class CalibrationNode(Node):
         return response
 
     def on_forget(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Drop all data, in the state file too, and whatever happened to the streams."""
+        """Drop all data received up to now, in the state file too, and the state of the streams."""
+        receive_pending(self)
         response.success = True
         response.message = f"{count(len(self.data), self.kind.data.noun)} forgotten"
         self.get_logger().info(response.message)

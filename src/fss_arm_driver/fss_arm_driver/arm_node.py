@@ -59,7 +59,7 @@ class ArmNode(Node):
 
     def close(self) -> None:
         """Give back what a node does not destroy by itself."""
-        self.streams.listening.close()
+        self.streams.close()
         self.moves.server.destroy()
         self.trajectories.server.destroy()
 

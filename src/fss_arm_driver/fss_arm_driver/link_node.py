@@ -34,7 +34,7 @@ from fss_arm_ros.convert import SECOND, stamp_ns
 from fss_arm_ros.diagnostics import Health
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import COMMAND, SENSOR, STOPS
-from fss_arm_ros.subscriptions import SubscriptionThread
+from fss_arm_ros.subscriptions import SubscriptionThread, Topic
 from fss_arm_ros.timer_clock import timer_clock
 from fss_arm_ros.validation import subscribe
 
@@ -101,10 +101,10 @@ class LinkNode(SessionNode):
         self.messages = SampleMessages(self.session, self.settings.frame_prefix)
         self.link_health = LinkHealth(self.session, self.transport, bool(settings.keys))
         self.begin(f"{self.name}/arm")
-        self.listening = (
-            *(SubscriptionThread(self, Empty, "arm/stop", qos, self.on_stop) for qos in STOPS),
-            SubscriptionThread(self, LinkCommand, f"{self.name}/command", COMMAND, self.on_command),
-        )
+        self.commands = SubscriptionThread(self, [
+            *(Topic(Empty, "arm/stop", qos, self.on_stop) for qos in STOPS),
+            Topic(LinkCommand, f"{self.name}/command", COMMAND, self.on_command),
+        ])  # fmt: skip
 
     def take(self, data: bytes, now: int) -> None:
         """Publish what a datagram says; the joint's state before all else."""
@@ -252,8 +252,7 @@ class LinkNode(SessionNode):
 
     def close(self) -> None:
         """Give the port back."""
-        for thread in self.listening:
-            thread.close()
+        self.commands.close()
         super().close()
 
 

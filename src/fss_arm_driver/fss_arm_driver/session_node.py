@@ -21,7 +21,7 @@ from fss_arm_driver.transport import Transport, is_exposed
 from fss_arm_ros.diagnostics import Diagnostics, Health
 from fss_arm_ros.events import report
 from fss_arm_ros.parameters import declare
-from fss_arm_ros.run import RCLError
+from fss_arm_ros.rclpy_compat import RCLError
 from fss_arm_ros.timer_clock import timer_clock
 
 SIMULATED_STEP = 0.01  # of /clock [s]

@@ -23,6 +23,7 @@ from rclpy.parameter import Parameter
 from fss_arm_model.files import read_yaml
 from fss_arm_model.settings import SettingError, converted, default_in, meaning, refuse
 from fss_arm_ros import duplicates
+from fss_arm_ros.rclpy_compat import parameter_overrides
 
 Settings = TypeVar("Settings")
 
@@ -91,7 +92,8 @@ def declare_live(
         _declared(node, name, f)
     _refuse(_given(node), node.get_parameters_by_prefix(""))
     node.add_on_set_parameters_callback(on_set)
-    given = [node.get_parameter(name) for name in names if name in node._parameter_overrides]
+    overrides = parameter_overrides(node)
+    given = [node.get_parameter(name) for name in names if name in overrides]
     if not (result := on_set(given)).successful:
         raise SettingError(result.reason)
 
@@ -102,7 +104,8 @@ def _declared(node: Node, name: str, f: "Field[Any]", read_only: bool = False) -
     try:
         return node.declare_parameter(name, default, descriptor(f, read_only)).value
     except InvalidParameterValueException:  # rclpy checks the range, in words of its own
-        refuse(f, node._parameter_overrides[name].value, name)
+        if given := parameter_overrides(node).get(name):
+            refuse(f, given.value, name)
         raise
 
 
@@ -131,8 +134,8 @@ def _refuse(unknown: set[str], known: Iterable[str]) -> None:
 
 
 def _given(node: Node) -> set[str]:
-    """Names of the parameters that the caller gave and that are not rclpy's own."""
-    names = node._parameter_overrides  # the only place that tells a misspelt `-p` from none
+    """Return the names of parameters that the user gave and that are not rclpy's own."""
+    names = parameter_overrides(node)
     given = {n for n in names if not node.has_parameter(n) and not n.startswith("qos_overrides.")}
     return given - _for_all(sys.argv) if given else given
 

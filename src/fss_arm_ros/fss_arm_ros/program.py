@@ -5,8 +5,6 @@ nothing but settings, or options, neither ROS nor what computes.
 """
 
 import ast
-import atexit
-import gc
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
@@ -18,9 +16,6 @@ from textwrap import indent
 from typing import Any
 
 from fss_arm_model.settings import meaning
-
-# An interpreter that ends looks for garbage some times more, a quarter of a second with numba's.
-atexit.register(gc.freeze)
 
 ALLOW = "allow_duplicate"
 ABOUT = "start beside a node that has the same name, or offers the same services, in the ROS domain"

@@ -9,6 +9,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Empty
 
+from fss_arm_ros.subscription_set import unsubscribe
 from fss_arm_ros.validation import Validator, subscribe
 
 #: Publishers of measurements: bursts must not be lost, and a stalled reader must not stall them.
@@ -76,7 +77,7 @@ def subscribe_sensor(
             node.get_logger().warning(f"a publisher of {topic} is not compatible and not heard")
             return
         node.get_logger().info(f"{topic} is published best effort: messages may get lost")
-        node.destroy_subscription(reliable)
+        unsubscribe(node, reliable)
         unreliably = sensor(keep_all=keep_all, best_effort=True)
         subscribe(node, kind, topic, callback, unreliably, read)
 

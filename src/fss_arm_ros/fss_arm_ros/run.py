@@ -1,24 +1,25 @@
 """What every node's program does: start, spin, and an end that says what went wrong."""
 
+import atexit
 import faulthandler
+import gc
 import signal
 import sys
 from collections.abc import Callable, Sequence
 
 import rclpy
 from rclpy.exceptions import NotInitializedException, ParameterException
-from rclpy.executors import ExternalShutdownException
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
 
 from fss_arm_ros import duplicates, memory
 from fss_arm_ros.command_line import in_words
-from fss_arm_ros.executor import BatchExecutor
-
-# rclpy keeps these classes in its extension and offers no public names for them.
-from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError  # isort: skip
+from fss_arm_ros.rclpy_compat import RCLError, UnknownROSArgsError
+from fss_arm_ros.subscription_set import relax_events
 
 LEAVING = 5.0  # at most, once all is closed [s]
+SWITCH_INTERVAL = 0.0005  # between Python's threads: a stop waits no longer for a computation [s]
 ENDS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # what ends a command
 
 
@@ -55,7 +56,7 @@ def run(
         return _failed(name, str(error).split(", at /")[0], 2)  # the rest: places in rcl's source
     if plain and not takes:
         return _failed(name, f"{plain[0]!r} is not understood; try --help", 2)
-    memory.bound()
+    _tune_process()
     nodes: Sequence[Node] = ()
     begun = False
     try:
@@ -66,10 +67,11 @@ def run(
             made = make_node(*plain)
             nodes = made if isinstance(made, Sequence) else [made]
             duplicates.check_services(nodes)
-        spinner = BatchExecutor()
+        executor = SingleThreadedExecutor()
         for node in nodes:
-            spinner.add_node(node)
-        spinner.spin()
+            relax_events(node)
+            executor.add_node(node)
+        executor.spin()
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except SystemExit as end:
@@ -99,6 +101,13 @@ def run(
         signal.signal(signal.SIGINT, signal.default_int_handler)
     left = [words for node in nodes if (words := getattr(node, "unfinished", str)())]
     return _failed(name, f"interrupted {'; '.join(left)}", 130) if left else 0
+
+
+def _tune_process() -> None:
+    """Apply settings of the whole process, which no library should change."""
+    memory.bound()
+    sys.setswitchinterval(SWITCH_INTERVAL)
+    atexit.register(gc.freeze)  # else the interpreter collects garbage at exit, 0.25 s with numba
 
 
 def _interrupt_next(*_: object) -> None:

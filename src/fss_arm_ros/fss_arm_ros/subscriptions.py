@@ -1,133 +1,137 @@
-"""Subscriptions that no executor handles: polled by their node, or with a thread of their own.
+"""Subscriptions that the node's executor does not handle: polled, or in a thread of their own.
 
-An executor asks all of a node's entities what they have every time that one of them wakes it, some
-tenths of a millisecond for a node with services and actions. A node that acts five times a second
-need not be woken by each of a hundred poses; and a command to stop need not wait for a turn.
+Each message that wakes an executor costs some tenths of a millisecond. A node that acts five times
+per second need not wake up for each of a hundred poses; and a stop must not wait until the executor
+has finished what it is doing.
 """
 
-import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from threading import Thread, main_thread
-from typing import Any
+from typing import Any, NamedTuple
 
-from rclpy.callback_groups import CallbackGroup
+from rclpy.clock import Clock, ClockType
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 
 from fss_arm_ros.qos import LAST
+from fss_arm_ros.rclpy_compat import RCLError
+from fss_arm_ros.subscription_set import UnmanagedGroup, subscribe_bytes
 from fss_arm_ros.validation import Validator
 
-# rclpy keeps these classes in its extension and offers no public names for them.
-from rclpy._rclpy_pybind11 import RCLError, WaitSet  # isort: skip
-
-GIVE_WAY = 0.0005  # that another thread of Python may go on when a message has come [s]
-AWAKE = 1_000_000_000  # [ns]; so often it sees that its context or the process ends, unless closed
-
-
-class OutsideExecutors(CallbackGroup):
-    """Of entities that no executor handles."""
-
-    def can_execute(self, entity: Any) -> bool:
-        """Never."""
-        return False
-
-    def beginning_execution(self, entity: Any) -> bool:
-        """Never."""
-        return False
-
-    def ending_execution(self, entity: Any) -> None:
-        """Nothing has begun."""
+CHECK_PERIOD = 1.0  # between two checks if the context or the process has ended [s]
 
 
 class PolledSubscription:
-    """A topic whose messages wait until the node takes them.
+    """Subscription whose messages wait until the node polls them.
 
     Args:
-        node: whose subscription it is.
-        kind: of message.
-        topic: its name.
-        take: what to do with a message.
-        qos: of the subscription, which tells how many wait; by default the last one alone.
+        node: owner of the subscription.
+        kind: message type.
+        topic: topic name.
+        callback: called with each valid message.
+        qos: of the subscription; its depth is the number of messages that wait (default: the last).
     """
 
     def __init__(
-        self, node: Node, kind: type, topic: str, take: Callable[[Any], None],
+        self, node: Node, kind: type, topic: str, callback: Callable[[Any], None],
         qos: QoSProfile = LAST,
     ) -> None:  # fmt: skip
-        self._validator, self._take = Validator(node, kind, topic), take
+        self._validator, self._callback = Validator(node, kind, topic), callback
         self._subscription = node.create_subscription(
-            kind, topic, take, qos, callback_group=OutsideExecutors(), raw=True
+            kind, topic, callback, qos, callback_group=UnmanagedGroup(), raw=True
         )
 
     def poll(self) -> None:
-        """Take all messages that have come, oldest first."""
+        """Hand over every message received, oldest first."""
         handle, validator = self._subscription.handle, self._validator
         with handle:
             while taken := handle.take_message(validator.kind, True):
                 if (message := validator.message(taken[0])) is not None:
-                    self._take(message)
+                    self._callback(message)
+
+
+class Topic(NamedTuple):
+    """A topic that a SubscriptionThread receives."""
+
+    kind: type
+    name: str
+    qos: QoSProfile
+    callback: Callable[[Any], None]
 
 
 class SubscriptionThread(Thread):
-    """Takes a topic's messages the moment they come, in a thread of its own.
+    """Thread that receives topics for `node`, whatever the node's own executor is doing.
+
+    rclpy has one executor per node, so the subscriptions belong to a hidden node `_NAME_commands`.
 
     Args:
-        node: whose subscription it is; close the thread before it is destroyed.
-        kind: of message.
-        topic: its name.
-        qos: of the subscription.
-        take: what to do.
+        node: the node whose messages these are; call `close` before it is destroyed.
+        topics: what to receive; callbacks run in this thread.
     """
 
-    def __init__(
-        self, node: Node, kind: type, topic: str, qos: QoSProfile, take: Callable[[Any], None]
-    ) -> None:
-        super().__init__()  # no daemon: one that waits in C++ must end before Python does
-        self._context, self._take = node.context, take
-        self._validator = Validator(node, kind, topic)
+    def __init__(self, node: Node, topics: Sequence[Topic]) -> None:
+        super().__init__()  # no daemon: a thread that waits in C++ must end before Python does
+        self._context = node.context
         self._failed = node.create_guard_condition(self._raise)
-        outside = OutsideExecutors()
-        self._ended = node.create_guard_condition(lambda: None, outside)
-        self._subscription = node.create_subscription(
-            kind, topic, take, qos, callback_group=outside, raw=True
-        )
         self._error: Exception | None = None
         self._closing = False
-        sys.setswitchinterval(GIVE_WAY)
+        self._receiver = Node(
+            f"_{node.get_name()}_commands", context=node.context, namespace=node.get_namespace(),
+            use_global_arguments=False, enable_rosout=False, start_parameter_services=False,
+            parameter_overrides=[Parameter("start_type_description_service", value=False)],
+        )  # fmt: skip
+        for topic in topics:
+            self._subscribe(node, topic)
+        self._receiver.create_timer(
+            CHECK_PERIOD, lambda: None, clock=Clock(clock_type=ClockType.STEADY_TIME)
+        )
+        self._executor = SingleThreadedExecutor(context=node.context)
+        self._executor.add_node(self._receiver)
         self.start()
 
-    def run(self) -> None:
-        """Wait and take, until closed."""
-        try:
-            kind, ended = self._validator.kind, self._ended.handle
-            handle = self._subscription.handle
-            with ended, handle, self._context.handle:
-                waiting = WaitSet(1, 1, 0, 0, 0, 0, self._context.handle)
-                while self._goes_on():
-                    waiting.clear_entities()
-                    waiting.add_subscription(handle)
-                    waiting.add_guard_condition(ended)
-                    waiting.wait(AWAKE)
-                    while (taken := handle.take_message(kind, True)) and self._goes_on():
-                        if (message := self._validator.message(taken[0])) is not None:
-                            self._take(message)
-        except RCLError:
-            if self._context.ok():  # else it was shut down meanwhile
-                raise
-        except Exception as error:
-            self._error = error
-            self._failed.trigger()
+    def _subscribe(self, node: Node, topic: Topic) -> None:
+        validator = Validator(node, topic.kind, topic.name)  # counted in the node's diagnostics
 
-    def _goes_on(self) -> bool:
+        def receive(data: bytes) -> None:
+            if self._continues() and (message := validator.message(data)) is not None:
+                topic.callback(message)
+
+        name = node.resolve_topic_name(topic.name)  # remapped as a topic of `node`
+        subscribe_bytes(self._receiver, topic.kind, name, receive, topic.qos)
+
+    def run(self) -> None:
+        """Receive until closed."""
+        try:
+            while self._continues():
+                self._executor.spin_once()
+        except ExternalShutdownException:
+            pass
+        except RCLError as error:
+            if self._context.ok():  # otherwise it was shut down meanwhile
+                self._fail(error)
+        except Exception as error:
+            self._fail(error)
+
+    def _continues(self) -> bool:
         return not self._closing and self._context.ok() and main_thread().is_alive()
 
+    def _fail(self, error: Exception) -> None:
+        self._error = error
+        self._failed.trigger()
+
     def _raise(self) -> None:
-        """Let what went wrong end the node, as if its executor had called."""
+        """Raise the thread's error in the node's executor, which ends the node."""
         if self._error:
             raise self._error
 
     def close(self) -> None:
         """End the thread."""
+        if self._closing:
+            return
         self._closing = True
-        self._ended.trigger()
+        self._executor.wake()
         self.join()
+        self._executor.shutdown()
+        self._receiver.destroy_node()

@@ -20,6 +20,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 
 from fss_arm_ros.convert import PoseError, planar_pose
 from fss_arm_ros.serialized import Numbers, NumbersReader
+from fss_arm_ros.subscription_set import subscribe_bytes
 
 MAGNITUDE = 1e12  # of any number: its square and cube are far from the largest
 QUIET = 10.0  # between two lines of the log about one topic [s]
@@ -302,12 +303,15 @@ def subscribe(
     qos: QoSProfile | int, read: Callable[[Validator, bytes], Any] = Validator.message,
     **options: Any,
 ) -> Any:  # fmt: skip
-    """A subscription whose callback gets what the rule of its type allows, as it is read."""
+    """Create a subscription whose callback gets only messages that the rule of their type allows.
+
+    Options as of `Node.create_subscription`. To destroy it, call `unsubscribe`.
+    """
     validator = Validator(node, kind, topic)
 
-    def take(data: bytes) -> None:
+    def receive(data: bytes) -> None:
         message = read(validator, data)
         if message is not None:
             callback(message)
 
-    return node.create_subscription(kind, topic, take, qos, raw=True, **options)
+    return subscribe_bytes(node, kind, topic, receive, qos, **options)

@@ -27,6 +27,7 @@ from fss_arm_ros.convert import joint_readings, seen_pose
 from fss_arm_ros.diagnostics import ERROR, OK, Diagnostics, Health
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED, subscribe_sensor
+from fss_arm_ros.rclpy_compat import RCLError
 from fss_arm_ros.subscriptions import PolledSubscription
 from fss_arm_ros.timer_clock import timer_clock
 from fss_arm_ros.validation import subscribe
@@ -39,9 +40,6 @@ from fss_arm_workspace.regions.virtual import VirtualManipulator
 from fss_arm_workspace.settings import WorkspaceSettings
 from fss_arm_workspace.straight_path.redundancy import BASES
 from fss_arm_workspace.worker import Progress, Worker
-
-# rclpy keeps this class in its extension and offers no public name for it.
-from rclpy._rclpy_pybind11 import RCLError  # isort: skip
 
 
 class WorkspaceNode(Node):
@@ -219,7 +217,6 @@ def make_node() -> WorkspaceNode:
 
     A calibration that passed begins them anew; straight paths follow arm and base.
     """
-    sys.setswitchinterval(5e-4)  # workers give way to the ellipsoids sooner than Python's 5 ms
     return WorkspaceNode()
 
 

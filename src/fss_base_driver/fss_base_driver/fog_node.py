@@ -17,7 +17,7 @@ from fss_arm_ros.convert import SECOND
 from fss_arm_ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
 from fss_arm_ros.parameters import declare, declare_live
 from fss_arm_ros.qos import SENSOR
-from fss_arm_ros.run import RCLError
+from fss_arm_ros.rclpy_compat import RCLError
 from fss_base_driver import messages
 from fss_base_driver.dsp3000 import Lines
 from fss_base_driver.programs import fog as main

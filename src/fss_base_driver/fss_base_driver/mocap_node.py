@@ -19,7 +19,7 @@ from fss_arm_ros.convert import SECOND, stamp_ns, to_time
 from fss_arm_ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import SENSOR, subscribe_sensor
-from fss_arm_ros.run import RCLError
+from fss_arm_ros.rclpy_compat import RCLError
 from fss_base_driver.mocap import (
     MOST,
     Bounds,

@@ -8,7 +8,7 @@ from fss_arm_model.units import SECOND
 from fss_sim.testbed import FRAME
 
 LEAD = 40  # frames that may pass without a word from a driver that sends five times a second
-SHORTEST = 0.001  # real time to let pass between two checks [s]: sending costs more than frames
+MIN_REST = 0.005  # real time between two checks [s]: each /clock message wakes every node
 STRIDE = 10  # frames made at once at most, so that the node remains responsive
 DRIVER_TIMEOUT = 1_000_000_000  # a driver silent for this long of real time has ended [ns]
 
@@ -45,7 +45,7 @@ class Clocked:
         self, now: Callable[[], int], frame: int, back: int, ahead: int, speed: float = 1.0
     ) -> None:
         self.now, self.back, self.ahead = now, back, ahead
-        self.rest = max(0.5 * FRAME / SECOND / speed, SHORTEST)
+        self.rest = max(0.5 * FRAME / SECOND / speed, MIN_REST)
         self.epoch = now() - frame * FRAME  # the clock's time of frame 0
         self.jumps = 0
 
@@ -74,7 +74,7 @@ class FlatOut:
     """
 
     epoch = jumps = 0
-    rest = 0.0002  # time for others
+    rest = 0.002  # time for other processes: each /clock message wakes every node [s]
 
     def __init__(self, now: Callable[[], int] = time.monotonic_ns) -> None:
         self.now = now

@@ -1,4 +1,4 @@
-"""Subscriptions that no executor handles: polled, or with a thread of their own."""
+"""Subscriptions that the executor does not handle: polled, or in a thread of their own."""
 
 from threading import get_ident
 
@@ -6,12 +6,9 @@ import pytest
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from running import wait_until
 from std_msgs.msg import Float64
-from std_srvs.srv import Trigger
 
-from fss_arm_ros.executor import BatchExecutor
-from fss_arm_ros.subscriptions import PolledSubscription, SubscriptionThread
+from fss_arm_ros.subscriptions import PolledSubscription, SubscriptionThread, Topic
 from fss_arm_ros.validation import refusals
 
 RELIABLE, BEST_EFFORT = ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT
@@ -23,7 +20,8 @@ class Listener(Node):
     def __init__(self):
         super().__init__("listener")
         self.heard = []
-        self.thread = SubscriptionThread(self, Float64, "number", QoSProfile(depth=10), self.take)
+        topic = Topic(Float64, "number", QoSProfile(depth=10), self.take)
+        self.thread = SubscriptionThread(self, [topic])
 
     def take(self, message):
         if message.data < 0.0:
@@ -49,30 +47,6 @@ def test_messages_are_taken_in_order_and_in_one_thread(talk, spin):
     spin(listener, lambda: len(listener.heard) == 5)
     assert [number for number, _ in listener.heard] == [0.0, 1.0, 2.0, 3.0, 4.0]
     assert {thread for _, thread in listener.heard} == {listener.thread.ident}
-
-
-def test_an_executor_leaves_its_messages_alone_also_when_it_answers(ros):
-    """Which is when ours hands over all messages first."""
-    listener, executor = Listener(), BatchExecutor()
-    listener.thread.close()
-    talker = Node("talker")
-    publisher = talker.create_publisher(Float64, "number", 10)
-    listener.create_service(Trigger, "ask", lambda _, answer: answer)
-    asker = talker.create_client(Trigger, "ask")
-    for node in (listener, talker):
-        executor.add_node(node)
-
-    def ready():
-        return publisher.get_subscription_count() and asker.service_is_ready()
-
-    wait_until(ready, 10.0, lambda: executor.spin_once(timeout_sec=0.02))
-    publisher.publish(Float64(data=1.0))
-    answer = asker.call_async(Trigger.Request())
-    wait_until(answer.done, 10.0, lambda: executor.spin_once(timeout_sec=0.02))
-    assert not listener.heard
-    executor.shutdown()
-    for node in (listener, talker):
-        node.destroy_node()
 
 
 def test_what_goes_wrong_comes_up_in_the_executor(talk, spin):

@@ -1,31 +1,41 @@
-"""When frames are due: by a clock, or as fast as the drivers follow."""
+"""When the simulator's frames are due."""
 
-from fss_sim.pace import DRIVER_TIMEOUT, LEAD, STRIDE, Clocked, FlatOut
+import pytest
+
+from fss_sim.pace import Clocked
 from fss_sim.testbed import FRAME
 
-
-def test_late_frames_are_made_up_for_and_a_clock_that_was_set_is_followed():
-    now = 0
-    pace = Clocked(lambda: now, frame=5, back=10 * FRAME, ahead=20 * FRAME)
-    assert pace.due(5) == 0
-    now = 7 * FRAME + 1
-    assert (pace.due(5), pace.due(12), pace.jumps) == (7, 0, 0)
-    now += 50 * FRAME
-    assert (pace.due(12), pace.jumps) == (0, 1)
-    now += FRAME
-    assert pace.due(12) == 1
+SECOND = 1_000_000_000
 
 
-def test_flat_out_goes_on_alone_waits_for_drivers_and_gives_up_those_that_ended():
-    now = 0
-    pace = FlatOut(lambda: now)
-    assert pace.due(100) == STRIDE
-    pace.hear(0, 100)
-    pace.hear(1, 103)
-    assert pace.due(100) == STRIDE
-    assert pace.due(100 + LEAD - 3) == 3
-    assert pace.due(100 + LEAD) == 0
-    pace.hear(0, 100 + LEAD)
-    assert pace.due(100 + LEAD) == 3
-    now = DRIVER_TIMEOUT + 1
-    assert pace.due(103 + LEAD) == STRIDE
+class Hand:
+    """A clock set by hand [ns]."""
+
+    def __init__(self):
+        self.time = 0
+
+    def __call__(self):
+        return self.time
+
+
+@pytest.mark.parametrize("speed", [0.5, 1.0, 10.0])
+def test_frames_follow_a_clock_at_the_speed_asked_for(speed):
+    hand = Hand()
+    pace = Clocked(lambda: round(speed * hand()), 0, back=SECOND, ahead=10 * SECOND, speed=speed)
+    frame = 0
+    for _ in range(200):  # 2 s of real time
+        hand.time += SECOND // 100
+        frame += pace.due(frame)
+    assert frame == round(2 * speed * SECOND) // FRAME
+
+
+def test_a_late_frame_is_made_up_for_but_a_jump_of_the_clock_is_not():
+    hand = Hand()
+    pace = Clocked(hand, 0, back=SECOND, ahead=10 * SECOND)
+    hand.time = 3 * SECOND
+    assert pace.due(0) == 3 * SECOND // FRAME
+    hand.time += 20 * SECOND
+    assert pace.due(300) == 0
+    assert pace.jumps == 1
+    hand.time += 2 * FRAME
+    assert pace.due(300) == 2

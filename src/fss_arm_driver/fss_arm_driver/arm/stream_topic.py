@@ -11,7 +11,7 @@ from fss_arm_driver.protocol import Mode
 from fss_arm_motion.guard import GuardError
 from fss_arm_msgs.msg import LinkCommand
 from fss_arm_ros.convert import SECOND, stamp_ns
-from fss_arm_ros.subscriptions import SubscriptionThread
+from fss_arm_ros.subscriptions import SubscriptionThread, Topic
 
 TOPIC = "arm/joint_commands"
 #: Of any publisher, and only what is newest: one that was lost is not worth another try.
@@ -27,7 +27,9 @@ class StreamTopic:
         self.stream = Stream(links.arm, self.lives)
         self.motion: Motion | None = None
         self.commands = {i: LinkCommand() for i in links.numbers}  # as making one takes long
-        self.listening = SubscriptionThread(links.node, JointState, TOPIC, NEWEST, self.on_command)
+        topic = Topic(JointState, TOPIC, NEWEST, self.on_command)
+        self.thread = SubscriptionThread(links.node, [topic])
+        self.close = self.thread.close
 
     def on_command(self, message: JointState) -> None:
         """Pass a message on, or refuse it; of refusals in a row for one reason, one is logged."""
