@@ -18,6 +18,7 @@ import numpy.typing as npt
 Floats = npt.NDArray[np.float64]
 
 THRIFT = 1e-3  # kappa, of the strongest valve's force
+CLIPPED = 0.01  # difference that counts as clipping, of the strongest valve's force
 
 
 class Allocation:
@@ -64,9 +65,11 @@ class Allocation:
         self._matrix = np.vstack([effect, np.full(len(self._works), THRIFT * force)])
         self._most_owed = 2.0 * strongest * max(minimum_on_time, 1e-3)  # [N s], [N m s]
         self._owed = np.zeros(3)
+        self._tolerance = CLIPPED * force
+        self.clipped = False  # the valves cannot give the last wrench
 
     def on_times(self, wrench: npt.ArrayLike) -> Floats:
-        """How long to open each valve in the next period, (k,) [s].
+        """On times of the valves in the next period, (k,) [s]; sets `clipped`.
 
         Args:
             wrench: (3,) wanted as a mean: force in the base's axes [N], torque about its
@@ -75,6 +78,9 @@ class Allocation:
         wanted = np.asarray(wrench, dtype=float) + self._owed / self.period
         aim = np.append(self._scale * (wanted - self._leaks), 0.0)
         shares = self._fit(self._matrix, aim, (0.0, 1.0), method="bvls").x
+        missing = np.abs(aim - self._matrix @ shares)[:3]
+        owed = np.abs(self._scale * self._owed) / self.period
+        self.clipped = bool((missing > owed + self._tolerance).any())
         times = np.zeros(len(self.valves))
         times[self._works] = self._pulses(self.period * shares)
         given = times @ self.valves + self.period * self._leaks

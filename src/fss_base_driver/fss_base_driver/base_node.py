@@ -4,7 +4,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from math import inf, isfinite
+from math import inf
 from typing import Any
 
 import numpy as np
@@ -26,7 +26,7 @@ from fss_arm_ros.diagnostics import Health
 from fss_arm_ros.parameters import declare_live
 from fss_arm_ros.qos import LATCHED, SENSOR, command, subscribe_stop
 from fss_arm_ros.timer_clock import timer_clock
-from fss_arm_ros.validation import subscribe
+from fss_arm_ros.validation import Validator, subscribe
 from fss_base_driver import messages
 from fss_base_driver.allocation import Allocation
 from fss_base_driver.gyro import BiasError, BiasSearch, Sums
@@ -34,8 +34,10 @@ from fss_base_driver.programs import base as main
 from fss_base_driver.protocol import BOARD, TIME_UNIT, VALVES, BaseSlow
 from fss_base_driver.session import NO_PULSE, BoardSession, Heard, Pulse
 from fss_base_driver.settings import BaseSettings, live_kinds
+from fss_base_driver.wrench import planar_wrench
 
 AHEAD = 0.5  # by which a stamp may seem to come from the future [s]
+MAX_OVERLOAD = 1000.0  # components of a wrench, as multiples of the total thrust
 OFF = VALVES * (0.0,)
 SCHEMES = "udp", "tcp", "serial"  # of its url
 
@@ -80,11 +82,12 @@ class BaseNode(SessionNode):
         self.battery = publish(BatteryState, "base/battery")
         self.propellant = publish(Float64, "base/propellant")
         self.pulses = publish(ThrusterCommand, "thrusters/pulses")
-        lives = command(s.command_lifetime)
-        subscribe(self, ThrusterCommand, "thrusters/command", self.on_thrust, lives)
-        lives = command(s.wrench_lifetime)
-        subscribe(self, WrenchStamped, "base/wrench", self.on_wrench, lives)
-        self.create_subscription(Bool, "gripper/command", self.on_grip, command(1.0))
+        for kind, topic, callback, lifetime in (
+            (ThrusterCommand, "thrusters/command", self.on_thrust, s.command_lifetime),
+            (WrenchStamped, "base/wrench", self.on_wrench, s.wrench_lifetime),
+            (Bool, "gripper/command", self.on_grip, 1.0),
+        ):
+            subscribe(self, kind, topic, callback, command(lifetime), self.read_command)
         subscribe(self, ThrusterHealth, "thrusters/health", self.on_found, LATCHED)
         for topic in ("base/stop", "arm/stop"):
             subscribe_stop(self, topic, self.on_stop)
@@ -93,6 +96,9 @@ class BaseNode(SessionNode):
         self.sharing = self.create_timer(s.wrench_period, self.share, clock=timer_clock(self))
         declare_live(self, live_kinds(), self.on_live)
         self.allocation = self.new_allocation()
+        total_thrust = float(np.hypot(*s.valves()[:, :2].T).sum())
+        self.max_component = MAX_OVERLOAD * total_thrust  # of a wrench [N, N m]
+        self.session.counts["wrenches_clipped"] = 0
         self.board_health = messages.BoardHealth(self.session, self.transport, bool(s.keys))
         self.begin("base/arm")
 
@@ -174,6 +180,14 @@ class BaseNode(SessionNode):
                 self.session.counts["commands_refused"] += 1
                 self.warn(topic, f"{topic} is refused: {error}")
 
+    def read_command(self, validator: Validator, data: bytes) -> Any:
+        """Deserialize a command; return None, and count it, if the rule of its type refuses it."""
+        message = validator.message(data)
+        if message is None:
+            with self.lock:
+                self.session.counts["commands_refused"] += 1
+        return message
+
     def on_thrust(self, message: ThrusterCommand) -> None:
         """Open the valves that are asked for, in place of the wrench in force."""
         with self.taking("thrusters/command"):
@@ -187,19 +201,10 @@ class BaseNode(SessionNode):
         with self.taking("base/wrench"):
             given = self.given(message, self.settings.wrench_lifetime)
             self.session.require_armed()
-            self.wrench = self.planar(message), given
+            frame = self.settings.base_frame
+            self.wrench = planar_wrench(message, frame, self.max_component), given
             if self.now() - self.shared >= SECOND * self.settings.wrench_period:
                 self.share()
-
-    def planar(self, message: WrenchStamped) -> tuple[float, float, float]:
-        """Force along the base's x and y [N] and torque [N m], or CommandError."""
-        frame, base = message.header.frame_id, self.settings.base_frame
-        if frame not in ("", base):
-            raise CommandError(f"its frame is {frame[:40]!r}, expected {base!r}")
-        wrench = message.wrench.force.x, message.wrench.force.y, message.wrench.torque.z
-        if not all(map(isfinite, wrench)):
-            raise CommandError(f"force and torque are {wrench}, expected finite numbers")
-        return wrench
 
     def share(self) -> None:
         """Share out the wrench in force for the next period; without one, rest until one comes."""
@@ -214,6 +219,7 @@ class BaseNode(SessionNode):
             if now - given > SECOND * self.settings.wrench_lifetime:
                 return  # what was given ends by itself
             times = self.allocation.on_times(wrench).tolist() if any(wrench) else OFF
+            self.session.counts["wrenches_clipped"] += self.allocation.clipped
             self.session.thrust(times, now, now)
             self.shared = now
             self.sharing.reset()

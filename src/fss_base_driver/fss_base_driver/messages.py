@@ -1,6 +1,6 @@
 """What the board's session knows, as messages."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from math import nan
 from typing import Any
 
@@ -135,6 +135,12 @@ class BoardHealth(SessionHealth):
     def words(self) -> str:
         """How the board is, for people."""
         return state_words(self.session)
+
+    def _doubts(self, grown: Mapping[str, int]) -> Iterator[str]:
+        """Yield warnings, the gravest first."""
+        yield from super()._doubts(grown)
+        if grown["wrenches_clipped"]:
+            yield "base/wrench exceeds what the valves can give"
 
     def is_well(self) -> bool:
         """Whether nothing is latched, and all valves' currents fit."""

@@ -45,6 +45,7 @@ class User(Node):
     def push(self, x, y, torque):
         message = WrenchStamped()
         message.header.stamp = self.get_clock().now().to_msg()
+        message.header.frame_id = "fss"
         message.wrench.force.x, message.wrench.force.y = x, y
         message.wrench.torque.z = torque
         self.wrench.publish(message)
@@ -189,6 +190,7 @@ def test_a_replayed_bag_opens_no_valve(graph):
         message.header.stamp.sec = message.header.stamp.nanosec = 0  # nobody said when
     wrench = WrenchStamped()
     wrench.header.stamp = user.get_clock().now().to_msg()
+    wrench.header.frame_id = "fss"
     wrench.wrench.force.x = 1.0
     graph.pass_time(1.0)
     for message in recorded:

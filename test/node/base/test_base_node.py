@@ -5,100 +5,21 @@ import time
 from math import inf, isnan, nan
 
 import pytest
+from base_bench import Bench, User
 from base_link import GYRO_RATE, SECOND, FakeBoard, FakeBoardTransport
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticStatus
 from driver_wire import ENDS
-from geometry_msgs.msg import WrenchStamped
-from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from sensor_msgs.msg import BatteryState, FluidPressure, Imu
-from std_msgs.msg import Bool, Empty, Float64
+from std_msgs.msg import Bool, Empty
 from std_srvs.srv import SetBool, Trigger
 
 from fss_arm_driver.session import Arming
-from fss_arm_msgs.msg import BaseTelemetry, GripperState, ThrusterCommand, ThrusterHealth
-from fss_arm_ros.convert import stamp_ns, to_time
+from fss_arm_msgs.msg import ThrusterCommand, ThrusterHealth
+from fss_arm_ros.convert import stamp_ns
 from fss_arm_ros.qos import LATCHED
 from fss_base_driver.base_node import BaseNode
 from fss_base_driver.protocol import BaseSlow, BaseState, Gripper
-
-HEARD = {
-    "telemetry": (BaseTelemetry, "base/telemetry"),
-    "imu": (Imu, "fog/imu"),
-    "gripper": (GripperState, "gripper/state"),
-    "pressure": (FluidPressure, "base/pressure"),
-    "battery": (BatteryState, "base/battery"),
-    "propellant": (Float64, "base/propellant"),
-    "pulses": (ThrusterCommand, "thrusters/pulses"),
-    "health": (DiagnosticArray, "/diagnostics"),
-}
-
-
-class User(Node):
-    """Hears all that the base's node publishes, and asks of it."""
-
-    def __init__(self):
-        super().__init__("user")
-        for name, (kind, topic) in HEARD.items():
-            setattr(self, name, [])
-            self.create_subscription(kind, topic, getattr(self, name).append, 100)
-        self.thrust = self.create_publisher(ThrusterCommand, "thrusters/command", 1)
-        self.wrench = self.create_publisher(WrenchStamped, "base/wrench", 1)
-        self.grip = self.create_publisher(Bool, "gripper/command", 1)
-        self.stops = {t: self.create_publisher(Empty, t, 10) for t in ("base/stop", "arm/stop")}
-        self.arm = self.create_client(SetBool, "base/arm")
-        self.find = self.create_client(Trigger, "base/find_gyro_bias")
-
-    def stamp(self, age=0.0):
-        return to_time(self.get_clock().now().nanoseconds - round(age * SECOND))
-
-    def open(self, *times, age=0.0, stamped=True):
-        message = ThrusterCommand(on_time=[*times, *(8 - len(times)) * [0.0]])
-        message.header.stamp = self.stamp(age) if stamped else to_time(0)
-        self.thrust.publish(message)
-
-    def push(self, x=0.0, y=0.0, torque=0.0, age=0.0, frame="fss"):
-        message = WrenchStamped()
-        message.header.stamp, message.header.frame_id = self.stamp(age), frame
-        message.wrench.force.x, message.wrench.force.y = x, y
-        message.wrench.torque.z = torque
-        self.wrench.publish(message)
-
-
-class Bench:
-    def __init__(self, spin, parameters):
-        self.transport = FakeBoardTransport()
-        self.board = self.transport.board
-        overrides = [Parameter(name, value=value) for name, value in parameters.items()]
-        self.node = BaseNode(self.transport, parameter_overrides=overrides)
-        self.user = user = User()
-        self.until = lambda condition, timeout=10.0: spin([self.node, user], condition, timeout)
-        self.until(lambda: user.telemetry and user.health and user.arm.service_is_ready())
-        publishers = (user.thrust, user.wrench, user.grip, *user.stops.values())
-        self.until(lambda: all(p.get_subscription_count() for p in publishers))
-        self.until(lambda: self.node.pulses.get_subscription_count())
-        self.until(lambda: not self.node.session.lost)
-
-    def call(self, client, request, timeout=10.0):
-        answer = client.call_async(request)
-        self.until(answer.done, timeout)
-        return answer.result()
-
-    def arm(self, data=True):
-        return self.call(self.user.arm, SetBool.Request(data=data))
-
-    @property
-    def refused(self):
-        return self.node.session.counts["commands_refused"]
-
-    @property
-    def opened(self):
-        self.board.valves(self.transport.clock())
-        return self.board.state.opened
-
-    def values(self):
-        return {pair.key: pair.value for pair in self.user.health[-1].status[0].values}
 
 
 @pytest.fixture
@@ -306,6 +227,21 @@ def test_a_zero_wrench_closes_at_once(armed):
     armed.until(lambda: armed.board.valves(armed.transport.clock()))
     armed.user.push()
     armed.until(lambda: not armed.board.valves(armed.transport.clock()), 0.5)
+
+
+def test_a_wrench_beyond_what_the_valves_give_is_reported(armed):
+    user = armed.user
+
+    def reported(x, words):
+        user.push(x)
+        return user.health[-1].status[0].message == words
+
+    beyond = "the base's board is armed; base/wrench exceeds what the valves can give"
+    armed.until(lambda: reported(0.3, "the base's board is armed"))
+    assert armed.values()["wrenches_clipped"] == "0"
+    armed.until(lambda: reported(0.4, beyond))
+    assert int(armed.values()["wrenches_clipped"]) > 0
+    armed.until(lambda: reported(0.3, "the base's board is armed"))
 
 
 def pushes_back_without_valve_1(armed):

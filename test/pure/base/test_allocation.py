@@ -71,6 +71,27 @@ def test_what_cannot_be_given_is_not_owed_for_ever():
 
 
 @pytest.mark.parametrize(
+    ("wrench", "stuck_closed", "clipped"),
+    [
+        ((0.31, 0.0, 0.0), (), False),
+        ((0.0, 0.0, -0.07), (), False),
+        ((0.33, 0.0, 0.0), (), True),
+        ((0.0, 0.0, 0.075), (), True),
+        ((0.31, 0.31, 0.07), (), True),
+        ((-0.31, 0.0, 0.0), (0,), True),
+        ((1e3, 0.0, 0.0), (), True),
+    ],
+)
+def test_a_wrench_beyond_the_working_valves_is_clipped(wrench, stuck_closed, clipped):
+    allocation = Allocation(VALVES, PERIOD, LEAST, stuck_closed=stuck_closed)
+    for _ in range(20):  # whatever is owed meanwhile
+        allocation.on_times(wrench)
+        assert allocation.clipped == clipped
+    allocation.on_times((0.0, 0.0, 0.0))
+    assert not allocation.clipped
+
+
+@pytest.mark.parametrize(
     ("options", "expected"),
     [
         ({"stuck_open": [8]}, r"stuck are \[8\], expected numbers from 0 to 7"),
