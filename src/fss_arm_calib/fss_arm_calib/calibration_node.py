@@ -23,6 +23,7 @@ from fss_arm_model.settings import default_in
 from fss_arm_model.vehicle import Vehicle
 from fss_arm_ros.calibrated import Calibrated
 from fss_arm_ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
+from fss_arm_ros.libraries import require
 from fss_arm_ros.memory import give_back
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED, subscribe_sensor
@@ -54,6 +55,7 @@ class CalibrationNode(Node):
         try:
             self.outcome, self.saved = self.solved(), self.flags
             if s.report:
+                require("matplotlib")
                 kind.report_of(self.outcome)  # what it reads is there, or the node ends now
             data = kind.data.to_message(self.data, self.frame)
         except (ArithmeticError, LookupError, ValueError) as error:

@@ -29,6 +29,7 @@ from fss_arm_model.description import Arm
 from fss_arm_model.description_file import described, from_yaml, load
 from fss_arm_ros.calibrated import with_kinematics_of
 from fss_arm_ros.command_line import in_one_line
+from fss_arm_ros.libraries import require
 
 D = TypeVar("D", bound=Datum)
 C = TypeVar("C", bound=KindSettings)
@@ -99,6 +100,8 @@ def calibrated(
     kind: Calibration[Any, Any], options: argparse.Namespace, console: Console
 ) -> Outcome[Any, Any]:
     """Solve, show and write what was asked for."""
+    if options.report:
+        require("matplotlib")  # before minutes of work
     if kind is JOINT:
         return from_bags.estimated(options, console)
     truth = load(options.truth) if options.truth else None

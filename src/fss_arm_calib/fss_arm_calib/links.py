@@ -6,16 +6,16 @@ from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from math import hypot
 from pathlib import Path
-from typing import Any
-
-from rich.markup import escape
-from rich.table import Table
+from typing import TYPE_CHECKING, Any
 
 from fss_arm_calib import report
 from fss_arm_calib.result import passed
 from fss_arm_model.description_file import from_yaml, link_file, load, read_link, save_links
 from fss_arm_model.files import ContentError
 from fss_arm_ros.command_line import Parser, in_one_line
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 DESCRIPTION = f"""{__doc__} With --result, a calibration's values are written to the files of its
 links first, beside the arm's description, which becomes a list of serial numbers."""
@@ -69,12 +69,15 @@ def write_back(path: Path, found: Mapping[str, Any]) -> None:
     save_links(calibrated, path, histories)
 
 
-def listed(path: Path) -> Table:
+def listed(path: Path) -> "Table":
     """The links of the arm in a file, those that have a file beside it, and their calibrations.
 
     Raises:
         ValueError: there are none, or a file is wrong.
     """
+    from rich.markup import escape  # here, as --help does without
+    from rich.table import Table
+
     table = Table("link", "place", "when", "from")
     arm = load(path)
     for name, unit in FOUND.items():

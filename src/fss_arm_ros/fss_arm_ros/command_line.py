@@ -7,6 +7,8 @@ from collections.abc import Callable
 from functools import wraps
 from typing import Any, NoReturn, ParamSpec
 
+from fss_arm_ros.libraries import required_libraries
+
 P = ParamSpec("P")
 
 USER_ERROR = 1  # a verdict that is not pass has a code of its own
@@ -34,13 +36,14 @@ def interrupt_at_end() -> None:
 
 
 def in_one_line(command: str) -> Callable[[Callable[P, int]], Callable[P, int]]:
-    """Of a command's main: what is wrong with what it was given is told in a line (USER_ERROR)."""
+    """Decorate a command's main: bad input or a missing library ends in one line (USER_ERROR)."""
 
     def decorate(main: Callable[P, int]) -> Callable[P, int]:
         @wraps(main)
         def told(*args: P.args, **options: P.kwargs) -> int:
             try:
-                return main(*args, **options)
+                with required_libraries(command):
+                    return main(*args, **options)
             except (ValueError, OSError) as error:
                 print(f"{command}: {in_words(error)}", file=sys.stderr)
                 return USER_ERROR

@@ -16,6 +16,7 @@ from textwrap import indent
 from typing import Any
 
 from fss_arm_model.settings import meaning
+from fss_arm_ros.libraries import required_libraries
 
 ALLOW = "allow_duplicate"
 ABOUT = "start beside a node that has the same name, or offers the same services, in the ROS domain"
@@ -54,7 +55,8 @@ class Command:
         given = sys.argv[1:] if args is None else list(args)
         if {"-h", "--help"} & set(given):
             named(self.parser)().parse_args(given)
-        code: int = named(self.main)(given)
+        with required_libraries(Path(sys.argv[0]).name):
+            code: int = named(self.main)(given)
         return code
 
 
@@ -91,17 +93,19 @@ class Program:
     def __call__(self, args: Sequence[str] | None = None) -> int:
         """Run it by a command line, sys.argv by default; returns the exit code."""
         argv = list(sys.argv if args is None else args)
+        name = Path(argv[0]).name
         if {"-h", "--help"} & set(_plain(argv)):
-            print(self.usage(argv[0].rsplit("/", 1)[-1]))
+            print(self.usage(name))
             return 0
         for flag, parameter in self.short.items():
             if flag in argv:
                 argv.remove(flag)
                 argv += ["--ros-args", "-p", parameter]
-        from fss_arm_ros.run import run
+        with required_libraries(name):
+            from fss_arm_ros.run import run
 
-        make, of = named(self.make), [named(self.of)] if self.of else []
-        return run(lambda *plain: make(*of, *plain), argv, self.takes)
+            make, of = named(self.make), [named(self.of)] if self.of else []
+            return run(lambda *plain: make(*of, *plain), argv, self.takes)
 
 
 def _plain(argv: Sequence[str]) -> list[str]:

@@ -14,6 +14,7 @@ from fss_arm_model.description import paper_arm
 from fss_arm_model.description_file import load
 from fss_arm_ros.calibrated import TOPICS, Calibrated
 from fss_arm_ros.command_line import in_one_line
+from fss_arm_ros.libraries import require
 from fss_arm_workspace.analysis import Analysis, AnalysisSettings, analyse, straight_workspaces
 from fss_arm_workspace.figures import draw, save
 from fss_arm_workspace.map_options import parser
@@ -89,6 +90,7 @@ def run(options: argparse.Namespace, console: Console) -> None:
         ValueError: an option or a source is impossible.
         OSError: a file cannot be read or written.
     """
+    require("matplotlib")  # before minutes of work
     known = calibrated(options.source)
     settings = AnalysisSettings(
         redundancy=options.rule,

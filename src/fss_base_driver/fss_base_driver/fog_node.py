@@ -12,7 +12,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import Imu
 
 from fss_arm_driver.host_clock import HostClock
-from fss_arm_driver.transport import Serial, open_port, readable
+from fss_arm_driver.transport import Line, open_port, readable
 from fss_arm_ros.convert import SECOND
 from fss_arm_ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
 from fss_arm_ros.parameters import declare, declare_live
@@ -45,7 +45,7 @@ class FogNode(Node):
         self.trouble, self.measured = "nothing heard yet", 0
         self.before, self.then = self.lines.counts, time.monotonic()
         declare_live(self, {"gyro": FogCorrection}, self.on_live)
-        self.port: Serial | None = None
+        self.port: Line | None = None
         try:
             self.port = open_port(settings.device, settings.baud)
         except OSError as error:

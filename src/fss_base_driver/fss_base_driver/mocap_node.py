@@ -17,6 +17,7 @@ from std_srvs.srv import Trigger
 from fss_arm_model.settings import SettingError
 from fss_arm_ros.convert import SECOND, stamp_ns, to_time
 from fss_arm_ros.diagnostics import ERROR, OK, WARN, Diagnostics, Health
+from fss_arm_ros.libraries import require
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import SENSOR, subscribe_sensor
 from fss_arm_ros.rclpy_compat import RCLError
@@ -59,6 +60,7 @@ class MocapNode(Node):
         self.diagnostics = Diagnostics(self, self.health, s.host)
         self.receiver: Receiver | None = None
         if s.system:
+            require("motioncapture")  # the receiving process imports it
             self.get_logger().info(f"waiting for {self.source}")
             host = [f"hostname={s.host}"] if s.host else []
             self.receiver = Receiver(s.system, [*host, *s.options], self.on_frame, self.on_end)

@@ -3,15 +3,15 @@
 from collections.abc import Sequence
 from urllib.parse import SplitResult, parse_qs, urlsplit
 
-from fss_arm_driver.transport.base import BATCH, Transport, TransportError, readable
+from fss_arm_driver.transport.base import BATCH, Line, Transport, TransportError, readable
 from fss_arm_driver.transport.copley import CopleyTransport
-from fss_arm_driver.transport.stream import Serial, open_port, serial, tcp
+from fss_arm_driver.transport.stream import open_port, serial, tcp
 from fss_arm_driver.transport.udp import UdpTransport
 
 __all__ = [
     "BATCH",
     "FORMS",
-    "Serial",
+    "Line",
     "Transport",
     "TransportError",
     "UdpTransport",

@@ -7,14 +7,16 @@ from collections import Counter, deque
 from contextlib import suppress
 from socket import socketpair
 from threading import Event, Thread
-
-from serial import Serial
+from typing import TYPE_CHECKING
 
 from fss_arm_driver.copley.language import FIRST_BAUD
 from fss_arm_driver.copley.link import DriveLink
 from fss_arm_driver.protocol import Mode
 from fss_arm_driver.transport.base import BATCH, readable
 from fss_arm_driver.transport.stream import open_port, set_rate
+
+if TYPE_CHECKING:
+    from serial import Serial
 
 TICK = 0.005  # at which time passes for the drive [s]
 AGAIN = 0.5  # from one try to open the port to the next [s]
@@ -96,7 +98,7 @@ class CopleyTransport:
                 self._link.state.disarm()
                 self._turn(self._port)
 
-    def _turn(self, port: Serial) -> None:
+    def _turn(self, port: "Serial") -> None:
         """Wait a little for bytes or commands, and let the link go on."""
         ready = readable([port, self._bell], TICK)
         data = b""

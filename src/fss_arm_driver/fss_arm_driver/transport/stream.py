@@ -8,11 +8,13 @@ from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
 from threading import Event, Lock
-
-from serial import EIGHTBITS, PARITY_NONE, STOPBITS_ONE, Serial, SerialException
+from typing import TYPE_CHECKING
 
 from fss_arm_driver.protocol import StreamDecoder, pack
 from fss_arm_driver.transport.base import BATCH, Line, readable
+
+if TYPE_CHECKING:
+    from serial import Serial
 
 CONNECTING = 1.0  # how long opening may take [s]
 UNANSWERED = 2000  # a TCP connection whose bytes are not acknowledged for so long is dead [ms]
@@ -150,12 +152,15 @@ def serial(device: str, baud: int) -> StreamTransport:
     return transport
 
 
-def open_port(device: str, baud: int) -> Serial:
+def open_port(device: str, baud: int) -> "Serial":
     """A serial port, 8N1, not blocking, for this process alone.
 
     Raises:
         OSError: it cannot be opened, or cannot be set to this rate.
     """
+    # Links over UDP and TCP run without this library.
+    from serial import EIGHTBITS, PARITY_NONE, STOPBITS_ONE, Serial, SerialException
+
     try:
         return Serial(device, baud, EIGHTBITS, PARITY_NONE, STOPBITS_ONE, timeout=0, exclusive=True)
     except termios.error as error:  # which is no OSError: the device went meanwhile
@@ -169,7 +174,7 @@ def open_port(device: str, baud: int) -> Serial:
         raise OSError(f"it is no serial port, or has no rate of {baud} baud") from None
 
 
-def set_rate(port: Serial, baud: int) -> None:
+def set_rate(port: "Serial", baud: int) -> None:
     """Change the rate of an open port.
 
     Raises:

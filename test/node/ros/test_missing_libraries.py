@@ -1,0 +1,111 @@
+"""Executables without a library that they need: one line and exit code 1; --help still works."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from fss_arm_ros.libraries import LIBRARIES
+
+#: Read by Python as it starts: hides modules, as if they were not installed.
+SITE = """
+import os, sys
+from importlib.machinery import PathFinder
+
+class Hiding(PathFinder):
+    @classmethod
+    def find_spec(cls, name, path=None, target=None):
+        hidden = name in os.environ["HIDDEN_MODULES"].split()
+        return None if hidden else super().find_spec(name, path, target)
+
+sys.meta_path[sys.meta_path.index(PathFinder)] = Hiding
+"""
+RUN = """
+import sys
+from importlib.metadata import distribution
+package, name, *arguments = sys.argv[1:]
+sys.argv = [f"lib/{package}/{name}", *arguments]
+sys.exit(distribution(package).entry_points[name].load()())
+"""
+HELP = """
+import contextlib, io, sys
+from importlib.metadata import distribution
+for entry in distribution(sys.argv[1]).entry_points:
+    sys.argv = [entry.name, "--help"]
+    with contextlib.redirect_stdout(io.StringIO()) as shown, contextlib.suppress(SystemExit):
+        entry.load()()
+    assert entry.name in shown.getvalue()
+"""
+NEEDED = {"numba", "numpy", "scipy", "yaml"}  # by nearly every module
+PACKAGES = sorted(path.parent.name for path in Path(__file__).parents[3].glob("src/*/setup.py"))
+
+
+@pytest.fixture
+def python(tmp_path, domain):
+    """python(hidden, code, *arguments): run code without the modules named in `hidden`."""
+    (tmp_path / "sitecustomize.py").write_text(SITE)
+
+    def run(hidden, code, *arguments):
+        env = os.environ | {
+            "HIDDEN_MODULES": hidden,
+            "PYTHONPATH": f"{tmp_path}:{os.environ['PYTHONPATH']}",
+            "ROS_DOMAIN_ID": str(domain),
+        }
+        return subprocess.run(
+            [sys.executable, "-c", code, *arguments],
+            env=env, cwd=tmp_path, capture_output=True, text=True, timeout=60,
+        )  # fmt: skip
+
+    return run
+
+
+@pytest.mark.parametrize(
+    ("hidden", "package", "command"),
+    [
+        ("rerun", "fss_arm_view", "view"),
+        ("rosbags", "fss_arm_bags", "record"),
+        ("backports", "fss_arm_bags", "replay bag"),
+        ("mcap", "fss_arm_bags", "doctor bag"),
+        ("rich", "fss_arm_bags", "doctor bag"),
+        ("matplotlib", "fss_arm_calib", "from_bag bag --report report"),
+        ("matplotlib", "fss_arm_calib", "kinematic --ros-args -p report:=report"),
+        ("rich", "fss_arm_calib", "links arm.yaml"),
+        ("matplotlib", "fss_arm_motion", "plan point_to_point --goal 9 0 0 0 --figure plan.png"),
+        ("matplotlib", "fss_arm_workspace", "map"),
+        ("motioncapture", "fss_base_driver", "mocap --ros-args -p system:=mock"),
+        ("serial", "fss_arm_driver", "link --ros-args -p url:=serial://ttyNONE"),
+        ("serial", "fss_arm_driver", "link --ros-args -p url:=copley://ttyNONE"),
+        ("serial", "fss_base_driver", "fog --ros-args -p device:=/dev/ttyNONE"),
+        ("numba", "fss_arm_driver", "arm"),
+    ],
+)
+def test_an_executable_without_its_library_exits_with_one_line(python, hidden, package, command):
+    name, *arguments = command.split()
+    ended = python(hidden, RUN, package, name, *arguments)
+    last = [line for line in ended.stderr.splitlines() if "[INFO]" not in line]
+    assert len(last) == 1, ended.stderr
+    assert last[0].startswith(f"{name}: {LIBRARIES[hidden].pip} is missing; install it with: ")
+    assert ended.returncode == 1
+
+
+def test_a_missing_module_of_our_own_is_a_traceback(python):
+    ended = python("fss_arm_bags.replay_node", RUN, "fss_arm_bags", "replay", "bag")
+    assert ended.stderr.startswith("Traceback")
+    assert "No module named 'fss_arm_bags.replay_node'" in ended.stderr.splitlines()[-1]
+    assert ended.returncode == 1
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_help_works_without_the_libraries(python, package):
+    hidden = " ".join(LIBRARIES.keys() - NEEDED)
+    ended = python(hidden, HELP, package)
+    assert (ended.returncode, ended.stderr) == (0, "")
+
+
+@pytest.mark.parametrize("url", ["udp://127.0.0.1:9?bind=0", "tcp://127.0.0.1:9"])
+def test_network_links_need_no_serial_library(python, url):
+    code = "import sys; from fss_arm_driver.transport import *; open_transport(sys.argv[1]).close()"
+    ended = python("serial", code, url)
+    assert (ended.returncode, ended.stderr) == (0, "")
