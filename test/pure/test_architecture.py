@@ -11,6 +11,8 @@ from xml.etree import ElementTree
 
 import pytest
 
+from fss_arm_ros.libraries import LIBRARIES
+
 SOURCES = Path(__file__).parents[2] / "src"
 MESSAGES = {
     *("action_msgs", "builtin_interfaces", "control_msgs", "diagnostic_msgs", "fss_arm_msgs"),
@@ -132,31 +134,6 @@ EDGES = {
 AT_THE_EDGE = ("_node", "_action", "_topic", "_topics")
 MATHEMATICS = ALLOWED.keys() - {"fss_arm_ros", "fss_arm_bags", "fss_sim.rehearsal"}
 PACKAGES = sorted(row for row in ALLOWED if "." not in row)
-
-
-#: The rosdep key of what is not a ROS package; "": rosdep has none, and package.xml says so.
-ROSDEP = {
-    "backports": "",
-    "matplotlib": "python3-matplotlib",
-    "mcap": "",
-    "motioncapture": "",
-    "numba": "python3-numba",
-    "numpy": "python3-numpy",
-    "rerun": "",
-    "rerun_cli": "",
-    "rich": "python3-rich",
-    "rosbags": "python3-rosbags-pip",
-    "scipy": "python3-scipy",
-    "serial": "python3-serial",
-    "yaml": "python3-yaml",
-}
-PINNED = {
-    "backports": "backports-zstd",
-    "mcap": "mcap",
-    "motioncapture": "motioncapture",
-    "rerun": "rerun-sdk",
-    "rerun_cli": "rerun-sdk",
-}  # as pip calls them
 
 
 #: Of setup.py, with the tag of package.xml that says the same.
@@ -343,18 +320,14 @@ def manifest(package: str) -> ElementTree.Element:
 
 @pytest.mark.parametrize("package", PACKAGES)
 def test_package_xml_depends_on_what_is_imported(package: str) -> None:
-    keys = {ROSDEP.get(name, name) for name in foreign(package)} - {""}
-    said = [tag.text for tag in manifest(package).iter("exec_depend")]
-    assert sorted(said) == sorted(keys)
+    names = foreign(package)
+    libraries = {LIBRARIES[name] for name in names & LIBRARIES.keys()}
+    keys = names - LIBRARIES.keys() | {library.rosdep for library in libraries} - {""}
+    depends = [tag.text for tag in manifest(package).iter("exec_depend")]
+    assert sorted(depends) == sorted(keys)
     text = (SOURCES / package / "package.xml").read_text()
-    comments = set(re.findall(r"<!-- (\S+): no rosdep key", text))
-    assert comments == {PINNED[name] for name in foreign(package) if ROSDEP.get(name) == ""}
-
-
-def test_what_has_no_rosdep_key_is_pinned() -> None:
-    for path in (SOURCES.parent / "scripts").glob("requirements*[!v].txt"):
-        pinned = {line.partition("==")[0] for line in path.read_text().splitlines()}
-        assert {*PINNED.values()} <= pinned, path
+    comments = re.findall(r"<!-- (\S+): pip installs it, not rosdep", text)
+    assert sorted(comments) == sorted(one.pip for one in libraries if not one.rosdep)
 
 
 def test_the_messages_package_xml_depends_on_the_types_of_fields() -> None:

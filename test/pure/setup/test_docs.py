@@ -23,7 +23,7 @@ PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))]
 #: Commands of the system and of ROS that the documentation may use.
 SYSTEM = {
     *(".", "cd", "cmake", "colcon", "cp", "export", "make", "python", "ssh", "sudo", "systemctl"),
-    *("git", "pip"),
+    *("git", "pip", "python3", "rosdep"),
     *("awk", "arduino-cli", "fast-discovery-server", "build/firmware/fss_link"),
     "build/base_firmware/fss_base",
 }
