@@ -10,7 +10,8 @@ from fss_arm_model.description import paper_arm
 from fss_sim.noise import PRESETS
 from fss_sim.testbed import SECOND, State, Testbed
 
-BEGIN = State(frame=0, boots=1, rests=0, q=(0.0, 0.0, 0.0, -0.4, -0.2, 0.3, 0.1), qd=(0.0,) * 7)
+Q = (0.0, 0.0, 0.0, -0.4, -0.2, 0.3, 0.1)
+BEGIN = State(frame=0, boots=1, rests=0, q=Q, qd=(0.0,) * 7, boot_offset=0)
 EPOCH = 1_700_000_000 * SECOND
 COUNT = 2.0 * pi / 240_000
 

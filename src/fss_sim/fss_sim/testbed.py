@@ -5,8 +5,10 @@ Pure: time is what the caller lets pass, datagrams are bytes. One frame is one p
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
+from secrets import randbelow
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -32,6 +34,7 @@ from fss_sim.vicon import ABSENT, BASE, TARGET, TIP, Look, Pose, Room, Vicon
 
 FRAME = SECOND // RATE  # [ns]
 OUTAGE = RATE  # frames: how far time moves on while a testbed is not running
+BOOT_NUMBERS = 65535  # from 1 on, which is what the field of the frames holds
 
 
 class StateError(ValueError):
@@ -40,16 +43,26 @@ class StateError(ValueError):
 
 @dataclass(frozen=True)
 class State:
-    """What a test bed keeps when its power goes: where the bodies are, and what it has counted."""
+    """The state of a test bed that survives a power loss: its bodies, and what it has counted.
 
-    frame: int  # frames since the first begin
-    boots: int  # starts of the links' electronics
+    The counts and the seed alone determine all errors. Boot numbers begin at a random offset, so
+    that a test bed without a state file does not repeat those of the last one.
+    """
+
+    frame: int  # frames since the first start
+    boots: int  # starts of the electronics
     rests: int  # of the arm, each with its own error of the sensors
     q: tuple[float, ...]  # (3 + n)
     qd: tuple[float, ...]  # (3 + n)
     target: tuple[float, ...] = 6 * (0.0,)  # its pose and twist
     holds: bool = False  # the gripper, the target
     propellant: float = 0.0  # used [kg]
+    boot_offset: int = field(default_factory=partial(randbelow, BOOT_NUMBERS))  # of boot numbers
+
+    @property
+    def boot(self) -> int:
+        """Boot number of the newest start, as in frames."""
+        return boot_number(self.boot_offset, self.boots)
 
     def save(self, path: Path) -> None:
         """Write it to a file, which at any time is whole."""
@@ -65,6 +78,8 @@ class State:
         try:
             given = read_yaml(path)
             numbers = {name: int(given[name]) for name in ("frame", "boots", "rests")}
+            if "boot_offset" in given:  # files of 0.1.0 have none
+                numbers["boot_offset"] = int(given["boot_offset"])
             q, qd, target = (tuple(map(float, given[name])) for name in ("q", "qd", "target"))
             holds, propellant = bool(given["holds"]), float(given["propellant"])
         except ContentError as error:
@@ -82,7 +97,12 @@ class State:
 
     def resumed(self) -> "State":
         """The state at the next start; its time lies after all that was ever reported."""
-        return replace(self, frame=self.frame + OUTAGE, boots=self.boots % 65535 + 1)
+        return replace(self, frame=self.frame + OUTAGE, boots=self.boots + 1)
+
+
+def boot_number(offset: int, boots: int) -> int:
+    """Boot number of a test bed's n-th start, n being `boots`: 1 to 65535, and 1 again."""
+    return (offset + boots - 1) % BOOT_NUMBERS + 1
 
 
 class Report(NamedTuple):
@@ -160,9 +180,9 @@ class Testbed:
             if board_rate
             else None
         )  # fmt: skip
-        self.frame, self._boots = state.frame, state.boots
+        self.frame, self._boots, self._boot_offset = state.frame, state.boots, state.boot_offset
         for part in self._electronics():
-            part.start(self._boots, self.now, part.uptime)
+            part.start(self.boot, self.now, part.uptime)
         self._motions = self.plant.motions()
         self._strained = noise.torque_crosstalk > 0.0 and bool(links)
         self._carried = self._momenta() if links else np.zeros((0, 2))
@@ -171,6 +191,11 @@ class Testbed:
     def now(self) -> int:
         """Time of the last frame since the first begin [ns]."""
         return self.frame * FRAME
+
+    @property
+    def boot(self) -> int:
+        """Boot number of the newest start, as in frames."""
+        return boot_number(self._boot_offset, self._boots)
 
     def step(self) -> Report:
         """Let one frame's time pass."""
@@ -274,15 +299,15 @@ class Testbed:
         return [*self.links, self.board] if self.board else [*self.links]
 
     def _supply(self) -> None:
-        """Stop links and board without power, and start them again, which they do anew."""
+        """Stop links and board that lose power; start those that get it back, disarmed."""
         faults = [*self.faults.links, self.faults.board]
         for part, its in zip(self._electronics(), faults, strict=False):
             powered = part.has_power(its)
             if part.running and not powered:
                 part.stop()
             elif powered and not part.running:
-                self._boots = self._boots % 65535 + 1
-                part.start(self._boots, self.now)
+                self._boots += 1
+                part.start(self.boot, self.now)
 
     def state(self) -> State:
         """What to save."""
@@ -290,7 +315,10 @@ class Testbed:
         q, qd, target = (tuple(x.ravel().tolist()) for x in (plant.q, plant.qd, self.target))
         holds = any(one.holder is plant for one in plant.bed.targets)
         used = plant.thrusters.used
-        return State(self.frame, self._boots, self.sensors.rests, q, qd, target, holds, used)
+        return State(
+            self.frame, self._boots, self.sensors.rests, q, qd, target, holds, used,
+            self._boot_offset,
+        )  # fmt: skip
 
 
 def together(vehicles: Sequence[Vehicle], states: Sequence[State]) -> None:

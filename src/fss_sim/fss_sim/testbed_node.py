@@ -8,6 +8,7 @@ Time passes in a thread of its own; callbacks of the executor hold the lock.
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from itertools import combinations
 from threading import RLock
@@ -23,6 +24,7 @@ from fss_arm_ros.convert import SECOND, to_time
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.parameters import declare, declare_live
 from fss_arm_ros.qos import SENSOR
+from fss_arm_ros.subscription_set import receive_pending
 from fss_sim.messages import SerializedClock
 from fss_sim.pace import Clocked, FlatOut, Pace
 from fss_sim.programs import testbed as main
@@ -188,7 +190,8 @@ class TestbedNode(Node):
         return response
 
     def on_step(self, request: StepTime.Request, response: StepTime.Response) -> StepTime.Response:
-        """Let so many frames pass; what has come before is taken before the first of them."""
+        """Simulate frames; commands received before the request act from the first of them on."""
+        receive_pending(self)
         with self.lock:
             if not self.paused:
                 kept = self.settings.keep_clock
@@ -206,12 +209,14 @@ class TestbedNode(Node):
     def on_reset(
         self, request: ResetTestbed.Request, response: ResetTestbed.Response
     ) -> ResetTestbed.Response:
-        """Begin anew from the parameters, whatever the state file holds."""
+        """Start over from the parameters and not the state file; only boot numbers count on."""
         with self.lock:
             self.seed = request.seed if request.seed >= 0 else self.seed
             for wire in self.all_wires():
                 wire.reset()
-            self.begin([v.settings.fresh(v.n) for v in self.vehicles])
+            self.begin(
+                [replace(v.settings.fresh(v.n), boot_offset=v.testbed.boot) for v in self.vehicles]
+            )
         response.success, response.message = True, f"begun with seed {self.seed}"
         return response
 

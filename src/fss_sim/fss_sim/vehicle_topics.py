@@ -54,6 +54,7 @@ class VehicleTopics:
     ) -> None:
         self.node, self.lock, self.stamp = node, lock, stamp
         self.unwritten = ""  # why its state file could not be written
+        self._saved_boot = 0  # boot number in that file
         self.settings, self.name = settings, name
         self.space, self.prefix = (f"/{name}/", f"{name}.") if name else ("", "")
         self.arm = settings.description()
@@ -124,7 +125,9 @@ class VehicleTopics:
         self.save()
 
     def report(self, report: Report) -> None:
-        """Hand on what has come out of a frame."""
+        """Publish and send the outputs of a frame; a new boot number is saved before it is sent."""
+        if self.testbed.boot != self._saved_boot or self.testbed.frame % SAVED == 0:
+            self.save()
         self.publish(self.stamp(), report.sight)
         for wire, datagrams in zip(self.wires, report.telemetry, strict=True):
             for datagram in datagrams:
@@ -134,8 +137,6 @@ class VehicleTopics:
                 self.board_wire.send(*datagram)
         if report.faulted or self.testbed.frame % REMINDED == 0:
             self.publish_faults()
-        if self.testbed.frame % SAVED == 0:
-            self.save()
 
     def publish(self, stamp: int, sight: Sight) -> None:
         """Publish what the sensors see."""
@@ -231,7 +232,8 @@ class VehicleTopics:
         return values
 
     def save(self) -> None:
-        """Write the state file; a full disk is told once in a row, and ends nothing."""
+        """Write the state file; log a full disk once, and carry on."""
+        self._saved_boot = self.testbed.boot
         if not self.settings.state_file:
             return
         before, self.unwritten = self.unwritten, ""

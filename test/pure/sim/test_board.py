@@ -17,7 +17,7 @@ from fss_sim.sensors import RATE
 from fss_sim.testbed import FRAME, State, Testbed
 
 VALVES = layout(0.16, 0.11)
-BEGIN = State(frame=0, boots=3, rests=0, q=(0.0,) * 7, qd=(0.0,) * 7)
+BEGIN = State(frame=0, boots=3, rests=0, q=(0.0,) * 7, qd=(0.0,) * 7, boot_offset=0)
 KEY = bytes(range(16))
 
 

@@ -13,7 +13,7 @@ from fss_sim.plant.plant import Motion
 from fss_sim.testbed import FRAME, State
 
 REST = Motion(q=0.5, qd=0.0, current=0.25, torque=0.2)
-BEGIN = State(frame=0, boots=1, rests=0, q=(0.0,) * 7, qd=(0.0,) * 7)
+BEGIN = State(frame=0, boots=1, rests=0, q=(0.0,) * 7, qd=(0.0,) * 7, boot_offset=0)
 QUIET = Command(
     link=1, flags=0, boot=0, sequence=1, clock=5, expiry=0, mode=Mode.OFF, watchdog=2000,
     set_point=0, velocity=0, acceleration=0,

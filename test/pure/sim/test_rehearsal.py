@@ -149,7 +149,7 @@ def test_all_faults_at_once_leave_the_answer_within_three_sigma():
     assert counted[0]["repeated"]
     assert counted[2]["missed"]
     assert counted[3]["reordered"]
-    assert {s.frame.boot for s in rehearsal.samples[1]} == {1, 2}
+    assert len({s.frame.boot for s in rehearsal.samples[1]}) == 2
     assert all(0.0 <= s.frame.torque_age <= 110 for s in rehearsal.samples[0])
     frames = [s.frame for s in rehearsal.samples[0]]
     batteries = [f.slow_value for f in frames if f.slow_id == Slow.BATTERY]

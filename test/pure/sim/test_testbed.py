@@ -1,5 +1,6 @@
 """Sensors and the whole test bed: errors as stated, the same again with the same seed, resumed."""
 
+import json
 import math
 from dataclasses import replace
 
@@ -9,7 +10,7 @@ import pytest
 from fss_arm_driver.protocol import decode
 from fss_arm_model.description import paper_arm
 from fss_sim import testbed
-from fss_sim.faults import GyroFaults, SubjectFaults
+from fss_sim.faults import Event, GyroFaults, SubjectFaults
 from fss_sim.noise import PRESETS, Noise
 from fss_sim.plant.joints import PRESETS as JOINTS
 from fss_sim.plant.joints import carried
@@ -17,7 +18,7 @@ from fss_sim.plant.plant import World
 from fss_sim.sensors import RATE, SEEN, Sensors, compose
 from fss_sim.testbed import OUTAGE, State, StateError
 
-BEGIN = State(frame=0, boots=1, rests=0, q=(0.0,) * 7, qd=(0.0,) * 7)
+BEGIN = State(frame=0, boots=1, rests=0, q=(0.0,) * 7, qd=(0.0,) * 7, boot_offset=0)
 STILL, MOVING = np.zeros(4), np.full(4, 0.1)
 
 
@@ -66,6 +67,42 @@ def test_the_same_seed_gives_the_same_frames_and_another_does_not():
     )
     assert first == second
     assert [r.sight for r in first] != [r.sight for r in other]
+
+
+def test_boot_numbers_cover_their_field_and_differ():
+    boots = [State(0, 1, 0, q=(), qd=()).boot for _ in range(1000)]
+    assert min(boots) >= 1
+    assert max(boots) <= 65535
+    assert len(set(boots)) > 950  # 992 of 65535 are expected
+    counted = [replace(BEGIN, boots=k, boot_offset=65533).boot for k in range(1, 5)]
+    assert counted == [65534, 65535, 1, 2]
+
+
+def test_the_boot_number_changes_no_measurement_and_no_fault():
+    script = [
+        Event(0.1, "link_1", "loss", 0.3), Event(0.1, "link_2", "jitter", 0.05),
+        Event(0.1, "link_3", "reset", duration=0.1), Event(0.1, "board", "duplication", 0.5),
+    ]  # fmt: skip
+    first, other = (
+        run(
+            testbed.Testbed(
+                paper_arm(), PRESETS["paper"], 1, replace(BEGIN, boot_offset=offset), 20.0,
+                script=script, board_rate=20.0,
+            ),
+            100,
+        )
+        for offset in (0, 40_000)
+    )  # fmt: skip
+    assert [r.sight for r in first] == [r.sight for r in other]
+    telemetry = [[frames_without_boot(r) for r in reports] for reports in (first, other)]
+    assert telemetry[0] == telemetry[1]
+    assert sum(map(len, telemetry[0])) > 100
+
+
+def frames_without_boot(report):
+    """Frames of a report without boot number and CRC."""
+    sent = [datagram.data for each in (*report.telemetry, report.board) for datagram in each]
+    return [data[:6] + data[8:52] for data in sent]
 
 
 def test_forces_across_links_are_felt_as_the_arm_is_pushed_along():
@@ -136,6 +173,14 @@ def test_a_link_whose_battery_was_empty_starts_again_when_charged():
     bed.charge()
     reports = run(bed, 100)
     assert {decode(r.telemetry[3][0].data).boot for r in reports if r.telemetry[3]} == {5}
+
+
+def test_a_state_file_without_a_boot_offset_is_read(tmp_path):
+    BEGIN.save(tmp_path / "state.json")
+    given = json.loads((tmp_path / "state.json").read_text())
+    del given["boot_offset"]
+    (tmp_path / "state.json").write_text(json.dumps(given))
+    assert replace(State.load(tmp_path / "state.json", 4), boot_offset=0) == BEGIN
 
 
 @pytest.mark.parametrize(
