@@ -8,7 +8,7 @@ import pytest
 from fss_arm_driver.protocol import Mode, Order, State, decode
 from fss_arm_driver.scale import CommandError
 from fss_arm_driver.session import Arming, LinkSession
-from fss_arm_driver.session.echoes import MAX_STAMP_LEAD
+from fss_arm_driver.session.echoes import MAX_STAMP_LEAD, STAMP_SPREAD
 from fss_arm_model.description import paper_arm
 from fss_sim.link.electronics import LinkElectronics
 from fss_sim.plant.plant import Motion
@@ -129,7 +129,7 @@ def test_a_second_driver_of_a_link_does_not_disturb_the_first_and_both_notice(ke
         second.arm(world.now)
     second.stop()  # anybody may; signed, not with a clock behind
     world.send(second)
-    world.run(0.5)
+    world.run(0.5 if key is None else 1.5)  # with a key the first driver loses the link
     assert world.link.stopped == (key is None or step >= 0.0)
     assert first.armed != world.link.stopped
     world.kill(second)
@@ -161,7 +161,7 @@ def test_a_driver_that_lost_its_link_to_another_disarms_and_says_so(key):
     for _ in range(300):  # commands that the link takes for newer, as of an older session
         second.command(world.now)
     world.drivers.append([second, world.now])
-    world.run(1.0, lambda: first.rival)
+    world.run(1.0 if key is None else 2.0, lambda: first.rival)
     assert first.rival
     assert first.arming is Arming.DISARMED
 
@@ -276,6 +276,38 @@ def test_a_way_that_is_down_for_an_hour_does_not_use_up_the_order():
     world.to_link = lambda _: None
     world.run(400.0)
     assert decode(world.commands[-1], KEY).clock <= (world.now + DATE) // 1000
+
+
+# --- echoes as proof ---
+
+
+@both
+def test_a_link_that_hears_nothing_for_minutes_is_still_believed(key):
+    world = World(key)
+    session = world.driver()
+    world.run(3.0)
+    world.to_link = lambda _: None
+    world.run(150.0)
+    assert not session.lost
+    believed = session.counts["believed"]
+    world.run(10.0)
+    assert session.counts["believed"] == pytest.approx(believed + 50, abs=1)
+
+
+def test_sessions_of_the_same_simulated_time_draw_other_stamps():
+    sessions = [LinkSession(1, LINK, key=KEY) for _ in range(2)]
+    times = range(SECOND, 21 * SECOND, PERIOD)
+    one, other = ([decode(s.command(t), KEY).clock for t in times] for s in sessions)
+    assert all(0 <= t // 1000 - stamp <= STAMP_SPREAD for t, stamp in zip(times, one, strict=True))
+    assert one == sorted(set(one))
+    assert len(set(one) & set(other)) < 3  # of 100, each with 1 in 50,000
+
+
+def test_a_stop_is_stamped_after_what_other_drivers_sent_before_it():
+    session = LinkSession(1, LINK, key=KEY)
+    session.stop()
+    stamps = [decode(session.command(t), KEY).clock for t in (SECOND, SECOND, 2 * SECOND)]
+    assert stamps == [1_000_000, 1_000_001, 2_000_000]
 
 
 # --- delay ---

@@ -80,7 +80,7 @@ class Telemetry:
 
     link: int = unsigned(8)  # 1 beside the base
     flags: int = unsigned(8)  # State
-    boot: int = unsigned(16)  # counts the starts of the link's electronics, from 1
+    boot: int = unsigned(16)  # differs between starts of the link's electronics: 1 or more
     sequence: int = unsigned(32)  # counts the frames since the start, modulo 2^32
     clock: int = unsigned(64)  # the link's own clock at the measurement [us since its start]
     echo: int = unsigned(32)  # low 32 bits of the `clock` of the last command taken; 0: none yet

@@ -5,12 +5,14 @@ caller's, in nanoseconds.
 """
 
 from collections import deque
+from secrets import randbelow
 from typing import NamedTuple
 
 from fss_arm_driver.protocol import Heard
 from fss_arm_driver.session.clock import MICROSECOND, SECOND
 
 ECHO_MEMORY = 60 * SECOND  # for so long an echo is known as that of a command of ours
+STAMP_SPREAD = 100_000  # a stamp is drawn from this time before its command [us]
 MASK = 0xFFFFFFFF  # an echo is the low 32 bits of a stamp
 MAX_STAMP_LEAD = 86_400_000_000  # that stamps may run ahead of the time of day at most [us]
 CROWD_COMMANDS = 5  # to send before the share of refused datagrams is checked
@@ -49,11 +51,17 @@ class Echoes:
         self._others: deque[int] = deque(maxlen=2)  # when another's commands were seen taken
         self._refusals: Refusals | None = None
 
-    def stamp(self, now: int) -> int:
-        """The stamp of a command sent now [us]: the time of day, but greater each time."""
+    def stamp(self, now: int, latest: bool = False) -> int:
+        """Draw the stamp of a command sent now: the time of day [us], greater each time.
+
+        It is random within STAMP_SPREAD, so that a recording does not hold it, even if both are of
+        simulated time. The `latest` possible one comes after those of other drivers.
+        """
         self._begun = self._begun or now
         self.sent += 1
-        self._clock = max((now + self._epoch) // MICROSECOND, self._clock + 1)
+        day = (now + self._epoch) // MICROSECOND
+        least = max(self._clock + 1, day if latest else day - STAMP_SPREAD)
+        self._clock = least + randbelow(max(1, day + 1 - least))
         self._ours[self._clock & MASK] = now
         while now - self._ours[oldest := next(iter(self._ours))] > ECHO_MEMORY:
             del self._ours[oldest]
@@ -71,7 +79,9 @@ class Echoes:
         self._begun, self.answered = 0, -1
 
     def sent_at(self, frame: Heard) -> int | None:
-        """When the command that a frame echoes was sent, if it is one of ours."""
+        """Time at which the command that a frame echoes was sent, if it is one of ours."""
+        if frame.echo == self._answer and self.answered >= 0:  # however long ago
+            return self.answered
         return self._ours.get(frame.echo) if frame.echo else None
 
     def rival(self, now: int) -> bool:

@@ -60,8 +60,8 @@ class Reception(Generic[T]):
         rules: what the link could report at all.
         timeout: silence after which the link is lost [ns].
         resolution: step of the clock that the caller reads [ns].
-        prove: whether a frame that does not follow a link's last one must prove by its echo to be
-            no older than `timeout`, as signed frames may be a recording.
+        prove: believe only frames that echo this session's commands, as signed frames may be a
+            recording.
         counts: what happened to the frames, by name.
     """
 
@@ -76,6 +76,7 @@ class Reception(Generic[T]):
         self._prove, self._counts = prove, counts
         self._candidates: deque[Track[T]] = deque(maxlen=MAX_CANDIDATES)  # on probation
         self._stamp = 0  # of the last sample
+        self._echoed = 0  # when the command was sent that the last frame believed echoes
 
     def tick(self, now: int, patience: int = 0) -> bool:
         """Let time pass; whether the link was lost by it, `patience` being the least timeout."""
@@ -90,7 +91,7 @@ class Reception(Generic[T]):
     def forget(self, now: int) -> None:
         """Begin anew: the clock was set back."""
         self._counts["lost"] += not self.lost
-        self.lost, self.heard, self.track, self._stamp = True, now, None, 0
+        self.lost, self.heard, self.track, self._stamp, self._echoed = True, now, None, 0, 0
         self._candidates.clear()
 
     def take(self, frame: T, echoed: int | None, now: int) -> int | None:
@@ -105,6 +106,7 @@ class Reception(Generic[T]):
             clock.one_way(frame.clock, now)
         else:
             clock.exchange(echoed, frame.turnaround, frame.clock, now)
+            self._echoed = echoed
         # A better estimate of the clock never turns the stamps back.
         self._stamp = max(clock.to_host(frame.clock), self._stamp + 1)
         return self._stamp
@@ -120,13 +122,21 @@ class Reception(Generic[T]):
         if verdict not in (Verdict.FOLLOWS, Verdict.JUMP):
             self._counts[verdict.value] += 1
             return False
-        # It was measured at most as long ago as its turn-around leaves, whoever held it back.
-        turnaround = frame.turnaround * MICROSECOND
-        fresh = echoed is not None and now - echoed - turnaround <= self._timeout
-        if self._prove and not fresh and (self.lost or verdict is Verdict.JUMP):
+        follows = verdict is Verdict.FOLLOWS and not self.lost
+        if self._prove and not self._is_proven(frame, echoed, now, follows):
             self._counts["unproven"] += 1
             return False
         return self._follow(verdict, frame, now)
+
+    def _is_proven(self, frame: T, echoed: int | None, now: int, follows: bool) -> bool:
+        """Return True if the echo shows that `frame` is no recording.
+
+        A link takes commands in order, so its echo is never of an older one than before. A frame
+        that does not follow was also measured within the timeout, by the echo and its turnaround.
+        """
+        if echoed is None or echoed < self._echoed:
+            return False
+        return follows or now - echoed - frame.turnaround * MICROSECOND <= self._timeout
 
     def _follow(self, verdict: Verdict, frame: T, now: int) -> bool:
         """Believe a frame that follows, from the last one or a candidate; else keep it as one."""

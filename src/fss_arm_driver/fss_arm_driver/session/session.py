@@ -10,7 +10,7 @@ from collections.abc import Callable
 from math import inf, nan
 from typing import Any, Generic, NamedTuple, TypedDict, TypeVar
 
-from fss_arm_driver.protocol import VERSION, FrameError, Head, Heard, Refusal, spoken
+from fss_arm_driver.protocol import VERSION, FrameError, Head, Heard, Order, Refusal, spoken
 from fss_arm_driver.scale import CommandError
 from fss_arm_driver.session.arming import Arming, ArmingMachine
 from fss_arm_driver.session.battery import Battery
@@ -67,7 +67,7 @@ class Session(ABC, Generic[T]):
         key: that frames are signed under; None: they are not signed.
         empty: voltage of its battery at which it must be switched off [V].
         epoch: what to add to the caller's clock to have the time of day [ns]: commands are
-            stamped with that, once, so that they come after those of an earlier session.
+            stamped by that, once, so that they come after those of an earlier session.
     """
 
     def __init__(
@@ -317,7 +317,7 @@ class Session(ABC, Generic[T]):
             flags=flags,
             boot=frame.boot if frame else 0,
             sequence=self._sequence,
-            clock=self._echoes.stamp(now),
+            clock=self._echoes.stamp(now, latest=bool(flags & Order.STOP)),
             watchdog=self._watchdog,
         )
 

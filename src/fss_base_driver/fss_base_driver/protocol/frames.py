@@ -76,7 +76,7 @@ class BaseTelemetry:
 
     link: int = unsigned(8)  # BOARD
     flags: int = unsigned(8)  # BaseState
-    boot: int = unsigned(16)  # counts the starts of the board, from 1
+    boot: int = unsigned(16)  # differs between starts of the board: 1 or more
     sequence: int = unsigned(32)  # counts the frames since the start, modulo 2^32
     clock: int = unsigned(64)  # the board's own clock at the measurement [us since its start]
     echo: int = unsigned(32)  # low 32 bits of the `clock` of the last command taken; 0: none yet

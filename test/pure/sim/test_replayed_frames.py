@@ -1,0 +1,210 @@
+"""Restarts of links and board, simulated and with their firmware, under replayed recordings.
+
+An attacker records all frames before each restart and sends them again after it, at every time.
+"""
+
+from collections import Counter
+from contextlib import closing
+from dataclasses import replace
+from functools import partial
+from random import Random
+
+import pytest
+from base_firmware import FirmwareBoard, board_core
+from firmware import Core, FirmwareLink
+
+from fss_arm_driver import protocol
+from fss_arm_driver.protocol import State as Flags
+from fss_arm_driver.session import LinkSession
+from fss_arm_model.description import paper_arm
+from fss_base_driver import protocol as base_protocol
+from fss_base_driver.session import BoardSession
+from fss_sim import settings, testbed
+from fss_sim.testbed import State
+
+KEYS = {0: bytes(range(16)), 2: bytes(range(1, 17))}
+SECOND, PERIOD = 1_000_000_000, 50_000_000
+EPOCH = 1_700_000_000 * SECOND
+RESTARTS = 100
+TIMEOUT, OUTAGE = 0.5, 6 * SECOND // 10  # [s], [ns]
+BOARD, LINK = 0, 2
+
+
+class Simulated:
+    """A simulated test bed, switched on in the states that `start` gives."""
+
+    def __init__(self, keys, start):
+        self.keys, self.start = keys, start
+        self.settings = settings.TestbedSettings(preset="ideal")
+        self.boots = []
+
+    def restart(self):
+        self.make()
+        if self.boots[-1:] == [self.boot]:  # by chance, 1 in 65535, or always
+            self.make()
+        self.boots.append(self.boot)
+
+    def make(self):
+        arm, noise = self.settings.description(), self.settings.noise()
+        state = self.start(self.settings)
+        self.bed = testbed.Testbed(arm, noise, 1, state, 20.0, self.keys, board_rate=20.0)
+
+    @property
+    def boot(self):
+        return self.bed.board.state.gate.boot
+
+    def send(self, part, data):
+        if part == BOARD:
+            self.bed.receive_base(data, "driver")
+        else:
+            self.bed.receive(part - 1, data, "driver")
+
+    def run(self):
+        """Let a period pass; what each part sent."""
+        reports = [self.bed.step() for _ in range(5)]
+        sent = {BOARD: [r.board for r in reports], LINK: [r.telemetry[LINK - 1] for r in reports]}
+        return {part: [d.data for those in each for d in those] for part, each in sent.items()}
+
+    def close(self):
+        pass
+
+
+class Firmware:
+    """Firmware of a link and of the board, started with the boot numbers given."""
+
+    def __init__(self, keys, boots):
+        self.keys, self.next, self.boots = keys, iter(boots), []
+        self.cores = {BOARD: board_core(), LINK: Core()}
+
+    def restart(self):
+        self.boots.append(next(self.next))
+        keys = self.keys
+        self.parts = {
+            BOARD: FirmwareBoard(self.cores[BOARD], self.boots[-1], keys.get(BOARD)),
+            LINK: FirmwareLink(self.cores[LINK], LINK, self.boots[-1], keys.get(LINK)),
+        }
+
+    def send(self, part, data):
+        self.parts[part].send(data)
+
+    def run(self):
+        frames = {BOARD: self.parts[BOARD].run(PERIOD // 1000), LINK: self.parts[LINK].run(0.05)}
+        encode = {BOARD: base_protocol.encode, LINK: protocol.encode}
+        return {
+            part: [encode[part](frame, self.keys.get(part)) for frame in sent]
+            for part, sent in frames.items()
+        }
+
+    def close(self):
+        for core in self.cores.values():
+            core.close()
+
+
+class Laboratory:
+    """The sessions of one computer, the parts that they drive, and a tap on what all say."""
+
+    def __init__(self, world, keys):
+        self.world, self.signed, self.now = world, bool(keys), EPOCH
+        self.sessions = {
+            BOARD: BoardSession(TIMEOUT, 2.0, key=keys.get(BOARD)),
+            LINK: LinkSession(LINK, paper_arm().links[LINK - 1], TIMEOUT, key=keys.get(LINK)),
+        }
+        self.heard, self.said = {BOARD: [], LINK: []}, {BOARD: [], LINK: []}  # since the start
+        self.recorded = {BOARD: [], LINK: []}  # telemetry from before it
+        self.seen = Counter()  # frames that were believed, and what they show
+
+    def restart(self):
+        """Restart all parts; the attacker commands them before the computer does."""
+        commands, self.said = self.said, {BOARD: [], LINK: []}
+        self.recorded, self.heard = self.heard, {BOARD: [], LINK: []}
+        self.seen["armed"] = 0
+        self.world.restart()
+        self.now += OUTAGE
+        for part, those in commands.items():
+            for data in those:
+                self.world.send(part, data)
+
+    def step(self):
+        """A period, with the recording played before and after each frame."""
+        self.now += PERIOD
+        for part, session in self.sessions.items():
+            self.said[part].append(session.command(self.now))
+            self.world.send(part, self.said[part][-1])
+        for part, frames in self.world.run().items():
+            self.play(part)
+            for data in frames:
+                self.heard[part].append(data)
+                self.learn(self.sessions[part].feed(data, self.now))
+                self.play(part)
+
+    def play(self, part):
+        """Replay telemetry; without a key anybody can stand in for a part that is lost."""
+        session = self.sessions[part]
+        for data in self.recorded[part]:
+            if self.signed or not session.lost:
+                self.seen["replayed"] += 1
+                assert session.feed(data, self.now) is None
+
+    def learn(self, heard):
+        if heard:
+            self.seen["armed"] += bool(heard.frame.flags & Flags.ARMED)
+            self.seen["open"] += bool(getattr(heard.frame, "valves", 0))
+
+    def until(self, condition):
+        for _ in range(60):
+            if condition():
+                return
+            self.step()
+        pytest.fail("it took more than 3 s")
+
+    def live(self):
+        """From a restart until the board's valves are open and the link is armed."""
+        sessions, starts = self.sessions.values(), len(self.world.boots)
+        self.until(lambda: all(s.counts["adopted"] == starts for s in sessions))
+        assert not self.seen["armed"]  # whatever was replayed
+        for session in sessions:
+            session.arm(self.now)
+        self.until(lambda: all(s.armed for s in sessions))
+        self.sessions[BOARD].thrust([0.2] * 8, self.now, self.now)
+        opened = self.seen["open"]
+        self.until(lambda: self.seen["open"] > opened + 2)
+
+
+def drawn(of):
+    return of.begin(4)
+
+
+def kept(path, of):
+    """State of a test bed that saves it, and is killed soon after its start."""
+    state = replace(of, state_file=str(path)).begin(4)
+    state.save(path)
+    return state
+
+
+def repeated(_):
+    return State(frame=0, boots=1, rests=0, q=7 * (0.0,), qd=7 * (0.0,), boot_offset=0)
+
+
+def unlike():
+    return Random(7).sample(range(1, 65536), RESTARTS + 1)
+
+
+WORLDS = {
+    "test bed": lambda keys, path: Simulated(keys, drawn),
+    "test bed with a state file": lambda keys, path: Simulated(keys, partial(kept, path)),
+    "firmware": lambda keys, path: Firmware(keys, unlike()),
+    "test bed, boot repeated": lambda keys, path: Simulated(keys, repeated),
+    "firmware, boot repeated": lambda keys, path: Firmware(keys, (RESTARTS + 1) * [7]),
+}
+CASES = [(name, keys) for name in WORLDS for keys in ({}, KEYS) if keys or "repeated" not in name]
+
+
+@pytest.mark.parametrize(("name", "keys"), CASES, ids=[f"{n}-{len(k)} keys" for n, k in CASES])
+def test_frames_from_before_a_restart_are_not_believed_after_it(name, keys, tmp_path):
+    with closing(WORLDS[name](keys, tmp_path / "state.json")) as world:
+        laboratory = Laboratory(world, keys)
+        for _ in range(RESTARTS + 1):
+            laboratory.restart()
+            laboratory.live()
+    assert laboratory.seen["open"] > 2 * RESTARTS
+    assert laboratory.seen["replayed"] > 100 * RESTARTS
