@@ -26,7 +26,7 @@ from fss_arm_ros.diagnostics import Health
 from fss_arm_ros.parameters import declare_live
 from fss_arm_ros.qos import LATCHED, SENSOR, command, subscribe_stop
 from fss_arm_ros.timer_clock import timer_clock
-from fss_arm_ros.validation import Validator, subscribe
+from fss_arm_ros.validation import subscribe, validators
 from fss_base_driver import messages
 from fss_base_driver.allocation import Allocation
 from fss_base_driver.gyro import BiasError, BiasSearch, Sums
@@ -36,6 +36,7 @@ from fss_base_driver.session import NO_PULSE, BoardSession, Heard, Pulse
 from fss_base_driver.settings import BaseSettings, live_kinds
 from fss_base_driver.wrench import planar_wrench
 
+COMMANDS = "thrusters/command", "base/wrench", "gripper/command"
 AHEAD = 0.5  # by which a stamp may seem to come from the future [s]
 MAX_OVERLOAD = 1000.0  # components of a wrench, as multiples of the total thrust
 OFF = VALVES * (0.0,)
@@ -87,7 +88,7 @@ class BaseNode(SessionNode):
             (WrenchStamped, "base/wrench", self.on_wrench, s.wrench_lifetime),
             (Bool, "gripper/command", self.on_grip, 1.0),
         ):
-            subscribe(self, kind, topic, callback, command(lifetime), self.read_command)
+            subscribe(self, kind, topic, callback, command(lifetime))
         subscribe(self, ThrusterHealth, "thrusters/health", self.on_found, LATCHED)
         for topic in ("base/stop", "arm/stop"):
             subscribe_stop(self, topic, self.on_stop)
@@ -179,14 +180,6 @@ class BaseNode(SessionNode):
             except CommandError as error:
                 self.session.counts["commands_refused"] += 1
                 self.warn(topic, f"{topic} is refused: {error}")
-
-    def read_command(self, validator: Validator, data: bytes) -> Any:
-        """Deserialize a command; return None, and count it, if the rule of its type refuses it."""
-        message = validator.message(data)
-        if message is None:
-            with self.lock:
-                self.session.counts["commands_refused"] += 1
-        return message
 
     def on_thrust(self, message: ThrusterCommand) -> None:
         """Open the valves that are asked for, in place of the wrench in force."""
@@ -315,10 +308,17 @@ class BaseNode(SessionNode):
         if self.seeking and self.result and not self.seeking.done():
             self.seeking.set_result(self.result)
 
+    @property
+    def commands_refused(self) -> int:
+        """Number of commands rejected, those that the rule of their type rejects included."""
+        invalid = sum(each.refused for each in validators(self) if each.topic in COMMANDS)
+        return self.session.counts["commands_refused"] + invalid
+
     def health(self) -> Health:
-        """For diagnostics."""
+        """Health for the diagnostics."""
         silence = (self.now() - self.turned) / SECOND if self.turned else inf
         more = {"gyro bias [rad/s]": self.live["gyro"].bias, "gyro's age [s]": silence}
+        more["commands_refused"] = self.commands_refused
         for name, valve in self.live.items():
             for how, value in vars(valve).items() if name != "gyro" else ():
                 if value:
