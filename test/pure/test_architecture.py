@@ -105,7 +105,7 @@ ROOMS = {
         "fss_arm_calib.kinds", "fss_arm_calib.dynamic.parameters",
         "fss_arm_calib.dynamic.settings",
     },
-    "fss_gnc.navigation": {"fss_arm_model", "fss_arm_ros.serialized"},
+    "fss_gnc.navigation": {"fss_arm_model", "fss_arm_ros.convert"},
     "fss_gnc.control": {"fss_arm_model", "fss_gnc.reference"},
     "fss_gnc.guidance": {
         "fss_arm_model", "fss_arm_motion", "fss_gnc.reference", "fss_arm_msgs.action",

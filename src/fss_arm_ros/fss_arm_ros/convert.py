@@ -3,7 +3,7 @@
 Times are integer nanoseconds: a float of seconds since the epoch resolves only 240 ns.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from itertools import zip_longest
 from math import atan2, cos, isfinite, nan, sin
 from typing import Any
@@ -13,7 +13,7 @@ from geometry_msgs.msg import PoseStamped
 
 from fss_arm_model.units import SECOND as SECOND
 
-TURN_RATE = 4 + 9 + 2  # among an Imu's doubles: after the orientation, its covariance, x and y
+TURN_RATE = 4 + 9 + 2  # index of the rate about z among the doubles of an Imu
 
 
 class PoseError(ValueError):
@@ -60,17 +60,12 @@ def planar_pose(pose: Any) -> tuple[float, float, float]:
             that turns nothing, or a number that is not finite.
     """
     p, o = pose.position, pose.orientation
-    return from_above((p.x, p.y, p.z, o.x, o.y, o.z, o.w))
-
-
-def from_above(numbers: Sequence[float]) -> tuple[float, float, float]:
-    """As `planar_pose`, of position x, y, z [m] and quaternion x, y, z, w."""
-    px, py, pz, x, y, z, w = numbers
-    if not all(map(isfinite, numbers)):
-        raise PoseError(f"pose is not finite: position {px, py, pz}")
-    if x * x + y * y + z * z + w * w < 0.25:
+    if not all(map(isfinite, (p.x, p.y, p.z, o.x, o.y, o.z, o.w))):
+        raise PoseError(f"pose is not finite: position {p.x, p.y, p.z}")
+    if o.x * o.x + o.y * o.y + o.z * o.z + o.w * o.w < 0.25:
         raise PoseError("pose has no orientation: the subject is occluded")
-    return float(px), float(py), atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
+    heading = atan2(2.0 * (o.w * o.z + o.x * o.y), o.w * o.w + o.x * o.x - o.y * o.y - o.z * o.z)
+    return float(p.x), float(p.y), heading
 
 
 def seen_pose(message: Any) -> tuple[float, float, float] | None:

@@ -10,7 +10,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSPolicyKind, QoSProfile
 from std_msgs.msg import Empty
 
 from fss_arm_ros.subscription_set import unsubscribe
-from fss_arm_ros.validation import Validator, subscribe
+from fss_arm_ros.validation import subscribe
 
 #: Publishers of measurements: bursts must not be lost, and a stalled reader must not stall them.
 SENSOR = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
@@ -65,7 +65,6 @@ def subscribe_sensor(
     callback: Callable[[Any], None],
     *,
     keep_all: bool = False,
-    read: Callable[[Validator, bytes], Any] = Validator.message,
 ) -> None:
     """Subscribe reliably, and turn best effort once a publisher shows up that offers no more.
 
@@ -79,7 +78,7 @@ def subscribe_sensor(
         node.get_logger().info(f"{topic} is published best effort: messages may get lost")
         unsubscribe(node, reliable)
         unreliably = sensor(keep_all=keep_all, best_effort=True)
-        subscribe(node, kind, topic, callback, unreliably, read)
+        subscribe(node, kind, topic, callback, unreliably)
 
     reliable = subscribe(
         node,
@@ -87,6 +86,5 @@ def subscribe_sensor(
         topic,
         callback,
         sensor(keep_all=keep_all),
-        read,
         event_callbacks=SubscriptionEventCallbacks(incompatible_qos=turn),
     )

@@ -58,6 +58,7 @@ def run(
         return _failed(name, f"{plain[0]!r} is not understood; try --help", 2)
     _tune_process()
     nodes: Sequence[Node] = ()
+    executor: SingleThreadedExecutor | None = None
     begun = False
     try:
         signal.signal(signal.SIGINT, _interrupt_next)
@@ -94,6 +95,8 @@ def run(
             getattr(node, "close", lambda: None)()
         # Fast DDS (2.14) was seen to wait for ever, holding Python's lock, as many left at once.
         faulthandler.dump_traceback_later(LEAVING, exit=True, file=2)
+        if executor:
+            executor.shutdown()
         for node in nodes:
             node.destroy_node()
         rclpy.try_shutdown()

@@ -31,7 +31,7 @@ from fss_arm_ros.qos import LATCHED, SENSOR, sensor, subscribe_sensor
 from fss_arm_ros.stamps import Stamps
 from fss_arm_ros.validation import subscribe
 from fss_gnc.navigation import BodyFilter
-from fss_gnc.navigation.messages import SerializedState, SerializedTransform
+from fss_gnc.navigation.messages import odometry, transform
 
 from .base_reaction import BaseReaction, Reaction
 from .programs import base_reaction as main
@@ -58,8 +58,6 @@ class BaseReactionNode(Node):
         self.begin()
         self.occluded = 0
         self.published = monotonic()  # when the last reaction was
-        frames = s.world_frame, s.base_frame
-        self.images = SerializedState(*frames), SerializedTransform(*frames)
         self.state = self.transform = None
         if s.publish_state:
             self.state = self.create_publisher(Odometry, "base/state", SENSOR)
@@ -146,9 +144,9 @@ class BaseReactionNode(Node):
         state = self.filter.state()
         self.reaction.base(state)
         if self.state and self.transform:
-            of_state, of_transform = self.images
-            self.state.publish(of_state.of(state))
-            self.transform.publish(of_transform.of(state))
+            frames = self.settings.world_frame, self.settings.base_frame
+            self.state.publish(odometry(state, *frames))
+            self.transform.publish(transform(state, *frames))
 
     def advance(self) -> None:
         """Publish the reaction, `rate` times a second."""

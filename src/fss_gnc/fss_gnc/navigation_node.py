@@ -26,24 +26,22 @@ from fss_arm_msgs.msg import (
 from fss_arm_ros.calibrated import Calibrated
 from fss_arm_ros.convert import (
     SECOND,
-    TURN_RATE,
     PoseError,
-    from_above,
     joint_readings,
+    planar_pose,
     stamp_ns,
     to_time,
 )
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED, SENSOR, subscribe_sensor
-from fss_arm_ros.serialized import Numbers
 from fss_arm_ros.stamps import SAMPLES, Stamps
 from fss_arm_ros.timer_clock import timer_clock
-from fss_arm_ros.validation import Validator, subscribe
+from fss_arm_ros.validation import subscribe
 from fss_gnc import messages
 from fss_gnc.navigation import Navigation
-from fss_gnc.navigation.body_filter import POSE, RATE, BodyFilter
-from fss_gnc.navigation.messages import SerializedState, SerializedTransform
+from fss_gnc.navigation.body_filter import POSE, RATE, BodyFilter, BodyState
+from fss_gnc.navigation.messages import odometry, transform
 from fss_gnc.navigation.settings import NavigationSettings
 from fss_gnc.navigation.valve_faults import Faults
 from fss_gnc.programs import navigation as main
@@ -89,16 +87,13 @@ class NavigationNode(Node):
         self.held = self.create_publisher(MassProperties, "target/mass_properties", SENSOR)
         self.valves = self.create_publisher(ThrusterHealth, "thrusters/health", LATCHED)
         self.transform = self.create_publisher(TFMessage, "/tf", SENSOR)
-        self.images = SerializedState(s.world_frame, s.base_frame)
-        self.transforms = SerializedTransform(s.world_frame, s.base_frame)
-        self.target_images = SerializedState(s.world_frame, s.target_frame)
         self.begin()
         for kind, topic, callback in (
             (PoseStamped, s.base_topic, self.on_base),
             (PoseStamped, s.target_topic, self.on_target),
             (Imu, s.gyro_topic, self.on_gyro),
         ):
-            subscribe_sensor(self, kind, topic, callback, read=Validator.numbers)
+            subscribe_sensor(self, kind, topic, callback)
         subscribe_sensor(self, JointState, s.joints_topic, self.on_joints)
         subscribe_sensor(self, JointTrajectory, "arm/planned", self.on_planned)
         subscribe_sensor(self, ThrusterCommand, "thrusters/pulses", self.on_pulses)
@@ -116,9 +111,7 @@ class NavigationNode(Node):
         s = self.settings
         self.navigation = Navigation(self.known.arm, s, s.of_target(), s.body(), s)
         self.base = Body(self.navigation.base, self.publish_base)
-        self.free = Body(
-            self.navigation.target, lambda state: self.target.publish(self.target_images.of(state))
-        )
+        self.free = Body(self.navigation.target, self.publish_target)
         self.stamps: dict[str, Stamps] = defaultdict(Stamps)  # by topic
         self.ahead: Counter[str] = Counter()  # in a row, by topic
         self.tell(self.navigation.valves.found)
@@ -145,32 +138,33 @@ class NavigationNode(Node):
             self.newest, self.heard = t, self.clock.now().nanoseconds
         return True
 
-    def on_base(self, seen: Numbers) -> None:
+    def on_base(self, message: PoseStamped) -> None:
         """A PoseStamped of the base."""
-        self.on_pose(self.settings.base_topic, seen)
+        self.on_pose(self.settings.base_topic, message)
 
-    def on_target(self, seen: Numbers) -> None:
+    def on_target(self, message: PoseStamped) -> None:
         """A PoseStamped of the target."""
-        self.on_pose(self.settings.target_topic, seen)
+        self.on_pose(self.settings.target_topic, message)
 
-    def on_pose(self, topic: str, seen: Numbers) -> None:
+    def on_pose(self, topic: str, message: PoseStamped) -> None:
         """A PoseStamped of either."""
         is_base = topic == self.settings.base_topic
         try:
-            pose = from_above(seen.values)
+            pose = planar_pose(message.pose)
         except PoseError:
             self.refused[f"{topic} occluded"] += 1
             return
-        t = seen.stamp - self.latency
+        t = stamp_ns(message.header.stamp) - self.latency
         if self.is_timely(topic, t):
             take = self.navigation.base.pose if is_base else self.navigation.target_pose
             if take(t, *pose):
                 (self.base if is_base else self.free).tell(t)
 
-    def on_gyro(self, measured: Numbers) -> None:
-        """An Imu: a sample of the base's rate."""
-        if self.is_timely(self.settings.gyro_topic, measured.stamp):
-            self.navigation.base.rate(measured.stamp, measured.values[TURN_RATE])
+    def on_gyro(self, message: Imu) -> None:
+        """Update the base's filter with a sample of its rate."""
+        t = stamp_ns(message.header.stamp)
+        if self.is_timely(self.settings.gyro_topic, t):
+            self.navigation.base.rate(t, message.angular_velocity.z)
 
     def on_joints(self, message: JointState) -> None:
         """Readings of one link or more."""
@@ -214,10 +208,15 @@ class NavigationNode(Node):
             self.navigation.describe(known.arm)
             self.get_logger().info(f"predicts with {topic} of {known.arm.name}")
 
-    def publish_base(self, state: Any) -> None:
+    def publish_base(self, state: BodyState) -> None:
         """Publish the base's state and transform."""
-        self.state.publish(self.images.of(state))
-        self.transform.publish(self.transforms.of(state))
+        frames = self.settings.world_frame, self.settings.base_frame
+        self.state.publish(odometry(state, *frames))
+        self.transform.publish(transform(state, *frames))
+
+    def publish_target(self, state: BodyState) -> None:
+        """Publish the target's state."""
+        self.target.publish(odometry(state, self.settings.world_frame, self.settings.target_frame))
 
     def go_on(self) -> None:
         """Predict what is not seen, and publish it as long as it is known."""

@@ -252,6 +252,7 @@ def test_what_is_to_be_relayed_and_does_not_come_is_named(spin):
     is_none = "/b: std_msgs/msg/Empty is no type of poses; there are "
     spin([node, user], lambda: said("") or node.health().message.startswith(is_none))
     user.destroy_publisher(strange)
+    spin([node, user], lambda: user.count_publishers("/b") == 0)
     tips = user.create_publisher(TransformStamped, "/b", SENSOR)
     spin([node, user], lambda: said("receiving") and tips.get_subscription_count())
     tip = TransformStamped(child_frame_id="end_effector")

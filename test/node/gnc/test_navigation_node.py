@@ -312,7 +312,8 @@ def test_joints_whose_clock_is_ahead_for_a_moment_do_not_take_the_present_along(
     spin([node, bench], lambda: node.navigation.inputs.joints_at(bench.now)[0][0] == 0.1)
     fly(0.5)
     spin([node, bench], lambda: stamp_ns(bench.states[-1].header.stamp) == bench.now)
-    assert node.now() == bench.now
+    # A pose may be handled before the message of /clock that was sent with it.
+    assert 0 <= node.now() - bench.now <= SECOND // 100
 
 
 def test_its_timers_keep_a_clock_that_nobody_sets(spin):

@@ -2,15 +2,13 @@
 
 import gc
 from math import inf, nan
-from struct import pack
 from types import SimpleNamespace
 from weakref import ref
 
-import numpy as np
 import pytest
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import Point, PoseStamped, Quaternion
+from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rclpy.serialization import serialize_message
@@ -27,7 +25,6 @@ from fss_arm_msgs.msg import (
     Maneuver,
     Maneuvers,
 )
-from fss_arm_ros.convert import TURN_RATE
 from fss_arm_ros.diagnostics import WARN, Diagnostics, Health
 from fss_arm_ros.sources import rivals
 from fss_arm_ros.validation import Validator, check, refusals, subscribe
@@ -139,40 +136,6 @@ def test_what_is_refused_between_what_is_not_is_logged_but_once_in_a_while(ros, 
         validator.message(data)
     assert validator.refused == 20
     assert said == ["a message on fog/imu is refused: its 100 bytes are no sensor_msgs/Imu"]
-
-
-@pytest.mark.parametrize("frame_id", ["", "abc", "abcd", "world", 11 * "x", 12 * "x"])
-def test_numbers_are_those_of_the_message(ros, frame_id):
-    node, random = Node("listener"), np.random.default_rng(len(frame_id))
-    seen, measured = pose(0.0), stamped(7, 8)
-    seen.header.stamp = measured.header.stamp
-    seen.header.frame_id = measured.header.frame_id = frame_id
-    p, q = random.normal(size=3), random.normal(size=4)
-    seen.pose.position = Point(x=p[0], y=p[1], z=p[2])
-    seen.pose.orientation = Quaternion(x=q[0], y=q[1], z=q[2], w=q[3])
-    measured.angular_velocity.z = q[0]
-    poses = Validator(node, PoseStamped, "pose")
-    assert poses.numbers(serialize_message(seen)) == (7_000_000_008, (*p, *q))
-    stamp, values = Validator(node, Imu, "imu").numbers(serialize_message(measured))
-    assert (stamp, values[TURN_RATE], len(values)) == (7_000_000_008, q[0], 37)
-    seen.pose.position.x = inf  # nothing is seen, which is allowed, and is read as a message
-    assert poses.numbers(serialize_message(seen)) == (7_000_000_008, (inf, *p[1:], *q))
-
-
-def test_numbers_are_refused_as_messages_are(ros):
-    node, whole = Node("listener"), serialize_message(stamped(1))
-    validator = Validator(node, Imu, "imu")
-    lacks = stamped(1)
-    lacks.linear_acceleration.x = nan
-    long = stamped(1)
-    long.header.frame_id = 70_000 * "x"
-    bad = lacks, long, stamped(-1), stamped(1, 1_000_000_000), pose(1.0)
-    for data in (*map(serialize_message, bad), b"", whole[:-1]):
-        assert validator.numbers(data) is None
-    assert validator.refused == 7
-    found = validator.numbers(whole)
-    assert found == (1_000_000_000, (0.0, 0.0, 0.0, 1.0, *33 * [0.0]))
-    assert validator.numbers(b"\0\0\0\0" + pack(">iII4x37d", 1, 0, 1, *found.values)) == found
 
 
 def test_a_node_that_nobody_holds_is_gone_with_its_validators(ros):

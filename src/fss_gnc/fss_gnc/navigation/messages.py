@@ -7,49 +7,42 @@ from geometry_msgs.msg import TransformStamped
 from nav_msgs.msg import Odometry
 from tf2_msgs.msg import TFMessage
 
-from fss_arm_ros.serialized import SerializedMessage
+from fss_arm_ros.convert import to_time
 
 from .body_filter import BodyState
 
-COVARIANCE, TWIST, TWIST_COVARIANCE = 7, 43, 49  # where they begin among an Odometry's doubles
-PLANE = 0, 1, 5  # x, y and heading among six
+PLANE = (0, 1, 5)  # x, y and heading among the six axes of a covariance
 
 
-class SerializedState(SerializedMessage):
-    """Pose in the world, twist along the body's own axes, as the type has it, with covariances."""
-
-    def __init__(self, world_frame: str, body_frame: str) -> None:
-        message = Odometry(child_frame_id=body_frame)
-        message.header.frame_id = world_frame
-        super().__init__(message, 85)
-
-    def of(self, state: BodyState) -> bytes:
-        """A state."""
-        x, y, heading = state.pose.tolist()
-        vx, vy, omega = state.twist.tolist()
-        c, s = cos(heading), sin(heading)
-        own = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-        self.stamped(state.t)
-        self.put(0, x, y, 0.0, 0.0, 0.0, sin(0.5 * heading), cos(0.5 * heading))
-        self.put(TWIST, c * vx + s * vy, c * vy - s * vx, 0.0, 0.0, 0.0, omega)
-        twist = own @ state.covariance[3:, 3:] @ own.T
-        for begin, block in ((COVARIANCE, state.covariance[:3, :3]), (TWIST_COVARIANCE, twist)):
-            for i, (a, b, d) in zip(PLANE, block.tolist(), strict=True):
-                self.put(begin + 6 * i, a, b, 0.0, 0.0, 0.0, d)
-        return self.bytes()
+def odometry(state: BodyState, world_frame: str, body_frame: str) -> Odometry:
+    """Return pose in the world and twist in the body's axes, as the type defines it."""
+    x, y, heading = state.pose.tolist()
+    vx, vy, omega = state.twist.tolist()
+    c, s = cos(heading), sin(heading)
+    to_body = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+    message = Odometry(child_frame_id=body_frame)
+    message.header.stamp, message.header.frame_id = to_time(state.t), world_frame
+    pose, twist = message.pose.pose, message.twist.twist
+    pose.position.x, pose.position.y = x, y
+    pose.orientation.z, pose.orientation.w = sin(0.5 * heading), cos(0.5 * heading)
+    twist.linear.x, twist.linear.y, twist.angular.z = c * vx + s * vy, c * vy - s * vx, omega
+    message.pose.covariance = _in_space(state.covariance[:3, :3])
+    message.twist.covariance = _in_space(to_body @ state.covariance[3:, 3:] @ to_body.T)
+    return message
 
 
-class SerializedTransform(SerializedMessage):
-    """From the world to the body, for /tf."""
+def _in_space(covariance: np.ndarray) -> np.ndarray:
+    """Return a planar covariance (3, 3) as the 36 numbers of one of six axes."""
+    whole = np.zeros((6, 6))
+    whole[np.ix_(PLANE, PLANE)] = covariance
+    return whole.ravel()
 
-    def __init__(self, world_frame: str, body_frame: str) -> None:
-        message = TransformStamped(child_frame_id=body_frame)
-        message.header.frame_id = world_frame
-        super().__init__(TFMessage(transforms=[message]), 7, stamp=8)
 
-    def of(self, state: BodyState) -> bytes:
-        """A state."""
-        x, y, heading = state.pose.tolist()
-        self.stamped(state.t)
-        self.put(0, x, y, 0.0, 0.0, 0.0, sin(0.5 * heading), cos(0.5 * heading))
-        return self.bytes()
+def transform(state: BodyState, world_frame: str, body_frame: str) -> TFMessage:
+    """Return the transform from the world to the body, for /tf."""
+    x, y, heading = state.pose.tolist()
+    one = TransformStamped(child_frame_id=body_frame)
+    one.header.stamp, one.header.frame_id = to_time(state.t), world_frame
+    one.transform.translation.x, one.transform.translation.y = x, y
+    one.transform.rotation.z, one.transform.rotation.w = sin(0.5 * heading), cos(0.5 * heading)
+    return TFMessage(transforms=[one])
