@@ -25,7 +25,8 @@ from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import command, sensor
 from fss_arm_ros.subscriptions import PolledSubscription
 from fss_arm_ros.timer_clock import timer_clock
-from fss_gnc import messages
+from fss_arm_ros.validation import validators
+from fss_gnc import bounds, messages
 from fss_gnc.control.planned import PlannedRates
 from fss_gnc.control.pose import PoseControl
 from fss_gnc.control.settings import ControlSettings
@@ -75,35 +76,38 @@ class ControlNode(Node):
         return int(self.get_clock().now().nanoseconds)
 
     def listen(self, kind: type, topic: Latest[Any], read: Any) -> None:
-        """Keep what a topic says, but for messages that are not understood."""
+        """Keep the newest message of a topic that makes sense."""
 
         def take(message: Any) -> None:
             try:
                 topic.take(stamp_ns(message.header.stamp), read(message))
             except ValueError as error:
-                self.warn(topic.name, error)
+                self.reject(topic.name, error)
 
         self.polled.append(PolledSubscription(self, kind, topic.name, take))
 
-    def warn(self, topic: str, error: ValueError) -> None:
-        """Say that a message is left out, now and then."""
-        words = f"a message on {topic} is left out: {error}"
-        self.get_logger().warning(words, throttle_duration_sec=1.0)
+    def reject(self, topic: str, error: ValueError) -> None:
+        """Count and log a message that makes no sense, as one that the rule of its type rejects."""
+        next(each for each in validators(self) if each.topic == topic).refuse(str(error))
 
     def on_trajectory(self, message: MultiDOFJointTrajectory) -> None:
         """Follow it from now on."""
+        now, stamp = self.now(), stamp_ns(message.header.stamp)
         try:
-            now, stamp = self.now(), stamp_ns(message.header.stamp)
-            self.trajectory.take(now, (stamp or now, messages.path(message)))
+            path = messages.path(message)
+            if path is not None:  # one without points may always close the valves
+                bounds.check_stamp(stamp, now, path.end, self.settings.timeout)
+                bounds.check_reference(path, self.settings.table)
+            self.trajectory.take(now, (stamp, path))
         except ValueError as error:
-            self.warn("base/trajectory", error)
+            self.reject("base/trajectory", error)
 
     def on_planned(self, message: JointTrajectory) -> None:
-        """What the joints are to do."""
+        """Remember the rates planned for the joints."""
         try:
-            self.planned.take(*messages.planned_rates(message, self.arm.n))
+            self.planned.take(*messages.planned_rates(message, self.arm))
         except ValueError as error:
-            self.warn("arm/planned", error)
+            self.reject("arm/planned", error)
 
     def on_propellant(self, message: Float64) -> None:
         """What is left of it; a sensor that is off may say less than nothing."""
@@ -120,7 +124,7 @@ class ControlNode(Node):
         try:
             self.measured = messages.mass_properties(message) if self.holds else None
         except ValueError as error:
-            self.warn("target/mass_properties", error)
+            self.reject("target/mass_properties", error)
 
     def tick(self) -> None:
         """Publish the wrench for the next period; none to act: once zero, then nothing."""

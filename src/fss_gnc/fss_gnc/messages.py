@@ -1,6 +1,6 @@
 """What control and guidance hear and say, as messages."""
 
-from math import cos, isfinite, sin
+from math import atan2, cos, hypot, isfinite, sin
 from typing import Any
 
 import numpy as np
@@ -8,11 +8,17 @@ from geometry_msgs.msg import Quaternion, Transform, Twist, Vector3
 from rclpy.duration import Duration
 from trajectory_msgs.msg import MultiDOFJointTrajectory, MultiDOFJointTrajectoryPoint
 
+from fss_arm_model.description import Arm
 from fss_arm_model.held import Target
 from fss_arm_ros.convert import SECOND, PoseError, joint_readings, planar_pose, stamp_ns, to_time
+from fss_gnc import bounds
 from fss_gnc.reference import Body, Floats, Path
 
 BASE, WORLD = "fss", "world"  # the one "joint" of a base's trajectory, and its frame
+HEIGHTS = (-10.0, 10.0)  # of a base's origin over the table, which control ignores [m]
+MAX_TILT = 0.1  # of its z axis [rad]
+ASIDE = 1e-3  # motion out of the plane [m/s, rad/s, m/s^2, rad/s^2]
+MAX_OVERSPEED = 3.0  # planned rate of a joint, as a multiple of its drive's max_velocity
 
 
 def body(message: Any) -> Body:
@@ -56,21 +62,30 @@ def mass_properties(message: Any) -> tuple[Target, Floats]:
     return Target(message.mass, message.inertia), place
 
 
-def planned_rates(message: Any, n: int) -> tuple[int, Floats, Floats]:
+def planned_rates(message: Any, arm: Arm) -> tuple[int, Floats, Floats]:
     """Stamp [ns], times since (k,) [s] and rates (k, n) [rad/s] of a JointTrajectory.
 
     Raises:
-        ValueError: it is not understood.
+        ValueError: a name, a number or a count is not one of this arm; the message names it.
     """
-    names, points = [f"joint_{i}" for i in range(1, n + 1)], message.points
-    if list(message.joint_names) != names or not points:
-        raise ValueError(f"joint_names is {list(message.joint_names)}, expected {names} and points")
-    if any(len(point.velocities) != n for point in points):
-        raise ValueError(f"each point must have {n} velocities")
+    names, points = [f"joint_{i}" for i in range(1, arm.n + 1)], message.points
+    if list(message.joint_names) != names:
+        raise ValueError(f"joint_names is {_short(message.joint_names)}, expected {names}")
+    if not points:
+        raise ValueError("there are no points, expected one or more")
+    for k, point in enumerate(points):
+        if (count := len(point.velocities)) != arm.n:
+            raise ValueError(f"points[{k}] has {count} velocities, expected {arm.n}")
     ahead = np.array([stamp_ns(point.time_from_start) for point in points]) / SECOND
+    bounds.duration("points[0].time_from_start", float(ahead[0]))
+    if (np.diff(ahead) <= 0.0).any():
+        raise ValueError("time_from_start does not rise from point to point")
     rates = np.array([point.velocities for point in points])
-    if not np.isfinite(rates).all() or (np.diff(ahead) <= 0.0).any():
-        raise ValueError("a rate is not finite, or time_from_start does not rise")
+    fastest = MAX_OVERSPEED * np.array([link.drive.max_velocity for link in arm.links])
+    bounds.check_all(
+        rates, np.broadcast_to(fastest, rates.shape),
+        lambda k, i: (f"points[{k}].velocities[{i}]", "rad/s"),
+    )  # fmt: skip
     return stamp_ns(message.header.stamp), ahead, rates
 
 
@@ -106,12 +121,12 @@ def path(message: Any) -> Path | None:
     """A MultiDOFJointTrajectory of the base as a path by seconds since its stamp; None: no points.
 
     Raises:
-        ValueError: it is not understood.
+        ValueError: it is no planar path in the world; the message names what is wrong.
     """
     if list(message.joint_names) != [BASE]:
-        raise ValueError(f"joint_names is {list(message.joint_names)}, expected ['{BASE}']")
-    if (frame := message.header.frame_id) not in ("", WORLD):
-        raise ValueError(f"frame_id is {frame!r}, expected {WORLD!r}")
+        raise ValueError(f"joint_names is {_short(message.joint_names)}, expected ['{BASE}']")
+    if (frame := message.header.frame_id) != WORLD:
+        raise ValueError(f"frame_id is {frame[:40]!r}, expected {WORLD!r}")
     if not message.points:
         return None
     given = [(p.transforms, p.velocities, p.accelerations) for p in message.points]
@@ -121,10 +136,27 @@ def path(message: Any) -> Path | None:
             "each point must have one transform, and all or none of them a velocity, and those an "
             "acceleration"
         )
+    for k, parts in enumerate(given):
+        _check_planar(f"points[{k}]", *(part[0] for part in parts if len(part)))
     times = [stamp_ns(point.time_from_start) / SECOND for point in message.points]
     knots = np.array([[_pose(x[0]), *(_twist(one) for one in (*v, *a))] for x, v, a in given])
     knots[:, 0, 2] = np.unwrap(knots[:, 0, 2])
     return Path(np.array(times), knots)
+
+
+def _check_planar(name: str, transform: Any, *twists: Any) -> None:
+    """Raise ValueError if a point has height, tilt or motion out of the table's plane."""
+    bounds.check(f"{name}.transforms[0].translation.z", transform.translation.z, *HEIGHTS, "m")
+    r = transform.rotation
+    tilt = 2.0 * atan2(hypot(r.x, r.y), hypot(r.z, r.w))
+    bounds.check(f"tilt of {name}.transforms[0].rotation", tilt, 0.0, MAX_TILT, "rad")
+    parts = ("velocities", "/s"), ("accelerations", "/s^2")
+    for (part, unit), twist in zip(parts, twists, strict=False):
+        for field, value, of in (
+            ("linear.z", twist.linear.z, "m"), ("angular.x", twist.angular.x, "rad"),
+            ("angular.y", twist.angular.y, "rad"),
+        ):  # fmt: skip
+            bounds.check(f"{name}.{part}[0].{field}", value, -ASIDE, ASIDE, of + unit)
 
 
 def _pose(transform: Any) -> tuple[float, float, float]:
@@ -136,3 +168,8 @@ def _pose(transform: Any) -> tuple[float, float, float]:
 
 def _twist(twist: Any) -> tuple[float, float, float]:
     return twist.linear.x, twist.linear.y, twist.angular.z
+
+
+def _short(names: Any) -> str:
+    """Names of joints for an error, however many there are."""
+    return str(list(names[:8]))[:80]

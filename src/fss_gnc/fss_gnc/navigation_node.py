@@ -177,7 +177,7 @@ class NavigationNode(Node):
     def on_planned(self, message: JointTrajectory) -> None:
         """What the joints are to do from now on."""
         try:
-            plan = messages.planned_rates(message, self.known.arm.n)
+            plan = messages.planned_rates(message, self.known.arm)
         except ValueError:
             self.refused["arm/planned refused"] += 1
         else:

@@ -16,6 +16,8 @@ from fss_arm_model.planar import wrap
 
 Floats = npt.NDArray[np.float64]
 
+SEGMENT_STEPS = 8  # between two knots, where a path is checked as a whole
+
 
 class Body(NamedTuple):
     """Base or target as they are, in the world."""
@@ -106,6 +108,13 @@ class Path:
     def sampled(self, begin: float, count: int = 65) -> tuple[Floats, Floats]:
         """Times from `begin` to the end, (count,), and the states then, (count, 3, 3)."""
         times = np.linspace(min(begin, self.end), self.end, count)
+        return times, self.states(times)
+
+    def resolved(self, begin: float) -> tuple[Floats, Floats]:
+        """Times of `sampled`, and SEGMENT_STEPS more in each segment, and the states then."""
+        even, share = self.sampled(begin)[0], np.arange(SEGMENT_STEPS) / SEGMENT_STEPS
+        inside = (self.times[:-1, None] + np.diff(self.times)[:, None] * share).ravel()
+        times = np.union1d(even, inside[inside >= begin])
         return times, self.states(times)
 
 

@@ -4,14 +4,12 @@ from copy import deepcopy
 
 import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import WrenchStamped
-from gnc_bench import FOLDED, FakeCraft
+from control_bench import ZERO, Bench, at
+from gnc_bench import FOLDED
 from nav_msgs.msg import Odometry
 from rclpy.duration import Duration
 from rclpy.node import Node
-from rclpy.parameter import Parameter
-from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint, MultiDOFJointTrajectory
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from fss_arm_model import layout
 from fss_arm_model.description import paper_arm
@@ -19,71 +17,12 @@ from fss_arm_model.dynamics import inertia_matrix
 from fss_arm_model.held import Target, hold, with_held
 from fss_arm_model.kinematics import tip_pose
 from fss_arm_msgs.msg import MassProperties
-from fss_arm_ros.convert import SECOND, stamp_ns, to_time
+from fss_arm_ros.convert import SECOND, to_time
 from fss_arm_ros.validation import refusals
 from fss_gnc import messages
-from fss_gnc.control_node import ControlNode
 from fss_gnc.reference import Path
 
 ARM = paper_arm()
-ZERO = (0.0, 0.0, 0.0)
-
-
-def at(*pose):
-    """A path that stays there."""
-    return Path(np.zeros(1), np.array(pose).reshape(1, 1, 3))
-
-
-class Bench(FakeCraft):
-    """The craft, whoever guides it, and the wrenches that come of it."""
-
-    def __init__(self, spin, time=None, **parameters):
-        super().__init__(time)
-        overrides = [Parameter(name, value=value) for name, value in parameters.items()]
-        self.control = ControlNode(parameter_overrides=[Parameter("rate", value=50.0), *overrides])
-        self.run, self.wrenches, self.stamps, self.words = spin, [], [], ""
-        self.path, self.plan = at(0.01, 0.0, 0.0), None
-        self.silent |= {"base/trajectory"}
-        self.trajectory = self.create_publisher(MultiDOFJointTrajectory, "base/trajectory", 1)
-        self.planned = self.create_publisher(JointTrajectory, "arm/planned", 1)
-        self.create_subscription(WrenchStamped, "base/wrench", self.on_wrench, 10)
-        self.create_subscription(DiagnosticArray, "/diagnostics", self.on_health, 10)
-        self.until(lambda: self.control.base.value and self.control.joints.value is not None)
-
-    def report(self):
-        super().report()
-        if "base/trajectory" not in self.silent:
-            self.guide(self.path)
-        if self.plan:
-            self.planned.publish(self.plan)
-
-    def guide(self, path):
-        self.trajectory.publish(messages.trajectory(path, 0.0, self.now(), 1.0, 0.25))
-
-    def on_wrench(self, message):
-        w = message.wrench
-        self.wrenches.append((w.force.x, w.force.y, w.torque.z))
-        self.stamps.append(stamp_ns(message.header.stamp))
-
-    def on_health(self, message):
-        self.words = {s.name: s.message for s in message.status}.get("/control", self.words)
-
-    def until(self, condition, timeout=10.0):
-        return self.run([self, self.control], condition, timeout)
-
-    def acts(self, count=3):
-        self.silent -= {"base/trajectory"}
-        before = len(self.wrenches)
-        self.until(lambda: len(self.wrenches) >= before + count)
-        return np.array(self.wrenches[-1])
-
-    def ceases(self, words, within=2.5):
-        """One zero wrench, and nothing after it; diagnostics say why."""
-        self.until(lambda: self.wrenches[-1] == ZERO, within)
-        count = len(self.wrenches)
-        self.until(lambda: words in self.words)  # which takes up to a second
-        assert len(self.wrenches) == count
-        assert self.wrenches.count(ZERO) == 1
 
 
 @pytest.fixture
@@ -119,7 +58,7 @@ def test_the_reference_moves_with_time(bench):
 def test_a_base_that_is_not_heard_any_more_closes_the_valves(bench):
     bench.acts()
     bench.silent |= {"base/state"}
-    bench.ceases("coasts: base/state is ", within=1.0)
+    bench.stops("coasts: base/state is ", within=1.0)
 
 
 def test_joints_that_are_not_heard_any_more_are_taken_to_rest(bench):
@@ -135,32 +74,32 @@ def test_joints_that_are_not_heard_any_more_are_taken_to_rest(bench):
 def test_stamps_that_are_old_count_not_their_arrival(bench):
     bench.acts()
     bench.late = 2.0
-    bench.ceases("coasts: base/state is 2.0 s old", within=1.0)
+    bench.stops("coasts: base/state is 2.0 s old", within=1.0)
 
 
 def test_a_trajectory_that_is_not_repeated_holds_for_its_timeout(bench):
     bench.acts()
     bench.silent |= {"base/trajectory"}
     begun = bench.now()
-    bench.ceases("coasts: base/trajectory is ")
+    bench.stops("coasts: base/trajectory is ")
     assert (bench.now() - begun) / SECOND > 0.9
 
 
 def test_a_trajectory_without_points_lets_it_coast_at_once(bench):
     bench.acts()
     bench.path = None
-    bench.ceases("coasts: base/trajectory has no points", within=0.3)
+    bench.stops("coasts: base/trajectory has no points", within=0.3)
 
 
 @pytest.mark.parametrize("spoil", ["pose", "twist"])
 def test_what_is_no_number_is_left_out_and_so_grows_old(bench, spoil):
     bench.acts()
     setattr(bench, spoil, np.full(4 if spoil == "q" else 3, np.nan))
-    bench.ceases("s old", within=1.0)
+    bench.stops("s old", within=1.0)
 
 
-def spoiled(**changes):
-    message = messages.trajectory(at(0.0, 0.0, 0.0), 0.0, 1, 1.0, 0.25)
+def spoiled(bench, **changes):
+    message = messages.trajectory(at(0.0, 0.0, 0.0), 0.0, bench.now(), 1.0, 0.25)
     for name, value in changes.items():
         setattr(message, name, value)
     return message
@@ -169,22 +108,22 @@ def spoiled(**changes):
 def test_trajectories_that_make_no_sense_are_left_out(bench):
     bench.acts()
     bench.silent |= {"base/trajectory"}
-    nan = spoiled()
+    nan = spoiled(bench)
     nan.points[0].transforms[0].translation.x = np.nan
-    twice = spoiled()
+    twice = spoiled(bench)
     twice.points = [twice.points[0]] * 2
-    bare = spoiled()
+    bare = spoiled(bench)
     bare.points[0].transforms = []
-    elsewhere = spoiled()
+    elsewhere = spoiled(bench)
     elsewhere.header.frame_id = "fss"
-    for message in (nan, twice, bare, elsewhere, spoiled(joint_names=["target"])):
+    for message in (nan, twice, bare, elsewhere, spoiled(bench, joint_names=["target"])):
         bench.trajectory.publish(message)
-    bench.ceases("base/trajectory is ")
+    bench.stops("base/trajectory is ")
     assert bench.control.trajectory.value[1].knots[0, 0, 0] == bench.path.knots[0, 0, 0]
 
 
 def test_after_numbers_that_no_arithmetic_survives_it_goes_on(bench):
-    huge = spoiled()
+    huge = spoiled(bench)
     huge.points.append(deepcopy(huge.points[0]))
     huge.points[1].time_from_start = Duration(seconds=1.0).to_msg()
     for point, x in zip(huge.points, (1e308, -1e308), strict=True):

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from fss_arm_model.extents import Extents
 from fss_arm_model.held import Target
 from fss_arm_model.settings import POSITIVE, between, like, setting
 from fss_arm_model.vehicle import Vehicle
@@ -25,6 +26,7 @@ class ControlSettings(PoseGains):
     feed_forward: bool = setting(
         True, "whether to balance the arm's planned reaction before it is felt"
     )
+    table: tuple[float, ...] = like(Extents, "table")
     full_tank: float = like(Vehicle, "full_tank")
     target_mass: float = like(Target, "mass")
     target_inertia: float = like(Target, "inertia")

@@ -1,18 +1,22 @@
 """What the guidance does with the base alone: hold it, take it to a pose, along a path."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from math import inf
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from fss_gnc import bounds
 from fss_gnc.guidance.activity import ActivityError, Craft, Ended, Floats, Orders, Seen
 from fss_gnc.guidance.free_space import FreeSpace
 from fss_gnc.guidance.settings import GuidanceSettings
 from fss_gnc.reference import Body, Path, Reference, off
 
-MOST_KNOTS = 10_000
-SHORTEST = 1.0  # time of a motion [s]
+MAX_KNOTS = 10_000
+MIN_STEP = 0.001  # between knots [s]
+MIN_DURATION = 1.0  # of a motion [s]
 
 
 class AlongPath:
@@ -115,12 +119,14 @@ def hold(craft: Craft, seen: Seen, pose: npt.ArrayLike, duration: float) -> Alon
         ActivityError: it makes no sense, the pose is too far, or the way to it is not free.
     """
     q, qd = seen.floating
-    pose, lasts = np.asarray(pose, dtype=float), _duration(duration) or inf
-    if not pose.size:
+    with _activity_errors():
+        lasts = bounds.duration("duration", duration) or inf
+        goal = bounds.pose("pose", pose, craft.settings.table) if np.size(pose) else None
+    if goal is None:
         return AlongPath(craft, "hold", braking(craft.settings, Body(q[:3], qd[:3])), lasts, None)
-    _check_near(craft.settings, "pose", _pose(pose), q[:3], "; base/go_to goes there")
-    found = AlongPath(craft, "hold", Path(np.zeros(1), pose.reshape(1, 1, 3)), lasts, None)
-    goal = q[:3] + off(pose, q[:3])
+    _check_near(craft.settings, "pose", goal, q[:3], "; base/go_to goes there")
+    goal = q[:3] + off(goal, q[:3])
+    found = AlongPath(craft, "hold", Path(np.zeros(1), goal.reshape(1, 1, 3)), lasts, None)
     way = Path(np.array([0.0, 1.0]), np.array([[q[:3]], [goal]]))
     found.free_space.check(way, 0.0, seen)
     return found
@@ -143,17 +149,18 @@ def go_to(
     """
     q, qd = seen.floating
     begin = Reference(q[:3], qd[:3], np.zeros(3))
-    goal = q[:3] + off(_pose(pose), q[:3])
-    if (np.abs(goal[:2]) > 0.5 * np.array(craft.settings.table)).any():
-        raise ActivityError(f"pose is at {goal[0]:g}, {goal[1]:g} m, beyond the table's edge")
+    with _activity_errors():
+        goal = q[:3] + off(bounds.pose("pose", pose, craft.settings.table), q[:3])
+        duration = bounds.duration("duration", duration)
+        hold_duration = bounds.duration("hold_duration", hold_duration)
     shortest = least_duration(craft.settings, begin, goal)
-    lasts = _duration(duration) or shortest
+    lasts = duration or shortest
     if lasts < shortest - 1e-6:
         raise ActivityError(
             f"duration is {lasts:g} s, expected at least {shortest:.1f} s for the limits"
         )
     path = Path.between(begin, goal, 0.0, lasts)
-    return _along(craft, seen, "go_to", path, _duration(hold_duration, "hold_duration"))
+    return _along(craft, seen, "go_to", path, hold_duration)
 
 
 def follow(
@@ -173,23 +180,22 @@ def follow(
     """
     from scipy.interpolate import CubicSpline
 
-    t, x = np.asarray(times, dtype=float), np.asarray(poses, dtype=float)
-    v = np.asarray(twists, dtype=float)
-    if not 2 <= len(t) <= MOST_KNOTS:
-        raise ActivityError(f"time has {len(t)} knots, expected 2 to {MOST_KNOTS}")
-    if len(x) != 3 * len(t) or len(v) not in (0, 3 * len(t)):
-        raise ActivityError(f"{len(t)} knots have {len(x)} numbers of pose and {len(v)} of twist, "
-                      f"expected {3 * len(t)}, and as many or none")  # fmt: skip
+    knots, numbers, rates = np.size(times), np.size(poses), np.size(twists)
+    if not 2 <= knots <= MAX_KNOTS:
+        raise ActivityError(f"time has {knots} knots, expected 2 to {MAX_KNOTS}")
+    if numbers != 3 * knots:
+        raise ActivityError(f"pose has {numbers} numbers, expected {3 * knots} for {knots} knots")
+    if rates not in (0, numbers):
+        raise ActivityError(f"twist has {rates} numbers, expected {numbers}, or none")
+    with _activity_errors():
+        t = bounds.knot_times("time", times, MIN_STEP)
+        x = bounds.poses("pose", poses, craft.settings.table)
+        v = bounds.twists("twist", twists)
     if t[0] != 0.0:
-        raise ActivityError(f"time begins with {t[0]:g} s, expected 0")
-    x = x.reshape(-1, 3)
-    try:
-        path = Path(t, x[:, None])  # checks times and numbers
-        x[:, 2] = np.unwrap(x[:, 2])
-        rates = v.reshape(-1, 3) if len(v) else CubicSpline(t, x, bc_type="clamped")(t, 1)
-        path = Path(t, np.stack([x, rates], axis=1))
-    except ValueError as error:
-        raise ActivityError(str(error)) from None
+        raise ActivityError(f"time[0] is {t[0]:g} s, expected 0 s")
+    x[:, 2] = np.unwrap(x[:, 2])
+    v = v if len(v) else CubicSpline(t, x, bc_type="clamped")(t, 1)
+    path = Path(t, np.stack([x, v], axis=1))
     _check_near(craft.settings, "the first pose", x[0], seen.floating[0][:3])
     _check_limits(craft.settings, path)
     return _along(craft, seen, "follow", path, 0.0)
@@ -197,7 +203,7 @@ def follow(
 
 def _along(craft: Craft, seen: Seen, phase: str, path: Path, hold: float) -> AlongPath:
     found = AlongPath(craft, phase, path, hold, craft.settings.max_overrun)
-    found.free_space.check(path, 0.0, seen)
+    found.free_space.check(path, 0.0, seen, whole=True)
     return found
 
 
@@ -205,7 +211,7 @@ def braking(settings: GuidanceSettings, base: Body, start: float = 0.0) -> Path:
     """To rest from where the base is at the time `start` [s], within the limits."""
     v, omega = float(np.hypot(*base.twist[:2])), abs(float(base.twist[2]))
     lasts = 1.5 * max(v / settings.acceleration, omega / settings.turn_acceleration)
-    lasts = max(SHORTEST, lasts)
+    lasts = max(MIN_DURATION, lasts)
     begin = Reference(base.pose, base.twist, np.zeros(3))
     return Path.between(begin, base.pose + 0.5 * lasts * base.twist, start, lasts)
 
@@ -226,7 +232,7 @@ def peak(settings: GuidanceSettings, path: Path, slack: Floats | None = None) ->
         slack: (3,) twist that is allowed whatever the limits say, as the base has it already.
     """
     s, t = settings, np.zeros(3) if slack is None else slack
-    times, found = path.sampled(path.times[0], max(65, 8 * len(path.times)))
+    times, found = path.resolved(float(path.times[0]))
     speed, gain = np.hypot(*found[:, 1, :2].T), np.hypot(*found[:, 2, :2].T)
     turning, spin_up = np.abs(found[:, 1:, 2]).T
     rows = (
@@ -249,10 +255,10 @@ def least_duration(settings: GuidanceSettings, begin: Reference, goal: Floats) -
         path = Path.between(begin, goal, 0.0, lasts)
         return peak(settings, path, begin.twist).share <= 1.0
 
-    long = SHORTEST
+    long = MIN_DURATION
     while not allowed(long):
         long *= 2.0
-    short = SHORTEST if long == SHORTEST else 0.5 * long
+    short = MIN_DURATION if long == MIN_DURATION else 0.5 * long
     while long - short > 0.01 * long:
         middle = 0.5 * (short + long)
         short, long = (short, middle) if allowed(middle) else (middle, long)
@@ -260,7 +266,7 @@ def least_duration(settings: GuidanceSettings, begin: Reference, goal: Floats) -
 
 
 def _check_limits(settings: GuidanceSettings, path: Path) -> None:
-    if (most := peak(settings, path)).share > 1.0 + 1e-3:
+    if not (most := peak(settings, path)).share <= 1.0 + 1e-3:  # NaN, too
         raise ActivityError(most.words)
 
 
@@ -277,14 +283,10 @@ def _check_near(
         )
 
 
-def _pose(pose: npt.ArrayLike) -> Floats:
-    found = np.asarray(pose, dtype=float)
-    if found.shape != (3,) or not np.isfinite(found).all():
-        raise ActivityError(f"pose is {found.tolist()}, expected x, y [m] and heading [rad]")
-    return found
-
-
-def _duration(value: float, name: str = "duration") -> float:
-    if not 0.0 <= value < inf:
-        raise ActivityError(f"{name} is {value} s, expected 0 or more")
-    return float(value)
+@contextmanager
+def _activity_errors() -> Iterator[None]:
+    """Raise what is wrong with a goal's number as an ActivityError."""
+    try:
+        yield
+    except ValueError as error:
+        raise ActivityError(str(error)) from None

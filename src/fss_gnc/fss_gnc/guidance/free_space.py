@@ -35,7 +35,7 @@ class FreeSpace:
         self.names = [body_name(body, n) for body, _ in self.target]  # the edge's pairs alike
         self.sizes = sizes(self.settings, self.settings.keep_out)
 
-    def check(self, path: Path, begin: float, seen: Seen) -> None:
+    def check(self, path: Path, begin: float, seen: Seen, whole: bool = False) -> None:
         """Look along the rest of a path, the joints as they are, the target drifting on.
 
         What is nearer than it should be already may move away, no nearer.
@@ -44,11 +44,12 @@ class FreeSpace:
             path: of the base.
             begin: where on it the base is [s].
             seen: then; base and joints are known.
+            whole: check each segment between two knots, which takes 0.15 s for 10,000 knots.
 
         Raises:
             ActivityError: bodies would come too near to the edge or into the keep-out zone.
         """
-        times, found = path.sampled(begin)
+        times, found = path.resolved(begin) if whole else path.sampled(begin)
         here, _ = seen.floating
         states = np.hstack([found[:, 0], np.tile(here[3:], (len(times), 1))])
         near, names = gaps(self.p, states, self.edge, self.sizes), self.names

@@ -13,6 +13,8 @@ from fss_gnc.guidance.activity import Activity, Craft, Ended, Orders, Seen
 from fss_gnc.guidance.base_motion import AlongPath, follow, go_to, hold
 from fss_gnc.guidance.budget import Budget
 
+MAX_REASON = 200  # characters
+
 
 @dataclass(frozen=True)
 class Kind:
@@ -70,6 +72,11 @@ def _captured(mission: capture.Capture, budget: Budget, ended: Ended) -> dict[st
     }  # fmt: skip
 
 
+def _reason(given: str) -> str:
+    """Return the reason for an abort as one short line."""
+    return " ".join(given.split())[:MAX_REASON] or "asked for"
+
+
 MISSIONS = (
     Kind(
         "mission/capture", Capture,
@@ -88,7 +95,7 @@ MISSIONS = (
     ),
     Kind(
         "mission/abort", AbortMission,
-        lambda craft, seen, goal: abort.Abort(craft, goal.reason or "asked for", asked=True),
+        lambda craft, seen, goal: abort.Abort(craft, _reason(goal.reason), asked=True),
         lambda mission, *_: {"safe": mission.safe},
         lambda mission, _: {"target_clearance": mission.target_clearance},
         preempts=("base/", "mission/"),
