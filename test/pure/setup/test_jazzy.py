@@ -1,0 +1,212 @@
+"""setup.sh and env.sh with a sourced ROS 2 Jazzy: a folder takes the place of /opt/ros/jazzy."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from importlib.metadata import distributions
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[3]
+VENV = ROOT / ".venv"
+PACKAGES = "share/ament_index/resource_index/packages"
+#: The ROS packages that the workspace is built on.
+NEEDED = (
+    *("ament_cmake", "rosidl_default_generators"),
+    *("common_interfaces", "control_msgs", "tf2_msgs"),
+)
+NO_WHEELS = {"PIP_NO_INDEX": "1", "PIP_FIND_LINKS": ""}
+
+
+def write_script(path, text):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(f"#!/bin/sh\n{text}\n")
+    path.chmod(0o755)
+
+
+class Distribution:
+    """A folder that can be sourced as /opt/ros/jazzy is.
+
+    Args:
+        prefix: the folder.
+        libraries: folders of shared libraries.
+    """
+
+    def __init__(self, prefix, libraries=()):
+        self.prefix = prefix
+        self.python_path = prefix / f"lib/python3.{sys.version_info.minor}/site-packages"
+        self.python_path.mkdir(parents=True)
+        exports = [
+            "export ROS_DISTRO=jazzy",
+            f"export AMENT_PREFIX_PATH={prefix} CMAKE_PREFIX_PATH={prefix}",
+            f"export PYTHONPATH={self.python_path}",
+            f"export LD_LIBRARY_PATH={':'.join(map(str, libraries))}",
+        ]
+        (prefix / "local_setup.bash").write_text("\n".join(exports) + "\n")
+        (prefix / "setup.bash").write_text(f". {prefix}/local_setup.bash\n")
+
+    def add_packages(self, *names):
+        """Add the markers of ROS packages."""
+        for name in names:
+            marker = self.prefix / PACKAGES / name
+            marker.parent.mkdir(parents=True, exist_ok=True)
+            marker.touch()
+
+
+class Machine:
+    """A copy of the workspace, on a machine whose commands a test can replace."""
+
+    def __init__(self, folder):
+        self.root, self.bin = folder / "workspace", folder / "bin"
+        self.copy("scripts")
+        python = os.path.realpath(sys.executable)  # not .venv's, which has a ROS of its own
+        write_script(self.bin / "python3", f'exec {python} "$@"')
+        self.env = {
+            "PATH": f"{self.bin}:/usr/local/bin:/usr/bin:/bin",
+            "HOME": str(folder),
+            "PIP_CACHE_DIR": os.path.expanduser("~/.cache/pip"),
+        }
+        network = re.compile("pip_|ssl_|.*_proxy$", re.IGNORECASE)
+        self.env |= {name: value for name, value in os.environ.items() if network.match(name)}
+
+    def copy(self, name):
+        leave = shutil.ignore_patterns("__pycache__", "*.egg-info")
+        shutil.copytree(ROOT / name, self.root / name, ignore=leave)
+
+    def run(self, *commands, **env):
+        """Run commands in one bash, in the workspace."""
+        return subprocess.run(
+            ["bash", "-ec", "\n".join(commands)],
+            env=self.env | env, cwd=self.root, capture_output=True, text=True,
+        )  # fmt: skip
+
+
+@pytest.fixture
+def machine(tmp_path):
+    return Machine(tmp_path)
+
+
+@pytest.fixture
+def empty(tmp_path):
+    """A distribution whose rclpy is an empty module, with all packages that are needed."""
+    distribution = Distribution(tmp_path / "jazzy")
+    (distribution.python_path / "rclpy").mkdir()
+    (distribution.python_path / "rclpy/__init__.py").touch()
+    distribution.add_packages(*NEEDED)
+    return distribution
+
+
+def test_the_environment_is_put_on_top_of_the_distribution(machine, empty):
+    pins = machine.root / "scripts/requirements-jazzy.txt"
+    pins.write_text(re.sub("^setuptools==.*", "setuptools==0.1", pins.read_text(), flags=re.M))
+    ended = machine.run(f". {empty.prefix}/setup.bash", "scripts/setup.sh", **NO_WHEELS)
+    assert re.fullmatch(
+        r"setup: making \.venv with Python 3\.1[12]\.\d+\n"
+        r"setup: there is no wheel of setuptools==0\.1 for Python .*\n",
+        ended.stderr,
+    ), ended.stderr
+    assert ended.returncode == 1
+    config = (machine.root / ".venv/pyvenv.cfg").read_text()
+    assert "include-system-site-packages = true" in config
+    assert not (machine.root / ".venv/.stamp").exists()
+
+
+def test_packages_are_looked_for_in_every_prefix(machine, empty, tmp_path):
+    overlay = Distribution(tmp_path / "overlay")
+    for name in ("control_msgs", "tf2_msgs"):
+        (empty.prefix / PACKAGES / name).unlink()
+    overlay.add_packages("control_msgs")
+    write_script(machine.bin / "id", "echo 1000")
+    write_script(machine.bin / "apt-get", "exit 1")
+    both = f"export AMENT_PREFIX_PATH={overlay.prefix}:{empty.prefix}"
+    ended = machine.run(f". {empty.prefix}/setup.bash", both, "scripts/setup.sh")
+    assert ended.stderr == (
+        "setup: missing: tf2_msgs; install with: sudo apt-get update && sudo apt-get install -y "
+        "--no-install-recommends ros-jazzy-tf2-msgs\n"
+    )
+    assert ended.returncode == 1
+
+
+def test_a_distribution_without_rclpy_is_left_for_the_wheels(machine, empty):
+    shutil.rmtree(empty.python_path / "rclpy")
+    write_script(machine.bin / "uname", "echo Linux aarch64")  # for which there are no wheels
+    ended = machine.run(f". {empty.prefix}/setup.bash", "scripts/setup.sh")
+    first, last = ended.stderr.splitlines()
+    assert first == "setup: ROS_DISTRO is jazzy, but no Python here can import rclpy: using wheels"
+    assert "the ROS wheels are for Linux on x86_64" in last
+    assert ended.returncode == 1
+
+
+@pytest.fixture
+def full(tmp_path):
+    """A distribution with the ROS of .venv, but none of its other libraries."""
+    (site,) = VENV.glob("lib/python3.*/site-packages")
+    ros = [one for one in distributions(path=[str(site)]) if one.name.startswith("ros-")]
+    modules = {file.parts[0] for one in ros for file in one.files or ()}
+    modules = {name for name in modules if name != ".." and not name.endswith(".pth")}
+    modules |= {"control_msgs", "tf2_msgs"}  # which setup.sh builds
+    modules |= {"em.py", "lark"}  # which the message generators import
+    folders = [site / name for name in modules if name.endswith(".libs")]
+    distribution = Distribution(tmp_path / "jazzy", [VENV / "lib", *folders])
+    for name in modules:
+        (distribution.python_path / name).symlink_to(site / name)
+    for name in ("share", "include"):
+        (distribution.prefix / name).symlink_to(VENV / name)
+    for path in VENV.glob("lib/*"):
+        if not path.name.startswith("python"):
+            (distribution.prefix / "lib" / path.name).symlink_to(path)
+    yield distribution
+    shutil.rmtree(tmp_path)  # a gigabyte, which pytest would keep
+
+
+CHECK = """
+import fss_arm_model.warm, fss_arm_msgs.msg, numpy, rclpy, rerun
+rclpy.init()
+node = rclpy.create_node("probe")
+node.create_publisher(fss_arm_msgs.msg.LinkTelemetry, "telemetry", 1).publish(
+    fss_arm_msgs.msg.LinkTelemetry())
+node.destroy_node()
+rclpy.shutdown()
+print(rclpy.__file__, fss_arm_msgs.__file__, numpy.__file__, numpy.__version__)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not (VENV / "share/rclpy").exists(), reason="needs the ROS of the wheels")
+def test_the_workspace_is_built_on_the_distribution(machine, full, domain):
+    for name in ("src", "config"):
+        machine.copy(name)
+    shutil.copy(ROOT / "colcon.meta", machine.root)
+    source = f". {full.prefix}/setup.bash"
+    ended = machine.run(source, "scripts/setup.sh")
+    assert ended.returncode == 0, ended.stderr
+    assert "packages for jazzy" in ended.stderr
+    again = machine.run(source, "scripts/setup.sh")
+    assert (again.returncode, again.stderr) == (0, "")  # and does nothing
+
+    # The build remembers the distribution, so that a new shell needs env.sh alone.
+    checked = machine.run(". scripts/env.sh", f"python -c '{CHECK}'", ROS_DOMAIN_ID=str(domain))
+    assert checked.returncode == 0, checked.stderr
+    rclpy, messages, numpy, version = checked.stdout.split()
+    assert Path(rclpy).is_relative_to(full.prefix)
+    assert Path(messages).is_relative_to(machine.root / "install/fss_arm_msgs")
+    assert Path(numpy).is_relative_to(machine.root / ".venv")
+    pins = (ROOT / "scripts/requirements-jazzy.txt").read_text()
+    assert f"\nnumpy=={version}\n" in pins
+    # A distribution can use messages from C++, too.
+    assert list((machine.root / "install/fss_arm_msgs/lib").glob("*__rosidl_typesupport_cpp.so"))
+
+    run = ". scripts/env.sh; ros2 run"
+    planned = machine.run(f"{run} fss_arm_motion plan point_to_point --goal 9 0 0 0")
+    assert planned.returncode == 0, planned.stderr
+
+    doctor = f"{run} fss_arm_bags doctor {ROOT}/test/data/first"
+    assert "/joint_states" in machine.run(doctor).stdout
+    uninstalled = machine.run(".venv/bin/python -m pip uninstall -q -y mcap", doctor)
+    missing, command = uninstalled.stderr.strip().split("; install it with: ")
+    assert missing == "doctor: mcap is missing"
+    assert command.endswith("-c scripts/requirements-jazzy.txt mcap")
+    assert "/joint_states" in machine.run(command, doctor).stdout
