@@ -21,6 +21,7 @@ from fss_arm_motion.limits import Limits, LimitSettings
 from fss_arm_motion.plan import NOTES, Plan, Start
 from fss_arm_motion.plan_file import written
 from fss_arm_ros.command_line import Parser, in_one_line
+from fss_arm_ros.libraries import require
 
 EPILOG = (
     "Angles are given in degrees, all else in SI units. Exit codes: 0 planned, 1 there is no plan."
@@ -164,6 +165,8 @@ def note(name: str, value: float) -> str:
 def main(args: Sequence[str] | None = None) -> int:
     """Run as `ros2 run fss_arm_motion plan`."""
     options = parser().parse_args(args)
+    if options.figure:
+        require("matplotlib")
     start, plan = planned(options)
     lines = [report(plan)]
     if options.output:
