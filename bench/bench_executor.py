@@ -37,16 +37,16 @@ from fss_arm_ros.qos import SENSOR, sensor
 from fss_arm_ros.subscription_set import relax_events, subscribe_bytes
 
 TOPICS = {"base": PoseStamped, "target": PoseStamped, "gyro": Imu}
-WAYS = ("plain", "bytes", "set", "events", "events bytes")
+METHODS = ("plain", "bytes", "set", "events", "events bytes")
 RATE = 100  # [Hz]
 IDLE, OUTPUTS = 10, 5  # topics without a publisher; publishers of the receiver
 
 
 class Receiver(Node):
-    """Receives the topics in one of WAYS, and records how late each message is [ns]."""
+    """Receives the topics in one of METHODS, and records how late each message is [ns]."""
 
     def __init__(self, way: str) -> None:
-        super().__init__(f"receiver_{WAYS.index(way)}")
+        super().__init__(f"receiver_{METHODS.index(way)}")
         self.ages: list[int] = []
         self.ticks = 0
         idle = {f"idle_{i}": PoseStamped for i in range(IDLE)}
@@ -143,14 +143,14 @@ def main() -> int:
     """Measure each way in turn."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=20.0)
-    parser.add_argument("--receive", choices=WAYS, help=argparse.SUPPRESS)
+    parser.add_argument("--receive", choices=METHODS, help=argparse.SUPPRESS)
     given = parser.parse_args()
     if given.receive:
         receive(given.receive)
         return 0
     rclpy.init()
     table = Table(*("way", "core [%]", "lost", "p50 [ms]", "p99 [ms]", "ticks"))
-    found = {way: measure(way, given.seconds) for way in WAYS}
+    found = {way: measure(way, given.seconds) for way in METHODS}
     for way, (share, lost, p50, p99, ticks) in found.items():
         table.add_row(way, f"{share:.1f}", str(lost), f"{p50:.2f}", f"{p99:.2f}", str(ticks))
     Console(width=80).print(table)

@@ -12,7 +12,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from fss_arm_ros.security import ACCESS, PERSON, Access, governance, permissions
+from fss_arm_ros.security import ACCESS, OPERATOR, Access, governance, permissions
 
 DAYS = 3650  # for which certificates hold
 CURVE = ("-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes")
@@ -91,7 +91,7 @@ def main() -> int:
     os.umask(0o077)
     try:
         keystore = Keystore(given.keystore, int(os.environ.get("ROS_DOMAIN_ID", "0")))
-        keystore.enclave("/person", PERSON)
+        keystore.enclave("/person", OPERATOR)
         keystore.enclave("/watch", Access())
         for node in given.nodes:
             name, _, what = node.partition("=")

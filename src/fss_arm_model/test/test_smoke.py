@@ -1,4 +1,4 @@
-"""What `colcon test` asks of the package: its modules import, its executables answer."""
+"""Smoke tests for `colcon test`: modules import, executables answer `--help`."""
 
 import subprocess
 from importlib import import_module

@@ -1,1 +1,1 @@
-"""What every node needs and no node owns: parameters, QoS, conversions, running."""
+"""Common parts of all nodes: parameters, QoS, conversions, running a node."""

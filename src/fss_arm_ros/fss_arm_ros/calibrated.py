@@ -1,4 +1,4 @@
-"""The arm as calibrations left it, from their messages: rclpy's and rosbags' alike."""
+"""The calibrated arm, from calibration messages of rclpy or rosbags."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -18,91 +18,91 @@ TOPICS = {
     "calibration/dynamic": "fss_arm_msgs/msg/DynamicCalibration",
 }
 
-OF_THE_TABLE = ("g_x", "g_y")  # its tilt, which a dynamic calibration finds besides
+TABLE_TILT = ("g_x", "g_y")  # estimated by a dynamic calibration, but no parameter of the arm
 
 
 @dataclass(frozen=True)
 class Calibrated:
-    """An arm, and how well it is known: kinematics by one calibration, dynamics by another."""
+    """An arm with the covariances of its kinematic and of its dynamic calibration."""
 
     arm: Arm
-    kinematic: Floats | None = None  # covariance of Arm.vector(); None: there was none
+    kinematic: Floats | None = None  # covariance of Arm.vector(); None: not calibrated
     dynamic: Floats | None = None
 
     @property
     def covariance(self) -> Floats:
-        """Of Arm.vector(), (8 + 6 n, 8 + 6 n); before any calibration, as the description tells."""
-        size, told = len(self.arm.vector()), self.arm.known
+        """Covariance of Arm.vector(), (8 + 6 n, 8 + 6 n); uncalibrated: of the description."""
+        size, described = len(self.arm.vector()), self.arm.known
         known = [C for C in (self.kinematic, self.dynamic) if C is not None]
         if not known:
-            return vector_covariance(self.arm, told.names, told.covariance)
+            return vector_covariance(self.arm, described.names, described.covariance)
         return np.sum([np.zeros((size, size)), *known], axis=0)
 
     def of_same_links(self, topic: str, message: Any) -> "Calibrated":
-        """As `with_message`, for those who can do with no other number of links.
+        """Return `with_message`, but only for an arm with the same number of links.
 
         Raises:
-            ValueError: it is of another, or what `with_message` raises.
+            ValueError: the number of links differs; see also `with_message`.
         """
         known = self.with_message(topic, message)
         if known.arm.n != self.arm.n:
-            raise ValueError(f"it is of {known.arm.n} links, expected {self.arm.n}")
+            raise ValueError(f"it is for {known.arm.n} links, expected {self.arm.n}")
         return known
 
     def with_message(self, topic: str, message: Any) -> "Calibrated":
-        """What is known after a calibration: all that it found if it passed, else the same.
+        """Return the arm after a calibration: updated if it passed, unchanged otherwise.
 
-        A kinematic calibration knows nothing of masses, and a dynamic one assumes the kinematics
-        that it does not estimate: what the other found before is kept.
+        A kinematic calibration estimates no masses, and a dynamic one assumes the kinematics that
+        it does not estimate: the result of the other kind is kept.
 
         Raises:
-            DescriptionError: the calibrated description cannot be right.
-            ValueError: a parameter is not the arm's.
+            DescriptionError: the calibrated description is invalid.
+            ValueError: the arm has no such parameter.
         """
         found = message.calibration
         if found.verdict != "pass":
             return self
         arm = from_yaml(found.description)
         C = vector_covariance(arm, found.names, found.covariance) if found.names else None
-        of_another = arm.n != self.arm.n
+        other_size = arm.n != self.arm.n
         if topic.endswith("dynamic"):
             has_kinematics = C is not None and _has_kinematics(arm.n, C)
-            if of_another or self.kinematic is None or has_kinematics:
+            if other_size or self.kinematic is None or has_kinematics:
                 return Calibrated(arm, None, C)
             return Calibrated(with_kinematics_of(self.arm, arm), self.kinematic, C)
-        if of_another or self.dynamic is None:
+        if other_size or self.dynamic is None:
             return Calibrated(arm, C)
         return Calibrated(with_kinematics_of(arm, self.arm), C, self.dynamic)
 
 
 def with_kinematics_of(known: Arm, arm: Arm) -> Arm:
-    """An arm with what a kinematic calibration found of another, and how well.
+    """Return `arm` with the kinematics of `known` and their covariance.
 
     Raises:
-        DescriptionError: they are of different numbers of links.
+        DescriptionError: the two differ in the number of links.
     """
     kinematics = known.vector()[kinematic_index(arm.n)]
     names = [k for k in (*kinematic_names(arm.n), "theta_E") if k in known.known.names]
-    told = arm.known.told(names, known.known.over(names, np.zeros(len(names))))
-    return replace(arm.with_kinematics(kinematics), theta_E=known.theta_E, known=told)
+    merged = arm.known.told(names, known.known.over(names, np.zeros(len(names))))
+    return replace(arm.with_kinematics(kinematics), theta_E=known.theta_E, known=merged)
 
 
 def _has_kinematics(n: int, covariance: Floats) -> bool:
-    """Whether lengths or angles are among what was estimated."""
+    """Return True if lengths or angles were estimated."""
     return bool(np.diag(covariance)[kinematic_index(n)].any())
 
 
 def vector_covariance(arm: Arm, names: Sequence[str], covariance: npt.ArrayLike) -> Floats:
-    """A calibration's covariance, (k, k), as one of Arm.vector(), (8 + 6 n, 8 + 6 n).
+    """Return the covariance of Arm.vector(), (8 + 6 n, 8 + 6 n), from a calibration's (k, k).
 
     Args:
         arm: the calibrated arm.
-        names: of the parameters, as a Calibration message has them; `a` or
-            `a_1 .. a_3`, and `I`, for a value that links share. Others are taken as exact.
-        covariance: of the parameters, row by row or as a matrix.
+        names: names of the k parameters as in a Calibration message; `a` or `a_1 .. a_3`, and `I`,
+            for a value that links share. All other parameters are exact.
+        covariance: covariance of the parameters, row by row or as a matrix.
 
     Raises:
-        ValueError: a name is no parameter of the arm.
+        ValueError: the arm has no parameter of that name.
     """
     columns = [_column(arm, name) for name in names]
     T = np.array(columns).reshape(len(names), len(arm.vector())).T
@@ -110,10 +110,10 @@ def vector_covariance(arm: Arm, names: Sequence[str], covariance: npt.ArrayLike)
 
 
 def _column(arm: Arm, name: str) -> Floats:
-    """How Arm.vector() changes with a parameter; g = a - b."""
+    """Return the derivative of Arm.vector() with respect to a parameter; g = a - b."""
     n = arm.n
     column = np.zeros(BASE_SIZE + LINK_SIZE * n)
-    if name in OF_THE_TABLE:
+    if name in TABLE_TILT:
         return column
     index = dict(zip(kinematic_names(n), kinematic_index(n), strict=True))
     index |= {"m_0": 0, "I_0": 1, "x_com": 2, "y_com": 3, "theta_E": 7}
@@ -122,7 +122,7 @@ def _column(arm: Arm, name: str) -> Floats:
         index |= {f"m_{i + 1}": first + 2, f"I_{i + 1}": first + 3, f"b_{i + 1}": first + 4}
     for one in _members(name, n):
         if one not in index:
-            raise ValueError(f"{name!r} is no parameter of {arm.name!r}")
+            raise ValueError(f"arm {arm.name!r} has no parameter {name!r}")
         column[index[one]] = -1.0 if one.startswith("b_") else 1.0
         if one.startswith("a_"):
             column[index[one] + 4] = 1.0
@@ -130,7 +130,7 @@ def _column(arm: Arm, name: str) -> Floats:
 
 
 def _members(name: str, n: int) -> list[str]:
-    """The parameters that one value stands for."""
+    """Return the parameters that share one value."""
     if name == "a":  # of all links but the last
         return [f"a_{i}" for i in range(1, max(n, 2))]
     if name in ("m", "b", "I"):

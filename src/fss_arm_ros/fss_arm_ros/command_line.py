@@ -1,4 +1,4 @@
-"""What commands that are no nodes do with a wrong command line."""
+"""Command lines of commands that are not nodes."""
 
 import argparse
 import signal
@@ -11,13 +11,13 @@ from fss_arm_ros.libraries import required_libraries
 
 P = ParamSpec("P")
 
-USER_ERROR = 1  # a verdict that is not pass has a code of its own
+USER_ERROR = 1  # exit code; a verdict other than pass has another one
 
 
 class Parser(argparse.ArgumentParser):
-    """Complains in one line, and not with the exit code of a failed calibration.
+    """Argument parser that reports an error in one line, with exit code USER_ERROR.
 
-    An option has one name: its abbreviation might become another's with the next option.
+    Options cannot be abbreviated: a new option would make an abbreviation ambiguous.
     """
 
     def __init__(self, prog: str, **options: Any) -> None:
@@ -29,7 +29,7 @@ class Parser(argparse.ArgumentParser):
 
 
 def interrupt_at_end() -> None:
-    """Have SIGTERM, and a terminal that closes, end this process as Ctrl-C does: it cleans up."""
+    """Handle SIGTERM and SIGHUP (a closed terminal) as Ctrl-C, so that the process cleans up."""
     for number in (signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) is not signal.SIG_IGN:  # as under nohup
             signal.signal(number, signal.default_int_handler)
@@ -40,7 +40,7 @@ def in_one_line(command: str) -> Callable[[Callable[P, int]], Callable[P, int]]:
 
     def decorate(main: Callable[P, int]) -> Callable[P, int]:
         @wraps(main)
-        def told(*args: P.args, **options: P.kwargs) -> int:
+        def guarded(*args: P.args, **options: P.kwargs) -> int:
             try:
                 with required_libraries(command):
                     return main(*args, **options)
@@ -48,13 +48,13 @@ def in_one_line(command: str) -> Callable[[Callable[P, int]], Callable[P, int]]:
                 print(f"{command}: {in_words(error)}", file=sys.stderr)
                 return USER_ERROR
 
-        return told
+        return guarded
 
     return decorate
 
 
 def in_words(error: object) -> str:
-    """What is wrong, on one line, and of which file."""
+    """Return an error as one line; for an OSError, with the file's name."""
     if isinstance(error, OSError) and error.filename is not None:
         return f"{error.filename}: {error.strerror}"
     return " ".join(str(error).split())

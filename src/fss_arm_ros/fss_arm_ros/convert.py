@@ -1,4 +1,4 @@
-"""Between ROS messages and plain values, by attribute: rclpy's and rosbags' messages both pass.
+"""Conversion between ROS messages, of rclpy or rosbags, and plain values.
 
 Times are integer nanoseconds: a float of seconds since the epoch resolves only 240 ns.
 """
@@ -17,30 +17,30 @@ TURN_RATE = 4 + 9 + 2  # index of the rate about z among the doubles of an Imu
 
 
 class PoseError(ValueError):
-    """A pose says nothing: the subject was occluded, or a number is not finite."""
+    """A pose is unusable: the subject was occluded, or a number is not finite."""
 
 
 def stamp_ns(stamp: Any) -> int:
-    """A builtin_interfaces/Time as nanoseconds."""
+    """Convert a builtin_interfaces/Time to nanoseconds."""
     return int(stamp.sec) * SECOND + int(stamp.nanosec)
 
 
 def to_time(ns: int) -> Time:
-    """Nanoseconds as a builtin_interfaces/Time."""
+    """Convert nanoseconds to a builtin_interfaces/Time."""
     sec, nanosec = divmod(int(ns), SECOND)
     return Time(sec=sec, nanosec=nanosec)
 
 
 def seconds(ns: int) -> float:
-    """A difference of nanoseconds in seconds."""
+    """Convert nanoseconds to seconds."""
     return ns / SECOND
 
 
 def joint_readings(message: Any) -> Iterator[tuple[int, float, float, float]]:
-    """Number i, q [rad], qd [rad/s] and effort [N m] of each joint_<i> of a JointState.
+    """Yield number i, q [rad], qd [rad/s] and effort [N m] of each joint_<i> of a JointState.
 
-    Other joints are left out; what the message leaves out is NaN. Of a number of more than nine
-    digits the first nine are given: no arm has so many joints, and int() refuses thousands.
+    Joints with other names are skipped; missing values are NaN. Only the first nine digits of a
+    number are read, because int() raises an error for thousands of digits.
     """
     values = message.position, message.velocity, message.effort
     for name, *reading in zip_longest(message.name, *values, fillvalue=nan):
@@ -51,13 +51,13 @@ def joint_readings(message: Any) -> Iterator[tuple[int, float, float, float]]:
 
 
 def planar_pose(pose: Any) -> tuple[float, float, float]:
-    """A geometry_msgs/Pose seen from above: x [m], y [m], heading [rad] in (-pi, pi].
+    """Return x [m], y [m] and heading [rad] in (-pi, pi] of a geometry_msgs/Pose.
 
-    The heading is that of the rotated x axis, which needs no unit quaternion.
+    The heading is the direction of the rotated x axis; the quaternion need not have unit length.
 
     Raises:
-        PoseError: the zero pose that receivers publish for an occluded subject, a quaternion
-            that turns nothing, or a number that is not finite.
+        PoseError: a zero quaternion, which receivers publish for an occluded subject, or a number
+            that is not finite.
     """
     p, o = pose.position, pose.orientation
     if not all(map(isfinite, (p.x, p.y, p.z, o.x, o.y, o.z, o.w))):
@@ -69,7 +69,7 @@ def planar_pose(pose: Any) -> tuple[float, float, float]:
 
 
 def seen_pose(message: Any) -> tuple[float, float, float] | None:
-    """The planar pose in a geometry_msgs/PoseStamped; None: the subject was not visible."""
+    """Return the planar pose of a geometry_msgs/PoseStamped; None if the subject is not visible."""
     try:
         return planar_pose(message.pose)
     except PoseError:
@@ -79,7 +79,7 @@ def seen_pose(message: Any) -> tuple[float, float, float] | None:
 def pose_stamped(
     ns: int, frame_id: str, pose: tuple[float, float, float], z: float = 0.0
 ) -> PoseStamped:
-    """A planar pose (x [m], y [m], heading [rad]) at height z [m] as a message."""
+    """Return a planar pose (x [m], y [m], heading [rad]) at height z [m] as a message."""
     x, y, heading = map(float, pose)
     message = PoseStamped()
     message.header.stamp = to_time(ns)

@@ -1,4 +1,4 @@
-"""A node's health on /diagnostics, once a second."""
+"""A node's health on /diagnostics."""
 
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
@@ -8,7 +8,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
 
-from fss_arm_ros.sources import rivals
+from fss_arm_ros.sources import duplicate_publishers
 from fss_arm_ros.validation import refusals
 
 OK = DiagnosticStatus.OK
@@ -17,7 +17,7 @@ ERROR = DiagnosticStatus.ERROR
 
 
 class Health(NamedTuple):
-    """What a node says about itself: OK, WARN or ERROR, a sentence, and counts by name."""
+    """Health of a node: level (OK, WARN or ERROR), message, and values by name."""
 
     level: bytes
     message: str
@@ -25,34 +25,35 @@ class Health(NamedTuple):
 
 
 class Diagnostics:
-    """Publishes what `health()` returns as one status, at 1 Hz of real time.
+    """Publishes what `health()` returns as one status, every `period` seconds of real time.
 
-    Its name is the node's with its namespace, unless another is given. A new subscriber gets the
-    last state at once. Make it last in a node's constructor. Measurements that two others publish
-    are named, and logged when that begins.
+    The status has the node's full name unless `name` is given. A new subscriber receives it at
+    once. Create it last in a node's constructor. Measurements with several publishers are reported
+    as a warning, and logged when they are first found.
     """
 
     def __init__(
-        self, node: Node, health: Callable[[], Health], hardware_id: str = "", name: str = ""
-    ) -> None:
+        self, node: Node, health: Callable[[], Health], hardware_id: str = "", name: str = "",
+        period: float = 1.0,
+    ) -> None:  # fmt: skip
         self.node, self.health, self.hardware_id = node, health, hardware_id
         self.name = name or node.get_fully_qualified_name()
-        self.rivals = ""
+        self.duplicates = ""
         matched = PublisherEventCallbacks(matched=lambda _: self.publish())
         self.publisher = node.create_publisher(
             DiagnosticArray, "/diagnostics", 10, event_callbacks=matched
         )
-        # Real time: a simulated clock that stands still is something to report.
-        node.create_timer(1.0, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        # Real time: a simulated clock that has stopped must be reported, too.
+        node.create_timer(period, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def publish(self) -> None:
-        """Publish now, out of turn."""
+        """Publish the status now."""
         level, message, values = self.health()
-        before, self.rivals = self.rivals, rivals(self.node)
-        if self.rivals and self.rivals != before:
-            self.node.get_logger().warning(self.rivals)
-        if self.rivals:
-            level, message = max(level, WARN), f"{self.rivals}; {message}"
+        before, self.duplicates = self.duplicates, duplicate_publishers(self.node)
+        if self.duplicates and self.duplicates != before:
+            self.node.get_logger().warning(self.duplicates)
+        if self.duplicates:
+            level, message = max(level, WARN), f"{self.duplicates}; {message}"
         values = {**values, **refusals(self.node)}
         status = DiagnosticStatus(
             level=level,

@@ -1,8 +1,8 @@
-"""That a node is alone: no other of its name in the ROS domain, nobody else with its services.
+"""Check that no other node of the ROS domain has the same name or offers the same services.
 
-A process that has just begun hears only of nodes that live, as one that was killed announces
-itself no more: whom it finds in the graph is there. Of two that begin together the earlier one
-stays: each shows its claim, a hidden node in a namespace that is called as the node itself.
+A new process discovers only nodes that are running, because a killed node is no longer announced.
+Of two that start at the same time, the earlier one stays: each process shows a claim, a hidden node
+in a namespace with the name of the node itself.
 """
 
 import os
@@ -16,27 +16,27 @@ from rclpy.parameter import Parameter
 from fss_arm_ros.program import ABOUT as ABOUT
 from fss_arm_ros.program import ALLOW as ALLOW
 
-WINDOW = 0.4  # by then a process that has joined the graph knows it [s]
-AGAIN = 0.1  # to the second check before giving way, as a claim comes after its node [s]
+DISCOVERY_TIME = 0.4  # after joining the graph, a process knows it [s]
+RECHECK_DELAY = 0.1  # to a second check, because a claim appears after its node [s]
 CLAIM = "_claim_"
 
 
 class DuplicateError(ValueError):
-    """Another node is what this one would be; the message names it."""
+    """Another node has the same name or services; the message names it."""
 
 
 class Claims:
-    """What the nodes of a process that begins will be, for others to see."""
+    """Claims of the nodes of a starting process, visible to other processes."""
 
     def __init__(self) -> None:
-        self.name = f"{CLAIM}{time.time_ns():020d}_{os.getpid()}"  # in the order of begin
+        self.name = f"{CLAIM}{time.time_ns():020d}_{os.getpid()}"  # sorted by start
         self.nodes: list[Node] = []
         self.until = 0.0  # by time.monotonic, once this process has joined the graph
 
     def check_name(self, node: Node) -> None:
-        """Raise DuplicateError if there is another node of this name."""
+        """Raise DuplicateError if another node has this name."""
         path = node.get_fully_qualified_name()
-        self.until = self.until or time.monotonic() + WINDOW
+        self.until = self.until or time.monotonic() + DISCOVERY_TIME
         claim = Node(
             self.name, namespace=path, use_global_arguments=False, enable_rosout=False,
             start_parameter_services=False,
@@ -51,19 +51,19 @@ class Claims:
         self._refuse(node, lambda: self._offered(node))
 
     def close(self) -> None:
-        """Claim nothing any more."""
+        """Remove the claims."""
         for node in self.nodes:
             node.destroy_node()
 
     def _refuse(self, node: Node, other: Callable[[], str | bool]) -> None:
         if other():
-            time.sleep(AGAIN)
+            time.sleep(RECHECK_DELAY)
             if words := other():
                 domain = node.context.get_domain_id()
                 raise DuplicateError(f"{words} in ROS domain {domain}; -p {ALLOW}:=true allows it")
 
     def _is_before(self, node: Node, path: str) -> bool:
-        """Whether another node of that name is there that has not begun after this process."""
+        """Return True if another node of that name started before this process."""
         known = node.get_node_names_and_namespaces()
         own = path == node.get_fully_qualified_name()
         others = sum(_join(space, name) == path for name, space in known) - own
@@ -71,7 +71,7 @@ class Claims:
         return others > len(claims) - own or any(claim < self.name for claim in claims)
 
     def _offered(self, node: Node) -> str:
-        """Who offers a service of this node, in words, if anybody does."""
+        """Return a sentence naming another node that offers a service of this one, or ''."""
         own = node.get_fully_qualified_name()
         for service in _services(node, own):
             if node.count_services(service) < 2:
@@ -83,12 +83,12 @@ class Claims:
         return ""
 
 
-_claims: Claims | None = None  # while `run` makes the nodes
+_claims: Claims | None = None  # set while `run` creates the nodes
 
 
 @contextmanager
 def looking() -> Iterator[None]:
-    """Within, nodes look for others as they are declared; elsewhere, as in tests, they do not."""
+    """Check for duplicates of nodes that are created in this context; tests create them outside."""
     global _claims
     _claims = Claims()
     try:
@@ -99,22 +99,22 @@ def looking() -> Iterator[None]:
 
 
 def check_name(node: Node) -> None:
-    """Wait until others are known, and look for a node of the same name.
+    """Wait for discovery, then look for another node of the same name.
 
     Raises:
-        DuplicateError: there is one.
+        DuplicateError: another node has the name.
     """
     path = node.get_fully_qualified_name()
-    # A node without parameter services only reads parameters, and is in nobody's way.
+    # A node without parameter services only reads parameters and disturbs no other node.
     if _claims and f"{path}/get_parameters" in _services(node, path):
         _claims.check_name(node)
 
 
 def check_services(nodes: Sequence[Node]) -> None:
-    """Look for others that offer what these nodes do, once they are made and before they spin.
+    """Look for other nodes that offer the same services, before these nodes spin.
 
     Raises:
-        DuplicateError: there is one.
+        DuplicateError: another node offers one of them.
     """
     for node in nodes:
         if _claims and node.has_parameter(ALLOW) and not node.get_parameter(ALLOW).value:
@@ -122,7 +122,7 @@ def check_services(nodes: Sequence[Node]) -> None:
 
 
 def _services(node: Node, path: str) -> set[str]:
-    """The services of a node; none if it is gone."""
+    """Return the services of a node; empty if the node has gone."""
     namespace, _, name = path.rpartition("/")
     try:
         found = node.get_service_names_and_types_by_node(name, namespace or "/")

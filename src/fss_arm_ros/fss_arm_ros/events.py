@@ -1,7 +1,7 @@
-"""The log of events: what an operator should know, of all nodes of a configuration.
+"""Event log of all nodes of a configuration, for the operator.
 
-The scripts that start nodes name its file in FSS_EVENTS, write what becomes of the nodes to it
-themselves, and show its end.
+The scripts that start nodes set its file in FSS_EVENTS, write starts and ends of nodes to it, and
+show its last lines.
 """
 
 import os
@@ -14,19 +14,19 @@ from rclpy.node import Node
 
 
 def report(node: Node, lines: Iterable[Any]) -> None:
-    """Log lines, which have `words`, are `bad` or not, and `for_operator` or not."""
+    """Log lines with attributes `words`, `bad` (warning) and `for_operator` (event log, too)."""
     log = node.get_logger()
     for line in lines:
-        if line.bad:  # rclpy wants each severity on a line of its own
+        if line.bad:  # rclpy requires one source line per severity
             log.warning(line.words)
         else:
             log.info(line.words)
         if line.for_operator:
-            tell(node, line.words)
+            log_event(node, line.words)
 
 
-def tell(node: Node, words: str) -> None:
-    """Add a line to the log of events, if there is one; a full disk holds nobody up."""
+def log_event(node: Node, words: str) -> None:
+    """Append a line to the event log, if FSS_EVENTS is set; errors of the disk are ignored."""
     if path := os.environ.get("FSS_EVENTS"):
         of = f"{node.get_namespace().strip('/')} " if node.get_namespace() != "/" else ""
         line = f"{datetime.now():%F %T} {of}{words}\n"

@@ -1,16 +1,16 @@
-"""Keeps a process that runs for weeks as small as what it holds (glibc; elsewhere nothing)."""
+"""Limits on the memory that glibc keeps after it is freed, for processes that run for weeks."""
 
 import ctypes
 from contextlib import suppress
 
-# Of mallopt: the first size that is given back to the system when freed [bytes], and how many heaps
-# threads may have. Left alone, both grow with the largest message ever seen.
+# Parameters of mallopt: size from which freed blocks return to the system [bytes], and number of
+# heaps. By default, both grow with the largest message received.
 M_MMAP_THRESHOLD, M_ARENA_MAX = -3, -8
 LARGE, HEAPS = 1 << 19, 2
 
 
 def bound() -> None:
-    """Have large blocks given back as soon as they are freed; before any are taken."""
+    """Return large blocks to the system when they are freed; call before allocating any."""
     with suppress(OSError, AttributeError):  # another C library
         libc = ctypes.CDLL(None)
         libc.mallopt(M_MMAP_THRESHOLD, LARGE)
@@ -18,6 +18,6 @@ def bound() -> None:
 
 
 def give_back() -> None:
-    """Give back what a large computation took in small blocks; takes some milliseconds."""
+    """Return the small blocks freed after a large computation; takes some milliseconds."""
     with suppress(OSError, AttributeError):
         ctypes.CDLL(None).malloc_trim(0)

@@ -29,15 +29,15 @@ Settings = TypeVar("Settings")
 
 
 def declare(node: Node, kind: type[Settings], live: bool = False) -> Settings:
-    """Declare each field of `kind`, a dataclass, as a read-only parameter; return them read.
+    """Declare each field of the dataclass `kind` as a read-only parameter; return their values.
 
     Fields are bool, int, float, str or tuples of one of them (`tuple[str, ...]`). An integer is
-    taken where a float is asked for. With `live`, `declare_live` follows, and looks for parameters
-    that do not exist. When `run` makes the node, this is where it ends if it is a second of a kind.
+    accepted for a float. With `live`, `declare_live` follows and checks for unknown parameters.
+    Under `run`, this is where a duplicate node ends.
 
     Raises:
-        SettingError: a parameter was given a value of another type, or `kind` has no such field.
-        ValueError: `kind` refuses a value.
+        SettingError: a value has another type, or `kind` has no such field.
+        ValueError: `kind` rejects a value.
         DuplicateError: another node has its name.
     """
     hints = get_type_hints(kind)
@@ -47,7 +47,7 @@ def declare(node: Node, kind: type[Settings], live: bool = False) -> Settings:
     known = fields(kind)  # type: ignore[arg-type]  # a dataclass each
     names = [f.name for f in known]
     if not live:
-        _refuse(_given(node) - set(names), names)
+        _refuse(_unknown_overrides(node) - set(names), names)
     values = {}
     for f in known:
         value = _declared(node, f.name, f, read_only=True)
@@ -64,18 +64,18 @@ def declare_live(
     """Declare each field of each of `kinds`, dataclasses of floats, as a parameter PREFIX.FIELD.
 
     Args:
-        node: its parameters may be set from now on.
-        kinds: by prefix.
-        take: called with prefix, field and value whenever one is set, also at the start if it is
-            not the default; its ValueError refuses the value.
+        node: owner of the parameters, which may be set at any time.
+        kinds: dataclasses by prefix.
+        take: called with prefix, field and value whenever one is set, and at the start if it is
+            not the default; its ValueError rejects the value.
 
     Raises:
-        SettingError: a parameter was given that does not exist, or not of this type or range.
+        SettingError: an unknown parameter was given, or a wrong type or range.
     """
     names = {f"{prefix}.{f.name}": (prefix, f) for prefix in kinds for f in fields(kinds[prefix])}
 
     def on_set(parameters: list[Parameter]) -> SetParametersResult:
-        taken: list[tuple[str, str, float]] = []  # what was before
+        taken: list[tuple[str, str, float]] = []  # values to restore
         try:
             for parameter in parameters:
                 if parameter.name in names:
@@ -83,14 +83,14 @@ def declare_live(
                     take(prefix, f.name, converted(parameter.name, parameter.value, float))
                     taken.append((prefix, f.name, node.get_parameter(parameter.name).value))
         except ValueError as error:
-            for before in reversed(taken):  # all are set together, or none
+            for before in reversed(taken):  # set together or not at all
                 take(*before)
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
     for name, (_, f) in names.items():
         _declared(node, name, f)
-    _refuse(_given(node), node.get_parameters_by_prefix(""))
+    _refuse(_unknown_overrides(node), node.get_parameters_by_prefix(""))
     node.add_on_set_parameters_callback(on_set)
     overrides = parameter_overrides(node)
     given = [node.get_parameter(name) for name in names if name in overrides]
@@ -99,19 +99,19 @@ def declare_live(
 
 
 def _declared(node: Node, name: str, f: "Field[Any]", read_only: bool = False) -> Any:
-    """Declare a setting as a parameter; return the value that it was given."""
+    """Declare a setting as a parameter; return its value."""
     default = default_in(f, node.get_namespace())
     try:
         return node.declare_parameter(name, default, descriptor(f, read_only)).value
-    except InvalidParameterValueException:  # rclpy checks the range, in words of its own
+    except InvalidParameterValueException:  # rclpy checks the range; our message names the unit
         if given := parameter_overrides(node).get(name):
             refuse(f, given.value, name)
         raise
 
 
 def descriptor(f: "Field[Any]", read_only: bool = False) -> ParameterDescriptor:
-    """What `ros2 param describe` shows of a setting: meaning, unit, and its range if bounded."""
-    # Dynamic: a static type would refuse 1 for 1.0, and take an empty list for bytes.
+    """Return the descriptor that `ros2 param describe` shows: meaning, unit, and range if any."""
+    # Dynamic: a static type would reject 1 for 1.0, and treat an empty list as bytes.
     about = ParameterDescriptor(description=meaning(f), read_only=read_only, dynamic_typing=True)
     check, most = f.metadata["check"], float_info.max
     if check is None or (check.low, check.high) == (-inf, inf):
@@ -129,11 +129,11 @@ def _refuse(unknown: set[str], known: Iterable[str]) -> None:
     every = list(known)
     for name in sorted(unknown):
         near = get_close_matches(name, every, n=1)
-        there = f"is it {near[0]}?" if near else f"there are {', '.join(every)}"
-        raise SettingError(f"no parameter {name}; {there}")
+        hint = f"is it {near[0]}?" if near else f"there are {', '.join(every)}"
+        raise SettingError(f"no parameter {name}; {hint}")
 
 
-def _given(node: Node) -> set[str]:
+def _unknown_overrides(node: Node) -> set[str]:
     """Return the names of parameters that the user gave and that are not rclpy's own."""
     names = parameter_overrides(node)
     given = {n for n in names if not node.has_parameter(n) and not n.startswith("qos_overrides.")}
@@ -141,7 +141,7 @@ def _given(node: Node) -> set[str]:
 
 
 def _for_all(arguments: Sequence[str]) -> set[str]:
-    """Names that parameter files give to all nodes (`/**`), each of which takes those it has."""
+    """Return the names that parameter files give to all nodes (`/**`)."""
     files = [file for option, file in pairwise(arguments) if option == "--params-file"]
     sections = [part for file in files for part in read_yaml(Path(file)).items()]
     return {
@@ -153,7 +153,7 @@ def _for_all(arguments: Sequence[str]) -> set[str]:
 
 
 def _names(given: Mapping[str, Any]) -> Iterator[str]:
-    """Of parameters, those of a group with a dot before."""
+    """Yield parameter names, nested groups joined with dots."""
     for name, value in given.items():
         if isinstance(value, dict):
             yield from (f"{name}.{inner}" for inner in _names(value))

@@ -1,7 +1,7 @@
-"""The executables: each tells what it is for without importing what it runs.
+"""Executables whose `--help` imports neither ROS nor numerical code.
 
-A package lists its own in `programs.py`, by name: what runs is imported to run, and `--help` takes
-nothing but settings, or options, neither ROS nor what computes.
+Each package lists its executables in `programs.py` by the names of modules, which are imported
+only to run.
 """
 
 import ast
@@ -23,13 +23,13 @@ ABOUT = "start beside a node that has the same name, or offers the same services
 
 
 def named(place: str) -> Any:
-    """What stands at MODULE:NAME."""
+    """Import and return the object MODULE:NAME."""
     module, _, name = place.partition(":")
     return getattr(import_module(module), name)
 
 
 def docstring(place: str) -> str:
-    """That of the class or function at MODULE:NAME, read without importing the module."""
+    """Return the docstring of the class or function MODULE:NAME without importing the module."""
     module, _, name = place.partition(":")
     spec = find_spec(module)
     source = Path(spec.origin if spec and spec.origin else "").read_text(encoding="utf-8")
@@ -40,18 +40,18 @@ def docstring(place: str) -> str:
 
 @dataclass(frozen=True)
 class Command:
-    """An executable that is no node; places are MODULE:NAME."""
+    """An executable that is not a node; places are MODULE:NAME."""
 
-    main: str  # place of what runs it
-    parser: str  # place of what makes its argparse.ArgumentParser, in a module that imports little
+    main: str  # place of its main function
+    parser: str  # place of the function that returns its argparse.ArgumentParser
 
     @property
     def about(self) -> str:
-        """What it is for."""
+        """Description shown by `--help`."""
         return import_module(self.parser.partition(":")[0]).__doc__ or ""
 
     def __call__(self, args: Sequence[str] | None = None) -> int:
-        """Run it by a command line, sys.argv by default; returns the exit code."""
+        """Run with a command line (default sys.argv); return the exit code."""
         given = sys.argv[1:] if args is None else list(args)
         if {"-h", "--help"} & set(given):
             named(self.parser)().parse_args(given)
@@ -64,24 +64,24 @@ class Command:
 class Program:
     """An executable that runs nodes; places are MODULE:NAME."""
 
-    make: str  # place of the node's class, or of a function that makes nodes; its words are shown
-    settings: str  # place of the dataclass that the node declares itself from; see `about`
-    of: str = ""  # place of what the node is made of, if anything
-    takes: str = ""  # what the plain arguments are, as `BAG...`; empty: there may be none
-    short: Mapping[str, str] = field(default_factory=dict)  # flags, each with its parameter
+    make: str  # place of the node's class, or of a function that returns nodes
+    settings: str  # place of the dataclass of its parameters
+    of: str = ""  # place of the first argument of `make`, if any
+    takes: str = ""  # plain arguments, such as `BAG...`; empty: none
+    short: Mapping[str, str] = field(default_factory=dict)  # flags and the parameters they set
 
     @property
     def about(self) -> str:
-        """What it is for: what the settings say in ABOUT, if anything, and the words of `make`.
+        """Description shown by `--help`: ABOUT of the settings, if any, and docstring of `make`.
 
-        Those for programmers, its Args and what follows, are left out.
+        Args and later sections of the docstring are left out.
         """
         said = getattr(named(self.settings), "ABOUT", "")
         words = docstring(self.make).partition("\n\nArgs:")[0]
         return "\n\n".join(filter(None, [said, words]))
 
     def usage(self, name: str) -> str:
-        """One screen of help: what the node does, its parameters with their defaults."""
+        """Return one screen of help: purpose and parameters with their defaults."""
         plain = " ".join([name, self.takes, *(f"[{flag}]" for flag in self.short)])
         lines = [" ".join(plain.split()) + " [--ros-args -p PARAMETER:=VALUE ...]", ""]
         lines += [self.about, ""]
@@ -91,7 +91,7 @@ class Program:
         return "\n".join(lines)
 
     def __call__(self, args: Sequence[str] | None = None) -> int:
-        """Run it by a command line, sys.argv by default; returns the exit code."""
+        """Run with a command line (default sys.argv); return the exit code."""
         argv = list(sys.argv if args is None else args)
         name = Path(argv[0]).name
         if {"-h", "--help"} & set(_plain(argv)):
@@ -109,7 +109,7 @@ class Program:
 
 
 def _plain(argv: Sequence[str]) -> list[str]:
-    """The arguments that are not for ROS, which stand between `--ros-args` and `--`."""
+    """Return the arguments outside of `--ros-args ... --`."""
     plain, for_ros = [], False
     for word in argv[1:]:
         if word == "--ros-args" or (for_ros and word == "--"):

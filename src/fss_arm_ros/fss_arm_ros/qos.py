@@ -15,23 +15,23 @@ from fss_arm_ros.validation import subscribe
 #: Publishers of measurements: bursts must not be lost, and a stalled reader must not stall them.
 SENSOR = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
 
-#: Results and descriptions: who comes late gets the last one.
+#: Results and descriptions: a late subscriber receives the last one.
 LATCHED = QoSProfile(
     depth=1,
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
 
-#: Subscriptions to a stop, each of them: a reliable one does not hear a best-effort publisher, and
-#: a best-effort one is not sent again what got lost. It does no harm to hear a stop twice.
+#: Both subscriptions to a stop: a reliable one does not match a best-effort publisher, and for a
+#: best-effort one a lost message is not sent again. Receiving a stop twice does no harm.
 STOPS = (QoSProfile(depth=10), QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT))
 
-#: Subscription to what only the last message is wanted of; matches any publisher.
-LAST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+#: Subscription to the newest message only; matches any publisher.
+NEWEST_ONLY = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 def command(time_to_live: float) -> QoSProfile:
-    """Commands: only the last one, and none that is older than its time to live [s]."""
+    """Return the profile of commands: the newest one, unless older than its time to live [s]."""
     return QoSProfile(
         depth=1,
         reliability=ReliabilityPolicy.RELIABLE,
@@ -43,7 +43,7 @@ COMMAND = command(1.0)
 
 
 def sensor(*, keep_all: bool = False, best_effort: bool = False) -> QoSProfile:
-    """Subscription to measurements; `keep_all` makes a reliable publisher that keeps all wait."""
+    """Return a profile for measurements; with `keep_all`, a reliable publisher waits for us."""
     return QoSProfile(
         history=HistoryPolicy.KEEP_ALL if keep_all else HistoryPolicy.KEEP_LAST,
         depth=1000,
@@ -52,10 +52,11 @@ def sensor(*, keep_all: bool = False, best_effort: bool = False) -> QoSProfile:
 
 
 def subscribe_stop(node: Node, topic: str, callback: Callable[[Empty], None]) -> None:
-    """Subscribe to a stop, whoever publishes it."""
-    unsaid = SubscriptionEventCallbacks(use_default_callbacks=False)  # that one of STOPS is deaf
+    """Subscribe to a stop from reliable and best-effort publishers."""
+    # One of STOPS is always incompatible with a best-effort publisher: no warning.
+    no_events = SubscriptionEventCallbacks(use_default_callbacks=False)
     for qos in STOPS:
-        node.create_subscription(Empty, topic, callback, qos, event_callbacks=unsaid)
+        node.create_subscription(Empty, topic, callback, qos, event_callbacks=no_events)
 
 
 def subscribe_sensor(
@@ -66,16 +67,18 @@ def subscribe_sensor(
     *,
     keep_all: bool = False,
 ) -> None:
-    """Subscribe reliably, and turn best effort once a publisher shows up that offers no more.
+    """Subscribe reliably; switch to best effort when a best-effort publisher appears.
 
-    Best effort matches reliable publishers too, so after the turn all are heard.
+    Best effort matches both kinds of publishers.
     """
 
-    def turn(event: Any) -> None:
+    def switch(event: Any) -> None:
         if event.last_policy_kind != QoSPolicyKind.RELIABILITY:
-            node.get_logger().warning(f"a publisher of {topic} is not compatible and not heard")
+            node.get_logger().warning(
+                f"{topic}: a publisher has incompatible QoS; its messages are not received"
+            )
             return
-        node.get_logger().info(f"{topic} is published best effort: messages may get lost")
+        node.get_logger().info(f"{topic} is published best effort: messages may be lost")
         unsubscribe(node, reliable)
         unreliably = sensor(keep_all=keep_all, best_effort=True)
         subscribe(node, kind, topic, callback, unreliably)
@@ -86,5 +89,5 @@ def subscribe_sensor(
         topic,
         callback,
         sensor(keep_all=keep_all),
-        event_callbacks=SubscriptionEventCallbacks(incompatible_qos=turn),
+        event_callbacks=SubscriptionEventCallbacks(incompatible_qos=switch),
     )

@@ -10,7 +10,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 # rclpy raises these classes of its extension and offers no public name for them. In every version
-# so far both are RuntimeErrors, which is all that their handlers rely on.
+# checked both are RuntimeErrors, which is all that their handlers rely on.
 try:
     from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
 except ImportError:

@@ -1,4 +1,4 @@
-"""What every node's program does: start, spin, and an end that says what went wrong."""
+"""Run a node as a program: start, spin, end with a truthful exit code."""
 
 import atexit
 import faulthandler
@@ -18,9 +18,9 @@ from fss_arm_ros.command_line import in_words
 from fss_arm_ros.rclpy_compat import RCLError, UnknownROSArgsError
 from fss_arm_ros.subscription_set import relax_events
 
-LEAVING = 5.0  # at most, once all is closed [s]
+MAX_SHUTDOWN_TIME = 5.0  # after all nodes are closed [s]
 SWITCH_INTERVAL = 0.0005  # between Python's threads: a stop waits no longer for a computation [s]
-ENDS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # what ends a command
+END_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 def run(
@@ -28,23 +28,23 @@ def run(
     args: Sequence[str] | None = None,
     takes: str = "",
 ) -> int:
-    """Make a node, spin it until it is asked to stop or ends by itself, and clean up.
+    """Create a node, spin it until a signal or SystemExit ends it, and clean up.
 
-    A node ends by itself by raising SystemExit in a callback, with a code or a reason. A node
-    that has a `close()` is closed before it is destroyed, however it ends. One that has a job to
-    finish says in `unfinished()` how far it is, or nothing once that is done. No node begins
-    beside another of its name, or that offers what it does, unless `allow_duplicate` is set.
+    A callback ends the node by raising SystemExit with a code or a reason. If the node has a method
+    `close()`, it is called before the node is destroyed. If the node has a job to finish, its
+    method `unfinished()` returns the progress, or an empty string when done. A node does not start
+    beside another one with the same name or services unless `allow_duplicate` is set.
 
     Args:
-        make_node: the node's class, or a function that makes one or several; called with the
+        make_node: the node's class, or a function that returns one node or several; called with the
             plain arguments.
-        args: the command line; sys.argv by default.
-        takes: what the plain arguments are, as `BAG...`; without it there may be none.
+        args: the command line (default sys.argv).
+        takes: plain arguments for the usage line, such as `BAG...`; empty: none are accepted.
 
     Returns:
-        The exit code: 0 after SIGINT, SIGTERM or shutdown, but 130 if they interrupted a job; 1
-        when the node cannot be made (its ValueError or OSError is printed in one line), 2 for a
-        wrong command line. A node that cannot leave the graph is ended with 1, and says where.
+        The exit code: 0 after SIGINT, SIGTERM or shutdown, but 130 if they interrupted a job; 1 if
+        the node cannot be created (its ValueError or OSError is printed in one line), 2 for a wrong
+        command line. If the middleware blocks at shutdown, the process ends with 1 and a traceback.
     """
     argv = list(sys.argv if args is None else args)
     name = argv[0].rsplit("/", 1)[-1]
@@ -53,17 +53,19 @@ def run(
     except UnknownROSArgsError as error:
         return _failed(name, f"{error} is not understood after --ros-args", 2)
     except RCLError as error:
-        return _failed(name, str(error).split(", at /")[0], 2)  # the rest: places in rcl's source
+        return _failed(
+            name, str(error).split(", at /")[0], 2
+        )  # the rest are places in rcl's source
     if plain and not takes:
         return _failed(name, f"{plain[0]!r} is not understood; try --help", 2)
     _tune_process()
     nodes: Sequence[Node] = ()
     executor: SingleThreadedExecutor | None = None
-    begun = False
+    initialized = False
     try:
         signal.signal(signal.SIGINT, _interrupt_next)
         rclpy.init(args=argv)
-        begun = True
+        initialized = True
         with duplicates.looking():
             made = make_node(*plain)
             nodes = made if isinstance(made, Sequence) else [made]
@@ -80,21 +82,23 @@ def run(
             return _failed(name, end.code, 1)
         return end.code or 0
     except (RCLError, NotInitializedException) as error:
-        # A context shut down by a signal shows as one of these in whatever call it meets.
-        if rclpy.ok() or not begun:
+        # A context that a signal has shut down raises these in any call.
+        if rclpy.ok() or not initialized:
             if nodes:
                 raise
             return _failed(name, error, 2)
     except (ValueError, OSError, ParameterException) as error:
         if nodes and not isinstance(error, duplicates.DuplicateError):
             raise
-        if rclpy.ok() or not begun:  # a ValueError is what an action meets in a context shut down
+        if (
+            rclpy.ok() or not initialized
+        ):  # an action raises ValueError in a context that is shut down
             return _failed(name, error, 1)
     finally:
         for node in nodes:
             getattr(node, "close", lambda: None)()
-        # Fast DDS (2.14) was seen to wait for ever, holding Python's lock, as many left at once.
-        faulthandler.dump_traceback_later(LEAVING, exit=True, file=2)
+        # Fast DDS 2.14 sometimes blocks indefinitely when many processes end at the same time.
+        faulthandler.dump_traceback_later(MAX_SHUTDOWN_TIME, exit=True, file=2)
         if executor:
             executor.shutdown()
         for node in nodes:
@@ -114,30 +118,30 @@ def _tune_process() -> None:
 
 
 def _interrupt_next(*_: object) -> None:
-    """Leave the first SIGINT to rclpy, which ends the context by it; the next one interrupts."""
+    """Leave the first SIGINT to rclpy, which shuts the context down; the next one interrupts."""
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def spin_once(node: Node, timeout: float) -> None:
-    """rclpy's, of a command; signals are handled at its end.
+    """Spin a command's node once; handle signals afterwards.
 
-    What a handler raises while rclpy's extension converts what it took is lost in a TypeError.
+    An exception raised by a signal handler inside rclpy's extension would become a TypeError.
 
     Args:
-        node: whose callbacks are called.
-        timeout: at most until something has come [s].
+        node: the node to spin.
+        timeout: longest wait [s].
     """
-    came: list[int] = []
-    # Others are ignored, as under nohup, or end the process.
-    handlers = {number: by for number in ENDS if callable(by := signal.getsignal(number))}
+    received: list[int] = []
+    # Other signals are ignored, as under nohup, or end the process.
+    handlers = {number: by for number in END_SIGNALS if callable(by := signal.getsignal(number))}
     for number in handlers:
-        signal.signal(number, lambda which, _: came.append(which))
+        signal.signal(number, lambda which, _: received.append(which))
     try:
         rclpy.spin_once(node, timeout_sec=timeout)
     finally:
         for number, by in handlers.items():
             signal.signal(number, by)
-    for which in came:
+    for which in received:
         signal.raise_signal(which)
 
 

@@ -1,7 +1,7 @@
-"""Who may say what under SROS 2: DDS security's governance and permissions of each node.
+"""SROS 2 policies: governance and the permissions of each node for DDS security.
 
-Whoever has no certificate neither hears nor says anything. Whoever has one may hear all topics, but
-may publish, offer and call only what it is for: a view that was taken over moves nothing.
+A process without a certificate can neither subscribe nor publish. With one it may subscribe to all
+topics, but publish, offer and call only what its node needs: a compromised view moves nothing.
 ROS's names become DDS's as rmw has it: `rt` before a topic, `rq` and `rr` before a service's
 requests and replies, an action is three services and two topics.
 """
@@ -10,13 +10,13 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import NamedTuple
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
-WORD = "http://www.omg.org/spec/DDS-SECURITY/20170901/omg_shared_ca_"  # of the schemas
+SCHEMA_PREFIX = "http://www.omg.org/spec/DDS-SECURITY/20170901/omg_shared_ca_"
 ACTION_SERVICES = ("send_goal", "get_result", "cancel_goal")
 ACTION_TOPICS = ("feedback", "status")
 
 
 class Access(NamedTuple):
-    """What a node does besides listening; `*` stands for anything within a name."""
+    """Permissions of a node besides subscribing; `*` matches any part of a name."""
 
     publishes: str = ""
     offers: str = ""  # services
@@ -25,11 +25,11 @@ class Access(NamedTuple):
     asks: str = ""  # actions
 
     def __or__(self, other: "Access") -> "Access":
-        """What either does."""
+        """Return the permissions of both."""
         return Access(*(f"{a} {b}" for a, b in zip(self, other, strict=True)))
 
 
-#: What all nodes have of ROS itself.
+#: ROS interfaces of every node.
 COMMON = Access(
     publishes="/rosout /parameter_events /diagnostics",
     offers="*/describe_parameters */get_parameters */set_parameters */list_parameters "
@@ -45,7 +45,7 @@ ARM = Access(
     runs="arm/move arm_controller/follow_joint_trajectory",
     calls="link_*/arm",
 )
-#: By package and executable; who is not here may only listen, too.
+#: Permissions by package and executable; all others may only subscribe.
 ACCESS = {
     "fss_arm_bags record": Access(),
     "fss_arm_view view": Access(),
@@ -95,8 +95,8 @@ ACCESS = {
         offers="sim/charge sim/pause sim/reset sim/step",
     ),
 }
-#: Whoever gives commands, on all vehicles.
-PERSON = Access(
+#: Permissions of an operator, for all vehicles.
+OPERATOR = Access(
     "/*arm/stop /*arm/joint_commands /*arm/move/alive /*arm_controller/alive "
     "/*arm_controller/joint_trajectory /*link_*/command /*link_*/path /*base/stop /*base/wrench "
     "/*base/trajectory /*thrusters/command /*gripper/command",
@@ -108,14 +108,14 @@ PERSON = Access(
 def permissions(
     enclave: str, access: Access, domain: int, valid: tuple[str, str], namespace: str = ""
 ) -> str:
-    """What an enclave may say, as XML to be signed.
+    """Return the permissions of an enclave as XML to sign.
 
     Args:
-        enclave: its name, which is the common name of its certificate, too.
-        access: what it does, besides what all do.
-        domain: of ROS.
-        valid: from and to when, as 2026-01-31T12:00:00.
-        namespace: of its node, as `fss2`; empty: none.
+        enclave: its name, also the common name of its certificate.
+        access: permissions besides COMMON.
+        domain: ROS domain.
+        valid: start and end, such as 2026-01-31T12:00:00.
+        namespace: namespace of its node, such as `fss2`; empty: none.
     """
     root = _root("permissions")
     grant = SubElement(SubElement(root, "permissions"), "grant", name=enclave)
@@ -133,7 +133,7 @@ def permissions(
 
 
 def governance(domain: int) -> str:
-    """That all is encrypted and needs permission, as XML to be signed."""
+    """Return a governance that encrypts everything and requires permissions, as XML to sign."""
     root = _root("governance")
     rule = SubElement(SubElement(root, "domain_access_rules"), "domain_rule")
     _domain(rule, domain)
@@ -153,7 +153,7 @@ def governance(domain: int) -> str:
 
 
 def topics(access: Access, namespace: str = "") -> tuple[list[str], list[str]]:
-    """The DDS topics that one may publish on, and those that one may hear."""
+    """Return the DDS topics that a node may publish on, and those it may subscribe to."""
 
     def full(names: str) -> list[str]:
         space = f"/{namespace.strip('/')}".rstrip("/")
@@ -177,7 +177,7 @@ def _each(actions: Iterable[str], parts: Iterable[str]) -> Iterator[str]:
 def _root(what: str) -> Element:
     schema = "http://www.w3.org/2001/XMLSchema-instance"
     return Element(
-        "dds", {"xmlns:xsi": schema, "xsi:noNamespaceSchemaLocation": f"{WORD}{what}.xsd"}
+        "dds", {"xmlns:xsi": schema, "xsi:noNamespaceSchemaLocation": f"{SCHEMA_PREFIX}{what}.xsd"}
     )
 
 

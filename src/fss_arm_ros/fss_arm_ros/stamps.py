@@ -1,21 +1,21 @@
-"""When the stamps of a stream go back for good: a replay begins again, a clock is set back."""
+"""Detection of stamps that jump back: a replay restarts, a clock is set back."""
 
 from fss_arm_ros.convert import SECOND
 
-SAMPLES = 10  # in a row that are behind before the newest one is believed
+MIN_SAMPLES = 10  # consecutive old samples that prove a jump
 
 
 class Stamps:
-    """The stamps of one stream; a few that are out of order, or one far ahead, are no step back."""
+    """Stamps of one stream; some out of order, or one far ahead, are not a jump back."""
 
     def __init__(self) -> None:
         self.newest = -1
         self.behind = 0
 
     def set_back(self, t: int) -> bool:
-        """Take a stamp [ns]; whether SAMPLES in a row are more than 1 s behind by now."""
+        """Add a stamp [ns]; return True if MIN_SAMPLES in a row are over 1 s behind the newest."""
         if t > self.newest - SECOND:
             self.newest, self.behind = max(self.newest, t), 0
             return False
         self.behind += 1
-        return self.behind >= SAMPLES
+        return self.behind >= MIN_SAMPLES

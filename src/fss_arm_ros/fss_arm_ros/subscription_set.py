@@ -2,9 +2,9 @@
 
 rclpy's executor rebuilds its wait set on every wake-up, from every entity of every node, and runs
 one task per message. A node that receives hundreds of messages per second spends most of its time
-there. One `Waitable` (rclpy's extension point for such cases) that stands for all subscriptions of
-a node makes the wait set short, and hands over every message received in one task
-(bench/bench_executor.py compares the two).
+there. One `Waitable` (rclpy's extension point for such cases) for all subscriptions of a node makes
+the wait set short, and hands over every message received in one task (bench/bench_executor.py
+compares the two).
 """
 
 import time

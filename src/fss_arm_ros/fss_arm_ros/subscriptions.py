@@ -15,7 +15,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 
-from fss_arm_ros.qos import LAST
+from fss_arm_ros.qos import NEWEST_ONLY
 from fss_arm_ros.rclpy_compat import RCLError
 from fss_arm_ros.subscription_set import UnmanagedGroup, subscribe_bytes
 from fss_arm_ros.validation import Validator
@@ -36,7 +36,7 @@ class PolledSubscription:
 
     def __init__(
         self, node: Node, kind: type, topic: str, callback: Callable[[Any], None],
-        qos: QoSProfile = LAST,
+        qos: QoSProfile = NEWEST_ONLY,
     ) -> None:  # fmt: skip
         self._validator, self._callback = Validator(node, kind, topic), callback
         self._subscription = node.create_subscription(
@@ -69,16 +69,17 @@ class SubscriptionThread(Thread):
     Args:
         node: the node whose messages these are; call `close` before it is destroyed.
         topics: what to receive; callbacks run in this thread.
+        purpose: end of the hidden node's name, if `node` has several threads.
     """
 
-    def __init__(self, node: Node, topics: Sequence[Topic]) -> None:
+    def __init__(self, node: Node, topics: Sequence[Topic], purpose: str = "commands") -> None:
         super().__init__()  # no daemon: a thread that waits in C++ must end before Python does
         self._context = node.context
         self._failed = node.create_guard_condition(self._raise)
         self._error: Exception | None = None
         self._closing = False
         self._receiver = Node(
-            f"_{node.get_name()}_commands", context=node.context, namespace=node.get_namespace(),
+            f"_{node.get_name()}_{purpose}", context=node.context, namespace=node.get_namespace(),
             use_global_arguments=False, enable_rosout=False, start_parameter_services=False,
             parameter_overrides=[Parameter("start_type_description_service", value=False)],
         )  # fmt: skip

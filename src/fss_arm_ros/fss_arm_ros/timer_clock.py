@@ -1,14 +1,13 @@
-"""The clock that a node's timers keep."""
+"""The clock of a node's timers."""
 
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 
 def timer_clock(node: Node) -> Clock:
-    """Simulated time if the node uses it, else a clock that nobody sets.
+    """Return the simulated clock if the node uses it, otherwise the steady clock.
 
-    A timer that keeps the system's clock stands still for as long as that is set back
-    (ros2/rclpy#1490).
+    A timer on the system clock stops for as long as that is set back (ros2/rclpy#1490).
     """
     if node.get_parameter("use_sim_time").value:
         return node.get_clock()

@@ -1,10 +1,9 @@
-"""Validation of messages before a node's callbacks see them.
+"""Validation of messages before a node's callbacks receive them.
 
-Anybody on the network may publish anything. A rule for each type of message, declared in RULES,
-says what its consumers rely on: how large it is, which numbers may be missing, which arrays go
-together. What is not declared holds for all: numbers are finite and of a size that arithmetic
-survives, times are from 1970 on. What does not conform is refused, counted (diagnostics
-tell) and logged once in a row, every QUIET seconds at most; the node goes on with the next.
+Any process on the network may publish anything. RULES declares for each type of message what its
+subscribers rely on: size, numbers that may be missing, arrays of equal length. For all types,
+numbers are finite and small enough for arithmetic, and times are after 1970. Other messages are
+rejected, counted in diagnostics and logged, at most once per LOG_PERIOD.
 """
 
 import time
@@ -21,10 +20,10 @@ from rclpy.serialization import deserialize_message
 from fss_arm_ros.convert import PoseError, planar_pose
 from fss_arm_ros.subscription_set import subscribe_bytes
 
-MAGNITUDE = 1e12  # of any number: its square and cube are far from the largest
-QUIET = 10.0  # between two lines of the log about one topic [s]
-ALL = frozenset({"*"})
-# A node's own attribute: whatever else knew them would keep it alive.
+MAX_MAGNITUDE = 1e12  # of any number: its cube is still far from the largest double
+LOG_PERIOD = 10.0  # between two log lines about one topic [s]
+ANY_FIELD = frozenset({"*"})
+# An attribute of the node: any other reference would keep the node alive.
 VALIDATORS = "_validators"
 
 
@@ -32,17 +31,17 @@ Check = Callable[[Any], str]
 
 
 class Rule(NamedTuple):
-    """What is particular to a type of message."""
+    """Rule for a type of message."""
 
-    unknown: frozenset[str] = frozenset()  # what may be NaN or infinite, by field
-    alike: tuple[tuple[str, ...], ...] = ()  # arrays as long as the first of each, or empty
-    square: tuple[tuple[str, str], ...] = ()  # matrices row by row, of the second's length
-    size: int = 65_536  # most bytes as sent
+    unknown: frozenset[str] = frozenset()  # fields that may be NaN or infinite
+    alike: tuple[tuple[str, ...], ...] = ()  # arrays with the length of the first, or empty
+    square: tuple[tuple[str, str], ...] = ()  # matrices row by row; size of the second
+    size: int = 65_536  # largest serialized size [bytes]
     also: tuple[Check, ...] = ()
 
 
 def _is_pose(message: Any) -> str:
-    """An estimate is a pose; motion capture may see none."""
+    """Check that an estimate is a valid pose."""
     try:
         planar_pose(message.pose.pose)
     except PoseError as error:
@@ -51,7 +50,7 @@ def _is_pose(message: Any) -> str:
 
 
 def _is_observation(one: Any) -> str:
-    """A datum that may be solved from says all that is solved from."""
+    """Check that a datum in use has all values that the solver needs."""
     return _certain(one, "q", "tip")
 
 
@@ -82,33 +81,33 @@ def _certain(datum: Any, *names: str) -> str:
     return ""
 
 
-RESULT = Rule(ALL, size=1_000_000)
-DATA = Rule(ALL, size=10_000_000)  # hundreds of maneuvers of many links
+RESULT = Rule(ANY_FIELD, size=1_000_000)
+DATA = Rule(ANY_FIELD, size=10_000_000)  # hundreds of maneuvers of many links
 ESTIMATES = ("names", "units", "values", "initial", "deviations")
 
 RULES = {
-    "fss_arm_msgs/BaseReaction": Rule(ALL),
+    "fss_arm_msgs/BaseReaction": Rule(ANY_FIELD),
     "fss_arm_msgs/BaseTelemetry": Rule(frozenset({"clock_deviation", "round_trip"})),
-    "fss_arm_msgs/Calibration": Rule(ALL, (ESTIMATES,), (("covariance", "names"),)),
+    "fss_arm_msgs/Calibration": Rule(ANY_FIELD, (ESTIMATES,), (("covariance", "names"),)),
     "fss_arm_msgs/DriftCalibration": RESULT,
-    "fss_arm_msgs/Drift": Rule(ALL, also=(_is_drift,)),
+    "fss_arm_msgs/Drift": Rule(ANY_FIELD, also=(_is_drift,)),
     "fss_arm_msgs/Drifts": DATA,
     "fss_arm_msgs/DynamicCalibration": RESULT,
-    "fss_arm_msgs/GripperState": Rule(ALL),
+    "fss_arm_msgs/GripperState": Rule(ANY_FIELD),
     "fss_arm_msgs/KinematicCalibration": RESULT,
-    "fss_arm_msgs/KinematicObservation": Rule(ALL, also=(_is_observation,)),
+    "fss_arm_msgs/KinematicObservation": Rule(ANY_FIELD, also=(_is_observation,)),
     "fss_arm_msgs/KinematicObservations": DATA,
-    "fss_arm_msgs/LinkCommand": Rule(ALL),  # drivers answer what they refuse
-    "fss_arm_msgs/LinkPath": Rule(ALL, size=1_600_000),  # as long as a path may be
+    "fss_arm_msgs/LinkCommand": Rule(ANY_FIELD),  # drivers reject with a reason
+    "fss_arm_msgs/LinkPath": Rule(ANY_FIELD, size=1_600_000),  # as long as a path may be
     "fss_arm_msgs/LinkTelemetry": Rule(frozenset({"clock_deviation", "round_trip"})),
-    "fss_arm_msgs/Maneuver": Rule(ALL, also=(_is_maneuver,)),
+    "fss_arm_msgs/Maneuver": Rule(ANY_FIELD, also=(_is_maneuver,)),
     "fss_arm_msgs/Maneuvers": DATA,
-    "fss_arm_msgs/MissionState": Rule(ALL),
-    "fss_arm_msgs/ThrusterCommand": Rule(ALL),
-    "geometry_msgs/PoseStamped": Rule(ALL),  # motion capture does not always see its subjects
-    "geometry_msgs/WrenchStamped": Rule(ALL),
+    "fss_arm_msgs/MissionState": Rule(ANY_FIELD),
+    "fss_arm_msgs/ThrusterCommand": Rule(ANY_FIELD),
+    "geometry_msgs/PoseStamped": Rule(ANY_FIELD),  # zero or NaN if the subject is occluded
+    "geometry_msgs/WrenchStamped": Rule(ANY_FIELD),
     "nav_msgs/Odometry": Rule(also=(_is_pose,)),
-    "sensor_msgs/BatteryState": Rule(ALL),
+    "sensor_msgs/BatteryState": Rule(ANY_FIELD),
     "sensor_msgs/JointState": Rule(
         frozenset({"position", "velocity", "effort"}),
         (("name", "position"), ("name", "velocity"), ("name", "effort")),
@@ -121,26 +120,23 @@ RULES = {
 
 @cache
 def check(kind: type, may_lack: bool = False) -> Check:
-    """The rule of a type of message as a function: why a message is refused; empty: it is not.
+    """Return a function that returns the reason to reject a message, or an empty string.
 
     Args:
         kind: of message.
-        may_lack: whether any number may be NaN or infinite.
+        may_lack: any number may be NaN or infinite.
     """
     if kind.__name__ == "Time" and kind.__module__.startswith("builtin_interfaces"):
         return _time
     name = f"{kind.__module__.partition('.')[0]}/{kind.__name__}"
     rule = RULES.get(name, Rule())
-    rule = rule._replace(unknown=ALL) if may_lack else rule
+    rule = rule._replace(unknown=ANY_FIELD) if may_lack else rule
     checks = [*_lengths(rule), *_numbers(kind, rule), *_members(kind, rule), *rule.also]
 
-    def why(message: Any) -> str:
-        for one in checks:
-            if reason := one(message):
-                return reason
-        return ""
+    def problem(message: Any) -> str:
+        return next(filter(None, (one(message) for one in checks)), "")
 
-    return why
+    return problem
 
 
 def _time(time: Any) -> str:
@@ -156,13 +152,13 @@ def _lengths(rule: Rule) -> Iterator[Check]:
 
 
 def _length(name: str, of: str, power: int) -> Check:
-    def why(message: Any) -> str:
+    def problem(message: Any) -> str:
         count, expected = len(getattr(message, name)), len(getattr(message, of)) ** power
         if count in (0, expected):
             return ""
         return f"{name} has {count} elements, expected {expected}, or none"
 
-    return why
+    return problem
 
 
 def _numbers(kind: Any, rule: Rule) -> Iterator[Check]:
@@ -181,32 +177,35 @@ _FLOATS = ("double", "float")
 
 
 def _number(name: str, may_lack: bool) -> Check:
-    def why(message: Any) -> str:
+    def problem(message: Any) -> str:
         value = getattr(message, name)
-        return "" if -MAGNITUDE <= value <= MAGNITUDE else _refused(name, value, may_lack)
+        in_range = -MAX_MAGNITUDE <= value <= MAX_MAGNITUDE
+        return "" if in_range else _range_problem(name, value, may_lack)
 
-    return why
+    return problem
 
 
 def _array(name: str, may_lack: bool) -> Check:
-    def why(message: Any) -> str:
-        for value in getattr(message, name).tolist():  # of rclpy's arrays and numpy's alike
-            if not -MAGNITUDE <= value <= MAGNITUDE and (why := _refused(name, value, may_lack)):
-                return why
+    def problem(message: Any) -> str:
+        for value in getattr(message, name).tolist():  # for arrays of rclpy and of numpy
+            if -MAX_MAGNITUDE <= value <= MAX_MAGNITUDE:
+                continue
+            if found := _range_problem(name, value, may_lack):
+                return found
         return ""
 
-    return why
+    return problem
 
 
-def _refused(name: str, value: float, may_lack: bool) -> str:
+def _range_problem(name: str, value: float, may_lack: bool) -> str:
     if may_lack and not isfinite(value):
         return ""
-    kind = "a number" if isnan(value) else f"at most {MAGNITUDE:g} in size"
+    kind = "a number" if isnan(value) else f"at most {MAX_MAGNITUDE:g} in size"
     return f"{name} is {value:g}, expected {kind}"
 
 
 def _members(kind: Any, rule: Rule) -> Iterator[Check]:
-    """The checks of messages in the message."""
+    """Yield the checks of nested messages."""
     for name, slot in zip(kind.get_fields_and_field_types(), kind.SLOT_TYPES, strict=True):
         inner = getattr(slot, "value_type", slot)  # of an array's elements
         if hasattr(inner, "namespaces"):
@@ -226,12 +225,12 @@ def _member(name: str, one: Check, many: bool) -> Check:
 
 
 class Validator:
-    """Passes on what the rule of its type allows on one topic of a node, and counts the rest.
+    """Validates the messages of one topic of a node, and counts those it rejects.
 
     Args:
-        node: who listens.
-        kind: of message.
-        topic: its name.
+        node: the subscriber.
+        kind: message type.
+        topic: topic name.
     """
 
     def __init__(self, node: Node, kind: type, topic: str) -> None:
@@ -239,11 +238,11 @@ class Validator:
         self._check, self.refused, self.reason = check(kind), 0, ""
         self._name = f"{kind.__module__.partition('.')[0]}/{kind.__name__}"
         self.most = RULES.get(self._name, Rule()).size
-        self._logged = -QUIET
+        self._logged = -LOG_PERIOD
         vars(node).setdefault(VALIDATORS, []).append(self)
 
     def accepts(self, message: Any) -> bool:
-        """Whether the rule allows a message."""
+        """Return True if the rule allows a message; count it otherwise."""
         why = self._check(message)
         if why:
             self.refuse(why)
@@ -252,33 +251,33 @@ class Validator:
         return not why
 
     def message(self, data: bytes) -> Any:
-        """The message that these bytes are; None: they are too many or none, or it is refused."""
+        """Return the message in these bytes; None if there is none or it is rejected."""
         if len(data) > self.most:
             self.refuse(f"it has {len(data)} bytes, expected at most {self.most}")
             return None
         try:
             message = deserialize_message(data, self.kind)
-        except RuntimeError:  # rclpy has no public name for what it raises
+        except RuntimeError:  # raised by rclpy's extension for bytes of another type
             self.refuse(f"its {len(data)} bytes are no {self._name}")
             return None
         return message if self.accepts(message) else None
 
     def refuse(self, why: str) -> None:
-        """Count, and log the first of a row, but not again and again."""
+        """Count a rejected message; log the first of a row, at most once per LOG_PERIOD."""
         now = time.monotonic()
-        if not self.reason and now >= self._logged + QUIET:
+        if not self.reason and now >= self._logged + LOG_PERIOD:
             self._logged = now
             self._node.get_logger().warning(f"a message on {self.topic} is refused: {why}")
         self.refused, self.reason = self.refused + 1, why
 
 
 def validators(node: Node) -> Sequence[Validator]:
-    """All of a node."""
+    """Return the validators of a node."""
     return tuple(vars(node).get(VALIDATORS, ()))
 
 
 def refusals(node: Node) -> dict[str, int]:
-    """How many messages a node has refused, by topic."""
+    """Return the number of rejected messages by topic."""
     return {f"refused on {each.topic}": each.refused for each in validators(node) if each.refused}
 
 

@@ -35,7 +35,7 @@ from fss_arm_ros.convert import (
 from fss_arm_ros.diagnostics import OK, WARN, Diagnostics, Health
 from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import LATCHED, SENSOR, subscribe_sensor
-from fss_arm_ros.stamps import SAMPLES, Stamps
+from fss_arm_ros.stamps import MIN_SAMPLES, Stamps
 from fss_arm_ros.timer_clock import timer_clock
 from fss_arm_ros.validation import subscribe
 from fss_gnc import messages
@@ -46,7 +46,7 @@ from fss_gnc.navigation.settings import NavigationSettings
 from fss_gnc.navigation.valve_faults import Faults
 from fss_gnc.programs import navigation as main
 
-AHEAD = SECOND  # of what is expected: a stamp that is farther is believed if SAMPLES in a row are
+AHEAD = SECOND  # of what is expected: a stamp that is farther is believed if MIN_SAMPLES in a row are
 SILENT = SECOND // 2  # a gyro that is silent for longer is lost
 
 
@@ -126,7 +126,7 @@ class NavigationNode(Node):
         if self.newest >= 0 and t > self.now() + AHEAD:
             self.refused[f"{topic} from the future"] += 1
             self.ahead[topic] += 1
-            if self.ahead[topic] < SAMPLES or topic != self.settings.base_topic:
+            if self.ahead[topic] < MIN_SAMPLES or topic != self.settings.base_topic:
                 return False
             self.get_logger().warning(f"{topic} went on to {t / SECOND:.1f} s: begins anew")
             self.begin()

@@ -37,16 +37,16 @@ class SerializedMessage:
             raise NotImplementedError(f"CDR of kind {data[:2].hex()}, expected 0001")
         self._data, self._doubles = bytearray(data), len(data) - DOUBLE * doubles
 
-    def stamped(self, stamp: int) -> None:
-        """Put the stamp [ns] in place."""
+    def set_stamp(self, stamp: int) -> None:
+        """Set the stamp [ns]."""
         pack_into("<iI", self._data, STAMP, *divmod(stamp, SECOND))
 
-    def put(self, first: int, *values: float) -> None:
-        """Put doubles in place, from the `first` on."""
+    def set_doubles(self, first: int, *values: float) -> None:
+        """Set doubles, from index `first` on."""
         pack_into(f"<{len(values)}d", self._data, self._doubles + DOUBLE * first, *values)
 
     def bytes(self) -> bytes:
-        """What to publish."""
+        """Return the bytes to publish."""
         return bytes(self._data)
 
 
@@ -59,11 +59,11 @@ class SerializedPose(SerializedMessage):
     def of(self, stamp: int, seen: Seen) -> bytes:
         """What is seen in a frame; of an occluded subject pose and quaternion are zero."""
         x, y, heading = seen.pose
-        self.stamped(stamp - seen.before)
+        self.set_stamp(stamp - seen.before)
         if seen.occluded:
-            self.put(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+            self.set_doubles(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         else:
-            self.put(0, x, y, 0.0, 0.0, 0.0, sin(0.5 * heading), cos(0.5 * heading))
+            self.set_doubles(0, x, y, 0.0, 0.0, 0.0, sin(0.5 * heading), cos(0.5 * heading))
         return self.bytes()
 
 
@@ -79,8 +79,8 @@ class SerializedGyro(SerializedMessage):
 
     def of(self, stamp: int, rate: float) -> bytes:
         """A rate [rad/s]."""
-        self.stamped(stamp)
-        self.put(TURN_RATE, rate)
+        self.set_stamp(stamp)
+        self.set_doubles(TURN_RATE, rate)
         return self.bytes()
 
 
@@ -92,7 +92,7 @@ class SerializedClock(SerializedMessage):
 
     def of(self, stamp: int) -> bytes:
         """A time [ns]."""
-        self.stamped(stamp)
+        self.set_stamp(stamp)
         return self.bytes()
 
 

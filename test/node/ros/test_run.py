@@ -10,7 +10,7 @@ import pytest
 from rclpy.node import Node
 from running import wait_until
 
-from fss_arm_ros.run import ENDS, spin_once
+from fss_arm_ros.run import END_SIGNALS, spin_once
 
 TOLD = """
 import os, signal, sys, time
@@ -67,7 +67,7 @@ class Held(Node):
     def destroy_node(self):
         ctypes.PyDLL(None).sleep(60)  # with Python's lock
 
-run.LEAVING = 0.5
+run.MAX_SHUTDOWN_TIME = 0.5
 sys.exit(run.run(Held))
 """
 
@@ -169,7 +169,7 @@ def test_a_job_that_is_interrupted_says_how_far_it_came(named, how):
     assert program.output.endswith("-c: interrupted after 2 of 3\n")
 
 
-@pytest.mark.parametrize("number", ENDS)
+@pytest.mark.parametrize("number", END_SIGNALS)
 def test_a_command_is_interrupted_at_the_end_of_a_turn(ros, number):
     node, done, before = Node("turning"), [], signal.getsignal(number)
 

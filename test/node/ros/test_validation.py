@@ -26,7 +26,7 @@ from fss_arm_msgs.msg import (
     Maneuvers,
 )
 from fss_arm_ros.diagnostics import WARN, Diagnostics, Health
-from fss_arm_ros.sources import rivals
+from fss_arm_ros.sources import duplicate_publishers
 from fss_arm_ros.validation import Validator, check, refusals, subscribe
 
 
@@ -185,9 +185,9 @@ def test_links_share_a_topic_and_a_replay_beside_them_does_not(spin):
         for i in (1, 2)
     ]
     spin([listener], lambda: listener.count_publishers("joint_states") == 2)
-    spin([listener], lambda: not rivals(listener))
+    spin([listener], lambda: not duplicate_publishers(listener))
     replay = Source("replay", ("joint_states", JointState), ("link_1/telemetry", LinkTelemetry))
     expected = "joint_states has 3 sources: /link_1, /link_2, /replay"
-    spin([listener], lambda: rivals(listener) == expected)
+    spin([listener], lambda: duplicate_publishers(listener) == expected)
     for node in (*links, replay):
         node.destroy_node()
