@@ -15,7 +15,7 @@ MAX_HEADING = 1000.0  # [rad], 159 turns; headings are wrapped
 MAX_DURATION = 86_400.0  # [s], one day
 MAX_TWIST = (1.0, 1.0, 3.0)  # motion capture rejects a faster base [m/s, m/s, rad/s]
 MAX_ACCELERATION = (1.0, 1.0, 3.0)  # [m/s^2, m/s^2, rad/s^2]
-BRAKING_TIME = 2.0  # for which a reference that moves may be beyond the table's edge [s]
+BRAKING_TIME = 3.0  # for which a moving reference may be beyond the table's edge [s]
 ROUNDING = 1e-9  # of interpolated numbers
 
 UNITS = (("m", "m", "rad"), ("m/s", "m/s", "rad/s"), ("m/s^2", "m/s^2", "rad/s^2"))
@@ -120,9 +120,9 @@ def check_reference(path: Path, table: Sequence[float]) -> None:
     last = len(path.times) - 1
     for k in (0, last):
         duration(f"points[{k}].time_from_start", float(path.times[k]))
-    _check_states(path.knots, table, lambda k, d: f"points[{k}].{POINT_FIELDS[d]}")
-    times, states = path.resolved(float(path.times[0]))
-    _check_states(states[:, :2], table, lambda k, _: f"the reference at {times[k]:g} s:")
+    _check_states(path.knots, table, lambda k, d: f"points[{k}].{POINT_FIELDS[d]}.")
+    times, states = (each[:-1] for each in path.resolved(float(path.times[0])))  # then it rests
+    _check_states(states[:, :2], table, lambda k, _: f"reference at {times[k]:g} s, ")
 
 
 def _check_states(states: Floats, table: Sequence[float], name: Callable[[int, int], str]) -> None:
@@ -130,7 +130,7 @@ def _check_states(states: Floats, table: Sequence[float], name: Callable[[int, i
     limits = np.tile(each[: states.shape[1]], (len(states), 1, 1))
     if states.shape[1] > 1:
         limits[:, 0, :2] += BRAKING_TIME * np.abs(states[:, 1, :2])
-    check_all(states, limits, lambda k, d, i: (f"{name(k, d)}.{FIELDS[d][i]}", UNITS[d][i]))
+    check_all(states, limits, lambda k, d, i: (name(k, d) + FIELDS[d][i], UNITS[d][i]))
 
 
 def _rows(name: str, values: npt.ArrayLike, limits: Floats, units: Sequence[str]) -> Floats:
