@@ -46,8 +46,8 @@ from fss_gnc.navigation.settings import NavigationSettings
 from fss_gnc.navigation.valve_faults import Faults
 from fss_gnc.programs import navigation as main
 
-AHEAD = SECOND  # of what is expected: a stamp that is farther is believed if MIN_SAMPLES in a row are
-SILENT = SECOND // 2  # a gyro that is silent for longer is lost
+MAX_LEAD = SECOND  # of a stamp over the present; more is believed after MIN_SAMPLES in a row
+GYRO_TIMEOUT = SECOND // 2  # [ns]
 
 
 class Body:
@@ -123,7 +123,7 @@ class NavigationNode(Node):
 
     def is_timely(self, topic: str, t: int) -> bool:
         """Whether a stamp [ns] may be; where the base's poses are set back or forth, begin anew."""
-        if self.newest >= 0 and t > self.now() + AHEAD:
+        if self.newest >= 0 and t > self.now() + MAX_LEAD:
             self.refused[f"{topic} from the future"] += 1
             self.ahead[topic] += 1
             if self.ahead[topic] < MIN_SAMPLES or topic != self.settings.base_topic:
@@ -280,11 +280,11 @@ class NavigationNode(Node):
         n, words = self.navigation, []
         if self.base.lost:
             words.append(f"base {self.base.lost}")
-        elif now - n.base.seen > SILENT:
+        elif now - n.base.seen > GYRO_TIMEOUT:
             words.append(f"base predicted, not seen for {(now - n.base.seen) / SECOND:.1f} s")
         if self.free.lost and n.target.events:
             words.append(f"target {self.free.lost}")
-        if n.base.events and now - n.base.turned > SILENT:
+        if n.base.events and now - n.base.turned > GYRO_TIMEOUT:
             words.append("no gyro: by motion capture alone")
         if not n.inputs.heard_at(now):
             words.append("not every joint is heard: the arm's motion is not known")
