@@ -108,7 +108,8 @@ ROOMS = {
     "fss_gnc.navigation": {"fss_arm_model", "fss_arm_ros.convert"},
     "fss_gnc.control": {"fss_arm_model", "fss_gnc.reference"},
     "fss_gnc.guidance": {
-        "fss_arm_model", "fss_arm_motion", "fss_gnc.reference", "fss_arm_msgs.action",
+        "fss_arm_model", "fss_arm_motion", "fss_gnc.bounds", "fss_gnc.reference",
+        "fss_arm_msgs.action",
     },
     REGIONS: {"fss_arm_model.description", "fss_arm_model.layout"},
     "fss_arm_workspace.manipulability": {"fss_arm_model", REGIONS},
