@@ -1,20 +1,20 @@
 #!/usr/bin/env bash
-# Sets up what is lacking, then runs lint, types and tests. Options go to pytest (--slow: the slow
-# tests too; -k WORD: some).
+# Run the set-up if needed, then lint, type checks and tests. Options go to pytest (--slow: also the
+# slow tests; -k WORD: a selection).
 set -euo pipefail
 root=$(cd -- "$(dirname -- "${BASH_SOURCE[0]}")/.." && pwd -P)
 "$root/scripts/setup.sh" --dev
 # shellcheck source=scripts/env.sh
 . "$root/scripts/env.sh"
 
-said=$(mktemp -d)
-declare -A beside=()
-end_all() {
+logs=$(mktemp -d)
+declare -A background=()
+stop_all() {
   local group
-  for group in "${beside[@]}"; do kill -INT -- "-$group" 2>/dev/null || true; done
-  rm -rf "$said"
+  for group in "${background[@]}"; do kill -INT -- "-$group" 2>/dev/null || true; done
+  rm -rf "$logs"
 }
-trap end_all EXIT
+trap stop_all EXIT
 trap 'exit 130' INT
 summary=() status=0
 step() {   # step NAME COMMAND...
@@ -25,68 +25,65 @@ step() {   # step NAME COMMAND...
   summary+=("$(printf '%-8s %-7s %4d s' "$name" "$verdict" $((SECONDS - start)))")
 }
 
-# A test that lacks its tool is skipped. Of the slow ones none is to be, where apt can help.
+# A test without its tool is skipped. For the slow tests, install the tools with apt if possible.
 if [[ " $* " == *" --slow "* && $(id -u) == 0 ]] && command -v apt-get >/dev/null; then
   tools=(chromium zsh iproute2 systemd qemu-system-arm gcc-arm-none-eabi libnewlib-arm-none-eabi
     libstdc++-arm-none-eabi-newlib)
   if ! dpkg -s "${tools[@]}" >/dev/null 2>&1; then
     echo "test: installing for the slow tests: ${tools[*]}" >&2
     { apt-get update && DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends \
-      "${tools[@]}"; } >"$said/apt" 2>&1 || tail -n 3 "$said/apt" >&2
+      "${tools[@]}"; } >"$logs/apt" 2>&1 || tail -n 3 "$logs/apt" >&2
   fi
 fi
 
-# Options may choose tests (-k) of which one step has none: pytest's code 5.
-chosen=$*
+# With a selection (-k), a step may have no tests: pytest's exit code 5.
+selection=$*
 tests() {
-  python -m pytest "$@" || { local code=$?; [[ $code == 5 && $chosen ]] || return "$code"; }
+  python -m pytest "$@" || { local code=$?; [[ $code == 5 && $selection ]] || return "$code"; }
 }
 
-# Begins a command beside what comes next, to which it gives way; the step `ended NAME` waits for it.
-begin() {   # begin NAME COMMAND...
+# Start a command in the background at low priority; the step `finish NAME` waits for it.
+start() {   # start NAME COMMAND...
   local name=$1
   shift
-  set -m   # a process group of its own, which can be ended as one
-  { renice -n 10 "$BASHPID" >/dev/null; "$@"; } >"$said/$name" 2>&1 &
-  beside[$name]=$!
+  set -m   # in a process group of its own, to stop it as a whole
+  { renice -n 10 "$BASHPID" >/dev/null; "$@"; } >"$logs/$name" 2>&1 &
+  background[$name]=$!
   set +m
 }
-ended() {
+finish() {
   local code=0
-  wait "${beside[$1]}" || code=$?
-  unset "beside[$1]"
-  cat "$said/$1"
+  wait "${background[$1]}" || code=$?
+  unset "background[$1]"
+  cat "$logs/$1"
   return "$code"
 }
 
-# A process a core, each with its own ROS domain, and one thread of linear algebra in each. Tests of
-# nodes and of whole graphs mostly wait, but not long: what only computes is done beside them, with
-# what they leave of the processor. The demo keeps two cores busy, and slow tests keep time. What
-# fails of nodes and whole graphs is given one more try, elsewhere what missed a deadline or met a
-# watchdog on a busy machine; the output shows it as R, and at the end which.
+# Each process has its own ROS domain and one thread of linear algebra. Tests of nodes and of whole
+# graphs mostly wait; pure tests run beside them at low priority. The demo keeps two cores busy and
+# slow tests keep time, so these run alone. No test is run again: a failure is a failure.
 export OPENBLAS_NUM_THREADS=1
-patience=(--reruns 1 --only-rerun "not within|still running after|not armed|not seen to switch")
-pure=(tests test/pure "${patience[@]}" -n "$(nproc)" --dist loadfile "$@")
-node=(tests test/node --reruns 1 -raR -n "$((2 * $(nproc)))" --dist loadfile "$@")
-graphs=(tests test/e2e --ignore test/e2e/test_demo.py --reruns 1 -raR --dist loadfile
-  --no-loadscope-reorder "$@")   # as they stand, the longest files are not last
+pure=(tests test/pure -n "$(nproc)" --dist loadfile "$@")
+node=(tests test/node -n "$((2 * $(nproc)))" --dist loadfile "$@")
+graphs=(tests test/e2e --ignore test/e2e/test_demo.py --dist loadfile
+  --no-loadscope-reorder "$@")   # unsorted, so that the longest files are not last
 cd "$root"
 step ruff ruff check .
 step format ruff format --check --quiet .
-begin mypy mypy src/*/fss_*/
+start mypy mypy src/*/fss_*/
 if [[ " $* " == *" --slow "* ]]; then
   step pure "${pure[@]}"
-  step mypy ended mypy
+  step mypy finish mypy
   step node "${node[@]}"
   step graphs "${graphs[@]}" -n 0
 else
-  begin pure "${pure[@]}"
+  start pure "${pure[@]}"
   step node "${node[@]}"
   step graphs "${graphs[@]}" -n 2
-  step mypy ended mypy
-  step pure ended pure
+  step mypy finish mypy
+  step pure finish pure
 fi
-step demo tests test/e2e/test_demo.py "${patience[@]}" "$@"
+step demo tests test/e2e/test_demo.py "$@"
 [[ " $* " != *" --slow "* ]] ||
   step colcon colcon test --base-paths src --return-code-on-test-failure \
     --event-handlers console_direct- desktop_notification-

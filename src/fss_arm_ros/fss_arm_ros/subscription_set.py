@@ -9,6 +9,7 @@ compares the two).
 
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from typing import Any
 
 from rclpy.callback_groups import CallbackGroup, MutuallyExclusiveCallbackGroup
@@ -88,6 +89,7 @@ class SubscriptionSet(Waitable):
         self._subscriptions: list[Subscription] = []
         self._waiting: list[tuple[int, Subscription]] = []
         self._ready: list[Subscription] = []
+        self._in_use = ExitStack()
         node.add_waitable(self)
 
     def add(
@@ -123,6 +125,16 @@ class SubscriptionSet(Waitable):
         """Hand over every message received up to now, at most MAX_PENDING of each subscription."""
         for subscription in tuple(self._subscriptions):
             self.receive([subscription], MAX_PENDING)
+
+    def __enter__(self) -> None:
+        """Keep the subscriptions alive while an executor waits for them."""
+        self._in_use = ExitStack()
+        for subscription in self._subscriptions:
+            self._in_use.enter_context(subscription.handle)
+
+    def __exit__(self, *error: object) -> None:
+        """Allow the subscriptions to be destroyed."""
+        self._in_use.close()
 
     def get_num_entities(self) -> NumberOfEntities:
         """Return the number of entities in the wait set."""
