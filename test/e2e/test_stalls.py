@@ -62,7 +62,7 @@ def test_an_arm_node_that_stood_still_moves_nothing_any_more(spin, start, tmp_pa
     held = [t.link.position for t in transports]
     program.process.send_signal(signal.SIGCONT)
     spin(nodes, ended.done)
-    assert ended.result().result.message.startswith("this program stood still for ")
+    assert ended.result().result.message.startswith("this node paused for ")
     resumed = time.monotonic()
     spin(nodes, lambda: time.monotonic() > resumed + 1.0)
     assert [t.link.position for t in transports] == held

@@ -23,6 +23,7 @@ from fss_arm_ros.parameters import declare
 from fss_arm_ros.qos import subscribe_stop
 
 ANSWER = 6.0  # a link's driver has answered by then [s]
+HEARTBEAT = 0.5  # of diagnostics: at most 1 s old, even while a long goal is planned [s]
 
 
 class ArmNode(Node):
@@ -55,13 +56,13 @@ class ArmNode(Node):
         ]
         self.create_service(SetBool, "arm/enable", self.on_arm, callback_group=waits)
         self.create_timer(1.0 / self.settings.rate, self.tick, clock=self.links.clock)
-        self.diagnostics = Diagnostics(self, self.health)
+        self.diagnostics = Diagnostics(self, self.health, period=HEARTBEAT)
 
     def close(self) -> None:
         """Give back what a node does not destroy by itself."""
         self.streams.close()
         self.moves.server.destroy()
-        self.trajectories.server.destroy()
+        self.trajectories.close()
 
     def tick(self) -> None:
         """See where base and target are, and let a motion under way go on."""

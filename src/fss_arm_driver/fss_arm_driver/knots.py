@@ -1,12 +1,16 @@
 """The knots of a joint's path in time, checked against its limits, in a link's counts."""
 
 from collections.abc import Iterator, Sequence
-from itertools import pairwise
-from math import isfinite, sqrt
+from math import sqrt
 from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
 
 from fss_arm_driver.protocol import MAX_INDEX, hermite
 from fss_arm_driver.scale import CommandError, Scale
+
+Floats = npt.NDArray[np.float64]
 
 SHORTEST, LONGEST = 2000, 59_000_000  # from knot to knot; more is left than clocks differ [us]
 TOLERANCE = 1e-6  # of limits [rad, rad/s]
@@ -41,31 +45,45 @@ def knots(
             f"expected as many of each, 2 to {MAX_INDEX + 2}"
         )
     for name, values in (("time", time), ("position", position), ("velocity", velocity)):
-        for k, value in enumerate(values):
-            if not isfinite(value):
-                raise CommandError(f"{name}[{k}] is {value}, expected a finite number")
+        for k in np.flatnonzero(~np.isfinite(values)).tolist():
+            raise CommandError(f"{name}[{k}] is {values[k]}, expected a finite number")
     if time[0] != 0.0:
         raise CommandError(f"time[0] is {time[0]:g} s, expected 0")
     if velocity[-1] != 0.0:
         raise CommandError(f"the last velocity is {velocity[-1]:g} rad/s, expected 0")
-    clocks = [round(1e6 * t) for t in time]
-    for k, (begin, end) in enumerate(pairwise(clocks), 1):
-        if not SHORTEST <= end - begin <= LONGEST:
-            raise CommandError(
-                f"time[{k}] is {1e-6 * (end - begin):g} s after the one before, expected "
-                f"{1e-6 * SHORTEST:g} to {1e-6 * LONGEST:g} s"
-            )
+    with np.errstate(over="ignore", invalid="ignore"):
+        clocks = np.rint(1e6 * np.asarray(time))
+        steps = np.diff(clocks)
+    for k in np.flatnonzero((steps < SHORTEST) | (steps > LONGEST)).tolist():
+        raise CommandError(
+            f"time[{k + 1}] is {1e-6 * steps[k]:g} s after the one before, expected "
+            f"{1e-6 * SHORTEST:g} to {1e-6 * LONGEST:g} s"
+        )
+    q, qd = np.asarray(position), np.asarray(velocity)
+    for k in _doubtful_segments(scale, np.asarray(time), q, qd):
         _check_limits(scale, k, time, position, velocity)
-    return tuple(
-        Knot(t, round(q / scale.radians_per_count), round(qd / scale.radians_per_raw_velocity))
-        for t, q, qd in zip(clocks, position, velocity, strict=True)
-    )
+    counts = np.rint(q / scale.radians_per_count), np.rint(qd / scale.radians_per_raw_velocity)
+    return tuple(map(Knot, *np.stack([clocks, *counts]).astype(int).tolist()))
+
+
+def _doubtful_segments(scale: Scale, time: Floats, q: Floats, qd: Floats) -> list[int]:
+    """Return the index of the last knot of each segment that may exceed a limit of the joint.
+
+    A cubic and its velocity stay between their Bezier control points.
+    """
+    link, h = scale.link, np.diff(time)
+    with np.errstate(over="ignore", invalid="ignore"):  # what overflows is doubtful
+        angles = np.stack([q[:-1], q[:-1] + h * qd[:-1] / 3.0, q[1:] - h * qd[1:] / 3.0, q[1:]])
+        rates = np.stack([qd[:-1], 3.0 * np.diff(q) / h - qd[:-1] - qd[1:], qd[1:]])
+    inside = (angles >= link.q_min) & (angles <= link.q_max)
+    slow = np.abs(rates) <= link.drive.max_velocity
+    return (np.flatnonzero(~(inside.all(axis=0) & slow.all(axis=0))) + 1).tolist()
 
 
 def _check_limits(
     scale: Scale, k: int, time: Sequence[float], q: Sequence[float], qd: Sequence[float]
 ) -> None:
-    """Whether the cubic that ends at knot k keeps the limits of the joint."""
+    """Check that the cubic that ends at knot k keeps the limits of the joint."""
     link, fastest = scale.link, scale.link.drive.max_velocity
     cubic = time[k] - time[k - 1], q[k - 1], qd[k - 1], q[k], qd[k]
     for t in _turning_points(*cubic):

@@ -28,9 +28,9 @@ class GoalClient:
 
 @dataclass
 class Stall:
-    """Finds that a process stood still, and says so for as long again: what it hears may be old.
+    """Detects pauses of a process, and reports one for as long again: its messages may be old.
 
-    `now` may jump back, as simulated time does when it begins anew.
+    `now` may jump back, as simulated time does when it restarts.
     """
 
     max_interval: float  # from one check to the next without being a stall [s]
@@ -39,12 +39,12 @@ class Stall:
     checked: float | None = None
 
     def check(self, now: float) -> str:
-        """What to say of a stall that was just now, if there was one."""
+        """Describe the last pause while it is recent; empty: there was none."""
         late, self.checked = now - (now if self.checked is None else self.checked), now
         if late > self.max_interval:
             self.lasted, self.ended = late, now
         recent = 0.0 <= now - self.ended < self.max_interval
-        return f"this program stood still for {self.lasted:.1f} s" if recent else ""
+        return f"this node paused for {self.lasted:.1f} s" if recent else ""
 
 
 @dataclass

@@ -16,7 +16,8 @@ from fss_arm_driver.scale import Scale
 from fss_arm_model.description import Arm, Link
 
 MIN_TRAVEL = 1e-9  # [rad], a way not worth a profile
-MAX_DURATION = 3600.0  # [s]
+MAX_DURATION = 3600.0  # of any motion [s]
+MIN_KEEP_ALIVE = 0.05  # [s]; less than a client on Wi-Fi can keep
 STEPS = 50  # of a frame, that an acceleration has at least: so it is rounded by 1% at most
 
 
@@ -96,17 +97,18 @@ def plan(arm: Arm, q: tuple[float, ...], goal: tuple[float, ...], duration: floa
 
 
 def check(arm: Arm, goal: Sequence[float], duration: float = 0.0, keep_alive: float = 0.0) -> None:
-    """Check what is asked of a move, wherever the arm is: angles [rad], times [s].
+    """Check a requested move, wherever the arm is: angles [rad], times [s].
 
     Raises:
-        MoveError: wrong number of joints, a goal beyond a limit, or a time that is negative or
-            more than an hour.
+        MoveError: wrong number of joints, a goal beyond a limit, or a time out of range.
     """
     if len(goal) != arm.n:
         raise MoveError(f"q has {len(goal)} joints, expected {arm.n}")
     for name, time in (("duration", duration), ("keep_alive", keep_alive)):
         if not 0.0 <= time <= MAX_DURATION:
             raise MoveError(f"{name} is {time} s, expected 0 to {MAX_DURATION:.0f}")
+    if 0.0 < keep_alive < MIN_KEEP_ALIVE:
+        raise MoveError(f"keep_alive is {keep_alive} s, expected 0 or {MIN_KEEP_ALIVE:g} or more")
     for i, (link, angle) in enumerate(zip(arm.links, goal, strict=True), 1):
         if not link.q_min <= angle <= link.q_max:
             low, high = degrees(link.q_min), degrees(link.q_max)

@@ -28,6 +28,8 @@ from fss_arm_msgs.action import MoveArm
 from fss_arm_msgs.msg import LinkCommand
 from fss_arm_ros.qos import LATCHED
 
+EXTREMES = (float("nan"), float("inf"), float("-inf"), 1e18, -1e18)
+
 
 def overrides(**parameters):
     return [Parameter(name, value=value) for name, value in parameters.items()]
@@ -136,6 +138,12 @@ def test_a_longer_duration_is_kept(bench):
         ((float("nan"), 0.0), {}, "q of joint 1 is nan"),
         ((0.1, 0.1), {"duration": -1.0}, "duration is -1.0 s, expected 0 to 3600"),
         ((0.1, 0.1), {"keep_alive": -1.0}, "keep_alive is -1.0 s, expected 0 to 3600"),
+        ((0.1, 0.1), {"keep_alive": 5e-324}, "keep_alive is 5e-324 s, expected 0 or 0.05 or more"),
+        ((), {}, "q has 0 joints, expected 2"),
+        ((0.0,) * 1_000_000, {}, "q has 1000000 joints, expected 2"),
+        *(((0.1, value), {}, f"q of joint 2 is {value:.6g} rad") for value in EXTREMES),
+        *(((0.1, 0.1), {"duration": value}, f"duration is {value} s") for value in EXTREMES),
+        *(((0.1, 0.1), {"keep_alive": value}, f"keep_alive is {value} s") for value in EXTREMES),
     ],
 )  # fmt: skip
 def test_moves_that_make_no_sense_are_rejected(bench, monkeypatch, q, options, words):
@@ -143,6 +151,7 @@ def test_moves_that_make_no_sense_are_rejected(bench, monkeypatch, q, options, w
     monkeypatch.setattr(bench.arm.get_logger(), "warning", said.append)
     bench.enable()
     assert not bench.begin(*q, **options).accepted
+    assert not any(transport.link.speed for transport in bench.transports)
     assert [line for line in said if line.startswith(f"move rejected: {words}")]
 
 
@@ -297,7 +306,7 @@ def test_after_the_node_stood_still_nothing_old_moves_or_arms(bench):
     bench.until(lambda: any(transport.link.speed for transport in bench.transports))
     bench.arm.links.stall.checked -= 5.0  # as after SIGSTOP and SIGCONT
     message = bench.end(move).result.message
-    assert re.fullmatch(r"this program stood still for 5\.\d s", message)
+    assert re.fullmatch(r"this node paused for 5\.\d s", message)
     bench.until(lambda: all(transport.link.speed == 0.0 for transport in bench.transports))
     assert bench.move(0.1, 0.1).result.message == message
     answer = bench.after(bench.armer.call_async(SetBool.Request(data=True)))

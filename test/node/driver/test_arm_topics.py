@@ -2,8 +2,10 @@
 
 import re
 import time
+from array import array
 from dataclasses import replace
-from math import atan2, cos, nan, sin
+from math import atan2, cos, inf, nan, sin
+from threading import Event
 
 import numpy as np
 import pytest
@@ -23,7 +25,9 @@ from std_msgs.msg import Empty, Float64, String
 from tf2_msgs.msg import TFMessage
 from trajectory_msgs.msg import JointTrajectory
 
+from fss_arm_driver.arm import trajectory_action
 from fss_arm_driver.arm.guard_topics import GuardTopics
+from fss_arm_driver.arm.request import MAX_POINTS, requested
 from fss_arm_driver.arm.trajectory import Trajectory
 from fss_arm_driver.arm_node import ArmNode
 from fss_arm_driver.settings import ArmSettings
@@ -36,6 +40,7 @@ from fss_arm_msgs.action import MoveArm
 from fss_arm_msgs.msg import KinematicCalibration, LinkCommand
 from fss_arm_ros.convert import SECOND, stamp_ns, to_time
 from fss_arm_ros.qos import LATCHED, SENSOR
+from fss_arm_ros.validation import validators
 
 ENDED = FollowJointTrajectory.Result
 THERE = (0.3, -0.2, 0.25, -0.15)
@@ -49,7 +54,7 @@ class Bench:
         overrides = [Parameter(name, value=value) for name, value in parameters.items()]
         self.links, self.client, self.spin = FakeLinks(), StandardClient(), spin
         self.arm = ArmNode(parameter_overrides=overrides)
-        self.health = {}
+        self.health, self.beats = {}, 0
         self.client.create_subscription(DiagnosticArray, "/diagnostics", self.on_health, 10)
         self.until(lambda: len(self.arm.links.states) == 4 and self.client.ready())
         self.until(lambda: all(p.get_subscription_count() for p in self.links.telemetry))
@@ -57,6 +62,7 @@ class Bench:
         self.until(lambda: all(p.get_subscription_count() for p in paths))
 
     def on_health(self, message):
+        self.beats += 1
         for status in message.status:
             self.health = {"": status.message} | {v.key: v.value for v in status.values}
 
@@ -262,6 +268,34 @@ def test_what_is_refused_moves_nothing_and_is_counted(bench):
     bench.until(lambda: bench.links.taken)
 
 
+@pytest.mark.parametrize("field", ["position", "velocity", "effort"])
+def test_extreme_numbers_in_a_stream_move_nothing(bench, field):
+    """Each command is refused, by the rule of its type or by the stream, before the next one."""
+
+    def refusals():
+        stream = bench.arm.streams.stream
+        return stream.refused.total() + sum(each.refused for each in validators(bench.arm))
+
+    rows = [(value,) * 4 for value in (nan, inf, -inf, 1e18, -1e18)]
+    for values in (*rows, (), (0.0,) * 3):
+        before = refusals()
+        bench.client.command(**{field: values})
+        bench.until(lambda b=before: refusals() > b)
+    assert not bench.links.taken
+    bench.client.command(**{field: (5e-324,) * 4})  # no different from 0
+    bench.until(lambda: bench.links.taken)
+
+
+@pytest.mark.parametrize("field", ["position", "velocity", "effort"])
+def test_a_stream_of_a_million_numbers_is_refused_unread(bench, field):
+    (validator,) = [v for v in validators(bench.arm) if v.topic == "arm/joint_commands"]
+    message = JointState(name=list(JOINTS), **{field: array("d", bytes(8_000_000))})
+    bench.client.stream.publish(message)
+    bench.until(lambda: validator.refused)
+    assert re.fullmatch(r"it has 80\d{5} bytes, expected at most 65536", validator.reason)
+    assert not bench.links.taken
+
+
 def test_a_stream_takes_the_turn_of_a_trajectory_and_the_rest_of_the_joints_rest(bench):
     handle = bench.begin(bench.client.goal([(5.0, THERE)]))
     bench.until(lambda: bench.links.q[0] > 0.02)
@@ -376,6 +410,82 @@ def test_a_stop_and_a_silent_link_end_it(bench):
     bench.links.silent = {2}
     ended = bench.end(handle).result
     assert ended.error_string == "link 2 is silent"
+
+
+def test_oversized_goals_are_rejected_in_one_line(bench, monkeypatch):
+    said = []
+    monkeypatch.setattr(bench.arm.get_logger(), "warning", said.append)
+    point = bench.client.goal([(1.0, THERE)]).trajectory.points[0]
+    for sec, count, words in (
+        (2**31 - 1, 1, "time_from_start of point 0 is 2147483647 s, expected 0 to 3600 s"),
+        (10**6, 1, "time_from_start of point 0 is 1000000 s, expected 0 to 3600 s"),
+        (1, 10_001, "points has 10001 elements, expected 1 to 10000"),
+    ):
+        goal = bench.client.goal([])
+        point.time_from_start.sec = sec
+        goal.trajectory.points = [point] * count
+        assert not bench.after(bench.client.send(goal)).accepted
+        assert said == [f"goal rejected: INVALID_GOAL: {words}"]
+        said.clear()
+        bench.client.topic.publish(goal.trajectory)
+        bench.until(lambda: said)
+        assert said == [f"trajectory rejected: INVALID_GOAL: {words}"]
+        said.clear()
+    assert not bench.links.taken
+
+
+def test_while_a_goal_is_received_the_node_and_a_motion_continue(bench, monkeypatch):
+    """A goal of any size is received in a thread of its own; a stop acts at once."""
+    release = Event()
+
+    def slow(*given):
+        assert release.wait(30.0)
+        return requested(*given)
+
+    handle = bench.begin(bench.client.goal([(20.0, THERE)]))
+    bench.until(lambda: bench.links.q[0] > 0.01)
+    monkeypatch.setattr(trajectory_action, "requested", slow)
+    second = bench.client.send(bench.client.goal([(2.0, (0.0, 0.0, 0.0, 0.0))]))
+    beats, commands, feedback = bench.beats, len(bench.links.taken), len(bench.client.feedback)
+    bench.until(lambda: bench.beats > beats + 3)
+    assert len(bench.links.taken) > commands
+    assert len(bench.client.feedback) > feedback
+    assert handle.status == GoalStatus.STATUS_EXECUTING
+    assert not second.done()
+    release.set()
+    assert bench.after(second).accepted
+    assert bench.end(handle).result.error_string == "preempted by a trajectory"
+    assert bench.end(second.result()).status == GoalStatus.STATUS_SUCCEEDED
+
+
+def test_the_longest_goal_runs_and_heartbeats_are_never_older_than_a_second(start, spin):
+    start("fss_arm_driver.arm_node", "--ros-args", "-p", "time_to_live:=3.0", "-p", "lead:=0.3",
+          ROS_PYTHON_CHECK_FIELDS="0")  # fmt: skip
+    links, client, beats = FakeLinks(), StandardClient(), []
+
+    def on_health(message):
+        if message.status[0].name == "/arm":
+            beats.append(1e-9 * stamp_ns(message.header.stamp))
+
+    client.create_subscription(DiagnosticArray, "/diagnostics", on_health, 100)
+    times = 2.0 + 0.01 * np.arange(MAX_POINTS)
+    waves = np.outer(np.sin(0.3 * (times - 2.0)), THERE)
+    goal = client.goal(zip(times.tolist(), waves.tolist(), strict=True))
+    nodes = [links, client]
+    spin(nodes, lambda: client.ready() and len(beats) > 1, 60.0)
+    sent = client.send(goal)
+    spin(nodes, sent.done, 60.0)
+    assert sent.result().accepted
+    ended = sent.result().get_result_async()
+    spin(nodes, lambda: ended.done() or links.q[0] > 0.1, 30.0)
+    assert not ended.done()
+    count = len(beats)
+    spin(nodes, lambda: len(beats) > count)
+    assert np.diff(beats).max() <= 1.0
+    sent.result().cancel_goal_async()
+    spin(nodes, ended.done)
+    assert ended.result().result.error_string == "cancelled"
+    client.action.destroy()
 
 
 def test_a_new_goal_goes_on_from_where_the_old_one_will_be(bench):

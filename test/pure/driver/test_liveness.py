@@ -1,4 +1,4 @@
-"""Whoever asked for a move, and a process that stood still."""
+"""Clients of a move that fall silent, pauses of the node, and steps of its clock."""
 
 import pytest
 
@@ -29,8 +29,8 @@ def test_a_client_may_take_its_time_to_be_seen_and_then_is_missed_at_once():
     assert asker.gone(10.4, seen=False) == "whoever asked for it is gone"
 
 
-def test_a_stall_is_told_for_as_long_as_what_is_heard_may_be_old():
-    stall, words = Stall(1.0), "this program stood still for 5.0 s"
+def test_a_pause_is_reported_for_as_long_as_messages_may_be_old():
+    stall, words = Stall(1.0), "this node paused for 5.0 s"
     assert [stall.check(t) for t in (100.0, 100.2, 101.2)] == ["", "", ""]
     assert [stall.check(t) for t in (106.2, 106.4, 107.1, 107.3)] == [words, words, words, ""]
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fss_arm_driver.move import MoveError, plan
+from fss_arm_driver.move import MoveError, check, plan
 from fss_arm_driver.protocol import Mode
 from fss_arm_driver.scale import Scale
 from fss_arm_model.description import Drive, paper_arm
@@ -92,8 +92,19 @@ def test_no_way_takes_no_time():
         ((0.0,) * 4, inf, "duration is inf s"),
         ((0.0,) * 4, nan, "duration is nan s"),
         ((0.1,) * 4, 1e200, r"duration is 1e\+200 s, expected 0 to 3600"),
+        ((), 0.0, "q has 0 joints, expected 4"),
+        ((0.0,) * 1_000_000, 0.0, "q has 1000000 joints, expected 4"),
+        *(((0.0, q, 0.0, 0.0), 0.0, "q of joint 2 is") for q in (inf, -inf, 1e18, -1e18)),
     ],
 )
 def test_moves_that_must_not_be_begun_are_refused(goal, duration, words):
     with pytest.raises(MoveError, match=words):
         plan(ARM, (0.0,) * 4, goal, duration)
+
+
+@pytest.mark.parametrize("keep_alive", [nan, inf, -inf, 1e18, -1.0, 5e-324, 0.04])
+def test_a_client_promises_to_confirm_within_reason(keep_alive):
+    with pytest.raises(MoveError, match="keep_alive is"):
+        check(ARM, (0.0,) * 4, keep_alive=keep_alive)
+    for possible in (0.0, 0.05, 3600.0):
+        check(ARM, (0.0,) * 4, keep_alive=possible)

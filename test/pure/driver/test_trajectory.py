@@ -1,31 +1,46 @@
 """Trajectories as asked for, the paths made of them, and what is refused."""
 
+import re
 from dataclasses import replace
+from math import inf, nan
+from pathlib import Path
 
 import numpy as np
 import pytest
+from builtin_interfaces.msg import Duration as DurationMessage
+from builtin_interfaces.msg import Time
 from control_msgs.action import FollowJointTrajectory
-from control_msgs.msg import JointTolerance
+from control_msgs.msg import JointComponentTolerance, JointTolerance
 from rclpy.duration import Duration
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
-from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+from trajectory_msgs.msg import (
+    JointTrajectory,
+    JointTrajectoryPoint,
+    MultiDOFJointTrajectoryPoint,
+)
 
 from fss_arm_driver.arm.following import Following
+from fss_arm_driver.arm.request import (
+    MAX_MAGNITUDE,
+    MAX_POINTS,
+    SECOND,
+    Code,
+    Request,
+    TrajectoryError,
+    check_goal,
+    requested,
+)
 from fss_arm_driver.arm.state import LinkState
 from fss_arm_driver.arm.tolerance import Tolerance, Tolerances
 from fss_arm_driver.arm.trajectory import (
     MAX_SEGMENT,
-    SECOND,
-    Code,
-    Request,
     Trajectory,
-    TrajectoryError,
     check_time,
     planned,
-    requested,
     spline_velocities,
 )
 from fss_arm_model.description import paper_arm
+from fss_arm_ros import validation
 
 ARM = paper_arm()
 JOINTS = [f"joint_{i}" for i in range(1, 5)]
@@ -165,23 +180,202 @@ def test_long_waits_are_divided_without_a_change():
 
 
 REFUSED = {
-    "none of joint_1": (Code.INVALID_JOINTS, [(1.0, np.zeros(4))], ["joint_1", "x", "y", "z"]),
-    "each of joint_1": (Code.INVALID_JOINTS, [(1.0, np.zeros(3))], JOINTS[:3]),
-    "points is empty": (Code.INVALID_GOAL, [], JOINTS),
-    "positions of point 0 are 3": (Code.INVALID_GOAL, [(1.0, np.zeros(3))], JOINTS),
-    "velocities of point 0 are 3": (Code.INVALID_GOAL, [(1.0, np.zeros(4), np.zeros(3))], JOINTS),
-    "does not ascend": (Code.INVALID_GOAL, [(1.0, np.zeros(4))] * 2, JOINTS),
-    "last point are not zero": (Code.INVALID_GOAL, [(1.0, np.zeros(4), np.ones(4))], JOINTS),
-    "not finite": (Code.INVALID_GOAL, [(1.0, np.full(4, np.inf))], JOINTS),
-}
+    "has 'x', expected each of joint_1": (Code.INVALID_JOINTS, [(1.0, np.zeros(4))], [*"xyz", ""]),
+    "is joint_1, joint_2, joint_3, expected each of joint_1": (
+        Code.INVALID_JOINTS, [(1.0, np.zeros(3))], JOINTS[:3],
+    ),
+    "joint_names is 1000000 names": (Code.INVALID_JOINTS, [(1.0, np.zeros(4))], JOINTS * 250_000),
+    "joint_names is empty": (Code.INVALID_JOINTS, [(1.0, np.zeros(4))], []),
+    "points has 0 elements, expected 1 to 10000": (Code.INVALID_GOAL, [], JOINTS),
+    "positions of point 0 has 3 numbers, expected 4": (
+        Code.INVALID_GOAL, [(1.0, np.zeros(3))], JOINTS,
+    ),
+    "velocities of point 0 has 3 numbers, expected 4": (
+        Code.INVALID_GOAL, [(1.0, np.zeros(4), np.zeros(3))], JOINTS,
+    ),
+    "time_from_start of point 1 is 1 s, expected more than the 1 s of the point before": (
+        Code.INVALID_GOAL, [(1.0, np.zeros(4))] * 2, JOINTS,
+    ),
+    "last point are up to 1 rad/s, expected 0": (
+        Code.INVALID_GOAL, [(1.0, np.zeros(4), np.ones(4))], JOINTS,
+    ),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("words", REFUSED)
-def test_what_makes_no_sense_is_refused(words):
+def test_malformed_trajectories_are_refused(words):
     code, points, names = REFUSED[words]
     with pytest.raises(TrajectoryError, match=words) as error:
         requested(ARM, message(points, names))
     assert error.value.code is code
+    assert len(str(error.value)) < 200
+
+
+def test_the_longest_trajectory_is_read_and_a_longer_one_is_not():
+    times = 0.36 * np.arange(MAX_POINTS)
+    points = [*zip(times, np.zeros((MAX_POINTS, 4)), strict=True)]
+    whole = message(points)
+    assert requested(ARM, whole).q.shape == (MAX_POINTS, 4)
+    whole.points.append(whole.points[-1])
+    with pytest.raises(TrajectoryError, match="points has 10001 elements, expected 1 to 10000"):
+        requested(ARM, whole)
+
+
+def test_a_million_points_are_refused_without_work():
+    """The check alone is measured: before it, rclpy's conversion takes 0.7 kB per point."""
+    whole = JointTrajectory(joint_names=JOINTS)
+    whole.points = [JointTrajectoryPoint(positions=[0.0] * 4)] * 1_000_000
+    Path("/proc/self/clear_refs").write_text("5")  # the peak starts at the present size
+    before = peak_memory()
+    with pytest.raises(TrajectoryError, match="points has 1000000 elements"):
+        requested(ARM, whole)
+    assert peak_memory() - before < 50.0
+
+
+def peak_memory():
+    """Return the largest resident size of this process since the peak was reset [MB]."""
+    status = Path("/proc/self/status").read_text()
+    return int(re.search(r"VmHWM:\s+(\d+) kB", status)[1]) / 1000.0
+
+
+# --- every number of a goal ----------------------------------------------------------------------
+
+ENORMOUS = (nan, inf, -inf, 1e18, -1e18)
+MILLION = [0.0] * 1_000_000
+TOLERANCES = [
+    (field, name)
+    for field in ("path_tolerance", "goal_tolerance")
+    for name in ("position", "velocity", "acceleration")
+]
+
+
+def valid_goal():
+    """Return a goal in which every field that may be filled is."""
+    whole = FollowJointTrajectory.Goal()
+    for field in (whole.path_tolerance, whole.goal_tolerance):
+        field += [JointTolerance(name=name, position=0.1, velocity=0.1) for name in JOINTS]
+    whole.trajectory = message([(1.0, np.zeros(4), np.zeros(4)), (2.0, np.zeros(4), np.zeros(4))])
+    for point in whole.trajectory.points:
+        point.accelerations = [0.0] * 4
+    return whole
+
+
+def refusal(goal):
+    """Return why a goal is refused; empty: it is not."""
+    try:
+        check_goal(goal)
+        DEFAULT.of_goal(goal)
+        requested(ARM, goal.trajectory)
+    except TrajectoryError as error:
+        return str(error)
+    return ""
+
+
+def test_numbers_of_goals_are_bounded_as_those_of_topics():
+    assert MAX_MAGNITUDE == validation.MAX_MAGNITUDE
+
+
+def test_a_goal_with_every_field_filled_is_valid():
+    assert refusal(valid_goal()) == ""
+
+
+@pytest.mark.parametrize("value", ENORMOUS)
+@pytest.mark.parametrize("field", ["positions", "velocities", "accelerations"])
+def test_numbers_of_points_are_bounded(field, value):
+    goal = valid_goal()
+    getattr(goal.trajectory.points[0], field)[2] = value
+    expected = "finite numbers of at most 1e+12 in size"
+    given = f"{field} of point 0 has {value:g} for joint_3"
+    assert refusal(goal) == f"{given}, expected {expected}"
+
+
+@pytest.mark.parametrize("field", ["positions", "velocities", "accelerations"])
+def test_points_have_one_number_per_joint(field):
+    goal = valid_goal()
+    setattr(goal.trajectory.points[1], field, MILLION)
+    assert refusal(goal) == f"{field} of point 1 has 1000000 numbers, expected 4"
+
+
+@pytest.mark.parametrize("values", [[0.0], [nan] * 4, MILLION])
+def test_efforts_are_refused(values):
+    goal = valid_goal()
+    goal.trajectory.points[0].effort = values
+    assert refusal(goal) == f"effort of point 0 has {len(values)} numbers, expected none"
+
+
+@pytest.mark.parametrize("value", [*ENORMOUS, -0.5, 5e-324])
+@pytest.mark.parametrize(("field", "name"), TOLERANCES)
+def test_tolerances_are_bounded(field, name, value):
+    goal = valid_goal()
+    setattr(getattr(goal, field)[1], name, value)
+    unit = {"position": "rad", "velocity": "rad/s", "acceleration": "rad/s^2"}[name]
+    given = f"{name} in {field} of joint_2 is {value:g} {unit}"
+    assert refusal(goal) == f"{given}, expected -1, 0, or 1e-06 to 1e+12"
+
+
+@pytest.mark.parametrize("field", ["path_tolerance", "goal_tolerance"])
+def test_there_is_one_tolerance_per_joint(field):
+    goal = valid_goal()
+    setattr(goal, field, [JointTolerance(name="joint_1")] * 2)
+    assert refusal(goal).startswith(f"{field} names 'joint_1', expected joint_1, joint_2")
+    setattr(goal, field, [JointTolerance(name="joint_1")] * 1_000_000)
+    assert refusal(goal) == f"{field} has 1000000 elements, expected at most 4, one per joint"
+
+
+@pytest.mark.parametrize(
+    ("sec", "nanosec"), [(2**31 - 1, 0), (10**6, 0), (3600, 1), (-1, 0), (1, 10**9), (0, 2**32 - 1)]
+)
+def test_times_are_within_an_hour(sec, nanosec):
+    goal = valid_goal()
+    goal.trajectory.points[1].time_from_start = DurationMessage(sec=sec, nanosec=nanosec)
+    shown = f"{sec} s and {nanosec} ns" if nanosec else f"{sec} s"
+    given = f"time_from_start of point 1 is {shown}"
+    assert refusal(goal) == f"{given}, expected 0 to 3600 s"
+
+
+@pytest.mark.parametrize(("sec", "nanosec"), [(2**31 - 1, 0), (3601, 0), (-2, 0), (-1, 1)])
+def test_goal_time_tolerances_are_within_an_hour(sec, nanosec):
+    goal = valid_goal()
+    goal.goal_time_tolerance = DurationMessage(sec=sec, nanosec=nanosec)
+    assert "goal_time_tolerance is" in refusal(goal)
+    assert refusal(goal).endswith("s, expected -1, 0, or 1e-06 to 3600")
+
+
+def test_nanoseconds_are_less_than_a_second():
+    goal = valid_goal()
+    goal.goal_time_tolerance.nanosec = 2**32 - 1
+    assert refusal(goal) == "goal_time_tolerance has 4294967295 ns, expected less than 1000000000"
+    for sec, nanosec in ((-1, 0), (1, 10**9)):
+        goal = valid_goal()
+        goal.trajectory.header.stamp = Time(sec=sec, nanosec=nanosec)
+        assert refusal(goal).startswith(f"header.stamp is {sec} s")
+
+
+def test_fields_for_other_kinds_of_joints_are_refused():
+    goal = valid_goal()
+    goal.component_path_tolerance = [JointComponentTolerance()]
+    assert refusal(goal) == "component_path_tolerance has 1 elements, expected none"
+    goal = valid_goal()
+    goal.component_goal_tolerance = [JointComponentTolerance()]
+    assert refusal(goal) == "component_goal_tolerance has 1 elements, expected none"
+    goal = valid_goal()
+    goal.multi_dof_trajectory.points = [MultiDOFJointTrajectoryPoint()] * 1_000_000
+    assert refusal(goal) == "multi_dof_trajectory.points has 1000000 elements, expected none"
+    goal = valid_goal()
+    goal.multi_dof_trajectory.joint_names = ["base"]
+    assert refusal(goal) == "multi_dof_trajectory.joint_names has 1 elements, expected none"
+
+
+def test_long_names_are_shown_in_part():
+    goal = valid_goal()
+    goal.trajectory.joint_names = ["x" * 1_000_000, *JOINTS[1:]]
+    assert len(refusal(goal)) < 200
+    goal = valid_goal()
+    goal.path_tolerance = [JointTolerance(name="x" * 1_000_000)]
+    assert len(refusal(goal)) < 200
+
+
+# --- limits --------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -189,7 +383,7 @@ def test_what_makes_no_sense_is_refused(words):
     [
         ([1.55, 1.55], [3.0, 6.0], r"joint_2 would be at 1\.\d+ rad, expected -1.5708 to 1.5708"),
         ([1.0], [1.0], r"joint_2 would turn at 1.5000 rad/s, expected at most 1"),
-        ([0.1, 0.1], [1.0, 1.0005], r"points are 0.000500 s apart"),
+        ([0.1, 0.1], [1.0, 1.0005], r"points are 0.0005 s apart"),
     ],
 )
 def test_what_the_arm_cannot_do_is_refused(q, times, words):
@@ -246,8 +440,8 @@ def test_a_goal_changes_defaults_and_erases_them():
     ("tolerance", "words"),
     [
         (JointTolerance(name="elbow"), "path_tolerance names 'elbow'"),
-        (JointTolerance(name="joint_1", position=-0.5), "path_tolerance of joint_1 is -0.5"),
-        (JointTolerance(name="joint_1", velocity=float("nan")), "is nan, expected -1, 0 or more"),
+        (JointTolerance(name="joint_1", position=-0.5), "path_tolerance of joint_1 is -0.5 rad"),
+        (JointTolerance(name="joint_1", velocity=nan), "is nan rad/s, expected -1, 0, or 1e-06"),
     ],
 )
 def test_tolerances_that_make_no_sense_are_refused(tolerance, words):

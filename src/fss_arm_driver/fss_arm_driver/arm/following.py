@@ -6,9 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fss_arm_driver.arm.request import SECOND, Code, Floats, TrajectoryError
 from fss_arm_driver.arm.state import LinkState
 from fss_arm_driver.arm.tolerance import Tolerances
-from fss_arm_driver.arm.trajectory import SECOND, Code, Floats, Trajectory, TrajectoryError
+from fss_arm_driver.arm.trajectory import Trajectory
 
 MARGIN = SECOND // 10  # before the end, when a link may have arrived [ns]
 

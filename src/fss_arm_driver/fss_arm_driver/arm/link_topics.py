@@ -82,9 +82,9 @@ class LinkTopics:
         return int(self.clock.now().nanoseconds)
 
     def interruption(self) -> str:
-        """That this process stood still for longer than a command lives, or that its clock was set.
+        """Describe a recent pause of this node beyond a command's life, or a step of its clock.
 
-        What it hears just after that may be old, or seem so.
+        Messages received just after that may be old, or seem so.
         """
         now = 1e-9 * self.steady()
         return self.stall.check(now) or self.steps.check(1e-9 * self.host.ahead, now)

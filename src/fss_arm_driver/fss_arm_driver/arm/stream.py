@@ -7,6 +7,7 @@ current through the joint's torque constant. A message that is not understood wh
 from collections import Counter
 from collections.abc import Iterator
 from math import isfinite
+from reprlib import repr as short
 from typing import Any, NamedTuple
 
 from fss_arm_driver.protocol import Mode
@@ -86,7 +87,7 @@ class Stream:
             i, value = self._links.get(name), float(number)
             if i is None:
                 expected = f"joint_1 to joint_{self._arm.n}"
-                raise StreamError("names", f"name is {name!r}, expected {expected}")
+                raise StreamError("names", f"name is {short(name)}, expected {expected}")
             if not isfinite(value):
                 raise StreamError("number", f"{kind} of {name} is {value}, expected a number")
             link = self._arm.links[i - 1]

@@ -1,13 +1,15 @@
-"""How far joints may be from a trajectory, on its way and at its end."""
+"""Tolerances of joints on the way and at the end of a trajectory."""
 
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
-from math import isfinite
+from collections.abc import Sequence
+from dataclasses import dataclass
+from reprlib import repr as short
 from typing import Any
 
-from fss_arm_driver.arm.trajectory import Code, TrajectoryError
+from fss_arm_driver.arm.request import MAX_MAGNITUDE, SECOND, Code, TrajectoryError
+from fss_arm_driver.move import MAX_DURATION
 
 ERASED = -1.0  # as a tolerance in a goal: none
+MIN_TOLERANCE = 1e-6  # positive tolerance; an encoder resolves 2.6e-5 rad
 
 
 @dataclass(frozen=True)
@@ -35,42 +37,53 @@ class Tolerances:
     goal_time: float
 
     def of_goal(self, goal: Any) -> "Tolerances":
-        """These, with what a FollowJointTrajectory goal says instead.
+        """Return these, with the values that a FollowJointTrajectory goal gives instead.
 
         Raises:
-            TrajectoryError: a joint is unknown, or a value is negative and not ERASED.
+            TrajectoryError: a joint is unknown or named twice, or a value is out of range.
         """
         time = goal.goal_time_tolerance
+        if time.nanosec >= SECOND:
+            words = f"goal_time_tolerance has {time.nanosec} ns, expected less than {SECOND}"
+            raise TrajectoryError(Code.INVALID_GOAL, words)
+        seconds = time.sec + 1e-9 * time.nanosec
         return Tolerances(
-            _given(goal.path_tolerance, self.path, "path_tolerance"),
-            _given(goal.goal_tolerance, self.goal, "goal_tolerance"),
-            _chosen(time.sec + 1e-9 * time.nanosec, self.goal_time, "goal_time_tolerance"),
+            _merged(goal.path_tolerance, self.path, "path_tolerance"),
+            _merged(goal.goal_tolerance, self.goal, "goal_tolerance"),
+            _chosen(seconds, self.goal_time, "goal_time_tolerance", "s", MAX_DURATION),
         )
 
 
-def _given(
-    given: Iterable[Any], default: tuple[Tolerance, ...], field: str
+def _merged(
+    given: Sequence[Any], default: tuple[Tolerance, ...], field: str
 ) -> tuple[Tolerance, ...]:
-    joints = {f"joint_{i}": i - 1 for i in range(1, len(default) + 1)}
-    found = list(default)
+    """Return the default of each joint, or what `given` has instead."""
+    if len(given) > len(default):
+        words = f"{field} has {len(given)} elements, expected at most {len(default)}, one per joint"
+        raise TrajectoryError(Code.INVALID_GOAL, words)
+    found = {f"joint_{i}": one for i, one in enumerate(default, 1)}
+    names = [one.name for one in given]
     for one in given:
-        if (i := joints.get(one.name)) is None:
-            words = f"{field} names {one.name!r}, expected {', '.join(joints)}"
+        if one.name not in found or names.count(one.name) > 1:
+            words = f"{field} names {short(one.name)}, expected {', '.join(found)}, each once"
             raise TrajectoryError(Code.INVALID_JOINTS, words)
-        what = f"{field} of {one.name}"
-        found[i] = replace(
-            found[i],
-            position=_chosen(one.position, default[i].position, what),
-            velocity=_chosen(one.velocity, default[i].velocity, what),
+        what, usual = f"{field} of {one.name}", found[one.name]
+        found[one.name] = Tolerance(
+            _chosen(one.position, usual.position, f"position in {what}", "rad"),
+            _chosen(one.velocity, usual.velocity, f"velocity in {what}", "rad/s"),
         )
-        _chosen(one.acceleration, 0.0, what)  # nothing measures it
-    return tuple(found)
+        # Nothing measures accelerations.
+        _chosen(one.acceleration, 0.0, f"acceleration in {what}", "rad/s^2")
+    return tuple(found.values())
 
 
-def _chosen(value: float, default: float, what: str) -> float:
-    """A goal's value: 0 means the default, -1 none."""
+def _chosen(
+    value: float, default: float, what: str, unit: str, greatest: float = MAX_MAGNITUDE
+) -> float:
+    """Return a goal's value; 0 means the default, -1 none."""
     if value == ERASED:
         return 0.0
-    if not isfinite(value) or value < 0.0:
-        raise TrajectoryError(Code.INVALID_GOAL, f"{what} is {value}, expected -1, 0 or more")
+    if value and not MIN_TOLERANCE <= value <= greatest:
+        words = f"expected -1, 0, or {MIN_TOLERANCE:g} to {greatest:g}"
+        raise TrajectoryError(Code.INVALID_GOAL, f"{what} is {value:g} {unit}, {words}")
     return value or default

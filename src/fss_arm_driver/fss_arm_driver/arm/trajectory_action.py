@@ -8,8 +8,8 @@ import numpy as np
 from control_msgs.action import FollowJointTrajectory
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
-from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.duration import Duration
+from rclpy.qos import QoSProfile
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from unique_identifier_msgs.msg import UUID
 
@@ -17,20 +17,21 @@ from fss_arm_driver.arm.arbiter import Motion
 from fss_arm_driver.arm.following import Following, Progress
 from fss_arm_driver.arm.guard_topics import GuardTopics
 from fss_arm_driver.arm.link_topics import LinkTopics, MotionError
-from fss_arm_driver.arm.tolerance import Tolerance, Tolerances
-from fss_arm_driver.arm.trajectory import (
+from fss_arm_driver.arm.request import (
     Code,
     Floats,
     Request,
-    Trajectory,
     TrajectoryError,
-    check_time,
-    planned,
+    check_goal,
     requested,
 )
+from fss_arm_driver.arm.tolerance import Tolerance, Tolerances
+from fss_arm_driver.arm.trajectory import Trajectory, check_time, planned
 from fss_arm_driver.liveness import GoalClient
 from fss_arm_motion.guard import GuardError
 from fss_arm_ros.convert import SECOND, to_time
+from fss_arm_ros.goal_thread import GoalThread
+from fss_arm_ros.subscriptions import Topic
 from fss_arm_ros.validation import subscribe
 
 CONTROLLER = "arm_controller"
@@ -50,18 +51,26 @@ class TrajectoryAction:
         self.motion: Motion | None = None
         self.trajectory: Trajectory | None = None  # of that motion
         self.goal, self.client = b"", GoalClient(0.0, 0.0)  # the goal's id, and who asked for it
-        self.server = ActionServer(
-            node,
-            FollowJointTrajectory,
-            f"{CONTROLLER}/follow_joint_trajectory",
-            self.on_execute,
-            goal_callback=self.on_goal,
-            cancel_callback=self.on_cancel,
-            callback_group=ReentrantCallbackGroup(),  # they take their time; all else goes on
-        )
-        topic = f"{CONTROLLER}/joint_trajectory"
-        subscribe(node, JointTrajectory, topic, self.on_message, 1)
         subscribe(node, UUID, f"{CONTROLLER}/alive", self.on_alive, 10)
+        self.received: tuple[Request, Tolerances] | None = None  # the last goal received
+        self.accepted: dict[bytes, tuple[Request, Tolerances]] = {}  # goals to execute, by id
+        topic = Topic(
+            JointTrajectory, f"{CONTROLLER}/joint_trajectory", QoSProfile(depth=1), self.on_message
+        )
+        self.thread = GoalThread(node, [topic])
+        self.close = self.thread.close
+        self.thread.serve(
+            ActionServer(
+                node,
+                FollowJointTrajectory,
+                f"{CONTROLLER}/follow_joint_trajectory",
+                self.on_execute,
+                goal_callback=self.on_goal,
+                handle_accepted_callback=self.on_accepted,
+                cancel_callback=self.on_cancel,
+                callback_group=self.thread.group,
+            )
+        )
 
     @property
     def earliest(self) -> int:
@@ -69,18 +78,24 @@ class TrajectoryAction:
         return self.links.now() + round(self.links.settings.lead * SECOND)
 
     def on_goal(self, goal: FollowJointTrajectory.Goal) -> GoalResponse:
-        """Reject a goal that makes no sense; the log says why, as an answer has no room for it."""
+        """Reject a malformed or oversized goal; the reason is logged, as the answer has none."""
         try:
-            self.tolerances.of_goal(goal)
-            check_time(self.read(goal.trajectory), self.earliest)
+            check_goal(goal)
+            tolerances = self.tolerances.of_goal(goal)
+            request = requested(self.links.arm, goal.trajectory)
+            check_time(request, self.earliest)
         except TrajectoryError as error:
             self.warn("goal rejected", error)
             return GoalResponse.REJECT
+        self.received = request, tolerances
         return GoalResponse.ACCEPT
 
-    def read(self, message: JointTrajectory) -> Request:
-        """What a message asks for, or TrajectoryError."""
-        return requested(self.links.arm, message)
+    def on_accepted(self, handle: ServerGoalHandle) -> None:
+        """Execute the goal last received, in the node's executor."""
+        received, self.received = self.received, None
+        assert received  # by on_goal, just before
+        self.accepted[handle.goal_id.uuid.tobytes()] = received
+        handle.execute()
 
     def on_cancel(self, _: Any) -> CancelResponse:
         """Let a goal end that nobody wants any more."""
@@ -94,11 +109,9 @@ class TrajectoryAction:
 
     async def on_execute(self, handle: ServerGoalHandle) -> FollowJointTrajectory.Result:
         """Execute a goal that was accepted."""
-        goal = handle.request
         code, words = Code.SUCCESSFUL, "goal reached"
         try:
-            tolerances = self.tolerances.of_goal(goal)
-            await self.follow(self.read(goal.trajectory), tolerances, handle)
+            await self.follow(*self.accepted.pop(handle.goal_id.uuid.tobytes()), handle)
             handle.succeed()
         except TrajectoryError as error:
             code, words = error.code, str(error)
@@ -110,13 +123,18 @@ class TrajectoryAction:
         return FollowJointTrajectory.Result(error_code=int(code), error_string=words)
 
     def on_message(self, message: JointTrajectory) -> None:
-        """Begin a trajectory that nobody asks about."""
-        self.links.node.executor.create_task(self.follow_unasked(message))
+        """Start a trajectory that has no client."""
+        try:
+            request = requested(self.links.arm, message)
+        except TrajectoryError as error:
+            self.warn("trajectory rejected", error)
+            return
+        self.links.node.executor.create_task(self.follow_unasked(request))
 
-    async def follow_unasked(self, message: JointTrajectory) -> None:
+    async def follow_unasked(self, request: Request) -> None:
         """Follow a trajectory; the log says why it ended, if not by reaching its goal."""
         try:
-            await self.follow(self.read(message), self.tolerances)
+            await self.follow(request, self.tolerances)
         except TrajectoryError as error:
             self.warn("trajectory ended", error)
 
