@@ -1,9 +1,8 @@
 """The node `motion`: plans from where arm and base are, runs them, and says what the base did."""
 
-import io
 import sys
-from collections.abc import Sequence
-from contextlib import redirect_stderr
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -17,18 +16,16 @@ from rclpy.action import ActionClient, ActionServer, CancelResponse, GoalRespons
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.clock import Clock, ClockType
-from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
-from trajectory_msgs.msg import JointTrajectoryPoint
 from unique_identifier_msgs.msg import UUID
 
 from fss_arm_model.description_file import described
 from fss_arm_model.kernels import Floats
 from fss_arm_model.momentum import momentum
-from fss_arm_motion import plan_command
-from fss_arm_motion.plan import Plan, PlanError, Start, predicted
+from fss_arm_motion.messages import options_of, oversized, too_long, trajectory
+from fss_arm_motion.plan import Plan, Start, predicted
 from fss_arm_motion.plan_file import parsed
 from fss_arm_motion.programs import motion as main
 from fss_arm_motion.settings import MotionSettings
@@ -44,6 +41,7 @@ from fss_arm_ros.timer_clock import timer_clock
 from fss_arm_ros.validation import subscribe
 
 CONTROLLER = "arm_controller/follow_joint_trajectory"
+HEARTBEAT = 0.5  # of diagnostics: at most 1 s old, whatever the planner's thread does [s]
 CALIBRATIONS = {
     "calibration/kinematic": KinematicCalibration,
     "calibration/dynamic": DynamicCalibration,
@@ -76,6 +74,7 @@ class MotionNode(Node):
         self.busy = False
         self.following: Any = None  # the trajectory that the arm's node follows for us
         self.ticked: Future = Future()
+        self.planner = ThreadPoolExecutor(1, "planner")  # the node must not wait for a plan
         subscribe_sensor(self, JointState, "arm/joint_states", self.on_joints)
         subscribe_sensor(self, Odometry, "base/state", self.on_base)
         for topic, kind in CALIBRATIONS.items():
@@ -93,14 +92,18 @@ class MotionNode(Node):
         self.create_timer(0.1, self.tick, clock=timer_clock(self))
         # In real time, as whoever listens counts it, also while a simulated one stands still.
         self.create_timer(0.2, self.show_life, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        self.diagnostics = Diagnostics(self, self.health)
+        self.diagnostics = Diagnostics(self, self.health, period=HEARTBEAT)
+
+    def close(self) -> None:
+        """End the planner's thread."""
+        self.planner.shutdown(cancel_futures=True)
 
     def now(self) -> int:
         """The node's clock [ns]."""
         return int(self.get_clock().now().nanoseconds)
 
     def tick(self) -> None:
-        """Let who waits for the arm to rest look again."""
+        """Resume the goal that waits for the arm to rest, or for its plan."""
         self.ticked, ticked = Future(), self.ticked
         ticked.set_result(None)
 
@@ -129,11 +132,12 @@ class MotionNode(Node):
         except ValueError as error:
             self.get_logger().warning(f"{topic} is left out: {error}")
 
-    def on_goal(self, _: Any) -> GoalResponse:
-        """One motion at a time; why a goal is rejected only the log can say."""
-        if self.busy:
-            self.get_logger().warning("goal rejected: a motion is under way")
-        return GoalResponse.REJECT if self.busy else GoalResponse.ACCEPT
+    def on_goal(self, goal: ExecuteMotion.Goal) -> GoalResponse:
+        """Accept one motion at a time; the reason of a rejection is logged."""
+        if why := "a motion is under way" if self.busy else oversized(goal):
+            self.get_logger().warning(f"goal rejected: {why}")
+            return GoalResponse.REJECT
+        return GoalResponse.ACCEPT
 
     def on_cancel(self, _: Any) -> CancelResponse:
         """Have the arm come to rest."""
@@ -146,8 +150,7 @@ class MotionNode(Node):
         self.busy, result = True, ExecuteMotion.Result()
         try:
             await self.rest(handle)
-            start = self.start()
-            plan = self.plan(start, handle.request)
+            plan = await self.plan(self.start(), handle)
             result.report, result.message = await self.follow(plan, handle)
             self.report.publish(result.report)
         except (ValueError, OSError) as error:
@@ -203,19 +206,31 @@ class MotionNode(Node):
         P = by_rates @ np.concatenate([base.rate, settling.rate])
         return replace(start, pose=base.at, momentum=P, state_covariance=C)
 
-    def plan(self, start: Start, goal: ExecuteMotion.Goal) -> Plan:
-        """The motion that a goal asks for.
+    async def plan(self, start: Start, handle: ServerGoalHandle) -> Plan:
+        """Plan the motion that a goal asks for, in the planner's thread.
 
         Raises:
-            ValueError: there is none.
+            ValueError: there is none, or the goal was cancelled meanwhile.
             OSError: its file cannot be read.
         """
+        goal = handle.request
         if bool(goal.kind) == bool(goal.file):
             raise MotionError("expected a kind or a file, and not both")
+        make: Callable[[], Plan]
         if goal.file:
-            return self.from_file(start, Path(goal.file))
-        kind, settings = options_of(goal.kind, goal.arguments)
-        return kind.plan(start, settings)
+            make = partial(self.from_file, start, Path(goal.file))
+        else:
+            kind, settings = options_of(goal.kind, goal.arguments)
+            make = partial(kind.plan, start, settings)
+        job = self.planner.submit(make)
+        while not job.done():
+            if handle.is_cancel_requested:
+                raise MotionError("cancelled")
+            await self.ticked
+        plan = job.result()
+        if why := too_long(plan):
+            raise MotionError(why)
+        return plan
 
     def from_file(self, start: Start, path: Path) -> Plan:
         """A plan that was made before, with what the base will do from where it is now."""
@@ -239,7 +254,7 @@ class MotionNode(Node):
             MotionError: the arm's node is not there, or rejects it.
         """
         if not self.controller.server_is_ready():
-            raise MotionError(f"nobody offers {CONTROLLER}: is the node arm there?")
+            raise MotionError(f"no node offers {CONTROLLER}: is the node arm there?")
         begin = self.now() + round(self.settings.lead * SECOND)
         end = begin + round(plan.duration * SECOND)
 
@@ -286,37 +301,6 @@ class MotionNode(Node):
         seen = self.base.drift(self.joints.t, self.settings.rest_window) is not None
         words = "ready" if seen else "ready, but the base is not seen: taken to be at rest"
         return Health(OK if seen else WARN, words)
-
-
-def options_of(kind: str, arguments: Sequence[str]) -> tuple[Any, Any]:
-    """The kind of plan that a command line asks for, and its settings.
-
-    Raises:
-        PlanError: the line is wrong.
-    """
-    said = io.StringIO()
-    try:
-        with redirect_stderr(said):
-            options = plan_command.parser().parse_args([kind, *arguments])
-    except SystemExit:
-        raise PlanError(said.getvalue().strip() or "--help is for the command line") from None
-    return plan_command.request_of(options)
-
-
-def trajectory(plan: Plan, begin: int) -> FollowJointTrajectory.Goal:
-    """A plan as the arm's node takes it, beginning at a time [ns]."""
-    goal = FollowJointTrajectory.Goal()
-    goal.trajectory.header.stamp = to_time(begin)
-    goal.trajectory.joint_names = [f"joint_{i + 1}" for i in range(plan.q.shape[1])]
-    goal.trajectory.points = [
-        JointTrajectoryPoint(
-            positions=q.tolist(),
-            velocities=qd.tolist(),
-            time_from_start=Duration(seconds=float(t)).to_msg(),
-        )
-        for t, q, qd in zip(plan.times, plan.q, plan.qd, strict=True)
-    ]
-    return goal
 
 
 if __name__ == "__main__":

@@ -1,0 +1,69 @@
+"""Goals of `arm/execute` as plans, plans as goals of the arm's node, and the bounds of both."""
+
+import io
+from collections.abc import Sequence
+from contextlib import redirect_stderr
+from typing import Any
+
+from control_msgs.action import FollowJointTrajectory
+from rclpy.duration import Duration
+from trajectory_msgs.msg import JointTrajectoryPoint
+
+from fss_arm_motion import plan_command
+from fss_arm_motion.plan import Plan, PlanError
+from fss_arm_msgs.action import ExecuteMotion
+from fss_arm_ros.convert import to_time
+
+MAX_WORDS, MAX_CHARACTERS = 1000, 10_000  # of a goal of `arm/execute`
+MAX_POINTS, MAX_DURATION = 10_000, 3600.0  # of a path that the arm's node accepts; [s]
+
+
+def oversized(goal: ExecuteMotion.Goal) -> str:
+    """Name the field of a goal that is too large; empty: none is."""
+    if len(goal.arguments) > MAX_WORDS:
+        return f"arguments has {len(goal.arguments)} words, expected at most {MAX_WORDS}"
+    words = ("arguments", "".join(goal.arguments)), ("kind", goal.kind), ("file", goal.file)
+    for field, text in words:
+        if len(text) > MAX_CHARACTERS:
+            return f"{field} has {len(text)} characters, expected at most {MAX_CHARACTERS}"
+    return ""
+
+
+def too_long(plan: Plan) -> str:
+    """Name the bound of the arm's node that a plan exceeds; empty: none."""
+    if not plan.duration <= MAX_DURATION:
+        return f"the plan takes {plan.duration:g} s, expected at most {MAX_DURATION:.0f}"
+    if len(plan.times) > MAX_POINTS:
+        return f"the plan has {len(plan.times)} points, expected at most {MAX_POINTS}"
+    return ""
+
+
+def options_of(kind: str, arguments: Sequence[str]) -> tuple[Any, Any]:
+    """Return the kind of plan that a command line asks for, and its settings.
+
+    Raises:
+        PlanError: the line is wrong.
+    """
+    said = io.StringIO()
+    try:
+        with redirect_stderr(said):
+            options = plan_command.parser().parse_args([kind, *arguments])
+    except SystemExit:
+        raise PlanError(said.getvalue().strip() or "--help is for the command line") from None
+    return plan_command.request_of(options)
+
+
+def trajectory(plan: Plan, begin: int) -> FollowJointTrajectory.Goal:
+    """Return a plan as a goal of the arm's node that starts at time `begin` [ns]."""
+    goal = FollowJointTrajectory.Goal()
+    goal.trajectory.header.stamp = to_time(begin)
+    goal.trajectory.joint_names = [f"joint_{i + 1}" for i in range(plan.q.shape[1])]
+    goal.trajectory.points = [
+        JointTrajectoryPoint(
+            positions=q.tolist(),
+            velocities=qd.tolist(),
+            time_from_start=Duration(seconds=float(t)).to_msg(),
+        )
+        for t, q, qd in zip(plan.times, plan.q, plan.qd, strict=True)
+    ]
+    return goal

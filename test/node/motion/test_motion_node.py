@@ -1,0 +1,155 @@
+"""The node that plans motions, without the arm's node: planning, bounds, cancelling."""
+
+from math import nan
+from threading import Event
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from action_msgs.msg import GoalStatus
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.action import ActionClient
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+
+from fss_arm_driver.arm.request import MAX_POINTS as ARM_MAX_POINTS
+from fss_arm_driver.move import MAX_DURATION as ARM_MAX_DURATION
+from fss_arm_motion import motion_node
+from fss_arm_motion.messages import MAX_CHARACTERS, MAX_DURATION, MAX_POINTS, too_long
+from fss_arm_motion.motion_node import MotionNode
+from fss_arm_msgs.action import ExecuteMotion
+from fss_arm_ros.qos import SENSOR
+
+NO_ARM = "no node offers arm_controller/follow_joint_trajectory: is the node arm there?"
+
+
+class Bench:
+    """An arm at rest as topics alone, the node, and a user of it."""
+
+    def __init__(self, spin):
+        self.motion, self.user, self.spin, self.beats = MotionNode(), Node("user"), spin, 0
+        self.states = self.user.create_publisher(JointState, "arm/joint_states", SENSOR)
+        self.user.create_timer(0.05, self.report)
+        self.user.create_subscription(DiagnosticArray, "/diagnostics", self.on_health, 10)
+        self.client = ActionClient(self.user, ExecuteMotion, "arm/execute")
+        self.until(lambda: self.client.server_is_ready() and self.motion.joints.t)
+
+    def report(self):
+        zeros = [0.0] * 4
+        names = [f"joint_{i}" for i in (1, 2, 3, 4)]
+        message = JointState(name=names, position=zeros, velocity=zeros, effort=zeros)
+        message.header.stamp = self.user.get_clock().now().to_msg()
+        self.states.publish(message)
+
+    def on_health(self, _):
+        self.beats += 1
+
+    def until(self, condition, timeout=120.0):  # kernels may have to be compiled
+        return self.spin([self.motion, self.user], condition, timeout)
+
+    def after(self, future):
+        self.until(future.done)
+        return future.result()
+
+    def send(self, **goal):
+        return self.after(self.client.send_goal_async(ExecuteMotion.Goal(**goal)))
+
+    def execute(self, **goal):
+        return self.after(self.send(**goal).get_result_async())
+
+
+@pytest.fixture
+def bench(spin):
+    bench = Bench(spin)
+    yield bench
+    bench.client.destroy()
+
+
+@pytest.fixture
+def slow_planner(monkeypatch):
+    """A kind of plan that fails once it is released."""
+    release = Event()
+
+    def plan(*_):
+        assert release.wait(30.0)
+        raise ValueError("there is no plan")
+
+    monkeypatch.setattr(motion_node, "options_of", lambda *_: (SimpleNamespace(plan=plan), None))
+    yield release
+    release.set()
+
+
+def test_the_node_does_not_wait_for_a_plan(bench, slow_planner):
+    handle = bench.send(kind="slow")
+    bench.until(lambda: bench.motion.busy)
+    beats, heard = bench.beats, bench.motion.joints.t
+    bench.until(lambda: bench.beats > beats + 3)
+    assert bench.motion.joints.t > heard
+    assert handle.status == GoalStatus.STATUS_EXECUTING
+    ended = handle.get_result_async()
+    slow_planner.set()
+    assert bench.after(ended).result.message == "there is no plan"
+
+
+def test_a_goal_is_cancelled_while_it_is_planned(bench, slow_planner):
+    handle = bench.send(kind="slow")
+    bench.until(lambda: bench.motion.busy)
+    bench.after(handle.cancel_goal_async())
+    ended = bench.after(handle.get_result_async())
+    assert (ended.status, ended.result.message) == (GoalStatus.STATUS_CANCELED, "cancelled")
+
+
+TURN = ["--goal", "10", "0", "0", "0"]
+
+
+@pytest.mark.parametrize(
+    ("goal", "words"),
+    [
+        (
+            {"kind": "point_to_point", "arguments": ["1"] * 1_000_000},
+            "arguments has 1000000 words, expected at most 1000",
+        ),
+        (
+            {"kind": "point_to_point", "arguments": ["--goal", "1" * 20_000]},
+            "arguments has 20006 characters, expected at most 10000",
+        ),
+        ({"kind": "x" * 20_000}, "kind has 20000 characters, expected at most 10000"),
+        ({"file": "x" * 20_000}, "file has 20000 characters, expected at most 10000"),
+    ],
+)
+def test_oversized_goals_are_rejected_in_one_line(bench, monkeypatch, goal, words):
+    said = []
+    monkeypatch.setattr(bench.motion.get_logger(), "warning", said.append)
+    assert not bench.send(**goal).accepted
+    assert said == [f"goal rejected: {words}"]
+
+
+@pytest.mark.parametrize("duration", ["3601", "1e9", "1e18"])
+def test_plans_longer_than_an_hour_are_refused(bench, duration):
+    ended = bench.execute(kind="point_to_point", arguments=[*TURN, "--duration", duration])
+    words = f"the plan takes {float(duration):g} s, expected at most 3600"
+    assert (ended.status, ended.result.message) == (GoalStatus.STATUS_ABORTED, words)
+    # The next goal is planned as usual.
+    assert bench.execute(kind="point_to_point", arguments=TURN).result.message == NO_ARM
+
+
+@pytest.mark.parametrize("value", ["nan", "inf", "-inf", "1e18", "-1e18"])
+@pytest.mark.parametrize("option", ["--goal", "--duration"])
+def test_extreme_options_are_refused(bench, option, value):
+    given = {"--goal": ["0", "0", "0"], "--duration": TURN}[option]
+    words = [option, value, *given]
+    ended = bench.execute(kind="point_to_point", arguments=words)
+    assert ended.status == GoalStatus.STATUS_ABORTED
+    assert ended.result.message not in ("", NO_ARM)
+    assert len(ended.result.message) < MAX_CHARACTERS
+
+
+def test_plans_are_bounded_as_the_arms_node_does():
+    assert (MAX_POINTS, MAX_DURATION) == (ARM_MAX_POINTS, ARM_MAX_DURATION)
+    times = np.linspace(0.0, MAX_DURATION, MAX_POINTS)
+    plan = SimpleNamespace(times=times, duration=MAX_DURATION)
+    assert too_long(plan) == ""
+    plan.times = np.linspace(0.0, MAX_DURATION, MAX_POINTS + 1)
+    assert too_long(plan) == "the plan has 10001 points, expected at most 10000"
+    plan.duration = nan
+    assert too_long(plan) != ""
