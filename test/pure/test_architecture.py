@@ -240,6 +240,15 @@ def test_a_room_imports_what_its_row_allows(room: str) -> None:
     assert not {name for name in ours if not f"{name}.".startswith(given)}
 
 
+#: Names that rclpy keeps private, as far as this workspace has ever used them.
+PRIVATE_RCLPY = re.compile(r"_rclpy_pybind11|\b_parameter_overrides\b|_callback_type|\._tasks\b")
+
+
+def test_private_names_of_rclpy_are_in_one_module() -> None:
+    users = {module for module in MODULES if PRIVATE_RCLPY.search(text(module))}
+    assert users == {"fss_arm_ros.rclpy_compat"}
+
+
 def test_the_session_reads_no_clock_and_does_no_io() -> None:
     session = {n for m in MODULES if m.startswith("fss_arm_driver.session.") for n in imports(m)}
     pure = {

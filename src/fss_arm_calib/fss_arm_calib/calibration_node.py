@@ -94,7 +94,7 @@ class CalibrationNode(Node):
         try:
             begun = self.begun.with_message(topic, message)
             if begun.arm.n != self.begun.arm.n:
-                raise ValueError(f"it is of {begun.arm.n} links, expected {self.begun.arm.n}")
+                raise ValueError(f"it is for {begun.arm.n} links, expected {self.begun.arm.n}")
         except ValueError as error:
             self.get_logger().warning(f"{topic} not taken: {error}")
             return

@@ -163,7 +163,7 @@ class ViewNode(Node):
             subscribe(self, kind, topic, take, quick)
         for i in range(1, self.known.arm.n + 1):
             subscribe(self, LinkTelemetry, f"link_{i}/telemetry", self.on_telemetry, quick)
-        self.create_subscription(Empty, "arm/stop", self.on_stop, 10)
+        subscribe(self, Empty, "arm/stop", self.on_stop, 10)
         for of, topic in (
             (KinematicCalibration, "calibration/kinematic"),
             (DynamicCalibration, "calibration/dynamic"),

@@ -146,7 +146,7 @@ class WorkspaceNode(Node):
         for topic, message in calibrations.items():
             known = known.with_message(topic, message)
         if known.arm.n != self.described.arm.n:
-            raise ValueError(f"it is of {known.arm.n} links, expected {self.described.arm.n}")
+            raise ValueError(f"it is for {known.arm.n} links, expected {self.described.arm.n}")
         return known
 
     def find_maps(self, _: str, progress: Progress) -> None:

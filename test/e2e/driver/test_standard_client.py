@@ -164,7 +164,7 @@ def test_tolerances_on_the_way_and_at_the_goal_are_kept(person):
     assert ended.result.error_code == ENDED.PATH_TOLERANCE_VIOLATED
     assert ended.result.error_string.startswith("joint_3 is off by 0.")
     person.until(client.resting)
-    ended = person.go(client.goal([(2.0, THERE)], end=[("joint_2", 1e-9)], time=0.3))
+    ended = person.go(client.goal([(2.0, THERE)], end=[("joint_2", 1e-6)], time=0.3))
     assert ended.result.error_code == ENDED.GOAL_TOLERANCE_VIOLATED
     assert ended.result.error_string.startswith("joint_2 is off by 0.")
     ended = person.go(client.goal([(2.0, HOME)], end=[(j, -1.0) for j in JOINTS]))

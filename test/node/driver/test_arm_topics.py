@@ -493,6 +493,7 @@ def test_a_new_goal_goes_on_from_where_the_old_one_will_be(bench):
     bench.until(lambda: bench.links.q[0] > 0.1)
     second = bench.begin(bench.client.goal([(2.0, (0.0, 0.0, 0.0, 0.0))]))
     assert bench.end(first).result.error_string == "preempted by a trajectory"
+    bench.until(lambda: 2 in bench.links.paths[0])
     old, new = (bench.links.paths[0][k] for k in (1, 2))
     t = (stamp_ns(new.header.stamp) - stamp_ns(old.header.stamp)) / SECOND
     s = t / 4.0

@@ -254,7 +254,7 @@ def test_a_calibration_of_another_arm_is_left_out(run, spin, capfd):
     bench.calibration.publish(
         KinematicCalibration(calibration=Calibration(verdict="pass", description=to_yaml(three)))
     )
-    spin([node, bench], lambda: "it is of 3 links, expected 4" in capfd.readouterr().err)
+    spin([node, bench], lambda: "it is for 3 links, expected 4" in capfd.readouterr().err)
     assert node.known.arm == paper_arm()
 
 
@@ -264,7 +264,7 @@ def test_a_parameter_that_nobody_knows_ends_nothing(run, spin, capfd):
         verdict="pass", description=to_yaml(paper_arm()), names=["zeta"], covariance=[1.0]
     )
     bench.calibration.publish(KinematicCalibration(calibration=odd))
-    spin([node, bench], lambda: "'zeta' is no parameter" in capfd.readouterr().err)
+    spin([node, bench], lambda: "has no parameter 'zeta'" in capfd.readouterr().err)
     assert not node.reaction.covariance.any()
 
 

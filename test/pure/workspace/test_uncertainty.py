@@ -106,7 +106,7 @@ def test_names_that_links_share():
     )
     one = vector_covariance(arm, ["I"], [[1.0]])
     assert np.flatnonzero(np.diag(one)).tolist() == [11, 17, 23, 29]
-    with pytest.raises(ValueError, match="'c_1' is no parameter of 'paper'"):
+    with pytest.raises(ValueError, match="arm 'paper' has no parameter 'c_1'"):
         vector_covariance(arm, ["c_1"], [[1.0]])
 
 
