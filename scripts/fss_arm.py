@@ -16,16 +16,18 @@ import os
 import re
 import sys
 from collections.abc import Callable, Iterable
-from math import degrees, inf, radians
+from math import degrees, inf, nan, radians
 from time import monotonic
-from typing import Any
+from typing import Any, NoReturn
 from xml.etree import ElementTree
 
 import rclpy
 from rclpy.action import ActionClient
+from rclpy.exceptions import InvalidNamespaceException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
+from rclpy.validate_namespace import validate_namespace
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Empty, String
 from std_srvs.srv import SetBool, Trigger
@@ -34,6 +36,7 @@ from unique_identifier_msgs.msg import UUID
 from fss_arm_driver.protocol import State
 from fss_arm_msgs.action import MoveArm
 from fss_arm_msgs.msg import BaseTelemetry, LinkCommand, LinkTelemetry
+from fss_arm_ros.command_line import in_words
 from fss_arm_ros.convert import stamp_ns
 from fss_arm_ros.qos import LATCHED, command, sensor, subscribe_sensor
 from fss_arm_ros.rclpy_compat import RCLError
@@ -47,6 +50,8 @@ CALIBRATIONS = ("kinematic", "dynamic", "drift", "drives", "joint")  # joint: fr
 REPEAT = 0.05  # from one stop to the next [s]
 GRAPH = 0.5  # by then a program that has begun knows who is there [s]
 CONFIRM = 1.0  # by then a link that is known has said that it stopped [s]
+MAX_TIME, MAX_ANGLE = 3600.0, 36_000.0  # [s], [deg]
+NAMESPACE = re.compile(r"/?[A-Za-z]\w*(/[A-Za-z]\w*)*", re.ASCII)
 TOPIC = re.compile(
     r"(?P<namespace>.*)/(?:arm/stop|(?P<link>link_\d+)/(?:telemetry|command)|(?P<base>base)/telemetry)"
 )
@@ -336,7 +341,7 @@ def order(node: Node, options: argparse.Namespace) -> Answer:
     Raises:
         NoAnswerError: nobody is there, or nobody answers.
     """
-    what, wait = options.what, options.wait or 10.0
+    what, wait = options.what, 10.0 if options.wait is None else options.wait
     if what == "move":
         return move(node, options.angles, options.seconds, wait)
     if what == "home":
@@ -350,30 +355,111 @@ def order(node: Node, options: argparse.Namespace) -> Answer:
     return calibrations(node, what, wait)
 
 
-def main() -> int:
-    """Run; the exit code is 0 if the arm did so, 1 if not, 130 if interrupted before."""
-    parser = argparse.ArgumentParser("fss_arm.sh", description=__doc__.replace("\n\n", "\n"))
-    parser.add_argument("what", choices=WORDS)
+def namespace(text: str) -> str:
+    """Return the namespace of a vehicle, checked.
+
+    Raises:
+        argparse.ArgumentTypeError: it is none.
+    """
+    try:
+        if text != "/" and not NAMESPACE.fullmatch(text):
+            raise InvalidNamespaceException(text, "", 0)
+        validate_namespace(f"/{text.lstrip('/')}")
+    except InvalidNamespaceException:
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is no namespace of a vehicle, expected a letter and then letters, digits "
+            "and _, as fss2; without it, stop is for all vehicles"
+        ) from None
+    return text
+
+
+def duration(text: str) -> float:
+    """Return a time [s], checked.
+
+    Raises:
+        argparse.ArgumentTypeError: it is none.
+    """
+    return _number(text, 0.0, MAX_TIME, f"0 to {MAX_TIME:.0f} s")
+
+
+def angle(text: str) -> float:
+    """Return an angle [deg], checked.
+
+    Raises:
+        argparse.ArgumentTypeError: it is none.
+    """
+    return _number(text, -MAX_ANGLE, MAX_ANGLE, "an angle in degrees")
+
+
+def _number(text: str, least: float, greatest: float, expected: str) -> float:
+    try:
+        number = float(text)
+    except ValueError:
+        number = nan
+    if not least <= number <= greatest:
+        raise argparse.ArgumentTypeError(f"{text!r} is given, expected {expected}")
+    return number
+
+
+class Parser(argparse.ArgumentParser):
+    """Reports an error in one line; an option has one name, not its abbreviations."""
+
+    def error(self, message: str) -> NoReturn:
+        """Exit with 2, as ROS nodes do after a wrong command line."""
+        self.exit(2, f"{self.prog}: {' '.join(message.split())}\n")
+
+
+def parsed() -> tuple[argparse.Namespace, str | None]:
+    """Read the command line; return its options, and the namespace of the vehicle, if any.
+
+    A wrong one ends the program.
+    """
+    parser = Parser("fss_arm.sh", allow_abbrev=False, description=__doc__.replace("\n\n", "\n"))
+    parser.add_argument("what", nargs="?", choices=WORDS, metavar="COMMAND", help=", ".join(WORDS))
     parser.add_argument(
-        "angles", nargs="*", type=float, metavar="ANGLE", help="of each joint [deg], to move"
+        "angles", nargs="*", type=angle, metavar="ANGLE", help="of each joint [deg], to move"
     )
     parser.add_argument(
-        "--vehicle", "--namespace", help="its namespace; without, stop is for all vehicles, and "
-        "all else for the one in FSS_NAMESPACE",
+        "--vehicle", "--namespace", type=namespace, help="its namespace; without, stop is for all "
+        "vehicles, and all else for the one in FSS_NAMESPACE",
     )  # fmt: skip
-    parser.add_argument("--wait", type=float, help="for somebody to be there [s]: 10, to stop 2")
-    parser.add_argument("--within", type=float, default=60.0, help="a link must be referenced [s]")
-    parser.add_argument("--seconds", type=float, default=0.0, help="that a move takes [s]")
+    parser.add_argument(
+        "--wait", type=duration, help="timeout waiting for the node [s] (default 10; stop 2)"
+    )
+    parser.add_argument(
+        "--within", type=duration, default=60.0, help="timeout for a link's reference [s]"
+    )
+    parser.add_argument("--seconds", type=duration, default=0.0, help="duration of a move [s]")
     options = parser.parse_intermixed_args()
+    if options.what is None:
+        also = f" (--vehicle is {options.vehicle!r})" if options.vehicle else ""
+        parser.error(f"COMMAND is missing{also}, expected one of {', '.join(WORDS)}")
     if bool(options.angles) != (options.what == "move"):
-        parser.error("move wants an angle for each joint [deg], and nothing else does")
-    rclpy.init()
-    vehicle = options.vehicle or os.environ.get("FSS_NAMESPACE")
-    node = Node("fss_arm", namespace=vehicle or None)
+        expected = "one for each joint [deg]" if options.what == "move" else "none"
+        parser.error(f"{options.what} has {len(options.angles)} angles, expected {expected}")
+    if options.vehicle is not None:
+        return options, options.vehicle
+    try:
+        return options, namespace(os.environ.get("FSS_NAMESPACE") or "/")
+    except argparse.ArgumentTypeError as error:
+        if options.what == "stop":  # for all vehicles, whatever the shell's one is called
+            return options, None
+        parser.error(f"FSS_NAMESPACE: {error}")
+
+
+def main() -> int:
+    """Run; the exit code is 0 if the arm did so, 1 if not, 130 if interrupted before."""
+    options, vehicle = parsed()
+    try:
+        rclpy.init()
+    except RCLError as error:
+        print(f"fss_arm.sh: {in_words(error).split(', at /')[0]}", file=sys.stderr)
+        return 2
+    node = Node("fss_arm", namespace=vehicle)
     code = 1
     try:
         if options.what == "stop":
-            done, words = Stop(node, options.vehicle)(options.wait or 2.0)
+            done, words = Stop(node, options.vehicle)(2.0 if options.wait is None else options.wait)
         else:
             done, words = order(node, options)
             words = f"{vehicle}: {words}" if vehicle and len(node.get_namespace()) > 1 else words

@@ -1,27 +1,44 @@
 #!/bin/sh
-# What a person tells the arm; by the ROS domain and the network of this shell, or of a configuration.
+# Commands to the arm from a terminal, in the ROS domain of this shell or of a configuration.
 # usage: fss_arm.sh [--vehicle NAME] move | arm | disarm | stop | home | clear | valves | solve | forget [CONFIG] [ANGLE...] [OPTION...]
 set -eu
 fss_scripts=$(CDPATH='' cd -- "$(dirname -- "$0")" && pwd -P)
-named=
-case ${1:-} in --vehicle) named=${2:-}; shift 2 ;; esac
-case ${2:-} in
-  '' | -* | .[0-9]* | [0-9]*)   # an angle is no configuration
-    cd -- "$fss_scripts/.."
-    # shellcheck source=scripts/env.sh
-    . scripts/env.sh
-    ;;
-  *)
-    # shellcheck source=scripts/fss/config.sh
-    . "$fss_scripts/fss/config.sh"
-    what=$1 config=$2
-    shift 2
-    [ -z "$named" ] || vehicle "${named#/}"
-    read_config "$config"
-    set -- "$what" "$@"
-    ;;
+
+# is_name NAME: true for a vehicle's namespace; fss_arm.py refuses any other, without a configuration.
+is_name() (
+  LC_ALL=C
+  [ "$1" = / ] || case /${1#/}/ in
+    *[!A-Za-z0-9_/]* | *//* | */[!A-Za-z]*) false ;;
+    *) [ ${#1} -lt 200 ] ;;
+  esac
+)
+
+named='' given=''
+case ${1:-} in
+  --vehicle | --namespace)
+    if [ $# -gt 1 ]; then given=yes named=$2; shift 2; fi ;;   # else fss_arm.py refuses it
+  --vehicle=* | --namespace=*) given=yes named=${1#*=}; shift ;;
 esac
-[ -z "$named" ] || set -- "$@" --vehicle "$named"
+case ${2:-} in
+  '' | -* | .[0-9]* | [0-9]*) config='' ;;   # an angle is no configuration
+  *) config=$2 ;;
+esac
+case ${1:-} in -*) config='' ;; esac
+[ -z "$given" ] || is_name "$named" || config=''
+if [ "$config" ]; then
+  # shellcheck source=scripts/fss/config.sh
+  . "$fss_scripts/fss/config.sh"
+  what=$1
+  shift 2
+  [ -z "${named#/}" ] || vehicle "${named#/}"
+  read_config "$config"
+  set -- "$what" "$@"
+else
+  cd -- "$fss_scripts/.."
+  # shellcheck source=scripts/env.sh
+  . scripts/env.sh
+fi
+[ -z "$given" ] || set -- "--vehicle=$named" "$@"   # of two, the last one counts
 [ "${ROS_SECURITY_ENABLE:-}" != true ] ||
   export ROS_SECURITY_ENCLAVE_OVERRIDE="${ROS_SECURITY_ENCLAVE_OVERRIDE:-/person}"
 exec python3 "$fss_scripts/fss_arm.py" "$@"

@@ -82,6 +82,72 @@ def test_nobody_there_is_said_in_one_line(domain):
         assert (told.returncode, told.stderr) == (1, said)
 
 
+def shell(*words, **env):
+    """Run fss_arm.sh; return its exit code, output and errors."""
+    done = subprocess.run(
+        [SCRIPT.with_suffix(".sh"), *words], capture_output=True, text=True, timeout=60,
+        check=False, env={**os.environ, **env},
+    )  # fmt: skip
+    return done.returncode, done.stdout, done.stderr
+
+
+NAME = (
+    "expected a letter and then letters, digits and _, as fss2; without it, stop is for all "
+    "vehicles\n"
+)
+BAD_NAMES = ("a b", "~", "é", "", "1a", "..", "a/", "a//b", "__x", "a\nb", "-x", "x" * 1000)
+
+
+@pytest.mark.parametrize("name", BAD_NAMES)
+@pytest.mark.parametrize("config", [(), ("config/fss_sim.sh",)])
+def test_a_bad_name_of_a_vehicle_is_refused_in_one_line(domain, name, config):
+    said = f"fss_arm.sh: argument --vehicle/--namespace: {name!r} is no namespace of a vehicle, "
+    assert shell("--vehicle", name, "stop", *config) == (2, "", said + NAME)
+    assert shell(f"--namespace={name}", "stop", *config) == (2, "", said + NAME)
+    if not config:
+        assert shell("stop", f"--vehicle={name}") == (2, "", said + NAME)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--vehicle",), "argument --vehicle/--namespace: expected one argument"),
+        (("stop", "--vehicle"), "argument --vehicle/--namespace: expected one argument"),
+        (("--vehicle", "stop"), "COMMAND is missing (--vehicle is 'stop'), expected one of move, "),
+        ((), "COMMAND is missing, expected one of move, arm, disarm, stop, "),
+        (("stpo",), "argument COMMAND: invalid choice: 'stpo' (choose from "),
+        (("stop", "--vehicel", "fss2"), "unrecognized arguments: --vehicel fss2"),
+        (("stop", "10"), "stop has 1 angles, expected none"),
+        (("stop", ""), "argument ANGLE: '' is given, expected an angle in degrees"),
+        (("move", "0", "nan"), "argument ANGLE: 'nan' is given, expected an angle in degrees"),
+        (("move", "0", "1e18"), "argument ANGLE: '1e18' is given, expected an angle in degrees"),
+        *(
+            ((what, option, value), f"argument {option}: {value!r} is given, expected 0 to 3600 s")
+            for what, option in (("stop", "--wait"), ("home", "--within"), ("arm", "--seconds"))
+            for value in ("nan", "inf", "-1", "1e18", "x", "")
+        ),
+        *(
+            (("stop", option), f"argument {option}: expected one argument")
+            for option in ("--wait", "--within", "--seconds")
+        ),
+    ],
+)
+def test_a_wrong_command_line_is_refused_in_one_line(domain, words, said):
+    code, out, err = shell(*words)
+    assert (code, out) == (2, "")
+    assert err.startswith(f"fss_arm.sh: {said}")
+    assert err.count("\n") == 1
+
+
+def test_a_stop_of_all_vehicles_needs_no_name(domain):
+    """The name in the environment is for all other commands."""
+    no_link = "there is no link to confirm the stop; use the emergency stop\n"
+    for name in ("a b", "", "fss2"):
+        assert shell("stop", "--wait", "0.1", FSS_NAMESPACE=name) == (1, "", no_link)
+    said = "fss_arm.sh: FSS_NAMESPACE: 'a b' is no namespace of a vehicle, "
+    assert shell("arm", FSS_NAMESPACE="a b") == (2, "", said + NAME)
+
+
 @pytest.fixture
 def telling(spin):
     """telling(nodes, command, **env): what came of a command while these nodes were run."""
@@ -182,9 +248,8 @@ def test_moves_are_refused_in_degrees_with_the_reason(moving, telling):
         assert telling(nodes, (*MOVE, *angles)) == (1, "", f"{words}\n")
     unarmed = "links 1, 2 are not armed: scripts/fss_arm.sh arm; the joints are at 0.0, 0.0 deg\n"
     assert telling(nodes, (*MOVE, "10", "20")) == (1, "", unarmed)
-    code, _, err = telling(nodes, MOVE)
-    assert code == 2
-    assert "move wants an angle for each joint [deg]" in err
+    wanted = "fss_arm.sh: move has 0 angles, expected one for each joint [deg]\n"
+    assert telling(nodes, MOVE) == (2, "", wanted)
 
 
 def test_a_move_that_is_interrupted_comes_to_rest(spin, moving):
